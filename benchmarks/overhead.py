@@ -5,9 +5,10 @@ Prints, for each pair and as medians:
 - wall time of the run from ``submit`` to stored, over that of the bare container (create, start, wait, remove);
 - time from queued to the container's start, and from the container's exit to the stored outcome.
 
-    python benchmarks/overhead.py --seconds 20 --pairs 5 [--json]
+    python benchmarks/overhead.py --seconds 20 --pairs 5 [--executor slurm] [--json]
 
-Needs a Docker engine. Pairs alternate in order, so that drift of a shared machine falls on both sides alike.
+Needs a Docker engine for the bare container; the settings of the executor come from the environment. Pairs alternate in
+order, so that drift of a shared machine falls on both sides alike.
 """
 
 from __future__ import annotations
@@ -55,15 +56,16 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--algorithm", default="kiss-icp")
+    parser.add_argument("--executor", default="docker", help="through which SLAM Hive runs it")
     parser.add_argument("--seconds", type=float, default=20.0, help="duration of the recording")
     parser.add_argument("--pairs", type=int, default=5)
     parser.add_argument("--data", type=Path, help="data root to use; default: a temporary one")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="slamhive-overhead-") as scratch:
-        hive = open_hive({"data": (arguments.data or Path(scratch)).absolute(), "executor": "docker"})
+        hive = open_hive({"data": (arguments.data or Path(scratch)).absolute(), "executor": arguments.executor})
         dataset = _dataset(hive, arguments.seconds)
-        hive.executors.get("docker").build(hive.catalogue.package(arguments.algorithm), lambda _line: None)
+        hive.executors.get(arguments.executor).build(hive.catalogue.package(arguments.algorithm), lambda _line: None)
         pairs = _measure(hive, arguments.algorithm, dataset, arguments.pairs)
         hive.close()
     if arguments.json:
@@ -105,7 +107,7 @@ def _measure(hive: Hive, algorithm: str, dataset: str, count: int) -> list[Pair]
 def _through_the_queue(hive: Hive, algorithm: str, dataset: str) -> tuple[RunRecord, float]:
     """Submit, wait until stored; the run and the wall time (s)."""
     began = time.perf_counter()
-    (run,) = hive.runs.submit(Submission(algorithm, dataset, executor="docker", evaluate=False))
+    (run,) = hive.runs.submit(Submission(algorithm, dataset, evaluate=False))
     while not hive.runs.get(run.id).state.ended:
         time.sleep(0.01)
     ended = hive.runs.get(run.id)
@@ -132,7 +134,7 @@ def _bare(hive: Hive, model: RunRecord) -> float:
             "init": True,
         }
         began = time.perf_counter()
-        container = client.containers.create(spec.identity, **options)
+        container = client.containers.create(hive.catalogue.package(model.package).image, **options)
         try:
             container.start()
             status = container.wait()["StatusCode"]

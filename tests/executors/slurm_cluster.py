@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Self
 
@@ -88,8 +90,49 @@ class Cluster:
     def start_node(self, node: str) -> None:
         """Start a ``slurmd``, and wait until its node takes jobs."""
         self.run("slurmd", "-N", node)
-        states = ("idle", "mixed", "allocated")
-        eventually(lambda: self.run("sinfo", "-h", "-n", node, "-o", "%T").stdout.strip() in states, f"node {node}")
+        self.wait_for_node(node)
+
+    def wait_for_node(self, node: str) -> None:
+        """Wait until a node answers. It may still be ending a job."""
+        states = ("idle", "mixed", "allocated", "completing")
+        eventually(lambda: self.state_of(node) in states, f"node {node}")
+
+    def state_of(self, node: str) -> str:
+        """As ``sinfo`` shows it; ``*`` at the end says that the node does not answer."""
+        return self.run("sinfo", "-h", "-n", node, "-o", "%T").stdout.strip()
+
+    def bring_back(self, node: str) -> None:
+        """Have a node take jobs that was set down or drained. It may have come back by itself, by registering."""
+        if self.state_of(node).startswith(("down", "drain")):
+            self.run("scontrol", "update", f"nodename={node}", "state=resume", check=False)
+        self.wait_for_node(node)
+
+    def kill_node(self, node: str) -> None:
+        """End everything on a node at once, as a loss of power does; the daemon has to be started again."""
+        self.kill(f"slurmd-{node}")
+        named = f"SLURMD_NODENAME={node}".encode()
+        for process in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                ours = str(self.folder).encode() in (environment := (process / "environ").read_bytes())
+                if ours and named in environment.split(b"\0"):
+                    os.kill(int(process.name), 9)
+
+    @contextmanager
+    def forgetful(self) -> Iterator[None]:
+        """A controller that is killed meanwhile comes back with the jobs that it has now."""
+        state, kept = self.folder / "state", self.folder / "state-before"
+        pid = int((self.folder / "slurmctld.pid").read_text())
+        os.kill(pid, signal.SIGSTOP)  # it writes at any moment
+        shutil.copytree(state, kept)
+        os.kill(pid, signal.SIGCONT)
+        try:
+            yield
+            self.kill("slurmctld")
+            shutil.rmtree(state)
+        finally:
+            shutil.copytree(kept, state, dirs_exist_ok=True)
+            shutil.rmtree(kept)
+        self.start_controller()
 
     def set_nodes(self, *changes: str) -> None:
         """Change both nodes, as ``scontrol update`` does."""
@@ -111,7 +154,9 @@ class Cluster:
         eventually(lambda: not _lives(pid), f"the end of {daemon}")
 
     def run(self, *command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, **self.variables, "PATH": _path()}
+        # A daemon that is started during a test must not look like a process of that test's installation.
+        passed_on = {name: value for name, value in os.environ.items() if not name.startswith("SLAMHIVE_")}
+        environment = {**passed_on, **self.variables, "PATH": _path()}
         return subprocess.run(command, env=environment, check=check, capture_output=True, text=True, timeout=60)
 
     def __enter__(self) -> Self:

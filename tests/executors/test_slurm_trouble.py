@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -15,6 +16,7 @@ from slamhive.executors.spec import Limits
 from slamhive.executors.status import Gone, Running
 from tests.executors.conftest import wait_for_end
 from tests.executors.processes import processes_of
+from tests.executors.slurm_cluster import NODES
 from tests.executors.test_contract import RESULT
 from tests.waiting import eventually
 
@@ -94,7 +96,7 @@ def test_a_job_that_waits_forever(bench):
     with pytest.raises(StartFailed, match=r"no node meets what run 1 asks for: job .* is PENDING"):
         bench.executor.start(spec)
     bench.executor.discard(spec)
-    assert not [job for job in command.list_jobs() if spec.key in job.comment and not job.over]
+    assert not [job for job in jobs_of(spec) if not job.over]
 
 
 def test_a_job_that_waits_for_its_turn_starts_later_and_once(bench, slurm_cluster, monkeypatch):
@@ -108,7 +110,31 @@ def test_a_job_that_waits_for_its_turn_starts_later_and_once(bench, slurm_cluste
     eventually((spec.work / "shim.json").exists, "the start")
     bench.handles.append(bench.executor.start(spec))
     bench.wait_for(spec, bench.handles[0], "starts")
-    assert len([job for job in command.list_jobs() if spec.key in job.comment]) == 1
+    assert len(jobs_of(spec)) == 1
+
+
+def test_a_job_that_the_controller_has_forgotten_is_submitted_again(bench, slurm_cluster):
+    """Killed before it has saved the job, it comes back without it while the executor waits for the start."""
+    slurm_cluster.set_nodes("state=drain", "reason=test")
+    slurm_cluster.wait_until_saved()
+    spec = bench.spec(UNTIL_TOLD)
+    with ThreadPoolExecutor(1) as other:
+        with slurm_cluster.forgetful():
+            starting = other.submit(bench.executor.start, spec)
+            eventually(lambda: jobs_of(spec), "the job")
+        assert jobs_of(spec) == []
+        with pytest.raises(EngineUnavailable, match=r"is submitted again|controller|could not list"):
+            starting.result()
+    for node in NODES:
+        slurm_cluster.bring_back(node)
+    bench.handles.append(bench.executor.start(spec))
+    bench.wait_for(spec, bench.handles[0], "starts")
+    assert len(jobs_of(spec)) == 1
+
+
+def jobs_of(spec):
+    """The jobs of a run that Slurm knows."""
+    return [job for job in command.list_jobs() if spec.key in job.comment]
 
 
 def test_jobs_of_runs_that_are_over_are_swept(bench):

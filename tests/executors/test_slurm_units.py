@@ -48,6 +48,21 @@ def test_recorded_jobs():
     assert failed.text == "job 3 is FAILED (BadConstraints)"
 
 
+@pytest.mark.parametrize(
+    ("state", "reason", "slurm_ended_it"),
+    [
+        ("NODE_FAIL", "NodeDown", True),
+        ("FAILED", "JobLaunchFailure", True),
+        ("PREEMPTED", "None", True),
+        ("FAILED", "NonZeroExitCode", False),
+        ("CANCELLED", "None", False),
+        ("RUNNING", "None", False),
+    ],
+)
+def test_jobs_that_are_not_to_blame_for_their_end(state, reason, slurm_ended_it):
+    assert Job(1, "", (state,), reason, "one").ended_by_slurm is slurm_ended_it
+
+
 def test_states_as_a_list():
     content = json.loads(RECORDED)
     content["jobs"][0]["job_state"] = ["RUNNING", "COMPLETING"]

@@ -26,6 +26,9 @@ _WAITING = frozenset(("PENDING", "CONFIGURING", "REQUEUED", "REQUEUE_HOLD", "SPE
 _RUNNING = frozenset(("RUNNING", "COMPLETING", "SUSPENDED", "STOPPED", "SIGNALING", "STAGE_OUT", "RESIZING"))
 _NEVER = frozenset(("PartitionConfig", "BadConstraints", "PartitionNodeLimit", "PartitionTimeLimit", "NodeNotAvail"))
 """Reasons of waiting jobs that no node and no partition can ever run."""
+_SLURM_ENDED = frozenset(("NODE_FAIL", "BOOT_FAIL", "REVOKED", "PREEMPTED"))
+_SLURM_FAILED = frozenset(("JobLaunchFailure", "NodeDown", "SystemFailure"))
+"""States, and reasons of the state FAILED, for which the script of a job is not to blame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +55,11 @@ class Job:
     def over(self) -> bool:
         """It has ended in some way."""
         return not (self.waits or self.runs)
+
+    @property
+    def ended_by_slurm(self) -> bool:
+        """It is over because its node or Slurm failed, or because Slurm took its node away."""
+        return self.over and (not _SLURM_ENDED.isdisjoint(self.states) or self.reason in _SLURM_FAILED)
 
     @property
     def never_starts(self) -> bool:

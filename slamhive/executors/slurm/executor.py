@@ -42,6 +42,9 @@ _QUEUE_AGE_S = 1.0
 """All runs of a worker share one look at the queue in this time."""
 _SHORT_AGE_S = 0.25
 """The same while somebody waits for the end of a job."""
+_MOST_JOBS = 3
+"""A run fails to start when Slurm remembers so many jobs of it that have ended by no fault of theirs."""
+_SLURM_SAYS = "slurmstepd"
 
 
 class SlurmExecutor(ProcessExecutor):
@@ -201,7 +204,11 @@ class SlurmExecutor(ProcessExecutor):
             return StartFailed(f"no node meets what run {spec.run_id} asks for: {said}", "compare it with sinfo -Nl")
         if active:
             return EngineUnavailable(f"run {spec.run_id} waits in Slurm: {said}", "see squeue")
-        return StartFailed(f"the job of run {spec.run_id} did not start: {said}{_last_line(work)}")
+        printed = _last_line(work)
+        if not printed and len(jobs) < _MOST_JOBS and all(_is_blameless(job) for job in jobs):
+            # A controller that is killed forgets the jobs of the last 5 s; a node may fail before the run begins.
+            return EngineUnavailable(f"run {spec.run_id} has not begun and is submitted again: {said}", "see squeue")
+        return StartFailed(f"the job of run {spec.run_id} did not start: {said}{printed}")
 
     def _end_jobs(self, key: str) -> None:
         """End what is left of the jobs, and wait until they are over."""
@@ -286,8 +293,14 @@ def _exit_of(handle: RunHandle) -> Exited | None:
     return replace(exited, timed_out=late and exited.exit_code in (137, 143))
 
 
+def _is_blameless(job: command.Job) -> bool:
+    """Whether another job may do better. One that completes without a run has found the supervisor of another job."""
+    return job.ended_by_slurm or "COMPLETED" in job.states
+
+
 def _last_line(work: Path) -> str:
-    """What the job printed last, as the end of a message."""
+    """What the job itself printed last, as the end of a message."""
     errors = work / ERRORS_FILE
     lines = errors.read_text(errors="replace").strip().splitlines() if errors.exists() else []
-    return f"; it printed: {lines[-1]}" if lines else ""
+    own = [line for line in lines if not line.startswith(_SLURM_SAYS)]
+    return f"; it printed: {own[-1]}" if own else ""
