@@ -1,0 +1,146 @@
+"""A saved map for a screen: a quick sample of its points first, then at most one point in each voxel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from slamhive.errors import InvalidInput
+from slamhive.runs.map_file import MapFile, finite, open_map
+from slamhive.runs.untrusted import FloatArray
+
+MOST_POINTS = 100_000
+"""What a browser without a GPU still turns smoothly."""
+_FIRST_VOXELS = 4096
+"""No voxel is so small that the map is more of them long."""
+_FIRST_SHARE = 0.5
+"""The first voxels are those of which a sample of points occupies this share of the most that are allowed."""
+_COARSER = 1.25
+_FARTHEST = 2**20
+"""In voxels from the middle of the map. All points that are further away in a direction share a voxel."""
+_Keys = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud:
+    """Points of a map.
+
+    Attributes:
+        positions_m: Shape (n, 3), in the frame of the file.
+        intensities: Shape (n,), NaN where unknown; None if the file has none.
+        total: How many points the file has.
+        voxel_m: Edge of the cubes that hold at most one point each; None if points were not thinned that way.
+    """
+
+    positions_m: FloatArray
+    intensities: FloatArray | None
+    total: int
+    voxel_m: float | None = None
+
+    @property
+    def size_bytes(self) -> int:
+        """What it takes in memory."""
+        return self.positions_m.nbytes + (0 if self.intensities is None else self.intensities.nbytes)
+
+
+def sampled_cloud(path: Path, name: str, most: int = MOST_POINTS) -> PointCloud:
+    """One point, chosen at random, of every so many in the order of the file; all of a map that is small enough.
+
+    Two calls choose the same points. Raises NotFound without the file, InvalidInput for one that cannot be used.
+    """
+    with open_map(path, name) as file:
+        return _cloud(file, _sample(file, most))
+
+
+def thinned_cloud(path: Path, name: str, most: int = MOST_POINTS) -> PointCloud:
+    """At most one point of each voxel, with voxels as small as ``most`` allows; raises as :func:`sampled_cloud`."""
+    with open_map(path, name) as file:
+        sample = _sample(file, most)
+        if file.points <= most:
+            return _cloud(file, sample)
+        rows, voxel_m = _thin(file.pieces(), _some(file, sample), most)
+        return _cloud(file, rows, voxel_m)
+
+
+def map_size(path: Path, name: str) -> int:
+    """How many points a map says it has; raises as :func:`sampled_cloud`."""
+    with open_map(path, name) as file:
+        return file.points
+
+
+def _sample(file: MapFile, most: int) -> FloatArray:
+    """At most ``most`` rows. A fixed step alone would show the pattern of a spinning sensor."""
+    step = max(1, -(-file.points // most))
+    starts = np.arange(0, file.points, step)
+    chosen = np.minimum(starts + np.random.default_rng(0).integers(0, step, len(starts)), file.points - 1)
+    return np.concatenate([np.empty((0, len(file.columns))), *_chosen(file.pieces(), chosen)])
+
+
+def _chosen(pieces: Iterable[FloatArray], chosen: _Keys) -> Iterator[FloatArray]:
+    """The rows with these numbers, which are in order."""
+    start = 0
+    for piece in pieces:
+        first, last = np.searchsorted(chosen, (start, start + len(piece)))
+        yield finite(piece[chosen[first:last] - start])
+        start += len(piece)
+
+
+def _some(file: MapFile, rows: FloatArray) -> FloatArray:
+    if len(rows) == 0:
+        raise InvalidInput(f"{file.name} has no finite point", "the algorithm mapped nothing")
+    return rows
+
+
+def _cloud(file: MapFile, rows: FloatArray, voxel_m: float | None = None) -> PointCloud:
+    intensities = rows[:, 3] if len(file.columns) > 3 else None
+    return PointCloud(_some(file, rows)[:, :3], intensities, file.points, voxel_m)
+
+
+def _thin(pieces: Iterable[FloatArray], sample: FloatArray, most: int) -> tuple[FloatArray, float]:
+    """One row for each voxel, and the edge of the voxels.
+
+    Voxels grow whenever more than ``most`` are occupied. So memory holds ``most`` rows and a piece.
+    """
+    middle_m = np.median(sample[:, :3], axis=0)
+    voxel_m = _first_voxel_m(sample, middle_m, most)
+    rows, keys = sample[:0], np.empty(0, dtype=np.int64)
+    for piece in pieces:
+        points = finite(piece)
+        rows, keys = _merged(rows, keys, points, _keys(points, middle_m, voxel_m))
+        while len(rows) > most:
+            voxel_m *= _COARSER
+            rows, keys = _merged(rows[:0], keys[:0], rows, _keys(rows, middle_m, voxel_m))
+    return rows, voxel_m
+
+
+def _first_voxel_m(sample: FloatArray, middle_m: FloatArray, most: int) -> float:
+    """Voxels that are surely small enough: all points occupy at least as many as a sample of them."""
+    near_m, far_m = np.percentile(sample[:, :3], (2, 98), axis=0)
+    voxel_m = max(float((far_m - near_m).max()) / _FIRST_VOXELS, 1e-6)
+    while len(np.unique(_keys(sample, middle_m, voxel_m))) > _FIRST_SHARE * most:
+        voxel_m *= _COARSER
+    return voxel_m
+
+
+def _merged(rows: FloatArray, keys: _Keys, more: FloatArray, found: _Keys) -> tuple[FloatArray, _Keys]:
+    """``rows`` with those of ``more`` whose voxel none of them is in; ``keys`` stay sorted."""
+    if len(keys):
+        places = np.minimum(np.searchsorted(keys, found), len(keys) - 1)
+        fresh = keys[places] != found
+        more, found = more[fresh], found[fresh]
+    new, first = np.unique(found, return_index=True)
+    joined = np.concatenate([keys, new])
+    order = np.argsort(joined, kind="stable")
+    return np.concatenate([rows, more[first]])[order], joined[order]
+
+
+def _keys(rows: FloatArray, middle_m: FloatArray, voxel_m: float) -> _Keys:
+    """A number for the voxel of each row: 21 bits for each axis."""
+    cells = np.clip(np.floor((rows[:, :3] - middle_m) / voxel_m), -_FARTHEST, _FARTHEST - 1).astype(np.int64)
+    x, y, z = (cells + _FARTHEST).T
+    keys: _Keys = (x << 42) | (y << 21) | z
+    return keys
