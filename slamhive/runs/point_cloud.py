@@ -34,17 +34,20 @@ class PointCloud:
         intensities: Shape (n,), NaN where unknown; None if the file has none.
         total: How many points the file has.
         voxel_m: Edge of the cubes that hold at most one point each; None if points were not thinned that way.
+        errors_m: Distance to the reference map, shape (n,); None if the map was not compared with one.
     """
 
     positions_m: FloatArray
     intensities: FloatArray | None
     total: int
     voxel_m: float | None = None
+    errors_m: FloatArray | None = None
 
     @property
     def size_bytes(self) -> int:
         """What it takes in memory."""
-        return self.positions_m.nbytes + (0 if self.intensities is None else self.intensities.nbytes)
+        values = (self.positions_m, self.intensities, self.errors_m)
+        return sum(array.nbytes for array in values if array is not None)
 
 
 def sampled_cloud(path: Path, name: str, most: int = MOST_POINTS) -> PointCloud:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from slamhive.services.replay import Replays
     from slamhive.services.reports import Analyses
     from slamhive.services.run_comparison import RunComparisons
-    from slamhive.services.runs import Notes, Runs, StoredRuns
+    from slamhive.services.runs import MapViews, Notes, Runs, StoredRuns
     from slamhive.services.searches import Searches
     from slamhive.services.trash import Trash
     from slamhive.services.uploads import UploadImports, Uploads
@@ -106,6 +106,13 @@ class Hive:
         from slamhive.services.datasets import DatasetViews
 
         return DatasetViews()
+
+    @cached_property
+    def map_views(self) -> MapViews:
+        """Points of saved maps."""
+        from slamhive.services.runs import MapViews
+
+        return MapViews()
 
     @cached_property
     def dataset_checks(self) -> DatasetChecks:

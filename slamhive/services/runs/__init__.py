@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         put_configurations,
         read_filed,
     )
+    from slamhive.services.runs.maps import MapViews
     from slamhive.services.runs.moments import FrameFate, Moment
     from slamhive.services.runs.notes import Notes
     from slamhive.services.runs.progress import RunProgress, untracked_s
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     )
     from slamhive.services.runs.record_keeper import RecordKeeper
     from slamhive.services.runs.retrying import repeat_if_disturbed, retry_request, run_uid
+    from slamhive.services.runs.scene import RunScene, ScenePath, path_of, run_scene
     from slamhive.services.runs.series import (
         LIMIT_BYTES,
         Array,
@@ -70,15 +72,18 @@ __all__ = [
     "FoundEvaluation",
     "FrameFate",
     "Job",
+    "MapViews",
     "Moment",
     "Notes",
     "Places",
     "RecordKeeper",
     "RunLimits",
     "RunProgress",
+    "RunScene",
     "RunSeries",
     "Runs",
     "Samples",
+    "ScenePath",
     "StoredRuns",
     "Track",
     "begin_record",
@@ -100,6 +105,7 @@ __all__ = [
     "latency_of",
     "list_downloads",
     "open_download",
+    "path_of",
     "provenance",
     "put_configurations",
     "read_dataset_path",
@@ -108,6 +114,7 @@ __all__ = [
     "recorded_topics",
     "repeat_if_disturbed",
     "retry_request",
+    "run_scene",
     "run_series",
     "run_uid",
     "samples_of",

@@ -97,7 +97,7 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
         gap_s = gap_of(evaluation)
         estimate = read_track(evaluation / "traj.tum", gap_s)
         groundtruth = read_track(evaluation / "groundtruth.tum")
-        error = _columns(evaluation / "errors.csv", ("timestamp", "ape_m"))
+        error = read_errors(evaluation)
     aligned = estimate is not None
     usage = _columns(folder.profiling, ("time", "cpu_usage", "memory_usage"))
     found: dict[str, Any] = {
@@ -120,6 +120,11 @@ def gap_of(evaluation: Path) -> float:
         return protocol_from_content(read_record(evaluation / PROTOCOL_FILE)).gap_threshold_s
     except SlamHiveError:
         return math.inf
+
+
+def read_errors(evaluation: Path) -> Array | None:
+    """Timestamp in s and position error in m of each matched pose, shape (n, 2); None if there are none."""
+    return _columns(evaluation / "errors.csv", ("timestamp", "ape_m"))
 
 
 def _explanations(run: RunRecord) -> dict[str, str]:
@@ -158,6 +163,12 @@ def read_track(path: Path, gap_s: float = math.inf) -> Track | None:
 
     A gap longer than ``gap_s`` starts a new piece.
     """
+    whole = read_whole_track(path, gap_s)
+    return None if whole is None else whole.thinned(MAX_POINTS)
+
+
+def read_whole_track(path: Path, gap_s: float = math.inf) -> Track | None:
+    """As :func:`read_track`, with every pose."""
     data = read_untrusted_lines(path, LIMIT_BYTES)
     if not data:
         return None
@@ -171,7 +182,7 @@ def read_track(path: Path, gap_s: float = math.inf) -> Track | None:
     rows = rows[np.isfinite(rows).all(axis=1)]
     if len(rows) == 0:
         return None
-    return Track(rows[:, 0], rows[:, 1:], len(rows), _pieces(rows[:, 0], gap_s)).thinned(MAX_POINTS)
+    return Track(rows[:, 0], rows[:, 1:], len(rows), _pieces(rows[:, 0], gap_s))
 
 
 def thin_keeping_extremes(values: Array, most: int = MAX_POINTS) -> Places:

@@ -25,6 +25,7 @@ from slamhive.services.runs.moments import Moment, moment_at
 from slamhive.services.runs.progress import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json
 from slamhive.services.runs.retrying import check_retriable, retry_request
+from slamhive.services.runs.scene import RunScene, run_scene
 from slamhive.services.runs.series import RunSeries, run_series
 from slamhive.services.runs.specification import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
 from slamhive.services.runs.stored import StoredRuns
@@ -131,6 +132,12 @@ class Runs(StoredRuns):
     def series(self, run_id: int) -> RunSeries:
         """Trajectory, errors, resources and latencies of a run over time."""
         return run_series(self.get(run_id), self.folder(run_id))
+
+    def scene(self, run_id: int, fingerprint: str | None = None) -> RunScene:
+        """The trajectories of a run in one frame, under its current protocol or the one with this fingerprint."""
+        run = self.get(run_id)
+        current = None if run.protocol is None else run.protocol.fingerprint
+        return run_scene(run, self.folder(run_id), fingerprint or current)
 
     def moment(self, run_id: int, timestamp_s: float) -> Moment:
         """The error and the frame of a run at a header timestamp."""

@@ -21,7 +21,7 @@ def show() -> Response:
     if "run" in request.args:
         chosen = ",".join(map(str, sorted(read_run_ids(request.args.getlist("run")))))
         return make_response(redirect(address("compare.show", runs=chosen), 303))
-    compared = _comparison()
+    compared = asked_comparison()
     return make_response(
         render_template(
             "compare/show.html",
@@ -38,11 +38,11 @@ def show() -> Response:
 @blueprint.get("/figures.json")
 def figures() -> Response:
     """The plots of a comparison, with captions and the reasons for missing ones."""
-    compared = _comparison()
+    compared = asked_comparison()
     return make_response(jsonify(presenter.figures(plots_of(compared, hive().analyses))))
 
 
-def _comparison() -> RunComparison:
+def asked_comparison() -> RunComparison:
     """The comparison that the address asks for; raises InvalidInput or NotFound."""
     group = request.args.get("group", "")
     if group not in _GROUPS:

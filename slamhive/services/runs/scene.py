@@ -1,0 +1,177 @@
+"""What the 3D view of a run shows: all its trajectories and the ground truth, in one frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from slamhive.domain.protocol import protocol_from_content
+from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.input_bounds import read_record
+from slamhive.runs.folder import RunFolder
+from slamhive.services.evaluations import PROTOCOL_FILE
+from slamhive.services.runs.series import MAX_POINTS, Array, Track, gap_of, read_errors, read_whole_track
+from slamhive.store.records import RunRecord
+from slamhive.trajectory.alignment import Similarity, align_umeyama
+from slamhive.trajectory.model import Poses
+from slamhive.trajectory.motion import motion_of
+
+TIME_OFFSET = "alignment.time_offset"
+_SAME_TIME_S = 1e-3
+_FAR_S = 1.0
+"""The speed at a pose that is further from any known speed is not known."""
+_LARGEST_RESIDUAL = 0.02
+"""Of the extent of a trajectory. A larger one means that more than one rigid or similarity transform moved it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePath:
+    """A path and what is known at each of its poses.
+
+    Attributes:
+        kind: ``ground truth``, ``estimate``, or the kind of an algorithm's trajectory: ``live``.
+        track: The path, thinned for a screen.
+        speeds_mps: Shape (n,), NaN where unknown.
+        errors_m: Position error, shape (n,), NaN where unknown; None if no pose has one.
+    """
+
+    kind: str
+    track: Track
+    speeds_mps: Array
+    errors_m: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunScene:
+    """The paths of one run in one frame.
+
+    Attributes:
+        groundtruth: The ground truth; None without one.
+        paths: The evaluated trajectory first, then the others.
+        aligned: Whether the paths lie in the frame of the ground truth, otherwise in that of the algorithm.
+        to_scene: Moves what is in the algorithm's frame, such as its map; None if that is not known.
+        reasons: Why something is not shown, one sentence each.
+    """
+
+    groundtruth: ScenePath | None
+    paths: tuple[ScenePath, ...]
+    aligned: bool
+    to_scene: Similarity | None
+    reasons: tuple[str, ...]
+
+
+def run_scene(run: RunRecord, folder: RunFolder, fingerprint: str | None) -> RunScene:
+    """The paths of ``run`` under the protocol with this fingerprint; in the algorithm's frame without one."""
+    files = _files(run, folder)
+    evaluation = None if fingerprint is None else folder.evaluation(fingerprint)
+    gap_s = math.inf if evaluation is None else gap_of(evaluation)
+    aligned = None if evaluation is None else read_whole_track(evaluation / "traj.tum", gap_s)
+    if evaluation is None or aligned is None:
+        paths = [_path(kind, track) for kind, track in _read(files, gap_s).items()]
+        reasons = () if paths else ("The run has left no trajectory that can be read.",)
+        return RunScene(None, tuple(paths), aligned=False, to_scene=_IDENTITY, reasons=reasons)
+    kind = _judged_kind(evaluation, run)
+    others = _read({name: path for name, path in files.items() if name != kind}, gap_s)
+    raw = None if kind not in files else read_whole_track(files[kind])
+    offset_s = (run.metrics or {}).get(TIME_OFFSET, 0.0)
+    to_scene, problem = _transform(raw, aligned, offset_s)
+    moved = [] if to_scene is None else [_moved(track, to_scene, offset_s) for track in others.values()]
+    paths = [_path(kind, aligned, read_errors(evaluation)), *map(_path, others, moved)]
+    truth = read_whole_track(evaluation / "groundtruth.tum")
+    return RunScene(
+        groundtruth=None if truth is None else _path("ground truth", truth),
+        paths=tuple(paths),
+        aligned=True,
+        to_scene=to_scene,
+        reasons=(problem,) if problem else (),
+    )
+
+
+def path_of(kind: str, path: Path) -> ScenePath | None:
+    """The trajectory at ``path`` as a path of a scene; None if it cannot be read."""
+    track = read_whole_track(path)
+    return None if track is None else _path(kind, track)
+
+
+_IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
+
+
+def _files(run: RunRecord, folder: RunFolder) -> dict[str, Path]:
+    """{kind: trajectory file that may exist}; ``traj.txt`` first."""
+    further = {kind.value: folder.trajectory_of(kind) for kind in TrajectoryKind if kind is not run.trajectory}
+    return {_own_kind(run): folder.trajectory} | further
+
+
+def _own_kind(run: RunRecord) -> str:
+    return "estimate" if run.trajectory is None else run.trajectory.value
+
+
+def _judged_kind(evaluation: Path, run: RunRecord) -> str:
+    """The kind of the trajectory that an evaluation judged."""
+    try:
+        judged = protocol_from_content(read_record(evaluation / PROTOCOL_FILE)).trajectory
+    except SlamHiveError:
+        judged = None
+    return _own_kind(run) if judged is None else judged.value
+
+
+def _read(files: dict[str, Path], gap_s: float) -> dict[str, Track]:
+    found = {kind: read_whole_track(path, gap_s) for kind, path in files.items()}
+    return {kind: track for kind, track in found.items() if track is not None}
+
+
+def _transform(raw: Track | None, aligned: Track, offset_s: float) -> tuple[Similarity | None, str]:
+    """What moved the trajectory of the algorithm to the ground truth; otherwise None, and why.
+
+    The evaluation files the moved poses, not the transform. All matched poses are moved by one transform, so that a fit
+    finds it to the precision of the file.
+    """
+    why = "Other trajectories and the map are not shown: what moved the trajectory to the ground truth is not known."
+    if raw is None:
+        return None, why
+    at_s = aligned.times_s - offset_s
+    order = np.argsort(raw.times_s, kind="stable")
+    there_m = np.column_stack([np.interp(at_s, raw.times_s[order], axis_m[order]) for axis_m in raw.positions_m.T])
+    try:
+        found = align_umeyama(there_m, aligned.positions_m, scaled=True)
+    except InvalidInput:
+        return None, why
+    apart_m = np.linalg.norm(found.points(there_m) - aligned.positions_m, axis=1)
+    extent_m = float(np.ptp(aligned.positions_m, axis=0).max())
+    fits = float(np.sqrt((apart_m**2).mean())) <= _LARGEST_RESIDUAL * extent_m
+    return (found, "") if fits else (None, why)
+
+
+def _moved(track: Track, to_scene: Similarity, offset_s: float) -> Track:
+    return replace(track, times_s=track.times_s + offset_s, positions_m=to_scene.points(track.positions_m))
+
+
+def _path(kind: str, whole: Track, errors: Array | None = None) -> ScenePath:
+    track = whole.thinned(MAX_POINTS)
+    errors_m = None if errors is None else _near(errors[:, 0], errors[:, 1], track.times_s, _SAME_TIME_S)
+    return ScenePath(kind, track, _speeds_mps(whole, track.times_s), errors_m)
+
+
+def _speeds_mps(whole: Track, times_s: Array) -> Array:
+    """The speed at some times, from all poses."""
+    order = np.argsort(whole.times_s, kind="stable")
+    no_turns = np.tile((0.0, 0.0, 0.0, 1.0), (len(order), 1))
+    motion = motion_of(Poses(whole.times_s[order], whole.positions_m[order], no_turns))
+    return _near(motion.times_s, motion.speeds_mps, times_s, _FAR_S)
+
+
+def _near(known_at_s: Array, values: Array, times_s: Array, most_s: float) -> Array:
+    """The value that is nearest to each time; NaN if none is within ``most_s``."""
+    if len(known_at_s) == 0:
+        return np.full(len(times_s), np.nan)
+    order = np.argsort(known_at_s, kind="stable")
+    stamps_s, ordered = known_at_s[order], values[order]
+    after = np.clip(np.searchsorted(stamps_s, times_s), 0, len(stamps_s) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(times_s - stamps_s[before] < stamps_s[after] - times_s, before, after)
+    found: Array = np.where(np.abs(stamps_s[nearest] - times_s) <= most_s, ordered[nearest], np.nan)
+    return found

@@ -1,0 +1,155 @@
+"""What the 3D view of a page shows: paths and where they are, as JSON; points of maps as bytes."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from slamhive.analysis.colours import on_dark
+from slamhive.analysis.plotly_values import numbers
+from slamhive.runs.point_cloud import PointCloud
+from slamhive.services.runs import Array, ScenePath, Track
+from slamhive.trajectory.alignment import IDENTITY, Similarity
+from slamhive.web.figures import best_plane
+
+TRUTH = "ground truth"
+TRUTH_COLOUR, TRUTH_ON_DARK = "#3d4247", "#c3c9d0"
+_UP = {"xy": (0, 0, 1), "xz": (0, -1, 0), "yz": (1, 0, 0)}
+"""What points up if the body moves in this plane; where it moves in xz, y is that of a camera and points down."""
+_LEVELS = 65_535
+_ALIGNMENT_BYTES = 4
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class ShownPath:
+    """A path with the name and the colour that it has on the page."""
+
+    name: str
+    colour: str
+    path: ScenePath
+
+
+@dataclass(frozen=True, slots=True)
+class ShownMap:
+    """A map: where its points can be had, how many there are, and whether a reference map exists."""
+
+    address: str
+    points: int
+    reference: bool = False
+
+    @property
+    def document(self) -> Json:
+        """The map as JSON has it."""
+        return {"address": self.address, "points": self.points, "reference": self.reference}
+
+
+def scene_json(
+    title: str,
+    paths: Sequence[ShownPath],
+    cloud: ShownMap | None = None,
+    notes: Sequence[str] = (),
+    *,
+    z_up: bool = False,
+) -> Json:
+    """The scene of a page.
+
+    Positions are relative to ``centre_m``, times to ``from_s``, so that single precision is enough.
+
+    Args:
+        title: What the view is called.
+        paths: All paths, in one frame and on one clock.
+        cloud: The map; None without one.
+        notes: What is not shown, and why.
+        z_up: Whether z is known to point up; otherwise it follows from the plane in which the body moves.
+    """
+    tracks = [shown.path.track for shown in paths]
+    centre_m = _centre_m(tracks)
+    from_s = min((float(track.times_s.min()) for track in tracks), default=0.0)
+    until_s = max((float(track.times_s.max()) for track in tracks), default=0.0)
+    up = _UP["xy" if z_up or not tracks else best_plane(tracks[0])]
+    return {
+        "title": title,
+        "up": up,
+        "centre_m": centre_m.tolist(),
+        "from_s": from_s,
+        "duration_s": until_s - from_s,
+        "paths": [_path(shown, centre_m, from_s) for shown in paths],
+        "map": None if cloud is None else cloud.document,
+        "notes": list(notes),
+    }
+
+
+def truth_path(path: ScenePath) -> ShownPath:
+    """The ground truth, which looks the same on all pages."""
+    return ShownPath(TRUTH, TRUTH_COLOUR, path)
+
+
+def cloud_bytes(cloud: PointCloud, to_scene: Similarity = IDENTITY) -> bytes:
+    """Points for the page: the length of a JSON header, the header, positions, and values of the points.
+
+    The length is a uint32, positions are float32 x, y, z in m from ``origin_m``. Each of ``values`` is uint16 for each
+    point, from ``low`` to ``high``. Numbers have the least significant byte first. All parts begin at multiples of 4.
+    """
+    positions_m = to_scene.points(cloud.positions_m)
+    origin_m = np.median(positions_m, axis=0)
+    values = {"intensity": cloud.intensities, "error": cloud.errors_m}
+    known = {name: array for name, array in values.items() if array is not None and np.isfinite(array).any()}
+    header = {
+        "points": len(positions_m),
+        "total": cloud.total,
+        "voxel_m": None if cloud.voxel_m is None else cloud.voxel_m * to_scene.scale,
+        "origin_m": origin_m.tolist(),
+        "values": [{"name": name, "low": _low(array), "high": _high(array)} for name, array in known.items()],
+    }
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % _ALIGNMENT_BYTES)
+    parts = [struct.pack("<I", len(text)), text, (positions_m - origin_m).astype("<f4").tobytes()]
+    return b"".join([*parts, *map(_levels, known.values())])
+
+
+def _path(shown: ShownPath, centre_m: Array, from_s: float) -> Json:
+    path = shown.path
+    is_truth = path.kind == TRUTH
+    return {
+        "name": shown.name,
+        "kind": path.kind,
+        "truth": is_truth,
+        "colour": shown.colour,
+        "dark": TRUTH_ON_DARK if is_truth else on_dark(shown.colour),
+        "poses": path.track.poses,
+        "times_s": numbers(path.track.times_s - from_s),
+        "positions_m": numbers(path.track.positions_m - centre_m),
+        "pieces": numbers(path.track.pieces),
+        "speeds_mps": numbers(path.speeds_mps),
+        "errors_m": None if path.errors_m is None else numbers(path.errors_m),
+    }
+
+
+def _centre_m(tracks: Sequence[Track]) -> Array:
+    if not tracks:
+        return np.zeros(3)
+    ends = [part for track in tracks for part in (track.positions_m.min(axis=0), track.positions_m.max(axis=0))]
+    centre_m: Array = (np.min(ends, axis=0) + np.max(ends, axis=0)) / 2
+    return centre_m
+
+
+def _low(values: Array) -> float:
+    return float(np.nanmin(np.where(np.isfinite(values), values, np.nan)))
+
+
+def _high(values: Array) -> float:
+    return float(np.nanmax(np.where(np.isfinite(values), values, np.nan)))
+
+
+def _levels(values: Array) -> bytes:
+    """Each value as one of 65,536 levels; what is not finite is the lowest."""
+    low, high = _low(values), _high(values)
+    shares = (np.where(np.isfinite(values), values, low) - low) / ((high - low) or 1.0)
+    content = np.round(shares * _LEVELS).astype("<u2").tobytes()
+    return content + b"\0" * (-len(content) % _ALIGNMENT_BYTES)
