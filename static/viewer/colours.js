@@ -1,0 +1,48 @@
+// Colour maps (matplotlib's viridis for maps, plasma for paths, both colour-blind safe), and ranges of values.
+
+const MAPS = {
+  viridis: ["#440154", "#482878", "#3e4989", "#31688e", "#26828e", "#1f9e89", "#35b779", "#6ece58", "#b5de2b", "#fde725"],
+  plasma: ["#0d0887", "#46039f", "#7201a8", "#9c179e", "#bd3786", "#d8576b", "#ed7953", "#fb9f3a", "#fdca26", "#f0f921"],
+};
+// The ends that are hard to see on a page of that brightness are left out.
+const SHOWN = { light: [0, 0.88], dark: [0.16, 1] };
+const UNKNOWN = { light: [0.72, 0.74, 0.76], dark: [0.35, 0.38, 0.41] };
+
+export const isDark = () => document.documentElement.dataset.bsTheme === "dark";
+
+/** "#0072B2" as [red, green, blue], 0 to 1. */
+export function parts(colour) {
+  return [1, 3, 5].map((place) => parseInt(colour.slice(place, place + 2), 16) / 255);
+}
+
+/** A function from a share, 0 to 1, to [red, green, blue]; what is no number is grey. */
+export function scaleOf(name) {
+  const stops = MAPS[name].map(parts);
+  const [low, high] = isDark() ? SHOWN.dark : SHOWN.light;
+  const unknown = isDark() ? UNKNOWN.dark : UNKNOWN.light;
+  return (share) => {
+    if (!Number.isFinite(share)) return unknown;
+    const at = (low + Math.min(1, Math.max(0, share)) * (high - low)) * (stops.length - 1);
+    const first = Math.min(stops.length - 2, Math.floor(at));
+    return stops[first].map((part, place) => part + (at - first) * (stops[first + 1][place] - part));
+  };
+}
+
+/** The smallest and largest of the values without the outermost two per cent on each side; null without numbers. */
+export function rangeOf(lists) {
+  const values = [];
+  for (const list of lists) for (const value of list) if (Number.isFinite(value)) values.push(value);
+  if (!values.length) return null;
+  values.sort((a, b) => a - b);
+  const at = (share) => values[Math.round(share * (values.length - 1))];
+  return values.length < 50 ? [at(0), at(1)] : [at(0.02), at(0.98)];
+}
+
+export const shareOf = (value, [low, high]) => (value - low) / (high - low || 1);
+
+/** A number with three significant digits. */
+export function short(value) {
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  return size >= 1e5 || size < 1e-3 ? value.toExponential(2) : String(Number(value.toPrecision(3)));
+}
