@@ -17,7 +17,7 @@ MOST_POINTS = 100_000
 """What a browser without a GPU still turns smoothly."""
 _FIRST_VOXELS = 4096
 """No voxel is so small that the map is more of them long."""
-_FIRST_SHARE = 0.5
+_FIRST_SHARE = 0.8
 """The first voxels are those of which a sample of points occupies this share of the most that are allowed."""
 _COARSER = 1.25
 _FARTHEST = 2**20

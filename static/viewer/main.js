@@ -8,8 +8,6 @@ import { Playback } from "./playback.js";
 import { save } from "./snapshot.js";
 import { Stage } from "./stage.js";
 
-const GROWN = 1.3;
-
 class Viewer {
   constructor(panel, say, scene) {
     Object.assign(this, { panel, say, scene });
@@ -153,6 +151,7 @@ class Viewer {
     }
     this.explain("paths", range, "plasma", PATHS_BY[by]?.words);
     this.paintCloud();
+    this.stage.changed();
   }
 
   /** Colours of the map; the distance to the reference map is asked for when somebody wants to see it. */
@@ -211,17 +210,16 @@ class Viewer {
     this.told(points);
   }
 
-  /** Show the map too, unless it hardly changes what is seen. */
+  /** Show the map too, unless somebody has turned the view already. */
   include(box) {
-    const before = this.stage.box.getSize(new THREE.Vector3()).length();
     this.stage.box.union(box);
-    if (this.stage.box.getSize(new THREE.Vector3()).length() > GROWN * before) this.stage.fit();
+    if (!this.stage.touched) this.stage.fit();
     this.stage.layGrid();
   }
 
   told({ points, total, voxel_m }) {
     const shown = `${points.toLocaleString("en")} of ${total.toLocaleString("en")} points of the map`;
-    const how = points === total ? "" : voxel_m ? `, at most one in each ${short(voxel_m)} m` : ", chosen at random";
+    const how = points === total ? "" : voxel_m ? `, at most one in each cube of ${short(voxel_m)} m` : ", chosen at random";
     this.words([`Shown: ${shown}${how}.`]);
   }
 

@@ -60,7 +60,9 @@ export class PathView {
       this.line.frustumCulled = false;
       this.group.add(this.line);
     }
-    this.now = mark("disc", 13);
+    // That of the ground truth is larger and below the others, so that both are seen where they coincide.
+    this.now = mark("disc", path.truth ? 18 : 12);
+    this.now.renderOrder = path.truth ? 2 : 3;
     this.start = mark("ring", 11);
     this.end = mark("square", 9);
     this.place(this.start, new THREE.Vector3().fromArray(at, 0));

@@ -26,6 +26,8 @@ export class Stage {
     this.camera.up.copy(this.up);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.addEventListener("change", () => this.changed());
+    this.controls.addEventListener("start", () => { this.touched = true; });
+    this.touched = false;
     this.box = new THREE.Box3();
     this.drawn = [];
     this.waiting = false;
@@ -59,6 +61,7 @@ export class Stage {
 
   /** Show the box: from the side and above, or straight from above. */
   fit(fromAbove = false) {
+    this.touched = fromAbove;
     const middle = this.box.getCenter(new THREE.Vector3());
     const radius = Math.max(this.box.getSize(new THREE.Vector3()).length() / 2, 0.05);
     const forwards = Math.abs(this.up.x) > 0.5 ? new THREE.Vector3(0, -1, 0) : new THREE.Vector3(0.45, -0.7, 0.45);
@@ -76,6 +79,7 @@ export class Stage {
 
   /** Move camera and target together, so that the target is here. */
   follow(position) {
+    this.touched = true;
     const step = position.clone().sub(this.controls.target);
     this.camera.position.add(step);
     this.controls.target.add(step);
@@ -85,6 +89,7 @@ export class Stage {
 
   /** Turn around the target: to the side and upwards, in steps. */
   turn(aside, upwards) {
+    this.touched = true;
     const arm = this.camera.position.clone().sub(this.controls.target);
     arm.applyAxisAngle(this.up, -aside * TURN_RAD);
     const angle = arm.angleTo(this.up);
@@ -97,6 +102,7 @@ export class Stage {
   }
 
   zoom(steps) {
+    this.touched = true;
     this.camera.position.sub(this.controls.target).multiplyScalar(NEARER ** steps).add(this.controls.target);
     this.controls.update();
     this.changed();

@@ -5,11 +5,16 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from tests.web import web_world as world
+from tests.web.browser_world import CHROMIUM, OPTIONS
 from tests.web.web_world import Web, make_web
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 
 @pytest.fixture(scope="session")
@@ -51,3 +56,14 @@ def empty(tmp_path: Path, compiled: Path, sqlite_template: Path) -> Iterator[Web
     web = make_web(world.make_hive(tmp_path, empty=True, template=sqlite_template), compiled)
     yield web
     web.hive.close()
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    """One browser for all tests."""
+    from playwright.sync_api import sync_playwright  # noqa: PLC0415 - only this tier has it
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(OPTIONS))
+        yield browser
+        browser.close()

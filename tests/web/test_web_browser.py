@@ -8,9 +8,8 @@ import shutil
 import threading
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from werkzeug.exceptions import HTTPException
@@ -19,36 +18,18 @@ from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.settings import Mode
 from slamhive.store.records import RunSort, SavedSearchRecord
-from slamhive.web.serve import WebServer
 from tests.services.test_trash import end
 from tests.waiting import eventually
 from tests.web import web_world as world
+from tests.web.browser_world import BROWSER, LOOKS, Faults, served, violations, visit, wide_parts
 from tests.web.test_web_experiments import TRIAL
 from tests.web.web_world import Web, make_web
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request
+    from playwright.sync_api import Browser, Page
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="needs chromium"),
-    pytest.mark.timeout(500),
-    # Werkzeug leaves the file of an answer 304 to the garbage collector.
-    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
-]
+pytestmark = BROWSER
 
-OPTIONS = (
-    *("--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
-    *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),  # plots in 3D need WebGL, here without a GPU
-)
-DESK = {"width": 1280, "height": 900}
-PHONE = {"width": 390, "height": 844}
-LOOKS: dict[str, dict[str, Any]] = {
-    "light": {"viewport": DESK, "color_scheme": "light"},
-    "dark": {"viewport": DESK, "color_scheme": "dark"},
-    "phone": {"viewport": PHONE, "color_scheme": "light", "has_touch": True},
-}
 FIRST_VIEW_BYTES = 300_000
 ANALYSIS = """\
 name: All runs
@@ -59,30 +40,6 @@ forms:
 """
 MORE = ("/runs/1", "/runs/3", "/runs/4", "/compare?runs=1,2")
 """Pages that differ from others with the same endpoint."""
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
-    """One browser for all tests."""
-    from playwright.sync_api import sync_playwright  # noqa: PLC0415 - only this tier has it
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(OPTIONS))
-        yield browser
-        browser.close()
-
-
-@contextmanager
-def served(web: Web) -> Iterator[str]:
-    """The address of a server with these pages."""
-    server = WebServer(web.hive, "127.0.0.1", 0)
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    try:
-        yield server.url
-    finally:
-        server.close()
-        thread.join()
 
 
 @pytest.fixture(scope="module")
@@ -147,57 +104,6 @@ def addresses(web: Web) -> list[str]:
             found[endpoint] = address
             waiting += [html.unescape(link) for link in re.findall(r'href="(/[^"#]*)', answer.text)]
     return sorted({*found.values(), *MORE})
-
-
-class Faults:
-    """What went wrong on a page: errors of scripts, refused content, and requests that leave the server."""
-
-    def __init__(self, page: Page, server: str) -> None:
-        self.found: list[str] = []
-        self._server = server
-        page.on("console", self._console)
-        page.on("pageerror", lambda error: self.found.append(f"script: {error}"))
-        page.on("request", self._request)
-
-    def _console(self, line: ConsoleMessage) -> None:
-        lacking_frame = "404" in line.text and "/frames/" in line.location["url"]  # the recording here has no images
-        if line.type == "error" and not lacking_frame:
-            self.found.append(f"console: {line.text}")
-
-    def _request(self, request: Request) -> None:
-        if not request.url.startswith((self._server, "data:", "blob:")):
-            self.found.append(f"request to {request.url}")
-
-
-def visit(context: BrowserContext, server: str, address: str) -> tuple[Page, list[str]]:
-    """Open a page and wait until its plots are drawn; the faults that were seen."""
-    page = context.new_page()
-    faults = Faults(page, server)
-    page.goto(server + address, wait_until="load")
-    eventually(lambda: not page.evaluate("document.body.innerText.includes('Loading …')"), f"the plots of {address}")
-    return page, faults.found
-
-
-def wide_parts(page: Page) -> list[str]:
-    """What makes the page scroll sideways."""
-    if not page.evaluate("document.documentElement.scrollWidth > innerWidth"):
-        return []
-    script = """() => [...document.querySelectorAll('main *')]
-        .filter((part) => part.getBoundingClientRect().right > innerWidth + 1)
-        .slice(0, 3).map((part) => part.outerHTML.slice(0, 80))"""
-    return [f"wider than the window: {part}" for part in page.evaluate(script) or ["something"]]
-
-
-def violations(page: Page) -> list[str]:
-    """What axe-core finds, by rule and place."""
-    from axe_playwright_python.sync_playwright import Axe  # noqa: PLC0415 - only this tier has it
-
-    rules = Axe().run(page).response["violations"]
-    return [
-        f"axe {entry['id']}: {node['target']} {node['failureSummary'][:200]}"
-        for entry in rules
-        for node in entry["nodes"][:3]
-    ]
 
 
 def told(faults: dict[str, list[str]]) -> None:
