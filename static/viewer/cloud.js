@@ -37,10 +37,10 @@ export class CloudView {
     // The colours of 256 levels are enough, and computed once.
     const levels = Array.from({ length: 256 }, (_, level) => colour.setRGB(...scale(level / 255), THREE.SRGBColorSpace).toArray());
     const colours = new Float32Array(3 * values.length);
-    values.forEach((value, place) => {
-      const level = Math.round(255 * Math.min(1, Math.max(0, shareOf(value, range))));
+    for (let place = 0; place < values.length; place++) {
+      const level = Math.round(255 * Math.min(1, Math.max(0, shareOf(values[place], range))));
       colours.set(levels[level], 3 * place);
-    });
+    }
     this.object.geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
     return range;
   }
@@ -48,7 +48,8 @@ export class CloudView {
   /** The box around the points without the outermost two per cent in each direction. */
   box() {
     const box = new THREE.Box3();
-    const ends = [0, 1, 2].map((axis) => rangeOf([this.points.positions_m.filter((_, place) => place % 3 === axis)]));
+    const { positions_m: at, points } = this.points;
+    const ends = [0, 1, 2].map((axis) => rangeOf([Float32Array.from({ length: points }, (_, place) => at[3 * place + axis])]));
     if (ends.every(Boolean)) {
       box.min.set(...ends.map(([low]) => low)).add(this.object.position);
       box.max.set(...ends.map(([, high]) => high)).add(this.object.position);
