@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from flask import Response, request, send_file, url_for
+from werkzeug.exceptions import RequestedRangeNotSatisfiable
 
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import whole_number
@@ -109,7 +110,11 @@ def run_file(run_id: int, key: str) -> Response:
         conditional=False,
     )
     response.content_length = status.st_size
-    response.make_conditional(request, accept_ranges=True, complete_length=status.st_size)
+    try:
+        response.make_conditional(request, accept_ranges=True, complete_length=status.st_size)
+    except RequestedRangeNotSatisfiable:
+        response.close()  # Flask makes another answer, and would leave the file open
+        raise
     return response
 
 
