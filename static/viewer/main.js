@@ -16,10 +16,13 @@ class Viewer {
     this.cloud = null;
     this.following = false;
     const extent = this.measure();
+    // The ground truth keeps its grey, unless there is nothing else to colour.
+    this.coloured = scene.paths.filter((path) => !path.truth);
+    if (!this.coloured.length) this.coloured = scene.paths;
     this.paths = scene.paths.map((path) => new PathView(path, extent));
     for (const view of this.paths) this.stage.scene.add(view.group);
     this.listPaths();
-    this.offer("paths", { own: true, ...Object.fromEntries(Object.keys(PATHS_BY).map((by) => [by, rangeOfPaths(by, scene.paths)])) });
+    this.offer("paths", { own: true, ...Object.fromEntries(Object.keys(PATHS_BY).map((by) => [by, rangeOfPaths(by, this.coloured)])) });
     this.find("[data-paint=map]").closest("label").hidden = !scene.map;
     const [slider, output, button, rate] = ["[data-time-of-view]", "output", "[data-do=play]", "[data-rate]"].map((part) => this.find(part));
     this.playback = new Playback(scene, { slider, output, button, rate }, (time_s) => this.move(time_s));
@@ -144,9 +147,9 @@ class Viewer {
 
   paint() {
     const by = this.find("[data-paint=paths]").value;
-    const range = rangeOfPaths(by, this.scene.paths);
+    const range = rangeOfPaths(by, this.coloured);
     for (const [place, view] of this.paths.entries()) {
-      view.paint(by, range);
+      view.paint(by, this.coloured.includes(view.path) ? range : null);
       this.swatches[place].style.borderColor = view.colour;
     }
     this.explain("paths", range, "plasma", PATHS_BY[by]?.words);

@@ -81,7 +81,7 @@ export class PathView {
 
   /** Colour by what ``by`` names, over a range; in the path's own colour without a range or without values. */
   paint(by, range) {
-    const values = range && !this.path.truth ? BY[by].values(this.path) : null;
+    const values = range ? BY[by].values(this.path) : null;
     const scale = values && scaleOf("plasma");
     const own = parts(this.colour);
     const colourAt = (place) => scale ? scale(shareOf(values[place], range)) : own;
@@ -122,6 +122,6 @@ export class PathView {
 
 /** The range of what paths are coloured by; null for their own colours. */
 export function rangeOfPaths(by, paths) {
-  const lists = by in BY ? paths.filter((path) => !path.truth).map(BY[by].values).filter(Boolean) : [];
+  const lists = by in BY ? paths.map(BY[by].values).filter(Boolean) : [];
   return rangeOf(lists);
 }
