@@ -13,13 +13,13 @@ from cachetools import LRUCache
 from slamhive.bags.views import FRAME_WIDTH, THUMBNAIL_WIDTH, FrameView, SweepView, frames_at, received_s, sweep_at
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.errors import InvalidInput, NotFound
+from slamhive.services.kept_views import KeptViews
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.motion import Motion, motion_of
 from slamhive.trajectory.tum import read_tum
 
 THUMBNAILS = 12
 _CACHE_BYTES = 32_000_000
-_AT_ONCE = 2
 _MOTIONS = 256
 """How many summaries of a ground truth are kept."""
 View = TypeVar("View", FrameView, SweepView)
@@ -40,10 +40,9 @@ class DatasetViews:
     """
 
     def __init__(self) -> None:
-        self._kept: LRUCache[_Key, FrameView | SweepView] = LRUCache(_CACHE_BYTES, _size_bytes)
+        self._kept: KeptViews[_Key, FrameView | SweepView] = KeptViews(_CACHE_BYTES, _size_bytes)
         self._motions: LRUCache[_Stamp, MotionSummary | None] = LRUCache(_MOTIONS)
         self._lock = threading.Lock()
-        self._turns = threading.BoundedSemaphore(_AT_ONCE)
 
     def frame(self, dataset: Dataset, sensor: str, time_s: float) -> FrameView:
         """The first frame of a camera at or after ``time_s`` from the start of the recording.
@@ -65,7 +64,7 @@ class DatasetViews:
 
         None after the last message. Raises as :meth:`frame`.
         """
-        with self._turns:
+        with self._kept.turns:
             return received_s(dataset, dataset.sensor(sensor), timestamp_s)
 
     def thumbnail(self, dataset: Dataset, sensor: str, number: int) -> FrameView:
@@ -77,9 +76,8 @@ class DatasetViews:
 
         def read() -> FrameView:
             views = list(frames_at(dataset, camera, times_s, THUMBNAIL_WIDTH))
-            with self._lock:
-                for time_s, view in zip(times_s, views, strict=False):
-                    self._kept[_key(dataset, sensor, time_s, THUMBNAIL_WIDTH)] = view
+            for time_s, view in zip(times_s, views, strict=False):
+                self._kept.put(_key(dataset, sensor, time_s, THUMBNAIL_WIDTH), view)
             if number >= len(views):
                 raise _after_the_end(dataset, sensor, times_s[number])
             return views[number]
@@ -118,17 +116,7 @@ class DatasetViews:
         return summary
 
     def _view(self, key: _Key, read: Callable[[], View]) -> View:
-        with self._lock:
-            known = self._kept.get(key)
-        if known is None:
-            with self._turns:
-                with self._lock:
-                    known = self._kept.get(key)
-                if known is None:
-                    known = read()
-                    with self._lock:
-                        self._kept[key] = known
-        return known  # type: ignore[return-value]  # a key belongs to one kind of view
+        return self._kept.get(key, read)  # type: ignore[return-value]  # a key belongs to one kind of view
 
 
 def read_ground_truth(dataset: Dataset) -> Trajectory | None:

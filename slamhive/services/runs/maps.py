@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cachetools import LRUCache
-
 from slamhive.errors import NotFound
 from slamhive.runs.point_cloud import PointCloud, map_size, sampled_cloud, thinned_cloud
 from slamhive.runs.untrusted import FloatArray
+from slamhive.services.kept_views import KeptViews
 from slamhive.trajectory.alignment import Similarity
 
 _CACHE_BYTES = 32_000_000
-_AT_ONCE = 2
 REFERENCE_POINTS = 500_000
 """A reference map is thinned to so many points before a map is compared with it."""
 
@@ -39,9 +36,7 @@ class MapViews:
     """
 
     def __init__(self) -> None:
-        self._kept: LRUCache[_Key, PointCloud] = LRUCache(_CACHE_BYTES, getsizeof=lambda cloud: cloud.size_bytes)
-        self._lock = threading.Lock()
-        self._turns = threading.BoundedSemaphore(_AT_ONCE)
+        self._kept: KeptViews[_Key, PointCloud] = KeptViews(_CACHE_BYTES, lambda cloud: cloud.size_bytes)
 
     def size(self, path: Path, name: str) -> int:
         """How many points the map at ``path`` has, from its header.
@@ -73,18 +68,7 @@ class MapViews:
         return self._cloud(path, name, str(against), read)
 
     def _cloud(self, path: Path, name: str, what: str, read: Callable[[Path, str], PointCloud]) -> PointCloud:
-        key = _key(path, name, what)
-        with self._lock:
-            known = self._kept.get(key)
-        if known is None:
-            with self._turns:
-                with self._lock:
-                    known = self._kept.get(key)
-                if known is None:
-                    known = read(path, name)
-                    with self._lock:
-                        self._kept[key] = known
-        return known
+        return self._kept.get(_key(path, name, what), lambda: read(path, name))
 
 
 def _distances_m(points_m: FloatArray, reference_m: FloatArray) -> FloatArray:
