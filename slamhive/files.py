@@ -148,6 +148,11 @@ def make_shared_folder(path: Path) -> None:
         path.mkdir()
     except FileExistsError:
         return
+    share_with_group(path)
+
+
+def share_with_group(path: Path) -> None:
+    """Open the folder at ``path`` to the same group as the folder around it. Raises OSError."""
     around = path.parent.stat().st_mode
     if around & stat.S_IWGRP:
         path.chmod(stat.S_IMODE(path.stat().st_mode) | stat.S_IWGRP | (around & stat.S_ISGID))

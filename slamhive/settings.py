@@ -252,6 +252,11 @@ class Settings(BaseSettings):
         return self.data / "baselines"
 
     @property
+    def challenges_folder(self) -> Path:
+        """Where challenges lie, their secret ground truth included."""
+        return self.data / "challenges"
+
+    @property
     def clouds_folder(self) -> Path:
         """Where the records of rented clusters lie."""
         return self.data / "clouds"

@@ -28,6 +28,7 @@ from slamhive.project import project_root
 from slamhive.schema import accounts, catalogue, collection, experiment, nodes
 from slamhive.schema.analysis import StoredAnalysis
 from slamhive.schema.archive import Manifest, RunLine
+from slamhive.schema.challenge import Challenge, ChallengeBrief, ChallengeFile, ChallengeRanking, ChallengeSubmission
 from slamhive.schema.checks import DatasetCheck
 from slamhive.schema.cloud import CloudPlan, CloudStatus
 from slamhive.schema.comparison import Comparison
@@ -200,6 +201,10 @@ DOCUMENTS: dict[str, Any] = {
     "archive": Manifest,
     "archive-run": RunLine,
     "audit-line": accounts.AuditLine,
+    "challenge-brief": ChallengeBrief,
+    "challenge-public": Challenge,
+    "challenge-ranking": ChallengeRanking,
+    "challenge-submission": ChallengeSubmission,
     "cloud-plan": CloudPlan,
     "cloud-status": CloudStatus,
     "comparison": Comparison,
@@ -245,6 +250,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "metrics.md": metrics_page,
     "analysis-forms.md": plot_types_page,
     "schemas/analysis.schema.json": analysis_schema,
+    "schemas/challenge.schema.json": lambda: json_schema(ChallengeFile),
     "schemas/cloud.schema.json": cloud_schema,
     "schemas/experiment.schema.json": experiment_schema,
     "schemas/protocol.schema.json": protocol_schema,

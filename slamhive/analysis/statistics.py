@@ -61,7 +61,7 @@ def summarise(values: Numbers, seed: int = 0) -> Summary | None:
     )
 
 
-def bootstrap_mean(values: Numbers, seed: int = 0) -> Interval:
+def bootstrap_mean(values: Numbers, seed: int = 0, weights: Numbers | None = None) -> Interval:
     """Percentile bootstrap interval of the mean (B. Efron, Annals of Statistics 7, 1979).
 
     Equal values and an equal ``seed`` give an equal interval.
@@ -69,10 +69,12 @@ def bootstrap_mean(values: Numbers, seed: int = 0) -> Interval:
     Args:
         values: (n,) finite, n >= 2.
         seed: Seed of the resampling.
+        weights: (n,) positive, drawn together with their values; None for a plain mean.
     """
     low, high = scipy.stats.bootstrap(
-        (values,),
-        np.mean,
+        (values,) if weights is None else (values, weights),
+        np.mean if weights is None else _weighted_mean,
+        paired=weights is not None,
         n_resamples=RESAMPLES,
         batch=max(1, _NUMBERS_AT_ONCE // len(values)),
         confidence_level=CONFIDENCE,
@@ -80,6 +82,11 @@ def bootstrap_mean(values: Numbers, seed: int = 0) -> Interval:
         rng=np.random.default_rng(seed),
     ).confidence_interval
     return Interval(float(low), float(high))
+
+
+def _weighted_mean(values: Numbers, weights: Numbers, axis: int = -1) -> Numbers:
+    mean: Numbers = (values * weights).sum(axis=axis) / weights.sum(axis=axis)
+    return mean
 
 
 @dataclass(frozen=True, slots=True)

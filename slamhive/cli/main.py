@@ -20,6 +20,7 @@ MODULES = {
     "algorithm": "algorithms",
     "analyse": "analyse",
     "archive": "archive",
+    "challenge": "challenges",
     "cite": "cite",
     "cloud": "cloud",
     "compare": "compare",

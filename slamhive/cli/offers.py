@@ -41,6 +41,10 @@ def _baselines(hive: Hive) -> Iterable[Offer]:
     return ((entry.name, plural(entry.runs, "run")) for entry in hive.gates.baselines.briefs())
 
 
+def _challenges(hive: Hive) -> Iterable[Offer]:
+    return ((entry.name, entry.title) for entry in hive.challenges.briefs())
+
+
 def _searches(hive: Hive) -> Iterable[Offer]:
     return ((entry.name, entry.filter_text) for entry in hive.searches.saved())
 
@@ -81,5 +85,6 @@ PACKAGE = _completion_of(_packages)
 DATASET = _completion_of(_datasets)
 EXPERIMENT = _completion_of(_experiments, or_file=True)
 BASELINE = _completion_of(_baselines, or_file=True)
+CHALLENGE = _completion_of(_challenges)
 SEARCH = _completion_of(_searches)
 RUN = _completion_of(_runs)

@@ -29,6 +29,8 @@ class Action(StrEnum):
     ANALYSE = "analyse"
     CHANGE = "change"
     ADMINISTER = "administer"
+    SUBMIT = "submit"
+    """To a challenge."""
     SIGN_IN = "sign in"
     """What callers may do whom nobody knows yet."""
     OWN = "own"
@@ -52,7 +54,7 @@ class Scope(StrEnum):
 
 
 NOBODY_MAY = frozenset({Action.SIGN_IN})
-READER_MAY = frozenset({Action.VIEW, Action.OWN, Action.SIGN_IN})
+READER_MAY = frozenset({Action.VIEW, Action.SUBMIT, Action.OWN, Action.SIGN_IN})
 MEMBER_MAY = READER_MAY | {Action.ANALYSE, Action.CHANGE}
 ADMIN_MAY = MEMBER_MAY | {Action.ADMINISTER}
 VISITOR_MAY = frozenset({Action.VIEW})
@@ -64,7 +66,7 @@ MAY = {Role.READER: READER_MAY, Role.MEMBER: MEMBER_MAY, Role.ADMIN: ADMIN_MAY}
 
 _SCOPE_ALLOWS = {
     Scope.READ: frozenset({Action.VIEW}),
-    Scope.CHANGE: frozenset({Action.VIEW, Action.ANALYSE, Action.CHANGE}),
+    Scope.CHANGE: frozenset({Action.VIEW, Action.SUBMIT, Action.ANALYSE, Action.CHANGE}),
     Scope.ADMINISTER: frozenset({Action.VIEW, Action.ADMINISTER}),
 }
 

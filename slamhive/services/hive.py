@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from slamhive.services.accounts import Accounts
     from slamhive.services.algorithms import AlgorithmImports
     from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
+    from slamhive.services.challenges import ChallengeJudge, Challenges
     from slamhive.services.citations import Citations
     from slamhive.services.clouds import Clouds
     from slamhive.services.configurations import Configurations
@@ -197,6 +198,20 @@ class Hive:
         from slamhive.services.gates import Gates
 
         return Gates(self.settings, self.store, self.searches, self.catalogue, self.configurations, self.runs)
+
+    @cached_property
+    def challenges(self) -> Challenges:
+        """Challenges with secret ground truth, to submit to and to look at."""
+        from slamhive.services.challenges import Challenges
+
+        return Challenges(self.settings)
+
+    @cached_property
+    def challenge_judge(self) -> ChallengeJudge:
+        """What evaluates submissions to challenges."""
+        from slamhive.services.challenges import ChallengeJudge
+
+        return ChallengeJudge(self.settings, self.evaluations)
 
     @cached_property
     def replays(self) -> Replays:

@@ -32,7 +32,7 @@ def read_kitti(poses_path: Path, times_path: Path) -> Trajectory:
 
 def read_kitti_rows(poses_path: Path, times_path: Path) -> RawPoses:
     """As :func:`read_kitti`, before it is known in which unit the timestamps are."""
-    matrices = _read_poses(poses_path)
+    matrices = _parse_poses(read_bounded(poses_path), str(poses_path))
     data = read_bounded(times_path)
     times = parse_table(data, str(times_path), 1, "timestamp")
     count, stamps = len(matrices), times.values[:, 0]
@@ -46,15 +46,20 @@ def read_kitti_rows(poses_path: Path, times_path: Path) -> RawPoses:
 
 def read_kitti_matrices(path: Path) -> FloatArray:
     """The poses as the file has them, shape (n, 4, 4): not made orthonormal. Raises as :func:`read_kitti`."""
-    rows = _read_poses(path)
+    return parse_kitti_matrices(read_bounded(path), str(path))
+
+
+def parse_kitti_matrices(data: bytes, name: str) -> FloatArray:
+    """The poses in the bytes of a KITTI file that messages call ``name``, shape (n, 4, 4); raises InvalidInput."""
+    rows = _parse_poses(data, name)
     matrices = np.tile(np.eye(4), (len(rows), 1, 1))
     matrices[:, :3] = rows
     return matrices
 
 
-def _read_poses(path: Path) -> FloatArray:
+def _parse_poses(data: bytes, name: str) -> FloatArray:
     """The upper 3x4 of every pose, shape (n, 3, 4)."""
-    table = parse_table(read_bounded(path), str(path), 12, LAYOUT)
+    table = parse_table(data, name, 12, LAYOUT)
     finite = np.isfinite(table.values).all(axis=1)
     if not finite.all():
         raise table.error(int((~finite).argmax()), "a number is not finite", "leave out frames that are not known")

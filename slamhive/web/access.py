@@ -30,6 +30,7 @@ OPEN = frozenset({"static", "bootstrap.static", "assets.plotly_js", "dashboard.h
 """Endpoints for everybody: styles and scripts, which the page to sign in needs, and the health check."""
 RULES = {
     **dict.fromkeys(("algorithms", "analyses", "api", "api_docs", "compare"), STANDARD),
+    **dict.fromkeys(("challenges", "api.submit_to_challenge"), Rule(change=Action.SUBMIT)),
     **dict.fromkeys(("configurations", "dashboard", "datasets", "experiment_builder", "experiments", "help"), STANDARD),
     **dict.fromkeys(("finding", "public_datasets", "run_plots", "runs", "searches"), STANDARD),
     **dict.fromkeys(("scenes", "selected_runs", "start", "trash"), STANDARD),

@@ -25,6 +25,7 @@ from slamhive.web import api, assets, context, formatting
 from slamhive.web.analysis_computer import AnalysisComputer
 from slamhive.web.analysis_files import AnalysisFiles
 from slamhive.web.caching import PageCache, add_caching, keep_pages
+from slamhive.web.challenge_files import MOST_SENT_BYTES
 from slamhive.web.columns import Kind
 from slamhive.web.compression import add_compression
 from slamhive.web.dataset_work import DatasetChecker, VariantMaker
@@ -43,6 +44,7 @@ from slamhive.web.views import (
     algorithms,
     analyses,
     api_docs,
+    challenges,
     compare,
     configurations,
     dashboard,
@@ -62,6 +64,11 @@ from slamhive.web.views import (
 from slamhive.web.views import help as help_pages
 
 MOST_UPLOAD_BYTES = 1_000_000
+BODY_LIMITS = {
+    **{f"{api.blueprint.name}.{name}": most for name, most in api.TABLE.body_limits.items()},
+    f"{challenges.blueprint.name}.submit": MOST_SENT_BYTES,
+}
+"""{endpoint: the most bytes of its body}, where that is more than :data:`MOST_UPLOAD_BYTES`."""
 MOST_STREAMS = 8
 _ACCOUNT_BLUEPRINTS = (accounts.blueprint, administration.blueprint)
 _BLUEPRINTS = (
@@ -77,6 +84,7 @@ _BLUEPRINTS = (
     selected_runs.blueprint,
     trash.blueprint,
     nodes.blueprint,
+    challenges.blueprint,
     compare.blueprint,
     experiments.blueprint,
     experiment_builder.blueprint,
@@ -146,11 +154,10 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
 
 def _allow_parts_of_files(app: Flask) -> None:
     """Let uploads have larger bodies than other requests, before anything looks at a body."""
-    limits = {f"{api.blueprint.name}.{name}": most for name, most in api.TABLE.body_limits.items()}
 
     @app.before_request
     def allow() -> None:
-        most = limits.get(request.endpoint or "")
+        most = BODY_LIMITS.get(request.endpoint or "")
         if most is not None:
             request.max_content_length = most
 
@@ -222,6 +229,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         Kind=Kind,
         RunState=RunState,
         asset=assets.asset_url,
+        has_challenges=lambda: bool(hive.challenges.names()),
         has_algorithm=lambda name: name in _algorithm_names(hive),
         catalogue=catalogue_presenter,
         help_of=help_pages.OF_PAGE,

@@ -20,7 +20,7 @@ from waitress.parser import HTTPRequestParser, ParsingError
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.services.hive import Hive
 from slamhive.web.analysis_computer import AnalysisComputer
-from slamhive.web.app import MOST_STREAMS, MOST_UPLOAD_BYTES, create_app
+from slamhive.web.app import BODY_LIMITS, MOST_STREAMS, MOST_UPLOAD_BYTES, create_app
 from slamhive.web.context import COMPUTER_EXTENSION, LIVE_EXTENSION
 from slamhive.web.live import LiveHub
 
@@ -70,7 +70,7 @@ class WebServer:
             sockets=[listener],
             threads=THREADS,
             connection_limit=MOST_CONNECTIONS,
-            max_request_body_size=2 * MOST_UPLOAD_BYTES,
+            max_request_body_size=max(BODY_LIMITS.values()) + MOST_UPLOAD_BYTES,
             ident="slamhive",
             **_proxy_options(hive.settings.trusted_proxy),
         )

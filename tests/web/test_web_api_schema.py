@@ -20,6 +20,7 @@ from slamhive.store.records import RunSort, SavedSearchRecord
 from slamhive.web.api import TABLE
 from slamhive.web.api.operation import Operation, Section
 from slamhive.web.security import API_HEADER
+from tests.services.challenge_world import rooms, write_challenge
 from tests.services.mariadb import DatabaseServer
 from tests.web import web_world as world
 from tests.web.request_fuzz import ANALYSIS, EXPERIMENT
@@ -52,13 +53,15 @@ def mysql_hive(database_server: DatabaseServer, tmp_path_factory: pytest.TempPat
 
 
 @pytest.fixture(scope="module", params=["sqlite", pytest.param("mysql", marks=pytest.mark.mysql)])
-def target(request: pytest.FixtureRequest, compiled: Path) -> Iterator[Web]:
+def target(request: pytest.FixtureRequest, compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
     """An installation that the requests may change, on each kind of database."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
         web = make_web(request.getfixturevalue(f"{request.param}_hive"), compiled)
         web.hive.experiments.start(ExperimentSource(EXPERIMENT.replace("NAME", "trial")))
         web.hive.searches.save(SavedSearchRecord("slow-ones", "duration > 1", (), RunSort(), grouped=False))
+        path = write_challenge(tmp_path_factory.mktemp("challenge"), rooms(1, phases=[{"name": "public"}]))
+        web.hive.challenges.create(path)
         yield web
         web.hive.close()
 
@@ -107,7 +110,12 @@ def fuzz(target: Web) -> Fuzz:
 
 def places_of(operation: Operation, token: str, upload: str) -> dict[str, Any]:
     """Values for the places in its path, which something has."""
-    names = {Section.CATALOGUE: "eye-slam-mono", Section.EXPERIMENTS: "trial", Section.SEARCHES: "slow-ones"}
+    names = {
+        Section.CATALOGUE: "eye-slam-mono",
+        Section.CHALLENGES: "rooms",
+        Section.EXPERIMENTS: "trial",
+        Section.SEARCHES: "slow-ones",
+    }
     values = {"run_id": 1, "configuration_id": 1, "key": "traj.txt", "format": "ndjson", "action": "pause"}
     values |= {"upload": upload, "plot": "error", "sensor": "cam0"}
     known = {**values, "name": names.get(operation.section, "room"), "token": token}

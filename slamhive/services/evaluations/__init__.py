@@ -12,12 +12,13 @@ if TYPE_CHECKING:
     from slamhive.services.evaluations.documents import preset_documents, protocols_document
     from slamhive.services.evaluations.notes import evaluation_notes
     from slamhive.services.evaluations.protocols import Protocols, UsedProtocol, fitting_protocol, presets, protocol_for
-    from slamhive.services.evaluations.scratch import sweep_scratch
-    from slamhive.services.evaluations.service import PROTOCOL_FILE, Evaluations
+    from slamhive.services.evaluations.scratch import scratch_folder, sweep_scratch
+    from slamhive.services.evaluations.service import NO_ENGINE, PROTOCOL_FILE, Evaluations
     from slamhive.services.evaluations.trajectories import protocols_of_all
 
 __all__ = [
     "NOT_EVALUATED",
+    "NO_ENGINE",
     "PROTOCOL_FILE",
     "Comparisons",
     "CurrentProtocols",
@@ -32,6 +33,7 @@ __all__ = [
     "protocol_for",
     "protocols_document",
     "protocols_of_all",
+    "scratch_folder",
     "sweep_scratch",
 ]
 

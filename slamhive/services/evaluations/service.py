@@ -148,6 +148,19 @@ class Evaluations:
         """
         self._engine().prepare(progress)
 
+    def measure(
+        self,
+        tasks: Sequence[EvaluationTask],
+        scratch: Path,
+        stopping: threading.Event,
+        cores: tuple[int, ...] | None = None,
+    ) -> list[EvaluationResult]:
+        """Evaluate tasks that belong to no run; nothing is stored. Fewer results if ``stopping`` was set meanwhile.
+
+        Raises SlamHiveError if evaluations cannot be started.
+        """
+        return self._engine().run(tasks, scratch, lambda _result: None, stopping, cores)
+
     def work_once(
         self,
         owner: str,

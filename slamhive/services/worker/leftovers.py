@@ -15,6 +15,7 @@ from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Executor
 from slamhive.files import sweep_asides, sweep_folder, sweep_temporary
 from slamhive.runs.folder import RunFolder
+from slamhive.services.challenges import sweep_challenges
 from slamhive.services.datasets import Variants
 from slamhive.services.evaluations import sweep_scratch
 from slamhive.services.imports import sweep_imports
@@ -45,6 +46,7 @@ def sweep_leftovers(settings: Settings, store: Store, variants: Variants, execut
         sweep_asides(folder)
     for aside in settings.analyses_folder.glob(".*"):
         sweep_folder(aside)
+    sweep_challenges(settings.challenges_folder)
     sweep_partial_folders(settings.datasets_folder)
     for aside in settings.algorithms_folder.glob(".import-*"):
         sweep_folder(aside)

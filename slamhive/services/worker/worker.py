@@ -19,6 +19,7 @@ from slamhive.executors.identity import owner_is_dead, worker_identity
 from slamhive.executors.registry import AUTO
 from slamhive.runs.folder import RunFolder
 from slamhive.services.analyses import AnalysisJobs
+from slamhive.services.challenges import ChallengeJudge
 from slamhive.services.datasets import Catalogue, Variants
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.notices import notices_of
@@ -72,6 +73,7 @@ class Worker:
         self._catalogue = catalogue
         self._evaluations = evaluations
         self._analyses = AnalysisJobs(settings, store, catalogue.project_root)
+        self._judge = ChallengeJudge(settings, evaluations)
         self._only = None if only is None else frozenset(only)
         self._held = HeldRuns()
         self._stopping = threading.Event()
@@ -178,8 +180,14 @@ class Worker:
         self._next_evaluation_s = monotonic_s() + EVALUATION_INTERVAL_S
         evaluated = self._evaluations.work_once(self.owner, self._stopping, self._only, cores=cores)
         # Analyses, too, run in place of a run and on the cores of this slot, so that they disturb no other slot.
-        analysed = self._only is None and self._analyses.work_once(self.owner, self._stopping)
-        return run is not None or evaluated > 0 or analysed
+        # Submissions to challenges wait for the same reason.
+        others = self._only is None and self._work_on_others(cores)
+        return run is not None or evaluated > 0 or others
+
+    def _work_on_others(self, cores: tuple[int, ...] | None) -> bool:
+        """Compute one analysis and evaluate submissions to one challenge; returns whether there was any."""
+        analysed = self._analyses.work_once(self.owner, self._stopping)
+        return self._judge.work_once(self._stopping, cores) > 0 or analysed
 
     def _waits_for_engine(self, away: Collection[str]) -> bool:
         """Whether runs were skipped because their engine was ``away``; it may be back by now."""

@@ -10,6 +10,7 @@ from flask import Blueprint
 from slamhive.web.api import (
     algorithms,
     analyses,
+    challenges,
     configurations,
     datasets,
     experiments,
@@ -36,6 +37,7 @@ _FILLING = (
     datasets,
     uploads,
     analyses,
+    challenges,
     nodes,
     server,
 )

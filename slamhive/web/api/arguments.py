@@ -112,6 +112,11 @@ PART_ARGUMENTS = (
         required=True,
     ),
 )
+PHASE_ARGUMENTS = (Argument("phase", "The phase; by default the last that has started.", TEXT),)
+ENTRY_ARGUMENTS = (
+    Argument("team", "The team; by default the account.", TEXT),
+    Argument("phase", "The phase; by default the only one that is open.", TEXT),
+)
 LOG_ARGUMENTS = (
     Argument(
         "bytes",

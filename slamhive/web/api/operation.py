@@ -37,6 +37,7 @@ class Section(StrEnum):
     DATASETS = "Datasets"
     UPLOADS = "Uploads"
     ANALYSES = "Analyses"
+    CHALLENGES = "Challenges"
 
 
 @dataclass(frozen=True, slots=True)

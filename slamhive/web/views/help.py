@@ -28,6 +28,7 @@ OF_PAGE = {
     "selected_runs": "search",
     "trash": "web",
     "nodes": "web",
+    "challenges": "challenges",
     "searches": "search",
     "start": "web",
     "configurations": "configurations",

@@ -1,0 +1,113 @@
+"""A challenge: phases, what a trajectory counts, and the only words that a submitter hears of a failure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+
+
+class Rule(StrEnum):
+    """How the values of sequences become one score."""
+
+    MEAN = "mean"
+    """Mean over sequences."""
+    AREA = "area"
+    """Area under the curve "share of sequences below x", from 0 to the worst value, as a percentage of all of it."""
+    POOLED = "pooled"
+    """Mean over the segments of all sequences together."""
+
+
+class Format(StrEnum):
+    """The format of trajectories."""
+
+    TUM = "tum"
+    KITTI = "kitti"
+
+
+class Counted(StrEnum):
+    """Which submission of a team is ranked."""
+
+    BEST = "best"
+    LAST = "last"
+
+
+class Reveal(StrEnum):
+    """When scores of a phase are shown."""
+
+    AT_ONCE = "at_once"
+    AT_END = "at_end"
+
+
+class PhaseState(StrEnum):
+    """Whether a phase takes submissions."""
+
+    COMING = "coming"
+    OPEN = "open"
+    ENDED = "ended"
+
+
+class SubmissionState(StrEnum):
+    """Where a submission is on its way."""
+
+    QUEUED = "queued"
+    EVALUATED = "evaluated"
+    FAILED = "failed"
+
+
+class Failure(StrEnum):
+    """All that is said of a failed evaluation. Its own words could quote the ground truth, so nobody hears them."""
+
+    NOT_COMPARABLE = "a trajectory could not be compared with the ground truth"
+    TOO_LITTLE = "no trajectory covers as much of its sequence as the challenge asks for"
+    NO_ANSWER = "the evaluation ended without an answer; ask the organiser"
+
+
+def phase_state(begins: datetime | None, ends: datetime | None, now: datetime) -> PhaseState:
+    """Whether a phase takes submissions at ``now``; None means no limit on that side."""
+    if ends is not None and now >= ends:
+        return PhaseState.ENDED
+    return PhaseState.COMING if begins is not None and now < begins else PhaseState.OPEN
+
+
+def rounded(value: float, digits: int) -> float:
+    """``value`` with so many significant digits."""
+    return float(f"{value:.{digits}g}")
+
+
+def shown(value: float, digits: int) -> str:
+    """A rounded value with all its significant digits: ``0.110``."""
+    return f"{value:#.{digits}g}".removesuffix(".")
+
+
+@dataclass(frozen=True, slots=True)
+class Scoring:
+    """What the values of sequences count.
+
+    Attributes:
+        rule: How they become one score.
+        worst: The value of a sequence without one; others are not worse than that. None if every one is needed.
+        higher_is_better: Of the values.
+    """
+
+    rule: Rule
+    worst: float | None
+    higher_is_better: bool
+
+    @property
+    def higher_wins(self) -> bool:
+        """Whether a higher score is better: an area grows as errors shrink."""
+        return self.higher_is_better or self.rule is Rule.AREA
+
+    def points(self, value: float | None) -> float | None:
+        """What the value of one sequence counts; None if it is needed and missing."""
+        if self.worst is None:
+            return value
+        if value is None:
+            value = self.worst
+        kept = max(value, self.worst) if self.higher_is_better else min(value, self.worst)
+        return 100.0 * (self.worst - kept) / self.worst if self.rule is Rule.AREA else kept
+
+    def is_better(self, score: float, other: float) -> bool:
+        """Whether ``score`` beats ``other``."""
+        return score > other if self.higher_wins else score < other

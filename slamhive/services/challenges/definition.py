@@ -1,0 +1,148 @@
+"""Reads the file of a challenge, and says what follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from slamhive import strict_yaml
+from slamhive.domain.challenge import Format, Scoring
+from slamhive.domain.metrics import Direction, Metric, metric
+from slamhive.domain.names import check_name
+from slamhive.domain.protocol import Association, Protocol, protocol_from_content
+from slamhive.errors import InvalidInput, NotFound, unknown
+from slamhive.evaluation.presets import PRESETS as PROTOCOLS
+from slamhive.schema.challenge import ChallengeFile, PhaseEntry, SequenceEntry
+from slamhive.schema.validation import first_problem_at
+from slamhive.services.challenges.presets import ETH3D, KITTI, MEAN, PRESETS, ChallengePreset
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A challenge as its file says it."""
+
+    file: ChallengeFile
+
+    @property
+    def preset(self) -> ChallengePreset:
+        """How it counts."""
+        return PRESETS[self.file.preset]
+
+    @cached_property
+    def protocol(self) -> Protocol:
+        """How each sequence is evaluated; raises InvalidInput or NotFound."""
+        asked = self.preset.protocol or self.file.protocol
+        if isinstance(asked, dict):
+            return protocol_from_content(asked)
+        return PROTOCOLS.get(str(asked)).protocol
+
+    @cached_property
+    def metric(self) -> Metric:
+        """What counts of a sequence; raises NotFound."""
+        return metric(self.preset.metric or str(self.file.metric))
+
+    @property
+    def scoring(self) -> Scoring:
+        """What values count."""
+        worst = self.preset.worst if self.file.worst is None else self.file.worst
+        return Scoring(self.preset.rule, worst, self.metric.direction is Direction.HIGHER)
+
+    @cached_property
+    def sequences(self) -> dict[str, SequenceEntry]:
+        """The sequences by name."""
+        return {entry.name: entry for entry in self.file.sequences}
+
+    def phase(self, name: str) -> PhaseEntry:
+        """The phase of a name; raises NotFound."""
+        for entry in self.file.phases:
+            if entry.name == name:
+                return entry
+        raise unknown("phase", name[:80], [entry.name for entry in self.file.phases])
+
+    def sequences_of(self, phase: PhaseEntry) -> list[SequenceEntry]:
+        """The sequences of a phase, in the order of the challenge."""
+        return [entry for entry in self.file.sequences if phase.sequences is None or entry.name in phase.sequences]
+
+
+def load_definition(path: Path) -> Definition:
+    """Read the file of a challenge; raises InvalidInput that names file, line and what is wrong."""
+    content, lines = strict_yaml.parse_with_lines(strict_yaml.read_text(path), str(path))
+    try:
+        found = ChallengeFile.model_validate(content)
+    except ValidationError as error:
+        place, problem = first_problem_at(error, ChallengeFile)
+        raise InvalidInput(f"{strict_yaml.Places(str(path), lines).of(*place)}: {problem}") from None
+    definition = Definition(found)
+    try:
+        check_name("challenge", found.name)
+        for mistake in _problems(definition):
+            raise mistake
+    except (InvalidInput, NotFound) as error:
+        raise InvalidInput(f"{path}: {error.message}", error.remedy) from None
+    return definition
+
+
+def _problems(definition: Definition) -> Iterator[InvalidInput]:
+    yield from _problems_of_scoring(definition)
+    yield from _problems_of_names(definition)
+    for entry in definition.file.sequences:
+        yield from _problems_of_sequence(definition.preset.format, entry)
+    for phase in definition.file.phases:
+        if phase.begins is not None and phase.ends is not None and phase.ends <= phase.begins:
+            yield InvalidInput(f"phase {phase.name} ends before it begins", "correct begins or ends")
+
+
+def _problems_of_scoring(definition: Definition) -> Iterator[InvalidInput]:
+    file = definition.file
+    given = [name for name in ("protocol", "metric") if getattr(file, name) is not None]
+    if file.preset == MEAN and len(given) < 2:
+        yield InvalidInput("the preset mean needs protocol and metric", "for example protocol: evo, metric: ate.rmse")
+    if file.preset != MEAN and given:
+        yield InvalidInput(f"the preset {file.preset} says what {given[0]} is", f"leave out {given[0]}")
+    if file.preset == MEAN and file.worst is None:
+        yield InvalidInput("the preset mean needs worst", "give the value that a failed sequence has")
+    if file.preset == ETH3D and definition.scoring.worst is not None and definition.scoring.worst <= 0:
+        yield InvalidInput(f"worst {file.worst:g} is not above 0", "give the largest error that counts")
+    if file.preset == KITTI and (file.worst is not None or file.least_coverage > 0):
+        yield InvalidInput("the preset kitti needs every frame", "leave out worst and least_coverage")
+    if definition.metric.direction is Direction.NEUTRAL or not definition.metric.needs_protocol:
+        yield InvalidInput(f"{definition.metric.key} ranks nobody", "use a metric of an evaluation that can be better")
+    if file.preset == MEAN and definition.protocol.association is Association.INDEX:
+        yield InvalidInput("the preset mean matches by time", "use a protocol whose association is not index")
+    if definition.protocol.reference is not None:
+        yield InvalidInput("the protocol names a reference of a dataset", "leave out reference")
+
+
+def _problems_of_names(definition: Definition) -> Iterator[InvalidInput]:
+    file = definition.file
+    for kind, names in (
+        ("sequence", [entry.name.casefold() for entry in file.sequences]),
+        ("phase", [entry.name.casefold() for entry in file.phases]),
+    ):
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            yield InvalidInput(f"two entries name the {kind} {twice}", "give each a name of its own")
+    for phase in file.phases:
+        for name in phase.sequences or ():
+            if name not in definition.sequences:
+                found = unknown("sequence", name, list(definition.sequences))
+                yield InvalidInput(f"phase {phase.name}: {found.message}")
+    for entry in file.sequences:
+        check_name("sequence", entry.name)
+
+
+def _problems_of_sequence(wanted: Format, entry: SequenceEntry) -> Iterator[InvalidInput]:
+    if wanted is Format.KITTI:
+        if entry.poses is None or entry.time_range_s is not None:
+            yield InvalidInput(f"sequence {entry.name} needs poses, and no time_range_s", "give its number of frames")
+        return
+    if entry.time_range_s is None or entry.poses is not None:
+        yield InvalidInput(
+            f"sequence {entry.name} needs time_range_s, and no poses", "give first and last timestamp of the recording"
+        )
+    elif entry.time_range_s[1] <= entry.time_range_s[0]:
+        yield InvalidInput(f"time_range_s of sequence {entry.name} does not grow", "write [first, last]")

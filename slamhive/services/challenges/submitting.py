@@ -1,0 +1,157 @@
+"""Takes submissions: limits per day, whose a team is, and a folder that is there completely or not at all.
+
+The folders of submissions are what is counted, so a limit holds after a kill, too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import secrets
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from slamhive.domain.challenge import PhaseState, phase_state
+from slamhive.domain.names import check_name
+from slamhive.domain.numbers import plural
+from slamhive.errors import Conflict, Forbidden, InvalidInput, SlamHiveError, TooManyRequests, Unavailable
+from slamhive.files import held_folder, remedy_of, share_with_group, write_aside
+from slamhive.schema.challenge import PhaseEntry, StoredSubmission
+from slamhive.services.challenges.checking import CheckedFile, check_files
+from slamhive.services.challenges.definition import Definition
+from slamhive.services.challenges.folder import SENT, ChallengeFolder, SubmissionFolder
+
+DAY = "%Y%m%d"
+_FOLDER_MODE, _FILE_MODE = 0o750, 0o640
+"""Teams do not see each other's trajectories, and other users of the machine do not see any."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entrant:
+    """Who submits. ``account`` is empty on the command line, and on a server without accounts."""
+
+    team: str
+    account: str = ""
+
+
+def open_phase(definition: Definition, asked: str | None, now: datetime) -> PhaseEntry:
+    """The phase to submit to; raises NotFound, Conflict if it is not open, InvalidInput if several are."""
+    file = definition.file
+    if asked is not None:
+        phase = definition.phase(asked)
+        state = phase_state(phase.begins, phase.ends, now)
+        if state is PhaseState.COMING:
+            raise Conflict(f"phase {asked} is not open yet", f"it opens at {phase.begins:%Y-%m-%d %H:%M %Z}")
+        if state is PhaseState.ENDED:
+            raise Conflict(f"phase {asked} ended at {phase.ends:%Y-%m-%d %H:%M %Z}", "it takes no submissions")
+        return phase
+    found = [entry for entry in file.phases if phase_state(entry.begins, entry.ends, now) is PhaseState.OPEN]
+    if not found:
+        raise Conflict(f"no phase of challenge {file.name} is open", "its page says when one opens")
+    if len(found) > 1:
+        names = ", ".join(entry.name for entry in found)
+        raise InvalidInput(f"several phases are open: {names}", "name one of them")
+    return found[0]
+
+
+def enter(
+    folder: ChallengeFolder, phase: PhaseEntry, entrant: Entrant, files: Mapping[str, bytes], now: datetime
+) -> SubmissionFolder:
+    """Keep a submission, which then waits for its evaluation. What a team sends twice on one day is kept once.
+
+    Raises:
+        InvalidInput: The files are not what the challenge asks for; nothing counts.
+        Forbidden: The team is that of another account.
+        TooManyRequests: The account or the team has sent as many as it may today.
+        Unavailable: The disk refuses.
+    """
+    check_name("team", entrant.team)
+    digest = _digest(files)
+    again = _admitted(folder, phase, entrant, digest, now)  # files of those who may not submit are not even parsed
+    if again is not None:
+        return again
+    checked = check_files(folder.definition, phase, files)
+    with folder.entering():
+        again = _admitted(folder, phase, entrant, digest, now)
+        return _store(folder, phase, entrant, digest, checked, now) if again is None else again
+
+
+def _admitted(
+    folder: ChallengeFolder, phase: PhaseEntry, entrant: Entrant, digest: str, now: datetime
+) -> SubmissionFolder | None:
+    """The same submission if it was sent today; None for a new one that may be sent. Raises as :func:`enter`."""
+    _check_owner(folder, entrant)
+    today = list(folder.submissions(f"{now:{DAY}}", phase))
+    for found in today:
+        if (found.sent.digest, found.sent.team) == (digest, entrant.team):
+            return found
+    _check_limit(folder.definition, phase, entrant, [found.sent for found in today])
+    return None
+
+
+def _check_owner(folder: ChallengeFolder, entrant: Entrant) -> None:
+    """The first account that submits for a team keeps it; on the command line, everybody is the organiser."""
+    if not entrant.account:
+        return
+    for found in folder.submissions():
+        if found.sent.team.casefold() == entrant.team.casefold() and found.sent.account != entrant.account:
+            raise Forbidden(f"team {entrant.team} belongs to another account", "choose another name for your team")
+
+
+def _check_limit(definition: Definition, phase: PhaseEntry, entrant: Entrant, sent: Sequence[StoredSubmission]) -> None:
+    most = phase.submissions_per_day or definition.file.submissions_per_day
+    of_team = sum(entry.team.casefold() == entrant.team.casefold() for entry in sent)
+    of_account = sum(bool(entrant.account) and entry.account == entrant.account for entry in sent)
+    if max(of_team, of_account) >= most:
+        whose = f"team {entrant.team}" if of_team >= most else f"account {entrant.account}"
+        raise TooManyRequests(
+            f"{whose} has sent {plural(most, 'submission')} to phase {phase.name} today, as many as it may",
+            "the next day begins at 00:00 UTC",
+        )
+
+
+def _store(
+    folder: ChallengeFolder,
+    phase: PhaseEntry,
+    entrant: Entrant,
+    digest: str,
+    checked: Sequence[CheckedFile],
+    now: datetime,
+) -> SubmissionFolder:
+    submission_id = f"{now:{DAY}}-{secrets.token_hex(6)}"
+    sent = StoredSubmission(
+        id=submission_id,
+        phase=phase.name,
+        team=entrant.team,
+        account=entrant.account,
+        at=now,
+        digest=digest,
+        files={entry.sequence: entry.facts for entry in checked},
+    )
+    final = folder.submission(submission_id)
+    aside = folder.submissions_root / f".{submission_id}"
+    try:
+        with held_folder(aside):
+            aside.chmod(_FOLDER_MODE)
+            share_with_group(aside)
+            for entry in checked:
+                for name, data in entry.files.items():
+                    write_aside(aside / name, data, _FILE_MODE)
+            write_aside(aside / SENT, json.dumps(sent.content), _FILE_MODE)
+            aside.rename(final.root)
+    except (OSError, SlamHiveError) as error:
+        shutil.rmtree(aside, ignore_errors=True)
+        if isinstance(error, SlamHiveError):
+            raise
+        raise Unavailable(f"{final.root} cannot be made: {error.strerror}", remedy_of(error)) from None
+    return final
+
+
+def _digest(files: Mapping[str, bytes]) -> str:
+    digest = hashlib.sha256()
+    for name, data in sorted(files.items()):
+        digest.update(f"{name}\0{len(data)}\0".encode())
+        digest.update(data)
+    return digest.hexdigest()

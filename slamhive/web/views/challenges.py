@@ -1,0 +1,42 @@
+"""Challenges: what they ask for, their rankings, and the way to submit."""
+
+from __future__ import annotations
+
+from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
+from flask import url_for as address
+
+from slamhive.domain.challenge import shown
+from slamhive.web import challenge_files
+from slamhive.web.context import caller, hive
+
+blueprint = Blueprint("challenges", __name__, url_prefix="/challenges")
+
+
+@blueprint.get("")
+def index() -> str:
+    """List challenges."""
+    return render_template("challenges/index.html", found=hive().challenges.briefs())
+
+
+@blueprint.get("/<name>")
+def show(name: str) -> str:
+    """Show a challenge, the ranking of one phase, and the caller's own submissions."""
+    challenges = hive().challenges
+    return render_template(
+        "challenges/show.html",
+        challenge=challenges.get(name),
+        ranking=challenges.ranking(name, request.args.get("phase") or None),
+        submissions=challenge_files.own_submissions(name),
+        may_submit=challenge_files.may_submit(),
+        team=caller().account,
+        shown=shown,
+    )
+
+
+@blueprint.post("/<name>/submit")
+def submit(name: str) -> Response:
+    """Take trajectories, and queue their evaluation."""
+    files = challenge_files.of_form(request.files.getlist("files"))
+    made = challenge_files.send(name, request.form.get("team", "").strip(), request.form.get("phase", ""), files)
+    flash(f"Submission {made.id} of team {made.team} waits for its evaluation.", "success")
+    return make_response(redirect(address("challenges.show", name=name, phase=made.phase), 303))

@@ -1,0 +1,183 @@
+"""Pages and web API of challenges: submit, look, and see no more than one may."""
+
+from __future__ import annotations
+
+import http.client
+import io
+import shutil
+import threading
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from flask.testing import FlaskClient
+
+from slamhive.domain.accounts import Role, Scope
+from slamhive.schema.uploads import OCTETS
+from slamhive.services.accounts import TokenRequest
+from slamhive.settings import Mode
+from slamhive.web.api.operation import PREFIX
+from slamhive.web.security import API_HEADER
+from slamhive.web.serve import WebServer
+from tests.services.challenge_world import START_S, World, entry_of, rooms, write_challenge
+from tests.web import web_world as world
+from tests.web.account_world import NAMES, AccountWeb, account_web, token_of
+from tests.web.web_world import Web, make_web
+
+pytestmark = pytest.mark.integration
+
+OPEN_PHASES = [{"name": "public"}, {"name": "final", "begins": "2126-01-01T00:00:00+00:00"}]
+HEADERS = {API_HEADER: "1"}
+ADDRESS = f"{PREFIX}/challenges/rooms/submissions"
+
+
+def add_challenge(folder: Path, **more: Any) -> None:
+    """The challenge of two rooms in the installation in ``folder``."""
+    path = write_challenge(folder / "organiser", rooms(2, **{"phases": OPEN_PHASES, **more}))
+    World(folder).challenges.create(path)
+
+
+def packed(files: dict[str, bytes]) -> bytes:
+    """A zip archive of files."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return stream.getvalue()
+
+
+def form(client: FlaskClient, files: dict[str, bytes], team: str = "a", **more: str) -> Any:
+    """Send the web form of the page."""
+    sent = [(io.BytesIO(data), name) for name, data in files.items()]
+    token = token_of(client, "/challenges/rooms")
+    fields = {"csrf_token": token, "team": team, "phase": "public", "files": sent, **more}
+    return client.post("/challenges/rooms/submit", data=fields, content_type="multipart/form-data")
+
+
+def post(client: FlaskClient, data: bytes, address: str = f"{ADDRESS}?team=a", **headers: str) -> Any:
+    """Send an archive to the web API."""
+    return client.post(address, data=data, content_type=OCTETS, headers=headers or HEADERS)
+
+
+@pytest.fixture
+def own(empty: Web, tmp_path: Path) -> Web:
+    """A server without accounts, with a challenge."""
+    add_challenge(tmp_path)
+    return empty
+
+
+@pytest.fixture
+def site(tmp_path_factory: pytest.TempPathFactory, filled: Path, compiled: Path) -> Iterator[AccountWeb]:
+    """A server with accounts and a challenge."""
+    folder = tmp_path_factory.mktemp("challenge")
+    shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
+    add_challenge(folder)
+    with account_web(folder, compiled) as made:
+        yield made
+
+
+def test_the_pages_lead_from_the_list_to_a_submission_and_its_log(own: Web):
+    assert 'href="/challenges/rooms"' in own.client.get("/challenges").text
+    assert 'href="/challenges"' in own.client.get("/runs").text
+    page = own.client.get("/challenges/rooms").text
+    assert "999.500 to 1003.500 s" in page
+    assert "You have not submitted anything" in page
+    answer = form(own.client, entry_of(2, 0.02))
+    assert (answer.status_code, answer.location) == (303, "/challenges/rooms?phase=public")
+    page = own.client.get("/challenges/rooms").text
+    assert "waits for its evaluation" in page
+    assert "room-0: 300 poses, 74.8 % of the time range\n" in page
+
+
+def test_a_server_without_challenges_says_how_to_make_one_and_has_no_menu_of_them(empty: Web):
+    assert "slamhive challenge create FILE" in empty.client.get("/challenges").text
+    assert 'href="/challenges"' not in empty.client.get("/runs").text
+
+
+def test_a_submission_that_cannot_be_used_is_refused_in_words(own: Web):
+    answer = form(own.client, {"room-7.txt": b"1"})
+    assert answer.status_code == 400
+    assert "belongs to no sequence of phase public" in answer.text
+    assert form(own.client, {}).status_code == 400
+    assert form(own.client, entry_of(2, 0.02), team="a/b").status_code == 400
+    assert form(own.client, entry_of(2, 0.02), csrf_token="no").status_code == 400
+    assert own.client.get(ADDRESS).get_json() == {"submissions": []}
+
+
+def test_the_web_api_takes_an_archive_once(own: Web):
+    data = packed(entry_of(2, 0.02))
+    first, second = post(own.client, data), post(own.client, data)
+    assert (first.status_code, first.get_json()["state"]) == (202, "queued")
+    assert second.get_json()["id"] == first.get_json()["id"]
+    assert own.client.get(ADDRESS).get_json()["submissions"] == [first.get_json()]
+    assert post(own.client, b"no archive").status_code == 400
+    assert post(own.client, data, f"{PREFIX}/challenges/nowhere/submissions?team=a").status_code == 404
+    assert post(own.client, data, f"{ADDRESS}?team=b&phase=final").status_code == 409
+    for seed in (1, 2):
+        assert post(own.client, packed(entry_of(2, 0.02, seed))).status_code == 202
+    refused = post(own.client, packed(entry_of(2, 0.02, 3)))
+    assert (refused.status_code, "as many as it may" in refused.text) == (429, True)
+
+
+def test_the_web_api_says_what_a_challenge_asks_for(own: Web):
+    (brief,) = own.client.get(f"{PREFIX}/challenges").get_json()["challenges"]
+    assert (brief["name"], brief["open_phases"]) == ("rooms", ["public"])
+    found = own.client.get(f"{PREFIX}/challenges/rooms").get_json()
+    assert [entry["name"] for entry in found["sequences"]] == ["room-0", "room-1"]
+    ranking = own.client.get(f"{PREFIX}/challenges/rooms/ranking?phase=final").get_json()
+    assert (ranking["phase"], ranking["teams"]) == ("final", [])
+
+
+def test_readers_submit_and_see_their_own_only(site: AccountWeb):
+    rita, ada = site.of(Role.READER), site.of(Role.ADMIN)
+    assert form(rita, entry_of(2, 0.02), team="rita-team").status_code == 303
+    assert "rita-team" in rita.get("/challenges/rooms").text
+    assert "rita-team" not in ada.get("/challenges/rooms").text
+    assert ada.get(ADDRESS).get_json() == {"submissions": []}
+    taken = form(ada, entry_of(2, 0.03), team="rita-team")
+    assert (taken.status_code, "belongs to another account" in taken.text) == (403, True)
+    lines = [entry for entry in site.web.hive.accounts.audit(limit=5) if entry.action == "challenges.submit"]
+    assert [entry.account for entry in lines] == [NAMES[Role.READER]]
+
+
+def test_a_token_submits_with_the_scope_to_change(site: AccountWeb):
+    statuses = {}
+    for scope in Scope:
+        _, text = site.web.hive.accounts.create_token(NAMES[Role.READER], TokenRequest(f"of-{scope}", [scope]))
+        answer = post(site.web.app.test_client(), packed(entry_of(2, 0.02)), ADDRESS, Authorization=f"Bearer {text}")
+        statuses[scope] = answer.status_code
+    assert statuses == {Scope.READ: 403, Scope.CHANGE: 202, Scope.ADMINISTER: 403}
+    (found,) = site.web.hive.challenges.submissions("rooms", NAMES[Role.READER])
+    assert found.team == NAMES[Role.READER]
+
+
+def test_a_view_only_server_shows_rankings_and_takes_nothing(own: Web, tmp_path: Path, compiled: Path):
+    form(own.client, entry_of(2, 0.02), team="somebody")
+    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY, empty=True), compiled).client
+    page = viewing.get("/challenges/rooms").text
+    assert "No submission to this phase has been evaluated yet." in page
+    assert 'method="post"' not in page
+    assert "somebody" not in page
+    assert viewing.get(ADDRESS).get_json() == {"submissions": []}
+    assert post(viewing, packed(entry_of(2, 0.02))).status_code == 403
+
+
+def test_a_large_submission_comes_through_the_socket_and_a_huge_one_does_not(own: Web):
+    rows = entry_of(1, 0.02)["room-0.txt"]
+    large = {"room-0.txt": rows + b"#" * 3_000_000, "room-1.txt": rows.replace(b"%d" % START_S, b"1000")}
+    server = WebServer(own.hive, "127.0.0.1", 0)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        statuses = []
+        for data in (packed(large), b"0" * 16_000_001):
+            connection = http.client.HTTPConnection("127.0.0.1", int(server.url.rpartition(":")[2]), timeout=20)
+            connection.request("POST", f"{ADDRESS}?team=a", data, {**HEADERS, "Content-Type": OCTETS})
+            statuses.append(connection.getresponse().status)
+            connection.close()
+        assert statuses == [202, 413]
+    finally:
+        server.close()
+        thread.join()
