@@ -207,7 +207,7 @@ class SlurmExecutor(ProcessExecutor):
         printed = _last_line(work)
         if not printed and len(jobs) < _MOST_JOBS and all(_is_blameless(job) for job in jobs):
             # A controller that is killed forgets the jobs of the last 5 s; a node may fail before the run begins.
-            return EngineUnavailable(f"run {spec.run_id} has not begun and is submitted again: {said}", "see squeue")
+            return EngineUnavailable(f"run {spec.run_id} did not start and is submitted again: {said}", "see squeue")
         return StartFailed(f"the job of run {spec.run_id} did not start: {said}{printed}")
 
     def _end_jobs(self, key: str) -> None:
