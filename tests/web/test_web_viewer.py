@@ -89,7 +89,7 @@ def test_paths_and_map_are_drawn(opened: Callable[..., Page], look: str) -> None
     page = opened(f"/runs/{DONE}", look)
     assert colourful(pixels(page)) > 0.03, "the map"
     panel = page.locator("[data-viewer]")
-    assert panel.get_attribute("data-points").startswith("thinned ")  # type: ignore[union-attr]
+    assert str(panel.get_attribute("data-points")).startswith("thinned ")
     assert "of 150,000 points of the map" in panel.locator("[data-says]").inner_text()
     assert panel.locator("[data-paths] li").count() == 3
     panel.get_by_label("Map by").select_option("none")
