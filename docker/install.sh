@@ -9,7 +9,8 @@ cp /source/docker/ca-certificates/*.crt /usr/local/share/ca-certificates/ 2>/dev
 update-ca-certificates
 export PIP_CERT="${PIP_CERT:-/etc/ssl/certs/ca-certificates.crt}" PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 python3 -m venv /opt/slamhive
-/opt/slamhive/bin/pip install --quiet --no-compile -c /source/constraints.txt "/source${EXTRAS:+[$EXTRAS]}"
+/opt/slamhive/bin/python /source/tools/installer.py /opt/slamhive/bin/python \
+    -c /source/constraints.txt "/source${EXTRAS:+[$EXTRAS]}"
 # Nobody runs the tests of libraries, which pip would compile too.
 /opt/slamhive/bin/python -m compileall -q -j 0 -x /tests/ /opt/slamhive/lib || true
 /opt/slamhive/bin/slamhive --version

@@ -1,13 +1,15 @@
 """Chooses what installs packages: uv where it can follow pip's configuration, else pip. uv takes a fifth of the time.
 
 uv does not read pip's configuration, so it is passed on. Whatever cannot be passed on, and whatever goes wrong with uv,
-leads back to pip. Standard library only.
+leads back to pip. Standard library only. Images use it as a program: ``python installer.py PYTHON ARGUMENT ...``.
 """
 
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -109,3 +111,10 @@ def translated(configuration: Sequence[tuple[str, str]]) -> tuple[list[str], dic
         elif option not in _WITHOUT_EFFECT:
             raise CannotFollow(f"pip's option {option} has no counterpart")
     return options, variables
+
+
+if __name__ == "__main__":
+    try:
+        install("install SLAM Hive", sys.argv[1], sys.argv[2:], os.environ, Path(__file__).resolve().parent.parent)
+    except StepFailed as reason:
+        sys.exit(str(reason))

@@ -87,10 +87,11 @@ def test_web_is_local_unprivileged_and_without_the_engine(services):
 
 def test_web_writes_what_pages_store_and_nothing_else(services):
     data = [volume for volume in services["web"]["volumes"] if "SLAMHIVE_DATA" in volume]
-    assert [volume.rpartition("}")[2] for volume in data] == [":ro", "/experiments", "/ledger"]
+    assert [volume.rpartition("}")[2] for volume in data] == [":ro", "/experiments", "/challenges", "/ledger"]
     command = services["worker"]["command"][-1]
     group = services["web"]["user"].partition(":")[2]
-    assert f'-g {group} -m 2775 "$$SLAMHIVE_DATA/experiments" "$$SLAMHIVE_DATA/ledger"' in command
+    folders = " ".join(f'"$$SLAMHIVE_DATA/{name}"' for name in ("experiments", "challenges", "ledger"))
+    assert f"-g {group} -m 2775 {folders}" in command
     assert command.endswith("exec slamhive worker"), "it must get the signals"
 
 

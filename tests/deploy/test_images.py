@@ -143,7 +143,10 @@ def web(engine, images, environment, data, worker):
         tmpfs=dict.fromkeys(service["tmpfs"], ""),
         volumes={
             str(data): {"bind": str(data), "mode": "ro"},
-            **{str(data / name): {"bind": str(data / name), "mode": "rw"} for name in ("experiments", "ledger")},
+            **{
+                str(data / name): {"bind": str(data / name), "mode": "rw"}
+                for name in ("experiments", "challenges", "ledger")
+            },
             **ALGORITHMS,
         },
     )

@@ -78,7 +78,7 @@ def table_of(hive: Hive, engine: str) -> Table:
         assert run.state is RunState.SUCCEEDED, f"run {run.id} on {engine}: {run.detail}"
         assert run.metrics is not None
         assert run.executor == engine
-        table[f"{run.algorithm} {run.variant}"].append(run.metrics["ate.rmse"])
+        table[" ".join((run.algorithm, *(step.kind for step in run.variant)))].append(run.metrics["ate.rmse"])
     return table
 
 
@@ -96,4 +96,4 @@ def agree(first: list[float], second: list[float]) -> bool:
 def print_table(engine: str, table: Table) -> None:
     for name, errors_m in sorted(table.items()):
         mean_m, deviation_m = statistics.fmean(errors_m), statistics.stdev(errors_m)
-        sys.stdout.write(f"{engine:<11} {name:<60} {mean_m:.4f} ± {deviation_m:.4f} m, n = {len(errors_m)}\n")
+        sys.stdout.write(f"{engine:<11} {name:<32} {mean_m:.4f} ± {deviation_m:.4f} m, n = {len(errors_m)}\n")
