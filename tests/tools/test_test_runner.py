@@ -73,17 +73,28 @@ def test_ci_allows_only_absent_recordings_and_sources_to_be_skipped(runner, reas
 
 
 @pytest.mark.parametrize(
-    ("seconds", "cpu_s", "state", "note"),
+    ("seconds", "cpu_s", "slowness", "state", "note"),
     [
-        (9.0, 17.0, "passed", ""),
-        (40.0, 17.0, "passed", "WARNING: took longer than 10 s with 17.0 s of CPU time"),
-        (12.0, 21.0, "failed", "used 21.0 s of CPU time, must stay under 20 s"),
+        (9.0, 17.0, 1.0, "passed", ""),
+        (40.0, 17.0, 1.0, "passed", "WARNING: took longer than 10 s with 17.0 s of CPU time"),
+        (12.0, 21.0, 1.0, "failed", "used 21.0 s of CPU time; must stay under 20 s"),
+        (12.0, 21.0, 1.5, "passed", "used 21.0 s of CPU time; must stay under 20 s, times 1.50 on this slow machine"),
+        (12.0, 31.0, 1.5, "failed", "used 31.0 s of CPU time; must stay under 20 s, times 1.50 on this slow machine"),
     ],
 )
-def test_a_busy_machine_fails_no_tier_but_slow_tests_do(runner, monkeypatch, seconds, cpu_s, state, note):
+def test_a_busy_or_slow_machine_fails_no_tier_but_slow_tests_do(
+    runner, monkeypatch, seconds, cpu_s, slowness, state, note
+):
+    monkeypatch.setattr(runner.speed, "slowness", lambda: slowness)
     monkeypatch.setattr(runner, "run_timed", lambda tier: runner.Outcome(passed=1, seconds=seconds, cpu_s=cpu_s))
     outcome = runner.run_group([runner.Tier("unit", marks="x", workers=2, limit_s=10.0)])["unit"]
     assert (outcome.state, outcome.note) == (state, note)
+
+
+@pytest.mark.parametrize(("work_s", "slowness"), [(0.5, 1.0), (1.0, 1.0), (1.7, 1.7)])
+def test_a_fast_machine_gets_no_tighter_limits(runner, monkeypatch, work_s, slowness):
+    monkeypatch.setattr(runner.speed, "work_s", lambda: work_s * runner.speed.REFERENCE_S)
+    assert runner.speed.slowness() == pytest.approx(slowness)
 
 
 def test_compiled_modules_are_kept(runner, monkeypatch):
