@@ -69,6 +69,11 @@ def test_a_killed_supervisor_is_lost_and_leaves_nothing(bench):
     eventually(lambda: not processes_of(handle), "the end of the run")
 
 
+def test_a_slurm_without_accounting_remembers_no_job(bench):
+    _, handle = bench.start(UNTIL_TOLD)
+    assert command.accounted_jobs(handle.data["job"]) == []
+
+
 def test_a_job_that_no_node_can_run(bench):
     with pytest.raises(StartFailed, match="Memory specification can not be satisfied"):
         bench.start(UNTIL_TOLD, Limits(memory_bytes=10**14))

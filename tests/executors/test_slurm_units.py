@@ -11,7 +11,7 @@ import pytest
 from slamhive.errors import InvalidInput
 from slamhive.executors.base import EngineUnavailable, StartFailed
 from slamhive.executors.slurm import command
-from slamhive.executors.slurm.command import Job, parse_jobs, read_options
+from slamhive.executors.slurm.command import Job, parse_accounted, parse_jobs, read_options
 from slamhive.executors.slurm.executor import Queue
 from slamhive.executors.slurm.job import job_limits, job_options, job_script
 from slamhive.executors.spec import Limits, Placing, RunSpec
@@ -61,6 +61,16 @@ def test_recorded_jobs():
 )
 def test_jobs_that_are_not_to_blame_for_their_end(state, reason, slurm_ended_it):
     assert Job(1, "", (state,), reason, "one").ended_by_slurm is slurm_ended_it
+
+
+def test_jobs_that_the_accounting_database_remembers():
+    text = (
+        "7|CANCELLED by 1000|None|one\n7.batch|CANCELLED||one\n8|OUT_OF_MEMORY|OutOfMemory|two\n9|COMPLETED\nno job\n\n"
+    )
+    cancelled, killed, completed = parse_accounted(text)
+    assert cancelled.text == "job 7 is CANCELLED on one"
+    assert (killed.states, killed.over) == (("OUT_OF_MEMORY",), True)
+    assert completed == Job(9, "", ("COMPLETED",), "None", "")
 
 
 def test_states_as_a_list():

@@ -1,4 +1,4 @@
-"""The commands of Slurm: ``sbatch``, ``squeue``, ``scancel`` and ``scontrol``. Needs no accounting."""
+"""The commands of Slurm: ``sbatch``, ``squeue``, ``scancel`` and ``scontrol``. Needs no accounting, but uses it."""
 
 from __future__ import annotations
 
@@ -115,6 +115,29 @@ def list_jobs() -> list[Job]:
     Older versions list those of others as well.
     """
     return parse_jobs(_run(["squeue", "--json", "--me"]))
+
+
+def accounted_jobs(number: str) -> list[Job]:
+    """The job with this number as the accounting database remembers it; nothing without one, or if it is away."""
+    if not number:
+        return []
+    fields = "--format=JobID,State,Reason,NodeList"
+    try:
+        return parse_accounted(
+            _run(["sacct", "--noheader", "--parsable2", "--allocations", f"--jobs={number}", fields])
+        )
+    except (EngineUnavailable, StartFailed):
+        return []
+
+
+def parse_accounted(text: str) -> list[Job]:
+    """The lines of ``sacct``; those of another form are left out. Who ended a job stands behind its state."""
+    found = []
+    for line in text.splitlines():
+        number, state, reason, node = (*line.split("|"), "", "", "")[:4]
+        if number.isdigit() and state:
+            found.append(Job(int(number), "", (state.split()[0],), reason or "None", node))
+    return found
 
 
 def submit(options: Sequence[str], script: str) -> None:

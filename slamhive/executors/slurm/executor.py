@@ -122,6 +122,7 @@ class SlurmExecutor(ProcessExecutor):
         exited = _exit_of(handle)
         if exited is not None:
             return exited
+        jobs = jobs or command.accounted_jobs(handle.data["job"])
         if any("OUT_OF_MEMORY" in job.states for job in jobs):
             return Exited(137, out_of_memory=True)
         said = "; ".join(job.text for job in jobs) or "Slurm does not know the job any more"
