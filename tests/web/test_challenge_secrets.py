@@ -43,6 +43,7 @@ SOURCE = Path(slamhive.__file__).parent
 KNOW_THE_FOLDER = {"settings.py", "services/worker/leftovers.py"}
 """Besides the use case itself; the second removes what killed processes have left."""
 NUMBER = re.compile(rb"\d+\.\d{4,}")
+TIME_OF_DAY = re.compile(rb"\d\d:\d\d:\d\d[.]\d+")
 WORDS = (b"organiser", b"truth-0", b"data/challenges/")
 """Of paths to ground truths on this machine."""
 NAME, FILE = "rooms", "../challenges/rooms/secret/room-0.tum"
@@ -68,8 +69,15 @@ SECRETS = secret_numbers()
 
 
 def coordinates_in(content: bytes) -> set[str]:
-    """The coordinates of the ground truths in ``content``."""
-    return {f"{float(found):.4f}" for found in NUMBER.findall(content)} & SECRETS
+    """The coordinates of the ground truths in ``content``. The seconds of a time of day are none."""
+    numbers = NUMBER.findall(TIME_OF_DAY.sub(b"", content))
+    return {f"{float(found):.4f}" for found in numbers} & SECRETS
+
+
+def points_in(content: bytes) -> set[str]:
+    """The same, unless there are fewer than a point has: databases hold durations, which may be equal by chance."""
+    found = coordinates_in(content)
+    return found if len(found) >= 3 else set()
 
 
 def leaks(content: bytes) -> list[str]:
@@ -206,7 +214,7 @@ def test_neither_the_log_of_the_worker_nor_what_it_leaves_quotes_the_ground_trut
     kept = [path for path in data.rglob("*") if path.is_file() and "secret" not in path.parts]
     estimates = {path for path in kept if path.match("submissions/*/*.tum")}
     assert len(kept) > len(estimates) > 0
-    assert [path for path in kept if path not in estimates and coordinates_in(path.read_bytes())] == []
+    assert [path for path in kept if path not in estimates and points_in(path.read_bytes())] == []
 
 
 def test_no_archive_holds_anything_of_a_challenge(site: Site, tmp_path: Path):
@@ -217,7 +225,7 @@ def test_no_archive_holds_anything_of_a_challenge(site: Site, tmp_path: Path):
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
         assert not [name for name in names if "challenge" in name]
-        assert not [name for name in names if coordinates_in(archive.read(name))]
+        assert not [name for name in names if points_in(archive.read(name))]
 
 
 def test_only_the_use_case_itself_knows_where_the_secret_lies():
