@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import shutil
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.serving import serving
+
 if TYPE_CHECKING:
     from slamhive.client import Hive
-    from slamhive.services.hive import Hive as ServedHive
 
 
 @pytest.fixture(scope="module")
@@ -50,21 +49,6 @@ def client(request: pytest.FixtureRequest, installation: Path) -> Iterator[Hive]
     files = request.param == "files"
     with Hive.open(installation) if files else Hive.connect(request.getfixturevalue("url")) as hive:
         yield hive
-
-
-@contextmanager
-def serving(opened: ServedHive) -> Iterator[str]:
-    """A server in a thread of this process, and its address."""
-    from slamhive.web.serve import WebServer  # noqa: PLC0415
-
-    server = WebServer(opened, "127.0.0.1", 0)
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    try:
-        yield server.url
-    finally:
-        server.close()
-        thread.join()
 
 
 @pytest.fixture

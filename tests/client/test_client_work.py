@@ -25,9 +25,9 @@ from slamhive.schema.uploads import UploadRequest
 from slamhive.services.hive import Hive as ServedHive
 from slamhive.services.hive import open_hive
 from tests.bags.format_world import make_euroc
-from tests.client.conftest import serving
 from tests.services.imports.world import trajectory, write
 from tests.services.tiny_project import environment, make_dataset, make_project
+from tests.serving import serving
 
 pytestmark = pytest.mark.integration
 

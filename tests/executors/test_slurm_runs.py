@@ -37,12 +37,6 @@ def made(slurm_cluster: Cluster, tmp_path, monkeypatch) -> Iterator[Installation
         yield made
 
 
-def finished(made: Installation) -> bool:
-    """Whether all runs have ended and no evaluation waits."""
-    ended = all(state.ended for state, count in made.hive.runs.counts().items() if count)
-    return ended and not made.hive.evaluations.waiting()
-
-
 def check_accounts(made: Installation, most_lost: int) -> None:
     """All runs have ended, none was executed twice, what succeeded is evaluated, and nothing is left."""
     made.machine.die()
@@ -74,7 +68,7 @@ def test_an_experiment_while_a_node_goes_down_and_the_controller_is_killed(made,
     wait_s(AWAY_S)
     slurm_cluster.start_controller()
     slurm_cluster.bring_back("two")
-    eventually(lambda: finished(made), "the end of all runs", PATIENCE_S)
+    eventually(made.finished, "the end of all runs", PATIENCE_S)
     sys.stdout.write(f"\n{RUNS} runs in {time.monotonic() - began_s:.1f} s\n")
     check_accounts(made, most_lost=4)
 
@@ -110,13 +104,13 @@ def test_everything_is_killed_at_random_moments(made, slurm_cluster):
         "worker": kill_worker, "controller": kill_controller, "daemon of a node": kill_daemon, "node": kill_node
     }  # fmt: skip
     killed: Counter[str] = Counter()
-    while killed.total() < KILLS and not finished(made):
+    while killed.total() < KILLS and not made.finished():
         wait_s(rng.uniform(0.0, 1.0))
         name = rng.choice(list(kinds))
         kinds[name]()
         killed[name] += 1
     sys.stdout.write(f"\nkilled (seed {SEED}): {dict(killed)}\n")
     assert killed.total() == KILLS, "the runs ended before everything was killed"
-    eventually(lambda: finished(made), "the end of all runs", PATIENCE_S)
+    eventually(made.finished, "the end of all runs", PATIENCE_S)
     # A controller that has not saved a start ends the job when it is back, see Cluster.wait_until_saved.
     check_accounts(made, most_lost=4 * (killed["node"] + killed["controller"]))

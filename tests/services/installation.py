@@ -43,6 +43,11 @@ class Installation:
         """Make the environment, or find the image, of the algorithm: no moment is spent on it."""
         self.hive.executors.get(self.executor).build(self.hive.catalogue.algorithm("tiny").package, lambda _line: None)
 
+    def finished(self) -> bool:
+        """Whether all runs have ended and no evaluation waits."""
+        ended = all(state.ended for state, count in self.hive.runs.counts().items() if count)
+        return ended and not self.hive.evaluations.waiting()
+
     def accounts(self) -> Accounts:
         """Everything that is there now."""
         found = settle_accounts(self.hive)

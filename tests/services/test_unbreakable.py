@@ -97,7 +97,7 @@ def test_everything_dies_at_random_moments(
         killed: list[Killed] = []
         for moment_s in moments:
             pid = made.machine.start_worker()
-            eventually(lambda: has_run(made, pid) or finished(made), "a run in the hands of the worker")  # noqa: B023
+            eventually(lambda: has_run(made, pid) or made.finished(), "a run in the hands of the worker")  # noqa: B023
             wait_s(moment_s)
             killed.append(made.machine.die())
             made.machine.boot()
@@ -129,7 +129,7 @@ def test_the_database_is_away_for_a_minute(
         database.freeze(frozen=True)
         wait_s(2 * LEASE_S)
         database.freeze(frozen=False)
-        eventually(lambda: finished(made), "the end of all runs and evaluations", 2 * PATIENCE_S)
+        eventually(made.finished, "the end of all runs and evaluations", 2 * PATIENCE_S)
         made.machine.die()
         made.machine.boot()
         made.machine.work_to_the_end()
@@ -151,7 +151,7 @@ def test_the_disk_is_full_for_a_while(tmp_path: Path, monkeypatch: pytest.Monkey
             made.machine.start_worker()
             for _ in range(FILLINGS):
                 ended = sum(made.hive.runs.counts()[state] for state in RunState if state.ended)
-                eventually(lambda: finished(made) or ended_more_than(made, ended), "a run with room")  # noqa: B023
+                eventually(lambda: made.finished() or ended_more_than(made, ended), "a run with room")  # noqa: B023
                 filling = data / "runs" / "filling"
                 fill(filling)
                 wait_s(FULL_S)
@@ -175,7 +175,7 @@ def test_two_workers_are_killed_in_turn(tmp_path: Path, monkeypatch: pytest.Monk
             host = ("one", "two")[turn % 2]
             made.machine.kill_worker(workers[host])
             workers[host] = made.machine.start_worker(host=host)
-        eventually(lambda: finished(made), "the end of all runs and evaluations", 2 * PATIENCE_S)
+        eventually(made.finished, "the end of all runs and evaluations", 2 * PATIENCE_S)
         made.machine.die()
         made.machine.work_to_the_end()
         assert made.hive.runs.counts()[RunState.SUCCEEDED] == RUNS // 2, "what a killed worker had started goes on"
@@ -210,13 +210,6 @@ def test_a_lost_database_comes_back_as_it_was(
             assert report.skipped == []
         finally:
             again.close()
-
-
-def finished(made: Installation) -> bool:
-    """Whether all runs have ended and no evaluation waits."""
-    return all(state.ended for state, count in made.hive.runs.counts().items() if count) and not (
-        made.hive.evaluations.waiting()
-    )
 
 
 def has_run(made: Installation, pid: int) -> bool:

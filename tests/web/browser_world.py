@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import shutil
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.web.serve import WebServer
 from tests.waiting import eventually
-from tests.web.web_world import Web
 
 if TYPE_CHECKING:
     from playwright.sync_api import BrowserContext, ConsoleMessage, Page, Request
@@ -38,19 +33,6 @@ LOOKS: dict[str, dict[str, Any]] = {
     "dark": {"viewport": DESK, "color_scheme": "dark"},
     "phone": {"viewport": PHONE, "color_scheme": "light", "has_touch": True},
 }
-
-
-@contextmanager
-def served(web: Web) -> Iterator[str]:
-    """The address of a server with these pages."""
-    server = WebServer(web.hive, "127.0.0.1", 0)
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    try:
-        yield server.url
-    finally:
-        server.close()
-        thread.join()
 
 
 class Faults:

@@ -19,9 +19,10 @@ from slamhive.services.experiments import ExperimentSource
 from slamhive.settings import Mode
 from slamhive.store.records import RunSort, SavedSearchRecord
 from tests.services.test_trash import end
+from tests.serving import serving
 from tests.waiting import eventually
 from tests.web import web_world as world
-from tests.web.browser_world import BROWSER, LOOKS, Faults, served, violations, visit, wide_parts
+from tests.web.browser_world import BROWSER, LOOKS, Faults, violations, visit, wide_parts
 from tests.web.test_web_experiments import TRIAL
 from tests.web.web_world import Web, make_web
 
@@ -115,7 +116,7 @@ def told(faults: dict[str, list[str]]) -> None:
 @pytest.mark.parametrize("look", LOOKS)
 def test_every_page_is_drawn_without_faults(chromium: Browser, desk: Web, look: str) -> None:
     faults: dict[str, list[str]] = defaultdict(list)
-    with served(desk) as server:
+    with serving(desk.hive) as server:
         context = chromium.new_context(**LOOKS[look])
         pages = addresses(desk)
         assert len(pages) > 20
@@ -131,7 +132,7 @@ def test_every_page_is_drawn_without_faults(chromium: Browser, desk: Web, look: 
 def test_every_page_of_an_archive(chromium: Browser, archive: Web, scripts: bool) -> None:
     """View-only pages have no way to change anything, and can be read without scripts."""
     faults: dict[str, list[str]] = defaultdict(list)
-    with served(archive) as server:
+    with serving(archive.hive) as server:
         context = chromium.new_context(java_script_enabled=scripts, **LOOKS["light"])
         for address in addresses(archive):
             page = context.new_page()
@@ -150,7 +151,7 @@ def test_every_page_of_an_archive(chromium: Browser, archive: Web, scripts: bool
 
 def test_the_first_view_is_light(chromium: Browser, desk: Web) -> None:
     """Plotly, which is large, is loaded only where a plot is."""
-    with served(desk) as server:
+    with serving(desk.hive) as server:
         context = chromium.new_context(**LOOKS["light"])
         page = context.new_page()
         sizes: dict[str, int] = {}
@@ -163,7 +164,7 @@ def test_the_first_view_is_light(chromium: Browser, desk: Web) -> None:
 
 
 def test_the_keyboard_alone_leads_through_a_list(chromium: Browser, desk: Web) -> None:
-    with served(desk) as server:
+    with serving(desk.hive) as server:
         context = chromium.new_context(**LOOKS["light"])
         page = context.new_page()
         page.goto(server + "/runs", wait_until="load")
@@ -181,7 +182,7 @@ def test_the_keyboard_alone_leads_through_a_list(chromium: Browser, desk: Web) -
 
 
 def test_the_theme_is_kept(chromium: Browser, desk: Web) -> None:
-    with served(desk) as server:
+    with serving(desk.hive) as server:
         context = chromium.new_context(**LOOKS["light"])
         page = context.new_page()
         page.goto(server + "/", wait_until="load")
@@ -198,7 +199,7 @@ def test_the_theme_is_kept(chromium: Browser, desk: Web) -> None:
 def browsing(chromium: Browser, own: Web, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
     """A page on an installation that the test may change. Any fault on the way fails the test."""
     monkeypatch.setattr(Executors, "choose", lambda _executors, asked=None: asked or "process")
-    with served(own) as server:
+    with serving(own.hive) as server:
         context = chromium.new_context(base_url=server, **LOOKS["light"])
         page = context.new_page()
         faults = Faults(page, server)

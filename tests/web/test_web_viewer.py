@@ -14,9 +14,10 @@ import pytest
 
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.settings import Mode
+from tests.serving import serving
 from tests.waiting import eventually
 from tests.web import web_world as world
-from tests.web.browser_world import BROWSER, LOOKS, Faults, served, violations, wide_parts
+from tests.web.browser_world import BROWSER, LOOKS, Faults, violations, wide_parts
 from tests.web.web_world import RUNS, Web, make_web
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def opened(chromium: Browser, mapped: Web) -> Iterator[Callable[..., Page]]:
     """Opens the 3D view of a page. Any fault on the way fails the test."""
     faults: list[Faults] = []
     contexts: list[BrowserContext] = []
-    with served(mapped) as server:
+    with serving(mapped.hive) as server:
 
         def open_view(address: str, look: str = "light", **more: Any) -> Page:
             context = chromium.new_context(**{**LOOKS[look], **more})
@@ -177,7 +178,7 @@ def test_comparisons_and_datasets_have_the_same_view(opened: Callable[..., Page]
 
 
 def test_three_js_comes_only_when_it_is_asked_for(chromium: Browser, mapped: Web) -> None:
-    with served(mapped) as server:
+    with serving(mapped.hive) as server:
         context = chromium.new_context(**LOOKS["light"])
         page = context.new_page()
         asked: list[str] = []
@@ -191,7 +192,7 @@ def test_three_js_comes_only_when_it_is_asked_for(chromium: Browser, mapped: Web
 
 
 def test_without_webgl_a_line_says_why(chromium: Browser, mapped: Web) -> None:
-    with served(mapped) as server:
+    with serving(mapped.hive) as server:
         context = chromium.new_context(**LOOKS["light"])
         context.add_init_script(NO_WEBGL)
         page = context.new_page()

@@ -55,8 +55,9 @@ def check_files(definition: Definition, phase: PhaseEntry, files: Mapping[str, b
         by_sequence[sequence] = name
     _check_complete(definition, list(wanted), by_sequence)
     return [
-        _checked(definition, wanted[sequence], name, files[name])
-        for sequence, name in sorted(by_sequence.items(), key=lambda item: list(wanted).index(item[0]))
+        _checked(definition, entry, by_sequence[sequence], files[by_sequence[sequence]])
+        for sequence, entry in wanted.items()
+        if sequence in by_sequence
     ]
 
 

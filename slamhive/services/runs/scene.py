@@ -16,7 +16,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations import PROTOCOL_FILE
 from slamhive.services.runs.series import MAX_POINTS, Array, Track, gap_of, read_errors, read_whole_track
 from slamhive.store.records import RunRecord
-from slamhive.trajectory.alignment import Similarity, align_umeyama
+from slamhive.trajectory.alignment import IDENTITY, Similarity, align_umeyama
 from slamhive.trajectory.model import Poses
 from slamhive.trajectory.motion import motion_of
 
@@ -73,7 +73,7 @@ def run_scene(run: RunRecord, folder: RunFolder, fingerprint: str | None) -> Run
     if evaluation is None or aligned is None:
         paths = [_path(kind, track) for kind, track in _read(files, gap_s).items()]
         reasons = () if paths else ("The run has left no trajectory that can be read.",)
-        return RunScene(None, tuple(paths), aligned=False, to_scene=_IDENTITY, reasons=reasons)
+        return RunScene(None, tuple(paths), aligned=False, to_scene=IDENTITY, reasons=reasons)
     kind = _judged_kind(evaluation, run)
     others = _read({name: path for name, path in files.items() if name != kind}, gap_s)
     raw = None if kind not in files else read_whole_track(files[kind])
@@ -95,9 +95,6 @@ def path_of(kind: str, path: Path) -> ScenePath | None:
     """The trajectory at ``path`` as a path of a scene; None if it cannot be read."""
     track = read_whole_track(path)
     return None if track is None else _path(kind, track)
-
-
-_IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
 
 
 def _files(run: RunRecord, folder: RunFolder) -> dict[str, Path]:
