@@ -61,18 +61,32 @@ LATEST = ("end_to_end/test_variants_real.py",)
 """Files that need what another tier makes meanwhile."""
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--part 1/2``: for tiers of short tests, where workers that each collect everything would take twice as long."""
+    parser.addoption("--part", default="1/1", metavar="K/N", help="run the files of the K-th of N parts")
+
+
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Nothing is imported of a file, or a folder, of which ``-m`` can select no test."""
+    """Nothing is imported of a file of another part, or of which ``-m`` can select no test, nor of such a folder."""
     if not config.option.markexpr:
         return None
-    wanted = Expression.compile(config.option.markexpr)
+    wanted = files_of_part(config.option.markexpr, config.getoption("part"))
     if collection_path.is_dir():
         files = list(collection_path.rglob("test_*.py"))
-        return True if files and not any(may_be_selected(path, wanted) for path in files) else None
-    return True if collection_path.suffix == ".py" and not may_be_selected(collection_path, wanted) else None
+        return True if files and wanted.isdisjoint(files) else None
+    return True if collection_path.name.startswith("test_") and collection_path not in wanted else None
 
 
 @functools.cache
+def files_of_part(marks: str, part: str) -> frozenset[Path]:
+    """The files of a part, such as ``1/2``, of which marks can select tests. Each part gets long and short ones."""
+    wanted = Expression.compile(marks)
+    files = [path for path in TESTS.rglob("test_*.py") if may_be_selected(path, wanted)]
+    files.sort(key=lambda path: (-path.stat().st_size, path))
+    number, count = (int(figure) for figure in part.split("/"))
+    return frozenset(files[number - 1 :: count])
+
+
 def may_be_selected(path: Path, wanted: Expression) -> bool:
     """Whether tests of a file can be wanted, whatever marks that it names they add to those of the file."""
     found = PYTESTMARK.search(path.read_text(encoding="utf-8"))

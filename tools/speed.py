@@ -3,26 +3,56 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import statistics
+import threading
 import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
-REFERENCE_S = 0.125
+REFERENCE_S = 0.0125
 """CPU time of :func:`work_s` on the machine that the limits were set on.
 
-Derived: a machine that takes 0.182 s needs 1.45 to 1.6 times the CPU time for the quick tests.
+Derived: a machine that takes 0.0182 s needs 1.45 to 1.6 times the CPU time for the quick tests.
 """
-ATTEMPTS = 3
+EVERY_S = 1.0
 
 
-def slowness() -> float:
-    """How many times longer than the reference this machine takes, at least 1: a fast one gets no tighter limits."""
-    return max(1.0, min(work_s() for _ in range(ATTEMPTS)) / REFERENCE_S)
+@dataclass
+class Slowness:
+    """How much slower than the reference the machine was while something ran."""
+
+    taken_s: list[float] = field(default_factory=list)
+
+    def factor(self) -> float:
+        """How many times longer the same work takes, at least 1: a fast machine gets no tighter limits."""
+        return max(1.0, statistics.median(self.taken_s) / REFERENCE_S)
 
 
-def work_s(rounds: int = 10) -> float:
-    """The CPU time (s) of compiling a long module of the standard library so often."""
+@contextlib.contextmanager
+def slowness_meanwhile(every_s: float = EVERY_S) -> Iterator[Slowness]:
+    """Measure while the block runs, because what others do on the machine changes from one minute to the next."""
+    slowness, ended = Slowness(), threading.Event()
+
+    def measure() -> None:
+        while True:
+            slowness.taken_s.append(work_s())
+            if ended.wait(every_s):
+                return
+
+    thread = threading.Thread(target=measure, daemon=True)
+    thread.start()
+    try:
+        yield slowness
+    finally:
+        ended.set()
+        thread.join()
+
+
+def work_s() -> float:
+    """The CPU time (s) that this thread takes to compile a long module of the standard library."""
     source = Path(argparse.__file__).read_text(encoding="utf-8")
-    began_s = time.process_time()
-    for _ in range(rounds):
-        compile(source, "argparse.py", "exec")
-    return time.process_time() - began_s
+    began_s = time.thread_time()
+    compile(source, "argparse.py", "exec")
+    return time.thread_time() - began_s

@@ -55,6 +55,8 @@ LONG_FILE_S = 10.0
 NO_BYTECODE = "PYTHONDONTWRITEBYTECODE"
 SHARED_FOLDER = "TESTS_SHARE_IN"
 """The variable that names the folder in which all tiers share what takes long to make, see ``tests/sharing.py``."""
+NO_TESTS = 5
+"""The exit code of pytest if it found no tests."""
 NO_ENGINE = "unix:///nonexistent/docker.sock"
 DATABASE_PACKAGE = "mariadb-server-core"
 
@@ -71,6 +73,8 @@ class Outcome:
     note: str = ""
     seconds: float = 0.0
     cpu_s: float = 0.0
+    slowness: float = 1.0
+    """How many times longer than the reference the machine took for the same work meanwhile."""
     passed: int = 0
     failed: int = 0
     skipped: list[str] = field(default_factory=list)
@@ -82,16 +86,19 @@ class Outcome:
 class Tier:
     """One tier: what must be there first, the commands, or the pytest marks that select its tests.
 
-    ``limit_s`` is the time it may take if each of its workers has a core. It fails if it uses more CPU time than that,
-    and warns if it only takes longer. Tests of a tier without ``engine`` see no Docker engine,
-    so that they behave the same on every machine. Tiers that follow each other in the list and name the same ``group``
-    run together. Tiers that take very long run if they are named (``asked_only``).
+    Each of the ``workers`` takes the next file when it is free. ``parts`` are for short tests: each process imports
+    only the files that it runs. ``limit_s`` is the time that the tier may take if each process has a core.
+    It fails if it uses more CPU time than that, and warns if it only takes longer.
+    Tests of a tier without ``engine`` see no Docker engine, so that they behave the same on every machine.
+    Tiers that follow each other in the list and name the same ``group`` run together.
+    Tiers that take very long run if they are named (``asked_only``).
     """
 
     name: str
     commands: tuple[tuple[str, ...], ...] = ()
     marks: str = ""
-    workers: int = 0
+    workers: int = 1
+    parts: int = 1
     limit_s: float | None = None
     engine: bool = False
     prepare: Callable[[], str] = lambda: ""
@@ -140,8 +147,8 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         ),
         Tier("imports", ((str(BIN / "lint-imports"),),), group="static"),
         Tier("docs", (with_site,), group="static"),
-        Tier("unit", marks=f"not quick and {PLAIN}", workers=2, limit_s=UNIT_LIMIT_S),
-        Tier("quick", marks=f"quick and {PLAIN}", workers=2, limit_s=QUICK_LIMIT_S),
+        Tier("unit", marks=f"not quick and {PLAIN}", parts=2, limit_s=UNIT_LIMIT_S),
+        Tier("quick", marks=f"quick and {PLAIN}", parts=2, limit_s=QUICK_LIMIT_S),
         Tier(
             "integration",
             marks="integration and not docker and not mysql and not cluster and not browser",
@@ -202,7 +209,7 @@ def run_together(tiers: Sequence[Tier]) -> dict[str, Outcome]:
             output.seek(0)
             with printing:
                 print(f"\n--- {tier.name} ".ljust(100, "-"))
-                print(output.read().decode(errors="replace"), flush=True)
+                _write(output.read(), None)
         return outcome
 
     with ThreadPoolExecutor(max(1, len(tiers))) as pool:
@@ -212,8 +219,10 @@ def run_together(tiers: Sequence[Tier]) -> dict[str, Outcome]:
 def run_timed(tier: Tier, output: IO[bytes] | None = None) -> Outcome:
     """Run a tier for which everything is there; what it prints goes to ``output``, by default to the terminal."""
     started = time.monotonic()
-    outcome = run_pytest(tier, output) if tier.marks else run_commands(tier, output)
+    with speed.slowness_meanwhile() as slowness:
+        outcome = run_pytest(tier, output) if tier.marks else run_commands(tier, output)
     outcome.seconds = time.monotonic() - started
+    outcome.slowness = slowness.factor()
     return outcome
 
 
@@ -235,12 +244,11 @@ def check_time(tier: Tier, outcome: Outcome, limit_s: float) -> None:
 
     A slow machine gets as much more time as it needs for work of which the reference is known.
     """
-    cpu_limit_s = limit_s * max(1, tier.workers)
+    cpu_limit_s = limit_s * tier.workers * tier.parts
     if outcome.cpu_s > cpu_limit_s:
-        slowness = speed.slowness()
-        if outcome.cpu_s > cpu_limit_s * slowness:
+        if outcome.cpu_s > cpu_limit_s * outcome.slowness:
             outcome.state = "failed"
-        there = f", times {slowness:.2f} on this slow machine" if slowness > 1 else ""
+        there = f", times {outcome.slowness:.2f} on this slow machine" if outcome.slowness > 1 else ""
         outcome.note = f"used {outcome.cpu_s:.1f} s of CPU time; must stay under {cpu_limit_s:g} s{there}"
     elif outcome.seconds > limit_s:
         outcome.note = f"WARNING: took longer than {limit_s:g} s with {outcome.cpu_s:.1f} s of CPU time"
@@ -259,11 +267,23 @@ def run_commands(tier: Tier, output: IO[bytes] | None) -> Outcome:
 
 
 def run_pytest(tier: Tier, output: IO[bytes] | None) -> Outcome:
-    """Run the tests that carry the marks of a tier and read pytest's own report."""
+    """Run the tests that carry the marks of a tier, all parts at once. The first prints as it goes."""
+    with contextlib.ExitStack() as stack:
+        later = [stack.enter_context(tempfile.TemporaryFile()) for _ in range(tier.parts - 1)]
+        with ThreadPoolExecutor(tier.parts) as pool:
+            outcomes = list(pool.map(run_part, itertools.repeat(tier), range(1, tier.parts + 1), [output, *later]))
+        for printed in later:
+            printed.seek(0)
+            _write(printed.read(), output)
+    return together(outcomes)
+
+
+def run_part(tier: Tier, part: int, output: IO[bytes] | None) -> Outcome:
+    """Run one part of a tier and read pytest's own report."""
     with tempfile.TemporaryDirectory() as folder:
         report_path = Path(folder) / "report.xml"
         command = [sys.executable, "-m", "pytest", "-q", "--durations=8", "-m", tier.marks]
-        command.append(f"--junitxml={report_path}")
+        command += [f"--junitxml={report_path}", f"--part={part}/{tier.parts}"]
         if tier.workers > 1 and (os.cpu_count() or 1) > 1:
             command += ["-n", str(tier.workers), "--dist", "loadfile", "--no-loadscope-reorder"]
         environment = os.environ if tier.engine else {**os.environ, "DOCKER_HOST": NO_ENGINE}
@@ -272,8 +292,22 @@ def run_pytest(tier: Tier, output: IO[bytes] | None) -> Outcome:
         outcome.cpu_s = cpu_s
     if code != 0:
         outcome.state = "failed"
-        outcome.note = "no test carries its marks" if code == 5 else f"pytest ended with {code}, see above"
+        outcome.note = "no test carries its marks" if code == NO_TESTS else f"pytest ended with {code}, see above"
     return outcome
+
+
+def together(parts: Sequence[Outcome]) -> Outcome:
+    """The outcome of a tier that ran in parts."""
+    whole = Outcome()
+    for part in parts:
+        if part.state != "passed":
+            whole.state, whole.note = part.state, part.note
+        whole.cpu_s += part.cpu_s
+        whole.passed += part.passed
+        whole.failed += part.failed
+        whole.skipped += part.skipped
+        whole.file_s |= part.file_s
+    return whole
 
 
 def read_report(path: Path) -> Outcome:
@@ -372,7 +406,8 @@ def report(outcomes: dict[str, Outcome], seconds: float, *, strict: bool) -> int
         counts = f"{outcome.passed} passed" if outcome.passed or outcome.skipped or outcome.failed else ""
         counts += f", {outcome.failed} failed" if outcome.failed else ""
         counts += f", {len(outcome.skipped)} skipped" if outcome.skipped else ""
-        print(f"{name:<12} {outcome.state:<8} {outcome.seconds:7.1f} s   {counts:<28} {outcome.note}".rstrip())
+        times = f"{outcome.seconds:7.1f} s {outcome.cpu_s:7.1f} s of CPU"
+        print(f"{name:<12} {outcome.state:<8} {times}   {counts:<28} {outcome.note}".rstrip())
         for reason in sorted(set(outcome.skipped)):
             print(f"{'':<12} skipped {outcome.skipped.count(reason)}: {reason}")
         longest = sorted(outcome.file_s.items(), key=lambda entry: -entry[1])[:LONGEST_FILES]
@@ -382,6 +417,13 @@ def report(outcomes: dict[str, Outcome], seconds: float, *, strict: bool) -> int
         print("CI=true: what did not run counts as failed")
     _last_line(outcomes, bad, seconds)
     return 1 if bad else 0
+
+
+def _write(printed: bytes, output: IO[bytes] | None) -> None:
+    if output is None:
+        print(printed.decode(errors="replace"), flush=True)
+    else:
+        output.write(printed)
 
 
 def _last_line(outcomes: dict[str, Outcome], bad: int, seconds: float) -> None:

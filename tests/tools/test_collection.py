@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from _pytest.mark.expression import Expression
 
-from tests.conftest import LATEST, LONGEST, TESTS, may_be_selected
+from tests.conftest import LATEST, LONGEST, TESTS, files_of_part, may_be_selected
 
 
 @pytest.mark.parametrize(
@@ -26,3 +26,10 @@ def test_files_are_read_for_the_marks_that_their_tests_may_have(file: str, marks
 
 def test_files_that_begin_first_exist() -> None:
     assert [name for name in (*LONGEST, *LATEST) if not (TESTS / name).is_file()] == []
+
+
+def test_each_file_is_in_one_part() -> None:
+    parts = [files_of_part("quick", f"{number}/3") for number in (1, 2, 3)]
+    assert frozenset().union(*parts) == files_of_part("quick", "1/1")
+    assert sum(map(len, parts)) == len(files_of_part("quick", "1/1"))
+    assert min(map(len, parts)) > 0

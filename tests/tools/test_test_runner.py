@@ -1,10 +1,11 @@
-"""``tools/test.py``: what counts as a pass, and how what was left out is told."""
+"""``tools/test.py``: what counts as a pass, and how it reports what was left out."""
 
 from __future__ import annotations
 
 import importlib.util
 import itertools
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -85,16 +86,44 @@ def test_ci_allows_only_absent_recordings_and_sources_to_be_skipped(runner, reas
 def test_a_busy_or_slow_machine_fails_no_tier_but_slow_tests_do(
     runner, monkeypatch, seconds, cpu_s, slowness, state, note
 ):
-    monkeypatch.setattr(runner.speed, "slowness", lambda: slowness)
-    monkeypatch.setattr(runner, "run_timed", lambda tier: runner.Outcome(passed=1, seconds=seconds, cpu_s=cpu_s))
-    outcome = runner.run_group([runner.Tier("unit", marks="x", workers=2, limit_s=10.0)])["unit"]
+    ended = runner.Outcome(passed=1, seconds=seconds, cpu_s=cpu_s, slowness=slowness)
+    monkeypatch.setattr(runner, "run_timed", lambda tier: ended)
+    outcome = runner.run_group([runner.Tier("unit", marks="x", parts=2, limit_s=10.0)])["unit"]
     assert (outcome.state, outcome.note) == (state, note)
 
 
-@pytest.mark.parametrize(("work_s", "slowness"), [(0.5, 1.0), (1.0, 1.0), (1.7, 1.7)])
-def test_a_fast_machine_gets_no_tighter_limits(runner, monkeypatch, work_s, slowness):
-    monkeypatch.setattr(runner.speed, "work_s", lambda: work_s * runner.speed.REFERENCE_S)
-    assert runner.speed.slowness() == pytest.approx(slowness)
+@pytest.mark.parametrize(("work", "slowness"), [(0.5, 1.0), (1.0, 1.0), (1.7, 1.7)])
+def test_a_fast_machine_gets_no_tighter_limits(runner, monkeypatch, work, slowness):
+    monkeypatch.setattr(runner.speed, "work_s", lambda: work * runner.speed.REFERENCE_S)
+    assert runner.run_timed(runner.Tier("none", ())).slowness == pytest.approx(slowness)
+
+
+def test_slowness_is_measured_while_a_tier_runs(runner, monkeypatch):
+    reference_s: float = runner.speed.REFERENCE_S
+    works = [2.0, 3.0, 1.0]
+    seen = threading.Event()
+
+    def work_s() -> float:
+        if works:
+            return works.pop() * reference_s
+        seen.set()
+        return 2.0 * reference_s
+
+    monkeypatch.setattr(runner.speed, "work_s", work_s)
+    with runner.speed.slowness_meanwhile(every_s=0.0) as slowness:
+        assert seen.wait(10.0)
+    assert slowness.factor() == pytest.approx(2.0)
+
+
+def test_a_tier_in_parts_has_one_outcome(runner, monkeypatch):
+    parts = {
+        1: runner.Outcome(passed=2, cpu_s=1.0, file_s={"a": 1.0}),
+        2: runner.Outcome("failed", "pytest ended with 1, see above", passed=1, failed=1, cpu_s=2.0, file_s={"b": 2.0}),
+    }
+    monkeypatch.setattr(runner, "run_part", lambda tier, part, output: parts[part])
+    whole = runner.run_pytest(runner.Tier("unit", marks="x", parts=2), None)
+    assert (whole.state, whole.note, whole.passed, whole.failed) == ("failed", parts[2].note, 3, 1)
+    assert (whole.cpu_s, whole.file_s) == (3.0, {"a": 1.0, "b": 2.0})
 
 
 def test_compiled_modules_are_kept(runner, monkeypatch):

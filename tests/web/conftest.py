@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.sharing import made_once
 from tests.web import web_world as world
 from tests.web.browser_world import CHROMIUM, OPTIONS
 from tests.web.web_world import Web, make_web
@@ -28,9 +29,9 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def compiled() -> Path:
     """Where the applications of all tests find the templates that one of them has compiled."""
-    return tmp_path_factory.mktemp("templates")
+    return made_once("templates", Path.mkdir)
 
 
 @pytest.fixture(scope="session")

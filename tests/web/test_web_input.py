@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
+from flask.testing import FlaskClient
 
 from slamhive.settings import Mode
 from slamhive.web.app import create_app
@@ -103,34 +104,41 @@ def test_forms_that_are_beyond_the_bounds(shown: Web, path: str, fields: dict[st
 
 @pytest.mark.parametrize("header", ["Origin", "Referer"])
 @pytest.mark.parametrize("address", ["http://[::1", "//[", "http://[x]/", "["])
-def test_an_origin_that_is_no_address_is_refused(web: Web, header: str, address: str):
-    for path in (f"/runs/{web.runs['queued']}/cancel", "/api/v1/runs"):
-        answer = web.client.post(
+def test_an_origin_that_is_no_address_is_refused(shown: Web, header: str, address: str):
+    for path in (f"/runs/{shown.runs['queued']}/cancel", "/api/v1/runs"):
+        answer = shown.client.post(
             path,
-            data={"csrf_token": web.token},
+            data={"csrf_token": shown.token},
             headers={header: address, API_HEADER: "1"},
             base_url="https://localhost",
         )
         assert answer.status_code == 403
-    assert web.client.get("/", headers={header: address}).status_code == 200
+    assert shown.client.get("/", headers={header: address}).status_code == 200
 
 
 @pytest.mark.parametrize("address", ["http://[::1", "["])
-def test_a_server_that_only_shows_refuses_it_too(web: Web, tmp_path: Path, compiled: Path, address: str):
+def test_a_server_that_only_shows_refuses_it_too(shown: Web, tmp_path: Path, compiled: Path, address: str):
     viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
-    answer = viewing.client.post("/analyses", data={"csrf_token": web.token}, headers={"Origin": address})
+    answer = viewing.client.post("/analyses", data={"csrf_token": shown.token}, headers={"Origin": address})
     assert answer.status_code == 403
     viewing.hive.close()
 
 
+@pytest.fixture(scope="module", params=["127.0.0.1", "0.0.0.0"])
+def bound(shown: Web, request: pytest.FixtureRequest) -> tuple[str, FlaskClient]:
+    """The address on which a server listens, and a client of it."""
+    app = create_app(shown.hive, host=request.param)
+    app.jinja_env.bytecode_cache = shown.app.jinja_env.bytecode_cache
+    return request.param, app.test_client()
+
+
 @pytest.mark.parametrize("host", ["[::1", "localhost:99999999", "[", "a@b:c", "%00", "é"])
-def test_a_host_that_is_none_is_refused_on_every_address(shown: Web, host: str):
-    for bound_to in ("127.0.0.1", "0.0.0.0"):
-        client = create_app(shown.hive, host=bound_to).test_client()
-        for accept in ("text/html", "application/json"):
-            answer = client.get("/", headers={"Host": host, "Accept": accept})
-            assert answer.status_code in ({400} if bound_to == "127.0.0.1" else {200, 400})
-            assert answer.text.strip()
+def test_a_host_that_is_none_is_refused_on_every_address(bound: tuple[str, FlaskClient], host: str):
+    bound_to, client = bound
+    for accept in ("text/html", "application/json"):
+        answer = client.get("/", headers={"Host": host, "Accept": accept})
+        assert answer.status_code in ({400} if bound_to == "127.0.0.1" else {200, 400})
+        assert answer.text.strip()
 
 
 @pytest.mark.parametrize(

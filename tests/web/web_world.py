@@ -261,6 +261,14 @@ class Web:
         return page.partition('name="csrf_token" value="')[2].partition('"')[0]
 
 
+class TemplatesCompiledOnce(FileSystemBytecodeCache):
+    """Finds a template by its name, wherever the installation lies; the checksum of its source must still agree."""
+
+    def get_cache_key(self, name: str, filename: str | None = None) -> str:
+        """The key of a template."""
+        return super().get_cache_key(name)
+
+
 @contextmanager
 def urls_compiled_once() -> Iterator[None]:
     """Meanwhile, the code that builds the address of a rule is compiled for one application and used by all.
@@ -287,6 +295,6 @@ def make_web(hive: Hive, compiled: Path) -> Web:
     """The application on ``hive``, which :func:`fill` may have filled; templates are compiled into a folder once."""
     with urls_compiled_once():
         app = create_app(hive)
-    app.jinja_env.bytecode_cache = FileSystemBytecodeCache(str(compiled))
+    app.jinja_env.bytecode_cache = TemplatesCompiledOnce(str(compiled))
     runs = RUNS if sum(hive.runs.counts().values()) else {}
     return Web(hive, app, app.test_client(), runs)

@@ -182,9 +182,13 @@ class Bench:
             assert "<img src=x" not in text
 
     def evaluation(self, run_id: int) -> EvaluationRecord:
-        """The evaluation of a run, once it has ended."""
-        eventually(lambda: all(e.state in ENDED for e in self.hive.evaluations.of_run(run_id)), "the evaluation")
-        (found,) = self.hive.evaluations.of_run(run_id)
+        """The evaluation of a run, once it has ended. It is requested a moment after the run has ended."""
+
+        def ended() -> list[EvaluationRecord]:
+            return [e for e in self.hive.evaluations.of_run(run_id) if e.state in ENDED]
+
+        eventually(lambda: bool(ended()), "the evaluation")
+        (found,) = ended()
         return found
 
     def dataset(self) -> dict[str, bytes]:
