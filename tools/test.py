@@ -141,7 +141,6 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
 
     with_site = (str(BIN / "mkdocs"), "build", "--strict", "--quiet", "--site-dir", str(ROOT / "site"))
     return [
-        Tier("types", ((str(BIN / "mypy"),),), group="static"),
         Tier(
             "lint", (*((str(BIN / "ruff"), *rest) for rest in RUFF), (sys.executable, "tools/prose.py")), group="static"
         ),
@@ -156,6 +155,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
             prepare=prepare_libraries,
             group="processes",
         ),
+        Tier("types", ((str(BIN / "mypy"),),), group="processes"),  # a minute on one core, so something runs beside
         Tier("mysql", marks="mysql and not docker", prepare=prepare_database, group="processes"),
         Tier("docker", marks=f"docker and not alone and {CHEAP}", engine=True, prepare=with_engine, group="processes"),
         # Takes some 300 s of CPU time where nothing has been compiled before. Its runs are played slowly.
