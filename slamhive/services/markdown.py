@@ -7,18 +7,21 @@ from collections.abc import Callable
 
 from markdown_it import MarkdownIt
 
+_WITH_IMAGES = MarkdownIt("commonmark", {"html": False, "linkify": False}).enable("table")
 _MARKDOWN = MarkdownIt("commonmark", {"html": False, "linkify": False}).enable("table").disable("image")
 _NO_SLUG = re.compile(r"[^\w\- ]")
 
 
 def markdown_html(text: str, link: Callable[[str], str] | None = None) -> str:
-    """Convert Markdown to HTML: tags are shown as text, script links are refused, images are left out.
+    """Convert Markdown to HTML: tags are shown as text, and script links are refused.
 
     Args:
         text: The Markdown.
-        link: Maps each link target to the one in the page; headings then get an ``id``.
+        link: Maps the target of each link and image to the one in the page; headings then get an ``id``.
+            Without it, images are left out.
     """
-    tokens = _MARKDOWN.parse(text)
+    markdown = _MARKDOWN if link is None else _WITH_IMAGES
+    tokens = markdown.parse(text)
     if link is not None:
         for token, inside in zip(tokens, [*tokens[1:], None], strict=True):
             if token.type == "heading_open" and inside is not None:
@@ -26,7 +29,10 @@ def markdown_html(text: str, link: Callable[[str], str] | None = None) -> str:
             for child in token.children or ():
                 if child.type == "link_open":
                     child.attrSet("href", link(str(child.attrGet("href") or "")))
-    return str(_MARKDOWN.renderer.render(tokens, _MARKDOWN.options, {}))
+                elif child.type == "image":
+                    child.attrSet("src", link(str(child.attrGet("src") or "")))
+                    child.attrSet("loading", "lazy")
+    return str(markdown.renderer.render(tokens, markdown.options, {}))
 
 
 def slug(heading: str) -> str:

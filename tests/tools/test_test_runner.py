@@ -204,4 +204,4 @@ def test_what_takes_longest_runs_only_if_it_is_named(runner, monkeypatch):
 
 def test_unknown_tier_lists_the_known_ones(runner, capsys):
     assert runner.main(["units"]) == 2
-    assert "known: types, lint" in capsys.readouterr().err
+    assert "known: lint, imports" in capsys.readouterr().err

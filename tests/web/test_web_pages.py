@@ -278,3 +278,13 @@ def test_the_page_of_an_algorithm_lists_the_versions_of_its_package(web: Web):
     page = web.client.get("/algorithms/eye-slam-mono").text
     number = web.hive.versions.of(package)[-1].number
     assert f"<code>{package}@{number}</code>: 7.5, since 2026-05-04, 0 runs" in page
+
+
+def test_help_shows_its_pictures(shown: Web):
+    docs = shown.hive.catalogue.project_root / "docs"
+    picture = re.search(r'<img src="(/help/images/runs\.png)" alt="[^"]+"', shown.client.get("/help/web").text)
+    assert picture is not None
+    with shown.client.get(picture[1]) as answer:
+        assert answer.data == (docs / "images" / "runs.png").read_bytes()
+    for name in ("pages.json", "..%2Fweb.md", "none.png"):
+        assert shown.client.get(f"/help/images/{name}").status_code == 404

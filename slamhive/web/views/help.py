@@ -8,7 +8,7 @@ from functools import lru_cache
 from html import unescape
 from pathlib import Path
 
-from flask import Blueprint, Response, render_template
+from flask import Blueprint, Response, render_template, send_file
 from flask import url_for as address
 from markupsafe import Markup
 
@@ -46,6 +46,7 @@ _ADDRESS = re.compile(r"(?:\.\./|extend/)?(?P<name>[\w-]+)\.md(?P<part>#.*)?")
 _HEADING = re.compile(r"<h[23][^>]*>(.*?)</h[23]>", re.DOTALL)
 _TAG = re.compile(r"<[^>]*>|`|\s*\{#[\w-]+\}")
 """What is no text: tags, and Markdown in titles and headings."""
+_IMAGE = re.compile(r"images/(?P<name>[\w-]+\.png)")
 _EXAMPLE = re.compile(r"[\w-]+\.py|algorithm/algorithm\.yaml")
 
 
@@ -70,6 +71,16 @@ def example(name: str) -> Response:
     if name not in known:
         raise unknown("example", name[:100], list(known))
     return Response(known[name].read_text(encoding="utf-8"), mimetype="text/plain")
+
+
+@blueprint.get("/images/<name>")
+def image(name: str) -> Response:
+    """One picture of the documentation."""
+    folder = hive().catalogue.project_root / "docs" / "images"
+    known = {path.name: path for path in folder.glob("*.png")}
+    if name not in known:
+        raise unknown("picture", name[:100], list(known))
+    return send_file(known[name], mimetype="image/png", conditional=True)
 
 
 def entries() -> Iterator[Found]:
@@ -109,9 +120,12 @@ def _rendered(path: Path, _modified_ns: int) -> tuple[str, str]:
 
 
 def _link(target: str) -> str:
-    """Turn links between documentation files into links between help pages, and those to examples into addresses."""
+    """Turn links between documentation files into links between help pages; pictures and examples get addresses."""
     found = _ADDRESS.fullmatch(target)
     if found:
         name = EXTEND if target.startswith(f"{EXTEND}/index") else found["name"]
         return address("help.page", name=name) + (found["part"] or "")
+    picture = _IMAGE.fullmatch(target)
+    if picture:
+        return address("help.image", name=picture["name"])
     return address("help.example", name=target) if _EXAMPLE.fullmatch(target) else target
