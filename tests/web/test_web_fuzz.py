@@ -136,10 +136,10 @@ def hammer(target: Target, seed: int, caplog: pytest.LogCaptureFixture, *, alone
     failures = []
     with closing(sqlite3.connect(target.web.hive.settings.data / "slamhive.db")) as watch:
         version = watch.execute("PRAGMA data_version").fetchone()
+        caplog.set_level(logging.WARNING)
         for _ in range(REQUESTS_PER_SEED):
             request, refused = requests.next(), statuses[4]
-            with caplog.at_level(logging.WARNING):
-                problem = problem_of(target, request, statuses)
+            problem = problem_of(target, request, statuses)
             before, version = version, watch.execute("PRAGMA data_version").fetchone()
             errors = [entry.getMessage() for entry in caplog.records if entry.levelno >= logging.ERROR]
             if problem is None and errors:

@@ -102,7 +102,7 @@ def _plain(html: str) -> str:
 
 def _pages(root: Path) -> dict[str, Path]:
     """Path of every page by name. A name from an address is looked up here, never joined to a path."""
-    docs = root / "docs"
+    docs = (root / "docs").resolve()  # what is rendered is kept for one path
     pages = {path.stem: path for path in docs.glob("*.md") if path.is_file()}
     extending = {EXTEND if path.stem == "index" else path.stem: path for path in docs.glob(f"{EXTEND}/*.md")}
     return pages | extending
