@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
@@ -120,7 +121,7 @@ def content_of(path: Path) -> dict[str, list[tuple[int, str]]]:
 
 def _text(value: Any) -> str:
     if isinstance(value, np.ndarray):
-        return str(value.tobytes())
+        return blake2b(value.tobytes()).hexdigest()
     if isinstance(value, list):
         return str([_text(entry) for entry in value])
     if hasattr(value, "__dataclass_fields__"):

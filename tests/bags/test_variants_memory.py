@@ -22,6 +22,8 @@ pytestmark = pytest.mark.integration
 
 ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 BOUND_BYTES = 300_000_000
+RECORDED_BYTES = 400_000_000
+"""At least so much is recorded: held in memory as a whole it breaks the bound."""
 ROOM_BYTES = 6_000_000_000
 SCRIPT = """
 import sys
@@ -60,7 +62,7 @@ def test_memory_stays_below_its_bound(folder: Path, compression: str | None, chu
         connection = writer.add_connection("/cam0/image_raw", IMAGE, typestore=STORE)
         for stamp_ns, content in images():
             writer.write(connection, stamp_ns, STORE.serialize_ros1(content, IMAGE))
-    assert (folder / "d.bag").stat().st_size > 500_000_000
+    assert (folder / "d.bag").stat().st_size > RECORDED_BYTES > BOUND_BYTES
     for steps in (1, 2):
         assert peak_bytes(folder, "d.bag", steps) < BOUND_BYTES
 
@@ -75,9 +77,9 @@ def test_memory_stays_below_its_bound_for_ros2(folder: Path, plugin: StoragePlug
 
 
 def images() -> Iterator[tuple[int, Any]]:
-    """Half a gigabyte."""
+    """A little more than ``RECORDED_BYTES``."""
     pixels = np.random.default_rng(0).integers(0, 255, (960, 1504), dtype=np.uint8)
-    for frame in range(350):
+    for frame in range(280):
         stamp_ns = START_NS + frame * 50_000_000
         yield stamp_ns, image(pixels, stamp_ns)
 
