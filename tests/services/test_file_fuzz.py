@@ -43,6 +43,7 @@ from slamhive.services.imports.request import ImportRequest
 from slamhive.services.reindex import reindex, run_folders
 from slamhive.services.runs.series import run_series
 from slamhive.settings_sources import describe, load_settings
+from slamhive.store import RunRecord
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.pose_file import TrajectoryFormat
 from slamhive.trajectory.tum import read_tum
@@ -218,7 +219,13 @@ def read_run_folder(hive: Hive, folder: Path, data: bytes) -> object:
     read_untrusted_json(run.about, 64_000)
     inspect_trajectory(run.trajectory)
     read_profile(run.profiling)
-    return run_series(hive.runs.get(1), run)
+    return run_series(first_run(hive), run)
+
+
+@functools.cache
+def first_run(hive: Hive) -> RunRecord:
+    """What the database says of a run does not depend on its files."""
+    return hive.runs.get(1)
 
 
 def zip_of(hive: Hive) -> bytes:
@@ -392,8 +399,9 @@ def reindexed(hive: Hive, folders: list[RunFolder], spoiled: dict[Path, bytes], 
         path.write_bytes(data)
     try:
         report = reindex(hive, ignore)
+        records = {run.id: run for run in hive.runs.page(limit=1000).records}
         for folder in folders:
-            run_series(hive.runs.get(int(folder.root.name)), folder)
+            run_series(records[int(folder.root.name)], folder)
     except Exception as error:
         error.add_note(f"one of these: {[data[:2000] for data in spoiled.values()]!r}")
         raise
