@@ -66,29 +66,26 @@ def summarise(values: Numbers, seed: int = 0) -> Summary | None:
 def bootstrap_mean(values: Numbers, seed: int = 0, weights: Numbers | None = None) -> Interval:
     """Percentile bootstrap interval of the mean (B. Efron, Annals of Statistics 7, 1979).
 
-    Equal values and an equal ``seed`` give an equal interval.
+    Equal values and an equal ``seed`` give an equal interval: that of ``scipy.stats.bootstrap``, which takes a second
+    to load.
 
     Args:
         values: (n,) finite, n >= 2.
         seed: Seed of the resampling.
         weights: (n,) positive, drawn together with their values; None for a plain mean.
     """
-    low, high = scipy.stats.bootstrap(
-        (values,) if weights is None else (values, weights),
-        np.mean if weights is None else _weighted_mean,
-        paired=weights is not None,
-        n_resamples=RESAMPLES,
-        batch=max(1, _NUMBERS_AT_ONCE // len(values)),
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
+    rng = np.random.default_rng(seed)
+    at_once = max(1, _NUMBERS_AT_ONCE // len(values))
+    means = []
+    for start in range(0, RESAMPLES, at_once):
+        drawn = rng.integers(0, len(values), (min(at_once, RESAMPLES - start), len(values)))
+        if weights is None:
+            means.append(values[drawn].mean(axis=-1))
+        else:
+            means.append((values[drawn] * weights[drawn]).sum(axis=-1) / weights[drawn].sum(axis=-1))
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.percentile(np.concatenate(means), (100 * tail, 100 * (1 - tail)))
     return Interval(float(low), float(high))
-
-
-def _weighted_mean(values: Numbers, weights: Numbers, axis: int = -1) -> Numbers:
-    mean: Numbers = (values * weights).sum(axis=axis) / weights.sum(axis=axis)
-    return mean
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,6 +86,23 @@ def test_bootstrap_resamples_as_it_always_did():
     assert (interval.low, interval.high) == pytest.approx(tuple(np.quantile(means, [0.025, 0.975])), rel=1e-12)
 
 
+@pytest.mark.parametrize("count", [2, 7, 1500])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_bootstrap_agrees_with_scipy(count, weighted):
+    values, weights = np.random.default_rng(count).random((2, count))
+    interval = bootstrap_mean(values, 3, weights if weighted else None)
+    expected = stats.bootstrap(
+        (values, weights) if weighted else (values,),
+        (lambda v, w, axis: (v * w).sum(axis) / w.sum(axis)) if weighted else np.mean,
+        paired=weighted,
+        n_resamples=2_000,
+        batch=1_000_000 // count,
+        method="percentile",
+        rng=np.random.default_rng(3),
+    ).confidence_interval
+    assert (interval.low, interval.high) == pytest.approx(tuple(expected), rel=1e-12)
+
+
 def test_bootstrap_is_repeatable_and_covers():
     values = np.random.default_rng(0).normal(10, 2, 50)
     interval = bootstrap_mean(values)
