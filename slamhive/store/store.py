@@ -102,7 +102,7 @@ class Store:
         self._tell(attempts)
         self._written += 1
         if self._written % WRITES_BETWEEN_LOOKS == 0:
-            self._refresh_if_grown()
+            self.refresh_if_grown()
         return result
 
     @contextmanager
@@ -160,12 +160,12 @@ class Store:
     def close(self) -> None:
         """Close all connections. The store opens new ones if it is used again; a child process begins with this."""
         if self._written:
-            self._refresh_if_grown()
+            self.refresh_if_grown()
             self._written = 0
         self.engine.dispose()
 
-    def _refresh_if_grown(self) -> None:
-        """A failure here is no failure of what was written, which is on disk."""
+    def refresh_if_grown(self) -> None:
+        """Renew the statistics if the tables have grown much. A failure is none of what was written."""
         try:
             statistics.refresh_if_grown(self.engine)
         except DBAPIError as error:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import html
 import io
 import re
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -418,6 +420,9 @@ def test_what_does_not_exist_is_said_to_be_missing(trial: Web, path: str):
 def test_many_configurations_make_a_small_page(web: Web):
     text = TRIAL.replace("500 | 1000 | 1500", "1001:2000").replace("repeats: 2", "repeats: 1")
     web.hive.experiments.start(ExperimentSource(text))
+    with closing(sqlite3.connect(web.hive.settings.data / "slamhive.db")) as database:
+        known = database.execute("SELECT stat FROM sqlite_stat1 WHERE tbl = 'runs'").fetchall()
+    assert max(int(stat.split()[0]) for (stat,) in known) >= 2000, "pages would be planned for a small database"
     page = web.client.get("/experiments/trial").text
     assert len(page) < 150_000
     assert "Configurations 1 to 50 of 2,000" in words(page)

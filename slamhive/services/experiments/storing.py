@@ -84,6 +84,7 @@ def fill(
         runs += sum(map(len, chunk))
         progress(runs, expansion.size.runs)
     context.store.write(lambda t: t.experiments.change(record.id, cells=cells, runs=runs, complete=True))
+    context.store.refresh_if_grown()  # a database that plans for few runs reads them all for each configuration
     logger.info("experiment %s: %d cells, %d runs", record.name, cells, runs)
 
 
