@@ -14,9 +14,10 @@ from unittest import mock
 from rosbags.highlevel import anyreader
 from rosbags.serde import cdr, ros1
 from rosbags.serde.utils import compile_lines
+from rosbags.typesys import get_types_from_msg
 
 _compiled: dict[str, ModuleType] = {}
-_types_from_msg = cache(anyreader.get_types_from_msg)
+_types_from_msg = cache(get_types_from_msg)
 
 
 @contextmanager
