@@ -169,7 +169,9 @@ def systems(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
     """A data root for real systems in containers: making its datasets takes long, so all tests share it."""
     from slamhive.services.hive import open_hive  # noqa: PLC0415
     from tests.real_datasets import SHARED  # noqa: PLC0415
+    from tests.services.docker_base import project_base  # noqa: PLC0415
 
+    project_base()
     settings: dict[str, object] = {
         "data": tmp_path_factory.mktemp("systems"),
         "executor": "docker",

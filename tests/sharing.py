@@ -8,7 +8,8 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 SHARED_FOLDER = "TESTS_SHARE_IN"
@@ -31,10 +32,17 @@ def made_once(name: str, make: Callable[[Path], object]) -> Path:
     """
     folder = Path(os.environ[SHARED_FOLDER], name)
     aside = folder.with_name(f"{folder.name}.part")
-    with folder.with_name(f"{folder.name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with one_at_a_time(name):
         if not folder.exists():
             shutil.rmtree(aside, ignore_errors=True)
             make(aside)
             aside.rename(folder)
     return folder
+
+
+@contextmanager
+def one_at_a_time(name: str) -> Iterator[None]:
+    """Of all processes of a test run, only one is in a block of this name; others wait meanwhile."""
+    with Path(os.environ[SHARED_FOLDER], f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield

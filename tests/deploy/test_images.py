@@ -15,7 +15,7 @@ import docker
 import pytest
 import yaml
 
-from tests.deploy.base_image import base_image
+from tests.services.docker_base import project_base
 from tests.services.mariadb import DatabaseServer, reserve_port
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,7 +40,7 @@ def images(engine, tmp_path_factory) -> dict[str, str]:
     shutil.copytree(ROOT, context, ignore=shutil.ignore_patterns(".git", ".venv", "data", "site", "tests", ".*_cache"))
     for path in HOST_CERTIFICATES.glob("*.crt"):
         shutil.copy(path, context / "docker" / "ca-certificates")
-    base = base_image(engine)
+    base = project_base()
     tags = {}
     for name, service in yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"].items():
         if "build" in service:

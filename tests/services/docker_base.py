@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import docker
@@ -12,6 +13,7 @@ import pytest
 
 from slamhive.executors.docker.build import choose_base
 from slamhive.executors.docker.kept_images import KEPT
+from tests.sharing import one_at_a_time
 
 TEST_IMAGE = "slam-hive-test:base"
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
@@ -22,16 +24,25 @@ def run_docker(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(["docker", *arguments], capture_output=True, text=True, check=False)
 
 
-def make_base_image() -> str:
-    """The image's name; it is made from the project's base on first use. Skips the test where no engine answers."""
+def project_base() -> str:
+    """The name of the image that all others start from. Skips the test where no engine answers.
+
+    Making it takes half a minute. Tiers that need it at the same time wait for the first of them.
+    """
     if shutil.which("docker") is None or run_docker("version", "--format", "x").returncode != 0:
         pytest.skip("no Docker engine answers")
+    with one_at_a_time("docker-base"), closing(docker.from_env()) as engine:
+        return choose_base(engine, PROJECT_ROOT, lambda _line: None)
+
+
+def make_base_image() -> str:
+    """The image's name; it is made from the project's base on first use. Skips the test where no engine answers."""
+    base = project_base()
     if run_docker("image", "inspect", TEST_IMAGE).returncode != 0:
-        base = choose_base(docker.from_env(), PROJECT_ROOT, lambda _line: None)
-        steps = f"FROM {base}\nRUN apt-get update && apt-get install -y python3-minimal\n"
+        install = "apt-get update && apt-get install --no-install-recommends -y python3-minimal"
         built = subprocess.run(
             ["docker", "build", "--network", "host", "--tag", TEST_IMAGE, "-"],
-            input=steps,
+            input=f"FROM {base}\nRUN {install}\n",
             capture_output=True,
             text=True,
             check=False,
