@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import re
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -16,6 +18,7 @@ from slamhive.executors.docker.kept_images import KEPT
 from tests.sharing import one_at_a_time
 
 TEST_IMAGE = "slam-hive-test:base"
+FIRST_STEP = re.compile(r"^RUN (?:.*\\\n)*.*", re.MULTILINE)
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -36,18 +39,17 @@ def project_base() -> str:
 
 
 def make_base_image() -> str:
-    """The image's name; it is made from the project's base on first use. Skips the test where no engine answers."""
+    """The image's name; it is made from the project's base on first use. Skips the test where no engine answers.
+
+    It has the first layer of the images of the deployment.
+    """
     base = project_base()
     if run_docker("image", "inspect", TEST_IMAGE).returncode != 0:
-        install = "apt-get update && apt-get install --no-install-recommends -y python3-minimal"
-        built = subprocess.run(
-            ["docker", "build", "--network", "host", "--tag", TEST_IMAGE, "-"],
-            input=f"FROM {base}\nRUN {install}\n",
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert built.returncode == 0, built.stdout + built.stderr
+        step = FIRST_STEP.search((PROJECT_ROOT / "docker" / "web" / "Dockerfile").read_text())
+        assert step is not None
+        with closing(docker.from_env()) as engine:
+            steps = io.BytesIO(f"FROM {base}\n{step[0]}\n".encode())
+            engine.images.build(fileobj=steps, network_mode="host", tag=TEST_IMAGE, rm=True)
     return TEST_IMAGE
 
 
