@@ -158,7 +158,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("types", ((str(BIN / "mypy"),),), group="processes"),  # a minute on one core, so something runs beside
         Tier("mysql", marks="mysql and not docker", prepare=prepare_database, group="processes"),
         Tier("docker", marks=f"docker and not alone and {CHEAP}", engine=True, prepare=with_engine, group="processes"),
-        # Takes some 300 s of CPU time where nothing has been compiled before. Its runs are played slowly.
+        # Builds images: some 400 s of CPU time where none has been built before. Its runs are played slowly.
         Tier("images", marks="images", engine=True, prepare=with_engine, group="processes"),
         Tier("systems", marks=f"docker and alone and {CHEAP}", engine=True, prepare=with_engine),
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),

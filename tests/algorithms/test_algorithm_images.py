@@ -10,7 +10,7 @@ import pytest
 from slamhive.services.hive import Hive
 from tests.algorithms.from_sources import FROM_SOURCES
 
-pytestmark = [pytest.mark.integration, pytest.mark.docker]
+pytestmark = [pytest.mark.integration, pytest.mark.docker, pytest.mark.images]
 
 PACKAGES = [
     *("kiss-icp", "rko-lio", "orb-slam3"),

@@ -23,7 +23,7 @@ HOST_CERTIFICATES = Path("/usr/local/share/ca-certificates")
 START_S = 60.0
 ALGORITHMS = {str(ROOT / "algorithms"): {"bind": "/opt/slamhive/share/slamhive/algorithms", "mode": "ro"}}
 
-pytestmark = [pytest.mark.docker, pytest.mark.mysql, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.docker, pytest.mark.images, pytest.mark.mysql, pytest.mark.timeout(600)]
 
 
 @pytest.fixture(scope="module")
