@@ -124,8 +124,10 @@ class Settings(BaseSettings):
         "auto",
         "What runs images of packages on nodes: charliecloud, apptainer, podman, auto, or none for no images",
     )
+    slurm_gpu: str = setting("gpu:1", "The gres of a run that uses a GPU: NAME:1 or NAME:TYPE:1, such as gpu:a100:1")
     kubernetes_options: str = setting(
-        "", "How a cluster is used: --context, --namespace, --registry, --claim, --queue and --node, see kubernetes.md"
+        "",
+        "How a cluster is used: --context, --namespace, --registry, --claim, --queue, --gpu and --node",
     )
     cloud_join: str = setting(
         "", "Shell command that makes a rented machine a node of the cluster, see cloud.md", secret=True

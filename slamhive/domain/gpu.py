@@ -23,3 +23,21 @@ class Gpu:
     model: str
     driver: str
     memory_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class GivenGpu:
+    """The GPU that an engine of several nodes gave to a run. What nobody could find out is None.
+
+    Attributes:
+        node: Where it is.
+        number: What the engine calls it on that node.
+        uuid: As in :class:`Gpu`, with ``model``, ``driver`` and ``memory_bytes``.
+    """
+
+    node: str
+    number: str | None = None
+    uuid: str | None = None
+    model: str | None = None
+    driver: str | None = None
+    memory_bytes: int | None = None

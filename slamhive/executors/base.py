@@ -48,6 +48,16 @@ class PackageNeed(StrEnum):
     ENVIRONMENT = "package environment"
 
 
+class GpuGiver(StrEnum):
+    """Who gives GPUs to runs."""
+
+    NOBODY = "nobody"
+    WORKER = "worker"
+    """It leases one of its machine, and names it in the specification."""
+    ENGINE = "engine"
+    """A run asks for one; the engine decides which, and keeps others away from it."""
+
+
 class EvaluationPlace(StrEnum):
     """Where the evaluations of runs take place."""
 
@@ -66,7 +76,7 @@ class Capabilities:
         shares_files: Runs read and write the files of the controller. Otherwise the executor transfers inputs, outputs
             and the files that are watched meanwhile.
         elsewhere: Runs take cores of other machines, though they share files with the controller.
-        gpu: It can give a run a GPU of this machine.
+        gpu: Who gives GPUs to its runs.
         drains: It can keep further runs away from one of its nodes.
         several_at_once: One worker may start several runs at the same time.
         evaluates_in: Where evaluations take place.
@@ -78,7 +88,7 @@ class Capabilities:
     needs: PackageNeed = PackageNeed.ENVIRONMENT
     shares_files: bool = True
     elsewhere: bool = False
-    gpu: bool = False
+    gpu: GpuGiver = GpuGiver.NOBODY
     drains: bool = False
     several_at_once: bool = True
     evaluates_in: EvaluationPlace = EvaluationPlace.PROCESS
@@ -107,6 +117,7 @@ class ExecutorContext:
         source_archives: Folder with archives of sources, for images that are built without the internet.
         slurm_options: What is added to each job of Slurm, as the user wrote it.
         slurm_containers: The container runtime of jobs: its name, ``auto`` or ``none``.
+        slurm_gpu: The generic resource that is one GPU.
         kubernetes_options: How the cluster is used, as the user wrote it.
     """
 
@@ -117,6 +128,7 @@ class ExecutorContext:
     source_archives: Path | None = None
     slurm_options: str = ""
     slurm_containers: str = "auto"
+    slurm_gpu: str = "gpu:1"
     kubernetes_options: str = ""
 
 
@@ -247,6 +259,10 @@ class Executor(ABC):
     def gpus(self) -> tuple[Gpu, ...]:
         """The GPUs that a run can get, at least one. Raises Unavailable with the reason if there is none."""
         raise Unavailable(f"the executor {self.name} gives runs no GPU", "choose the executor docker")
+
+    def check_gpu(self) -> None:
+        """Raise Unavailable, with the reason, if a run that asks for a GPU can never get one. Quick."""
+        self.gpus()
 
     def gpus_in_use(self, key: str) -> frozenset[str]:  # noqa: ARG002 - as above
         """The UUIDs of the GPUs of all runs that run now, of any installation, except the run of ``key``."""

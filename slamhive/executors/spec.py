@@ -162,7 +162,8 @@ class RunSpec:
         environment: Variables for the algorithm; values may be paths of the container contract.
         limits: What it may use.
         timeout_s: The wall-clock limit. The worker enforces it; executors with ``Limit.TIME`` do so on their own too.
-        gpu: The UUID of the GPU that the run has; None for none.
+        gpu: The UUID of the GPU that the worker has leased for the run; None for none.
+        asks_gpu: The engine is to give the run a GPU.
         shm_bytes: The size of ``/dev/shm``; None for the default of the executor.
         placing: Where an engine with several nodes should start it. It is found out at the start, and not stored.
         work: A folder on the controller for the executor's own use, removed when the run is over.
@@ -184,6 +185,7 @@ class RunSpec:
     work: Path
     user: RunUser = RunUser.WORKER
     gpu: str | None = None
+    asks_gpu: bool = False
     shm_bytes: int | None = None
     placing: Placing = ANYWHERE
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Protocol
 
+from slamhive.domain.gpu import GivenGpu
 from slamhive.domain.host import Host
 
 
@@ -44,13 +45,14 @@ class RunHandle:
 
     ``data["started_at"]`` is the time at which the engine started the run (ISO 8601, UTC). It is the same for each
     worker that adopts the run, and absent if the engine does not know it. ``protections`` go into the record, and
-    so does ``host``: the machine of the run, None if it is that of the worker.
+    so does ``host``: the machine of the run, None if it is that of the worker. ``gpu`` is what the engine gave it.
     """
 
     executor: str
     data: dict[str, str] = field(default_factory=dict)
     protections: Protections | None = None
     host: Host | None = None
+    gpu: GivenGpu | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,5 +80,6 @@ class Executors:
             source_archives=Path(archives) if archives else None,
             slurm_options=self._settings.slurm_options,
             slurm_containers=self._settings.slurm_containers,
+            slurm_gpu=self._settings.slurm_gpu,
             kubernetes_options=self._settings.kubernetes_options,
         )

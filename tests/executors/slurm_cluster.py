@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 import socket
+import stat
 import subprocess
 import time
 from collections.abc import Iterator
@@ -17,6 +18,8 @@ from tests.waiting import eventually
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "ch-run")
 NODES = ("one", "two")
+GPU = "gpu:fake:1"
+"""What the first node has of GPUs."""
 _CONFIGURATION = """
 ClusterName=tests
 SlurmctldHost={host}(127.0.0.1)
@@ -41,9 +44,10 @@ MessageTimeout=2
 SelectType=select/cons_tres
 SelectTypeParameters=CR_Core_Memory
 DefMemPerCPU=400
+GresTypes=gpu
 SchedulerParameters=sched_interval=1,batch_sched_delay=0,bf_interval=1,sched_min_interval=0
-NodeName=one NodeHostname={host} NodeAddr=127.0.0.1 Port={first_port} CPUs={cores} RealMemory=4000 State=UNKNOWN
-NodeName=two NodeHostname={host} NodeAddr=127.0.0.1 Port={second_port} CPUs={cores} RealMemory=4000 State=UNKNOWN
+NodeName=one NodeHostname={host} NodeAddr=127.0.0.1 Port={first_port} CPUs={cores} RealMemory=4000 Gres={gpu}
+NodeName=two NodeHostname={host} NodeAddr=127.0.0.1 Port={second_port} CPUs={cores} RealMemory=4000
 PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 """
 
@@ -71,8 +75,12 @@ class Cluster:
             first_port=first_port,
             second_port=second_port,
             cores=os.cpu_count(),
+            gpu=GPU,
         )
         (folder / "slurm.conf").write_text(configuration)
+        # Slurm gives out what stands here, and takes the number from the name. The device is /dev/null.
+        os.mknod(folder / "gpu0", 0o600 | stat.S_IFCHR, os.makedev(1, 3))
+        (folder / "gres.conf").write_text(f"NodeName=one Name=gpu Type=fake File={folder}/gpu0\n")
         key = folder / "munge.key"
         key.touch(mode=0o600)
         key.write_bytes(os.urandom(1024))

@@ -167,8 +167,8 @@ def test_options_that_are_wrong(text):
 
 
 def test_numbers_of_cores_count_only():
-    assert resources(Limits(cpuset=(2, 3))) == {"cpu": "2000m"}
-    assert resources(Limits()) == {}
+    assert resources(replace(SPEC, limits=Limits(cpuset=(2, 3))), Options()) == {"cpu": "2000m"}
+    assert resources(replace(SPEC, limits=Limits()), Options()) == {}
 
 
 def test_root_is_no_user_of_its_own_choice():

@@ -21,6 +21,7 @@ from slamhive.executors.base import (
     Executor,
     ExecutorContext,
     Finding,
+    GpuGiver,
     LiveKeys,
     PackageNeed,
     ProgressCallback,
@@ -66,7 +67,7 @@ class DockerExecutor(Executor):
         isolates=True,
         limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK}),
         needs=PackageNeed.IMAGE,
-        gpu=True,
+        gpu=GpuGiver.WORKER,
         evaluates_in=EvaluationPlace.CONTAINER,
         preference=10,
     )

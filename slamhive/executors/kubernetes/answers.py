@@ -200,6 +200,15 @@ def unmeetable(asked: Mapping[str, str], wanted: Mapping[str, str], nodes: list[
     return None
 
 
+def offered(resource: str, wanted: Mapping[str, str], nodes: list[Document]) -> bool:
+    """Whether a node with the labels ``wanted`` has at least one of an extended resource."""
+    return any(
+        quantity((node["status"].get("allocatable") or {}).get(resource, "0")) >= 1
+        for node in nodes
+        if has_labels(node, wanted)
+    )
+
+
 def all_among(nodes: list[Document], wanted: Mapping[str, str], names: Collection[str]) -> bool:
     """Whether all nodes with the labels ``wanted`` are among these ``names``; there is at least one name."""
     return bool(names) and {str(node["metadata"]["name"]) for node in nodes if has_labels(node, wanted)} <= set(names)
@@ -245,7 +254,9 @@ def allocatable(node: Document) -> str:
 
 
 def _shown(name: str, value: Decimal) -> str:
-    return f"{float(value):g} cores" if name == "cpu" else f"{float(value) / 1e6:.0f} MB of {name}"
+    if name == "memory":
+        return f"{float(value) / 1e6:.0f} MB of {name}"
+    return f"{float(value):g} {'cores' if name == 'cpu' else name}"
 
 
 def _state(pod: Document, kind: str) -> Document | None:

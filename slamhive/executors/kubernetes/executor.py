@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.domain.gpu import GivenGpu
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.base import (
     Capabilities,
@@ -17,10 +18,10 @@ from slamhive.executors.base import (
     Executor,
     ExecutorContext,
     Finding,
+    GpuGiver,
     LiveKeys,
     PackageNeed,
     ProgressCallback,
-    StartFailed,
 )
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.answers import Document, Right
@@ -58,6 +59,7 @@ class KubernetesExecutor(Executor):
         limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK, Limit.TIME}),
         needs=PackageNeed.IMAGE,
         shares_files=False,
+        gpu=GpuGiver.ENGINE,
         drains=True,
     )
 
@@ -134,13 +136,17 @@ class KubernetesExecutor(Executor):
         """Whether a pod could use the image. What a registry has is only known at a start."""
         return bool(self._options.registry) or self._images.has(identity)
 
+    def check_gpu(self) -> None:
+        """Whether a node has the extended resource, as far as the worker may know."""
+        nodes, resource = self._cluster.nodes(), self._options.gpu
+        if nodes is not None and not answers.offered(resource, self._options.node, nodes):
+            raise Unavailable(f"no node of Kubernetes has {resource}", "install its device plugin, or set --gpu")
+
     def start(self, spec: RunSpec) -> RunHandle:
         """Make the Job of the run unless there is one, and wait a little for its pod.
 
         Raises EngineUnavailable while the pod waits for a node.
         """
-        if spec.gpu is not None:
-            raise StartFailed("pods get no GPU yet", "choose the executor docker")
         return self._handle(spec, self._jobs.start(spec, RunFiles(spec.work)))
 
     def poll(self, handle: RunHandle) -> RunStatus:
@@ -247,7 +253,8 @@ class KubernetesExecutor(Executor):
         job = self._jobs.name(spec.key)
         handle.data.update(started_at=started.at.isoformat(), node=started.node, job=job)
         where = f"pod on node {started.node} ({started.host.cpu_model}, {started.host.cpu_count} cores)"
-        return replace(handle, protections=_protections(where), host=started.host)
+        gpu = GivenGpu(started.node, uuid=started.gpu) if spec.asks_gpu else None
+        return replace(handle, protections=_protections(where), host=started.host, gpu=gpu)
 
 
 def _files(handle: RunHandle) -> RunFiles:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from slamhive.executors.kubernetes.options import Options
-from slamhive.executors.spec import ROS_ENVIRONMENT, Limits, Placing, RunSpec
+from slamhive.executors.spec import ROS_ENVIRONMENT, Placing, RunSpec
 
 KEY_LABEL = "slamhive.key"
 RUN_LABEL = "slamhive.run"
@@ -63,14 +63,17 @@ def selector(installation: str, key: str | None = None) -> str:
     return chosen if key is None else f"{chosen},{KEY_LABEL}={label_value(key)}"
 
 
-def resources(limits: Limits) -> dict[str, str]:
+def resources(spec: RunSpec, options: Options) -> dict[str, str]:
     """What a run asks for: requests equal limits, so that nobody takes it from the run."""
+    limits = spec.limits
     cores = limits.cpu_cores if limits.cpuset is None else float(len(limits.cpuset))
     asked: dict[str, str] = {}
     if cores is not None:
         asked["cpu"] = f"{math.ceil(cores * 1000)}m"
     if limits.memory_bytes is not None:
         asked["memory"] = str(limits.memory_bytes + SUPERVISOR_BYTES)
+    if spec.asks_gpu:
+        asked[options.gpu] = "1"
     return asked
 
 
@@ -178,7 +181,7 @@ def _of_name(operator: str, name: str) -> dict[str, Any]:
 
 
 def _container(spec: RunSpec, options: Options, mounts: list[dict[str, Any]]) -> dict[str, Any]:
-    asked = resources(spec.limits)
+    asked = resources(spec, options)
     variables = {**ROS_ENVIRONMENT, "HOME": "/tmp", **spec.environment}  # noqa: S108 - the container's own
     node = {"name": NODE_VARIABLE, "valueFrom": {"fieldRef": {"fieldPath": "spec.nodeName"}}}
     return {

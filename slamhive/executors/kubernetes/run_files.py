@@ -46,11 +46,12 @@ _MAKES_NO_SENSE = (KeyError, TypeError, ValueError, OverflowError)
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """When the algorithm started, and where."""
+    """When the algorithm started, and where. ``gpu`` is the UUID that the pod knows of its GPU."""
 
     at: datetime
     node: str
     host: Host
+    gpu: str | None = None
 
 
 class RunFiles:
@@ -215,7 +216,13 @@ def _start(found: dict[str, Any]) -> Started:
         kernel=_words(found.get("kernel", _UNKNOWN)),
         os=_UNKNOWN,  # a pod sees the system of its image
     )
-    return Started(_moment(found["started_s"]), str(found["node"]), host)
+    return Started(_moment(found["started_s"]), str(found["node"]), host, _uuid(found.get("gpu")))
+
+
+def _uuid(found: object) -> str | None:
+    """The UUID of a GPU of NVIDIA. Images hold other words in the same variable, such as ``all``."""
+    words = _words(found)
+    return words if words.startswith("GPU-") else None
 
 
 def _words(found: object) -> str:

@@ -150,7 +150,7 @@ class RunJobs:
         nodes = self._cluster.nodes()
         if nodes is None:
             return
-        never = answers.unmeetable(resources(spec.limits), self._options.node, nodes)
+        never = answers.unmeetable(resources(spec, self._options), self._options.node, nodes)
         if never is None and answers.all_among(nodes, self._options.node, spec.placing.other_nodes):
             raise StartFailed(f"run {spec.run_id}: {spec.placing.nobody}", "same_cpu: false allows others")
         if never is not None:

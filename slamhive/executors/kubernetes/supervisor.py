@@ -255,6 +255,7 @@ def about_node() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
         "kernel": os.uname().release,
+        "gpu": os.environ.get("NVIDIA_VISIBLE_DEVICES", ""),
     }
 
 

@@ -178,6 +178,7 @@ class Node:
     state: str
     cpu_count: int
     memory_mb: int
+    gres: str = ""
 
     @property
     def takes_jobs(self) -> bool:
@@ -193,7 +194,7 @@ class Node:
 def list_nodes(options: Sequence[str]) -> list[Node]:
     """The nodes of the partition that ``options`` name, or of all partitions."""
     partition = [option for option in options if option.startswith("--partition=")]
-    return parse_nodes(_run(["sinfo", "--noheader", "--Node", "--format=%N %T %c %m", *partition]))
+    return parse_nodes(_run(["sinfo", "--noheader", "--Node", "--format=%N %T %c %m %G", *partition]))
 
 
 def parse_nodes(text: str) -> list[Node]:
@@ -201,8 +202,8 @@ def parse_nodes(text: str) -> list[Node]:
     found: dict[str, Node] = {}
     try:
         for line in filter(str.strip, text.splitlines()):
-            name, state, cpus, memory = line.split()
-            found[name] = Node(name, state, int(cpus.rstrip("+")), int(memory.rstrip("+")))
+            name, state, cpus, memory, *gres = line.split()
+            found[name] = Node(name, state, int(cpus.rstrip("+")), int(memory.rstrip("+")), "".join(gres))
     except ValueError:
         raise EngineUnavailable(f"sinfo answered something unknown: {line[:80]!r}", "try sinfo by hand") from None
     return [found[name] for name in sorted(found)]

@@ -14,12 +14,14 @@ from datetime import timedelta
 from pathlib import Path
 
 from slamhive.clock import monotonic_s
+from slamhive.errors import Unavailable
 from slamhive.executors.base import (
     Capabilities,
     EngineUnavailable,
     EvaluationPlace,
     ExecutorContext,
     Finding,
+    GpuGiver,
     ImageMissing,
     LiveKeys,
     PackageNeed,
@@ -32,6 +34,7 @@ from slamhive.executors.process.paths import shim_spec_of
 from slamhive.executors.process.shim import IDENTITY_FILE
 from slamhive.executors.process.supervisors import KILL_WAIT_S, START_WAIT_S, read_exit, read_json, wait_until
 from slamhive.executors.slurm import command
+from slamhive.executors.slurm.gres import offers, read_gpu
 from slamhive.executors.slurm.job import ERRORS_FILE, comment_of, job_limits, job_options, job_script
 from slamhive.executors.slurm.node import USAGE_FILE, Place
 from slamhive.executors.slurm.survey import survey
@@ -55,6 +58,7 @@ class SlurmExecutor(ProcessExecutor):
         limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK}),
         needs=PackageNeed.ENVIRONMENT,
         elsewhere=True,
+        gpu=GpuGiver.ENGINE,
         drains=True,
         evaluates_in=EvaluationPlace.PROCESS,
     )
@@ -62,6 +66,7 @@ class SlurmExecutor(ProcessExecutor):
     def __init__(self, context: ExecutorContext) -> None:
         super().__init__(context)
         self._options = command.read_options(context.slurm_options)
+        self._gpu = read_gpu(context.slurm_gpu)
         self._queue = Queue()
 
     def unavailable_because(self) -> str | None:
@@ -93,6 +98,11 @@ class SlurmExecutor(ProcessExecutor):
         """By ``scontrol``, which needs the rights of an operator."""
         command.drain(node, drained)
 
+    def check_gpu(self) -> None:
+        """Whether a node that takes jobs, or may again, has the gres."""
+        if not any(offers(node.gres, self._gpu) for node in command.list_nodes(self._options)):
+            raise Unavailable(f"no node of Slurm has the gres {self._gpu}", "see sinfo -o '%N %G', or set SLURM_GPU")
+
     def start(self, spec: RunSpec) -> RunHandle:
         """Submit a job unless there is one, and wait a little. Raises EngineUnavailable while it waits for a node."""
         work = spec.work.resolve()
@@ -109,7 +119,7 @@ class SlurmExecutor(ProcessExecutor):
         protections = Protections(**identity["protections"])
         container = f"a container of {place.runtime}, " if place.runtime else ""
         where = f"{container}job {place.job} of Slurm on node {place.node}, {protections.held_by}"
-        return RunHandle(self.name, data, replace(protections, held_by=where), place.host)
+        return RunHandle(self.name, data, replace(protections, held_by=where), place.host, place.gpu)
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """``exit.json`` says how the run ended. Without it, Slurm knows whether the job goes on or what ended it."""
@@ -176,8 +186,11 @@ class SlurmExecutor(ProcessExecutor):
             return
         self._check_nodes(spec)
         self._give_orders(replace(spec, limits=job_limits(spec.limits)), work)
-        command.submit(job_options(spec, self._context.installation, self._options), job_script(work))
+        command.submit(self._job_options(spec), job_script(work, gpu=spec.asks_gpu))
         self._queue.forget()
+
+    def _job_options(self, spec: RunSpec) -> list[str]:
+        return job_options(spec, self._context.installation, self._options, self._gpu)
 
     def _check_nodes(self, spec: RunSpec) -> None:
         """Raise StartFailed if each node is known to have another CPU model than the run needs."""

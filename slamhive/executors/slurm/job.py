@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import slamhive
+from slamhive.executors.slurm.gres import with_gpu
 from slamhive.executors.spec import Limits, Placing, RunSpec
 
 ERRORS_FILE = "shim-errors.txt"
@@ -35,8 +36,8 @@ def job_limits(limits: Limits) -> Limits:
     return replace(limits, cpuset=None, cpu_cores=cores)
 
 
-def job_options(spec: RunSpec, installation: str, options: Sequence[str]) -> list[str]:
-    """The arguments of ``sbatch``. ``options`` are those of the user."""
+def job_options(spec: RunSpec, installation: str, options: Sequence[str], gpu: str = "gpu:1") -> list[str]:
+    """The arguments of ``sbatch``. ``options`` are those of the user; ``gpu`` is the resource that is a GPU."""
     work, limits = spec.work.resolve(), job_limits(spec.limits)
     chosen = [
         f"--job-name=slamhive-{spec.run_id}",
@@ -53,7 +54,7 @@ def job_options(spec: RunSpec, installation: str, options: Sequence[str]) -> lis
         chosen.append(f"--cpus-per-task={math.ceil(limits.cpu_cores)}")
     if limits.memory_bytes is not None:
         chosen.append(f"--mem={math.ceil((limits.memory_bytes + _SUPERVISOR_BYTES) / 2**20)}M")
-    return [*chosen, *place_options(spec.placing, options)]
+    return [*chosen, *place_options(spec.placing, with_gpu(options, gpu) if spec.asks_gpu else options)]
 
 
 def place_options(placing: Placing, options: Sequence[str]) -> list[str]:
@@ -76,14 +77,15 @@ def niceness(expected_s: float) -> int:
     return max(0, _MOST_NICE - int(expected_s / 60))
 
 
-def job_script(work: Path) -> str:
+def job_script(work: Path, *, gpu: bool = False) -> str:
     """The script of the job. The supervisor takes the place of the shell, so that signals to the script reach it."""
     folder = str(work.resolve())
+    asked = ["gpu"] if gpu else []
     return (
         "#!/bin/sh\n"
         # An orphan: what the supervisor's own children use is counted for the run.
         f"({shlex.join(node_program('measure', folder))} &)\n"
-        f"exec {shlex.join(node_program('supervise', folder))}\n"
+        f"exec {shlex.join(node_program('supervise', folder, *asked))}\n"
     )
 
 

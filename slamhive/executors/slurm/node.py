@@ -1,5 +1,7 @@
 """What a job starts on its node: ``python -m slamhive.executors.slurm.node (supervise|measure) <work folder>``.
 
+``supervise`` takes ``gpu`` as a further argument for a run that asked for one.
+
 ``... node report`` prints what the node has to offer, see :class:`NodeReport`.
 
 The supervisor is the one of the process executor, in the foreground: the job lasts as long as it does. Beside it, and
@@ -8,6 +10,7 @@ outside of what counts for the run, a second process writes the usage of the run
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import platform
@@ -16,6 +19,7 @@ import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from slamhive.domain.gpu import GivenGpu
 from slamhive.domain.host import Host
 from slamhive.executors.host import describe_host
 from slamhive.executors.process.shim import IDENTITY_FILE, supervise
@@ -28,6 +32,7 @@ from slamhive.executors.process.supervisors import (
     wait_until,
 )
 from slamhive.executors.process.tree_usage import ProcessTreeSource
+from slamhive.executors.slurm.gres import VISIBLE, given_gpus
 from slamhive.executors.slurm.runtimes import ContainerOrders, Tried, choose_runtime, command_of, try_runtimes
 from slamhive.executors.status import RunHandle, UsageSource
 from slamhive.files import write_aside
@@ -39,18 +44,23 @@ _INTERVAL_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a run takes place: the node, its job, and the container runtime with its version; empty for none."""
+    """Where a run takes place: the node, its job, and the container runtime with its version; empty for none.
+
+    ``gpu`` is what the job got, if it asked for one.
+    """
 
     node: str
     job: str
     runtime: str
     host: Host
+    gpu: GivenGpu | None = None
 
     @classmethod
     def load(cls, work: Path) -> Place:
         """Read what :func:`prepare` wrote into the work folder."""
         content = json.loads((work / PLACE_FILE).read_text(encoding="utf-8"))
-        return cls(**{**content, "host": Host(**content["host"])})
+        gpu = GivenGpu(**content["gpu"]) if content.get("gpu") else None
+        return cls(**{**content, "host": Host(**content["host"]), "gpu": gpu})
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +78,17 @@ class NodeReport:
         return cls(content["node"], Host(**content["host"]), [Tried(**entry) for entry in content["runtimes"]])
 
 
-def prepare(work: Path) -> None:
+def prepare(work: Path, *, gpu: bool = False) -> None:
     """Record where the run takes place, and complete the orders of a container. Without a runtime, end the process."""
     orders, runtime = ContainerOrders.load(work), None
+    given = given_gpus(_node(), os.environ) if gpu else []
+    visible = {name: os.environ[name] for name in VISIBLE if gpu and os.environ.get(name)}
+    if orders is None and visible:
+        spec = ShimSpec.load(work)
+        replace(spec, environment={**spec.environment, **visible}).save(work)
     if orders is not None:
+        names = [name for entry in given if (name := entry.uuid or entry.number) is not None]
+        orders = replace(orders, gpus=names, environment={**orders.environment, **visible})
         try:
             runtime = choose_runtime(try_runtimes(orders.runtime))
         except LookupError as reasons:
@@ -79,7 +96,7 @@ def prepare(work: Path) -> None:
         called = command_of(orders, runtime)
         replace(ShimSpec.load(work), command=called.arguments, environment=called.environment).save(work)
     text = "" if runtime is None else runtime.text
-    place = Place(_node(), os.environ.get("SLURM_JOB_ID", ""), text, describe_host())
+    place = Place(_node(), os.environ.get("SLURM_JOB_ID", ""), text, describe_host(), next(iter(given), None))
     write_aside(work / PLACE_FILE, json.dumps(asdict(place)))
 
 
@@ -132,4 +149,4 @@ if __name__ == "__main__":
     elif sys.argv[1] == "measure":
         measure(Path(sys.argv[2]))
     else:
-        supervise(Path(sys.argv[2]), prepare)
+        supervise(Path(sys.argv[2]), functools.partial(prepare, gpu="gpu" in sys.argv[3:]))

@@ -10,10 +10,11 @@ import os
 import shutil
 import subprocess
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from slamhive.executors.process import namespaces
+from slamhive.executors.slurm.gres import VISIBLE
 from slamhive.files import write_aside
 
 ORDERS_FILE = "container.json"
@@ -34,6 +35,7 @@ class ContainerOrders:
         environment: All variables of the command.
         read: {path in the container: path on the node} of what it must not change.
         written: The same for what it may change.
+        gpus: The GPUs of the run, by UUID or number; the node knows them.
     """
 
     runtime: str
@@ -42,6 +44,7 @@ class ContainerOrders:
     environment: dict[str, str]
     read: dict[str, str]
     written: dict[str, str]
+    gpus: list[str] = field(default_factory=list)
 
     def mounts(self) -> list[tuple[str, str, bool]]:
         """(path on the node, path in the container, may be changed) of all files, outer folders first."""
@@ -99,6 +102,7 @@ def apptainer(program: str, orders: ContainerOrders) -> ContainerCommand:
             "--no-home",
             "--net",
             "--network=none",
+            *(["--nv"] if orders.gpus else []),
             *(f"--bind={source}:{target}:{_rights(written)}" for source, target, written in orders.mounts()),
             f"--pwd={_WORKING_FOLDER}",
             orders.image,
@@ -109,7 +113,11 @@ def apptainer(program: str, orders: ContainerOrders) -> ContainerCommand:
 
 
 def podman(program: str, orders: ContainerOrders) -> ContainerCommand:
-    """``podman run`` in the control group of the supervisor, which therefore enforces the limits."""
+    """``podman run`` in the control group of the supervisor, which therefore enforces the limits.
+
+    The container sees its GPUs alone, so that their numbers on the node mean nothing in it.
+    """
+    hidden = VISIBLE if orders.gpus else ()
     return ContainerCommand(
         [
             program,
@@ -122,7 +130,8 @@ def podman(program: str, orders: ContainerOrders) -> ContainerCommand:
             "--security-opt=no-new-privileges",
             "--read-only",
             "--userns=keep-id",
-            *(f"--env={name}={value}" for name, value in orders.environment.items()),
+            *(f"--device=nvidia.com/gpu={gpu}" for gpu in orders.gpus),
+            *(f"--env={name}={value}" for name, value in orders.environment.items() if name not in hidden),
             *(f"--volume={source}:{target}:{_rights(written)}" for source, target, written in orders.mounts()),
             f"--workdir={_WORKING_FOLDER}",
             "--rootfs",

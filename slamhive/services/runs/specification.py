@@ -55,7 +55,8 @@ class Job:
     """One run with its algorithm and dataset resolved, ready to be prepared.
 
     ``used`` is the variant of the dataset that the run sees, None for the dataset as it is. ``input_map`` is the map
-    that it starts with. ``gpu`` is what it leased, ``weights`` have been checked.
+    that it starts with. ``gpu`` is what it leased; with ``asks_gpu`` the engine gives it one. ``weights`` have been
+    checked.
     """
 
     run_id: int
@@ -68,6 +69,7 @@ class Job:
     used: UsedVariant | None = None
     input_map: FoundMap | None = None
     gpu: Gpu | None = None
+    asks_gpu: bool = False
     weights: tuple[StoredWeights, ...] = ()
 
     @property
@@ -128,7 +130,7 @@ def check_gpu(executor: Executor, package: AlgorithmPackage) -> None:
     """Raise InvalidInput if the package requires a GPU and ``executor`` has none."""
     if package.gpu is GpuNeed.REQUIRED:
         try:
-            executor.gpus()
+            executor.check_gpu()
         except EngineUnavailable:
             raise
         except Unavailable as error:
@@ -185,6 +187,7 @@ def build_spec(
         work=folder.work,
         user=job.algorithm.package.user,
         gpu=None if job.gpu is None else job.gpu.uuid,
+        asks_gpu=job.asks_gpu,
         shm_bytes=None if job.algorithm.package.shm_mb is None else job.algorithm.package.shm_mb * 1_000_000,
     )
 

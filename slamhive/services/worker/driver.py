@@ -12,7 +12,7 @@ from typing import Any
 from slamhive.domain.gpu import Gpu
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import SlamHiveError
-from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
+from slamhive.executors.base import EngineUnavailable, GpuGiver, ImageMissing, StartFailed
 from slamhive.executors.status import RunHandle
 from slamhive.services.datasets import variant_key
 from slamhive.services.json_values import exact, timestamp
@@ -98,7 +98,8 @@ class RunDriver:
     def _keep_gpu(self, held: ExitStack) -> None:
         """Lease the GPU of a run that another worker prepared."""
         hand = self._hand
-        if hand.run.state in (RunState.STARTING, RunState.RUNNING) and hand.keeper.readable():
+        leased = hand.executor.capabilities.gpu is GpuGiver.WORKER
+        if leased and hand.run.state in (RunState.STARTING, RunState.RUNNING) and hand.keeper.readable():
             gpu = hand.saved().get("gpu")
             if gpu is not None:
                 held.enter_context(hold_gpu(hand, [Gpu(**gpu)]))
@@ -127,6 +128,8 @@ class RunDriver:
         if (host := handle.host) is not None:
             started["host"] = asdict(host)
             row["host_id"] = self._context.store.write(lambda t: t.catalogue.put_host(host))
+        if handle.gpu is not None:
+            started["gpu"] = asdict(handle.gpu)
         hand.move(RunState.RUNNING, "started", record=started, **row)
 
     def _cancel(self) -> None:

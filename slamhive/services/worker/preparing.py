@@ -13,7 +13,7 @@ from slamhive.domain.host import Host
 from slamhive.domain.parameters import check_stored
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
-from slamhive.executors.base import ImageMissing
+from slamhive.executors.base import EngineUnavailable, GpuGiver, ImageMissing
 from slamhive.executors.host import describe_host
 from slamhive.runs.early_end import EarlyEnd, skipped
 from slamhive.services.configurations import find_map
@@ -132,13 +132,18 @@ class Preparing:
         return replace(job, used=self._held.enter_context(holding))
 
     def _with_gpu(self, job: Job) -> Job:
-        """A GPU if the package uses one, leased until the driver releases the run."""
+        """A GPU if the package uses one: leased until the driver releases the run, or asked for from the engine."""
         hand = self._hand
-        need = job.algorithm.package.gpu
-        if need is GpuNeed.NONE or (need is GpuNeed.OPTIONAL and not hand.executor.capabilities.gpu):
+        need, giver = job.algorithm.package.gpu, hand.executor.capabilities.gpu
+        if need is GpuNeed.NONE or (need is GpuNeed.OPTIONAL and giver is GpuGiver.NOBODY):
             return job
         try:
+            hand.executor.check_gpu()
+            if giver is GpuGiver.ENGINE:
+                return replace(job, asks_gpu=True)
             gpus = hand.executor.gpus()
+        except EngineUnavailable:
+            raise
         except Unavailable:
             if need is GpuNeed.REQUIRED:
                 raise

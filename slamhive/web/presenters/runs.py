@@ -192,7 +192,11 @@ def gpu(record: Mapping[str, Any]) -> Cell | None:
     told = record.get("gpu")
     if not isinstance(told, Mapping):
         return None
-    return Cell(str(told.get("model")), f"driver {told.get('driver')}, {told.get('uuid')}")
+    number, node = told.get("number"), told.get("node")
+    place = f"GPU{'' if number is None else f' {number}'} of node {node}" if node else "GPU"
+    driver = f"driver {told['driver']}" if told.get("driver") else ""
+    known = [str(part) for part in (place if node else "", driver, told.get("uuid")) if part]
+    return Cell(str(told.get("model") or place), ", ".join(known))
 
 
 def wall_time_s(run: RunRecord) -> float | None:
