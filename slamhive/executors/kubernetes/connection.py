@@ -5,6 +5,8 @@ The official client takes half a second to import, so it is imported when a clus
 
 from __future__ import annotations
 
+import atexit
+import functools
 import importlib.util
 import os
 from collections.abc import Iterator
@@ -20,6 +22,7 @@ from slamhive.errors import SlamHiveError
 from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.kubernetes.answers import message_of, missing_right
 from slamhive.executors.kubernetes.options import Options
+from slamhive.files import temporary_folder
 
 IN_CLUSTER = Path("/var/run/secrets/kubernetes.io/serviceaccount")
 _ANSWERS_LATER = frozenset((408, 429, 500, 502, 503, 504))
@@ -78,7 +81,9 @@ def connect(options: Options) -> Connection:
             # Named here, because the client reads KUBECONFIG only once.
             files = os.pathsep.join(map(str, _kubeconfig_files()))
             namespace = _namespace_of(options.context, config.list_kube_config_contexts(files))
-            config.load_kube_config(files, options.context or None, configuration)
+            config.load_kube_config(
+                files, options.context or None, configuration, temp_file_path=str(_credentials_folder())
+            )
         else:
             namespace = (IN_CLUSTER / "namespace").read_text(encoding="utf-8").strip()
             config.load_incluster_config(client_configuration=configuration)
@@ -134,6 +139,19 @@ def _refusal(doing: str, error: Any, failure: type[SlamHiveError]) -> SlamHiveEr
         f"{doing}: the worker lacks the right to {right.text}",
         "apply deploy/kubernetes/base/rights.yaml, or ask whoever runs the cluster",
     )
+
+
+@functools.cache
+def _credentials_folder() -> Path:
+    """Where the client writes certificates and keys out of a kubeconfig, for all connections of this process.
+
+    Otherwise it writes them into the temporary folder itself, where the key of a killed process would stay. Whoever
+    sweeps temporary folders removes this one.
+    """
+    folder = temporary_folder()
+    path = folder.__enter__()
+    atexit.register(folder.__exit__, None, None, None)
+    return path
 
 
 def _kubeconfig_files() -> list[Path]:
