@@ -25,6 +25,11 @@ class Mode(StrEnum):
     CLUSTER = "cluster"
     CLOUD = "cloud"
 
+    @property
+    def has_other_machines(self) -> bool:
+        """Whether algorithms run on other machines only. Those of a cloud are rented, and form a cluster."""
+        return self in {Mode.CLUSTER, Mode.CLOUD}
+
 
 class Auth(StrEnum):
     """Whether callers of the web server sign in."""
@@ -71,7 +76,9 @@ class Settings(BaseSettings):
 
     model_config = SettingsConfigDict(frozen=True, extra="forbid", env_prefix=ENVIRONMENT_PREFIX, env_ignore_empty=True)
 
-    mode: Mode = setting(Mode.WORKSTATION, "workstation, view-only, cluster or cloud")
+    mode: Mode = setting(
+        Mode.WORKSTATION, "workstation, view-only, or cluster and cloud, where algorithms run on other machines only"
+    )
     data: Path = setting(Path("data"), "Data root: datasets, runs, database; relative paths start at the project")
     database_url: str = setting("", "SQLAlchemy URL; empty means SQLite at <data>/slamhive.db")
     host: str = setting("127.0.0.1", "Address the web server binds to")

@@ -58,7 +58,7 @@ def serve_command(cli: CliContext, host: str | None, port: int | None, with_work
     cli.options_with(host=host, port=port)
     logging.getLogger("slamhive").setLevel(logging.WARNING)
     hive = cli.hive()
-    serve_until_stopped(cli, with_worker=with_worker and hive.settings.mode is Mode.WORKSTATION)
+    serve_until_stopped(cli, with_worker=with_worker and hive.settings.mode is not Mode.VIEW_ONLY)
 
 
 def serve_until_stopped(cli: CliContext, *, with_worker: bool) -> None:

@@ -86,8 +86,18 @@ def open_all(find: ExecutorFinder) -> list[Executor]:
     return found
 
 
-def candidates(setting: str, find: ExecutorFinder) -> list[Executor]:
-    """The executors that ``setting`` can mean, the preferred one first. Raises NotFound for an unknown name."""
+def candidates(setting: str, find: ExecutorFinder, *, elsewhere: bool = False) -> list[Executor]:
+    """The executors that ``setting`` can mean, the preferred one first. Raises NotFound for an unknown name.
+
+    Args:
+        setting: The name of one, or ``auto``.
+        find: Returns the executor of a name.
+        elsewhere: Only those that run algorithms on other machines; ``auto`` then means all of these. Otherwise
+            they must be asked for by name.
+    """
+    if elsewhere:
+        found = open_all(find) if setting == AUTO else [find(setting)]
+        return [executor for executor in found if not executor.capabilities.takes_cores_here]
     if setting != AUTO:
         return [find(setting)]
     ranked = [(executor.capabilities.preference, executor.name, executor) for executor in open_all(find)]
@@ -98,20 +108,24 @@ def _rank(entry: tuple[int | None, str, Executor]) -> tuple[int, str]:
     return entry[0] or 0, entry[1]
 
 
-def choose_executor(setting: str, find: ExecutorFinder) -> tuple[Executor, str]:
+def choose_executor(setting: str, find: ExecutorFinder, *, elsewhere: bool = False) -> tuple[Executor, str]:
     """The executor that ``setting`` means here, and the reason in words.
 
     ``auto`` is the most preferred executor that can be used. Raises NotFound for an unknown name, and Unavailable with
-    the remedy if no executor that the setting can mean can be used.
+    the remedy if no executor that the setting can mean can be used. The arguments are those of :func:`candidates`.
     """
     problems: dict[str, str] = {}
-    for executor in candidates(setting, find):
+    found = candidates(setting, find, elsewhere=elsewhere)
+    if not found:
+        names = ", ".join(executor.name for executor in candidates(AUTO, find, elsewhere=True))
+        raise Unavailable(f"the executor {setting} runs algorithms on this machine only", f"choose one of: {names}")
+    for executor in found:
         problem = executor.unavailable_because()
         if problem is None:
             reason = f"because {'; '.join(problems.values())}" if problems else "the first choice"
             return executor, f"{executor.name}, {'as set' if setting != AUTO else reason}"
         problems[executor.name] = problem
-    if setting != AUTO:
+    if setting in problems:
         raise Unavailable(problems[setting])
     raise Unavailable(
         f"no executor can be used: {'; '.join(f'{name}: {problem}' for name, problem in problems.items())}"

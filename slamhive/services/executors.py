@@ -42,26 +42,27 @@ class Executors:
         """The name of the executor that a run will use: ``asked``, or the one of the settings.
 
         While a worker is running, the executor of the settings is not checked: a web server in its own container cannot
-        reach the worker's engine. Otherwise raises Unavailable, with the remedy, if the executor cannot be used here.
+        reach the worker's engine. Otherwise raises Unavailable, with the remedy, if the executor cannot be used here or
+        in this mode.
         """
         wanted = asked or self._settings.executor
-        if wanted == self._settings.executor != AUTO and self._worker_alive():
+        if wanted == self._settings.executor != AUTO and not self._elsewhere and self._worker_alive():
             return wanted
-        executor, _ = choose_executor(wanted, self.get)
-        return executor.name
+        return self._chosen(wanted)[0].name
 
     def usable(self) -> list[Executor]:
         """The executors that can be used now without being asked for by name, the preferred one first."""
-        return [entry for entry in candidates(AUTO, self.get) if entry.unavailable_because() is None]
+        found = candidates(AUTO, self.get, elsewhere=self._elsewhere)
+        return [entry for entry in found if entry.unavailable_because() is None]
 
     def default(self) -> tuple[str, str]:
         """The name of the executor in use and the reason for it in words."""
-        executor, reason = choose_executor(self._settings.executor, self.get)
+        executor, reason = self._chosen(self._settings.executor)
         return executor.name, reason
 
     def evaluation_runner(self) -> EvaluationRunner:
         """Evaluations run where the executor in use wants them."""
-        executor, _ = choose_executor(self._settings.executor, self.get)
+        executor, _ = self._chosen(self._settings.executor)
         return EvaluationRunner(executor.evaluation_starter())
 
     def close(self) -> None:
@@ -69,6 +70,13 @@ class Executors:
         for executor in self.opened.values():
             executor.close()
         self.opened.clear()
+
+    @property
+    def _elsewhere(self) -> bool:
+        return self._settings.mode.has_other_machines
+
+    def _chosen(self, wanted: str) -> tuple[Executor, str]:
+        return choose_executor(wanted, self.get, elsewhere=self._elsewhere)
 
     def _context(self) -> ExecutorContext:
         data, archives = self._settings.data, self._settings.source_archives

@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.errors import Conflict, Unavailable
+from slamhive.errors import Conflict
 from slamhive.project import project_root
 from slamhive.services.data_root import DataRoot, open_data_root
 from slamhive.settings import Mode, Settings
@@ -362,22 +362,14 @@ class Hive:
         self.store.close()
 
 
-_MODE_REMEDIES = {
-    Mode.CLUSTER: "use workstation or view-only; EXECUTOR = slurm or kubernetes runs algorithms on a cluster",
-    Mode.CLOUD: "use workstation or view-only; slamhive cloud rents machines for EXECUTOR = kubernetes",
-}
-
-
 def open_hive(options: Mapping[str, Any] | None = None, data_root: DataRoot = DataRoot.MADE) -> Hive:
-    """Read the settings, open the database, and check that mode and data root can be used.
+    """Read the settings, open the database, and check that the data root can be used.
 
     Raises InvalidInput for wrong settings, and NotFound if something is missing that ``data_root`` requires. Raises
-    Unavailable for a mode that does not exist yet, and if the data root or the database cannot be used.
+    Unavailable if the data root or the database cannot be used.
     """
     root = project_root()
     settings = load_settings(root, options=options)
-    if settings.mode in (Mode.CLUSTER, Mode.CLOUD):
-        raise Unavailable(f"MODE={settings.mode} is not available yet", _MODE_REMEDIES[settings.mode])
     return Hive(settings, open_data_root(settings, data_root), root)
 
 

@@ -42,9 +42,9 @@ def spec(tmp_path: Path, limits: Limits) -> RunSpec:
 class Choice:
     """As much of an executor as the choice looks at."""
 
-    def __init__(self, name: str, problem: str | None, preference: int | None) -> None:
+    def __init__(self, name: str, problem: str | None, preference: int | None, *, elsewhere: bool = False) -> None:
         self.name = name
-        self.capabilities = Capabilities(preference=preference)
+        self.capabilities = Capabilities(preference=preference, elsewhere=elsewhere)
         self._problem = problem
 
     def unavailable_because(self) -> str | None:
@@ -73,6 +73,18 @@ def test_auto_never_takes_an_executor_without_preference():
     process: Any = Choice("process", None, 20)
     find = found(docker=Choice("docker", None, None), process=process)
     assert choose_executor("auto", find) == (process, "process, the first choice")
+
+
+def test_elsewhere_only_executors_of_other_machines_are_taken():
+    grid: Any = Choice("slurm", None, None, elsewhere=True)
+    find = found(slurm=grid)
+    assert choose_executor("auto", find, elsewhere=True) == (grid, "slurm, the first choice")
+    assert choose_executor("slurm", find, elsewhere=True)[0] is grid
+    with pytest.raises(Unavailable, match="the executor docker runs algorithms on this machine only") as refused:
+        choose_executor("docker", find, elsewhere=True)
+    assert "choose one of: slurm" in str(refused.value)
+    with pytest.raises(Unavailable, match="no executor can be used: slurm: no sbatch"):
+        choose_executor("auto", found(slurm=Choice("slurm", "no sbatch", None, elsewhere=True)), elsewhere=True)
 
 
 def test_named_executor():

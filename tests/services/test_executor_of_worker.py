@@ -18,7 +18,7 @@ pytestmark = pytest.mark.quick
 def hive(tmp_path, monkeypatch):
     """An installation that is told to use Docker, in a process that sees no engine."""
 
-    def refuse(setting, context):
+    def refuse(setting, find, elsewhere):
         raise Unavailable("no Docker engine answers")
 
     monkeypatch.setattr("slamhive.services.executors.choose_executor", refuse)

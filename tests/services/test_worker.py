@@ -276,10 +276,16 @@ def test_view_only_changes_nothing(tmp_path, monkeypatch, hive):
 
 
 @pytest.mark.parametrize("mode", ["cluster", "cloud"])
-def test_modes_that_do_not_exist_yet_say_so(hive, monkeypatch, mode):
+def test_a_cluster_runs_nothing_on_its_own_machine(hive, monkeypatch, mode):
     monkeypatch.setenv("SLAMHIVE_MODE", mode)
-    with pytest.raises(Unavailable, match=f"MODE={mode} is not available yet"):
-        open_hive()
+    cluster = open_hive()
+    for executor in ("docker", "process"):
+        with pytest.raises(Unavailable, match=f"the executor {executor} runs algorithms on this machine only"):
+            cluster.runs.submit(Submission("tiny", "track", executor=executor))
+    with pytest.raises(Unavailable, match=r"choose one of: .*kubernetes"):
+        cluster.runs.submit(Submission("tiny", "track"))  # the setting is process
+    assert cluster.runs.counts() == hive.runs.counts()
+    cluster.close()
 
 
 def test_a_full_disk_starts_nothing(hive, monkeypatch):

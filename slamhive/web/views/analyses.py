@@ -113,7 +113,7 @@ def show(token: str) -> Response:
             page=page,
             bibliography="" if page is None else bibtex(page.references),
             progress=folder.read_progress(),
-            waits_for_worker=services.settings.mode is Mode.WORKSTATION and not services.worker_alive(),
+            waits_for_worker=services.settings.mode is not Mode.VIEW_ONLY and not services.worker_alive(),
             kept=services.settings.analyses_max_stored,
         )
     )
