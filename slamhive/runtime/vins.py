@@ -22,8 +22,13 @@ _SOLVER = ("max_solver_time", "max_num_iterations", "keyframe_parallax", "max_cn
 EXTRINSICS = {"fixed": 0, "refine": 1, "calibrate": 2}
 
 
-def vins_system(config: RunConfig, launch: Path, write_settings: WriteSettings, about: Mapping[str, Any]) -> Ros1System:
-    """The system for this run, without loop closure; raises InvalidInput for a camera that it cannot describe."""
+def vins_system(
+    config: RunConfig, launch: Path, write_settings: WriteSettings, about: Mapping[str, Any], *, every_frame: bool
+) -> Ros1System:
+    """The system for this run, without loop closure; raises InvalidInput for a camera that it cannot describe.
+
+    Without ``every_frame`` it leaves out images on purpose, so that an image without a pose was not dropped.
+    """
     settings = Path(tempfile.mkdtemp(prefix="vins-")) / "settings.yaml"
     write_settings(settings, config.parameters, config.algorithm_remap)
     return Ros1System(
@@ -31,6 +36,7 @@ def vins_system(config: RunConfig, launch: Path, write_settings: WriteSettings, 
         poses=PoseTopic("/vins_estimator/odometry", PoseKind.ODOMETRY),
         frames="left",
         arguments={"settings": str(settings)},
+        every_frame=every_frame,
         about={**about, "loop_closure": False},
     )
 

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from slamhive.errors import InvalidInput
+from slamhive.runtime.config import RunConfig
 from tests.algorithms.algorithm_runs import load_module
 
+PROJECT_ROOT = Path(__file__).resolve().parents[2]
 T_IMU_LEFT = [0.0, -1, 0, -0.02, 1, 0, 0, -0.06, 0, 0, 1, 0.01, 0, 0, 0, 1]
 """The cameras of EuRoC are turned like that; its files were made for 200 Hz."""
 T_IMU_RIGHT = [0.0, -1, 0, -0.02, 1, 0, 0, 0.05, 0, 0, 1, 0.01, 0, 0, 0, 1]
@@ -110,6 +112,27 @@ def test_the_body_of_vins_fusion_without_imu_is_the_left_camera(tmp_path: Path) 
     assert found.numbers("imu", "num_of_cam") == [0, 2]
     assert np.array_equal(found.matrix("body_T_cam0"), np.eye(4))
     assert np.allclose(found.matrix("body_T_cam1")[:3, 3], [0.11, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("package", "changes", "every"),
+    [
+        ("vins-fusion", {}, False),
+        ("vins-fusion", {"feature_every": 1}, True),
+        ("vins-fusion", {"multiple_thread": False}, True),  # then feature_every has no effect
+        ("vins-mono", {}, False),
+        ("vins-mono", {"freq": 0}, True),
+    ],
+)
+def test_images_that_vins_leaves_out_on_purpose_are_not_dropped(
+    monkeypatch: pytest.MonkeyPatch, package: str, changes: dict[str, Any], every: bool
+) -> None:
+    monkeypatch.syspath_prepend(PROJECT_ROOT / "algorithms" / package / "slamhive")
+    values = {**EUROC, **(MONO if package == "vins-mono" else FUSION), **changes}
+    config = RunConfig(
+        package, "room", algorithm_parameters=values, algorithm_remap={"left": "/l", "right": "/r", "imu": "/i"}
+    )
+    assert load_module(package, "mapping").make(config).every_frame is every
 
 
 def test_orb_slam2_rectifies_what_is_not_rectified(tmp_path: Path) -> None:

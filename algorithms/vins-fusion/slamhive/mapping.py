@@ -17,7 +17,9 @@ LAUNCH = Path(__file__).with_name("vins-fusion.launch")
 
 def make(config: RunConfig) -> Ros1System:
     """The system for this run; raises InvalidInput for a camera that VINS-Fusion cannot describe."""
-    return vins_system(config, LAUNCH, write_settings, {"package": "VINS-Fusion", "version": "be55a93"})
+    about = {"package": "VINS-Fusion", "version": "be55a93"}
+    every_frame = not config.parameters["multiple_thread"] or config.parameters["feature_every"] == 1
+    return vins_system(config, LAUNCH, write_settings, about, every_frame=every_frame)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,8 @@ LAUNCH = Path(__file__).with_name("vins-mono.launch")
 
 def make(config: RunConfig) -> Ros1System:
     """The system for this run; raises InvalidInput for a camera that VINS-Mono cannot describe."""
-    return vins_system(config, LAUNCH, write_settings, {"package": "VINS-Mono", "version": "90dabb5"})
+    about = {"package": "VINS-Mono", "version": "90dabb5"}
+    return vins_system(config, LAUNCH, write_settings, about, every_frame=config.parameters["freq"] == 0)
 
 
 if __name__ == "__main__":
