@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from textwrap import shorten
 from types import MappingProxyType
 from typing import IO, Any
 
@@ -144,6 +145,10 @@ def _make_base(client: docker.DockerClient, script: Path) -> None:
         raise ImageMissing(f"the engine did not take {OWN_BASE}: {answer}", "set BASE_IMAGE")
 
 
+_STEP_CHARACTERS = 120
+"""A step that is longer is a script. Its beginning says which it is."""
+
+
 def follow_build(events: Iterable[dict[str, Any]], name: str, progress: ProgressCallback) -> str | None:
     """Pass the lines of a build on; the digest of what was built, None if the engine does not say.
 
@@ -158,7 +163,7 @@ def follow_build(events: Iterable[dict[str, Any]], name: str, progress: Progress
             if not line or line.startswith(_ENGINE_CHATTER):
                 continue
             if line.startswith("Step "):
-                step = line
+                step = shorten(line, _STEP_CHARACTERS, placeholder=" …")
                 last.clear()
             else:
                 last.append(line)
