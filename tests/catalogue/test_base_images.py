@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -74,5 +75,5 @@ def test_every_ros1_package_names_its_sources_by_commit_and_explains_its_patches
         assert dockerfile is not None
         assert source_archives(dockerfile)
         for patch in (folder / "patches").glob("*.patch"):
-            reason = patch.read_text().partition("diff --git")[0]
+            reason = re.split(r"^(?:diff --git|---) ", patch.read_text(), maxsplit=1, flags=re.MULTILINE)[0]
             assert len(reason.split()) > 5, f"{patch} has no reason"

@@ -36,6 +36,19 @@ def test_presets_show_figures_of_the_catalogue_in_words() -> None:
         assert preset.source
 
 
+def test_keyframes_without_scale_are_whole_as_the_published_slam_hive_counts() -> None:
+    """Its trajectories are those of keyframes, often of one camera: gaps below 30 s are none, and the scale is free."""
+    truth = read_tum(EVO / "freiburg1_xyz-groundtruth.txt")
+    every = slice(None, None, 500)  # 5 s apart
+    keyframes = Trajectory(truth.stamps_s[every], 2 * truth.positions_m[every], truth.quats_xyzw[every])
+    figures, _ = evaluated("slam-hive", truth, keyframes)
+    assert figures.values["ate.rmse"] == pytest.approx(0, abs=1e-9)
+    assert figures.values["gap.count"] == 0
+    figures, _ = evaluated("evo", truth, keyframes)
+    assert figures.values["ate.rmse"] > 0.01
+    assert figures.values["gap.count"] > 0
+
+
 @pytest.mark.parametrize(("name", "ate_m", "pairs"), [("evo", 0.013470, 785), ("tum", 0.013473, 786)])
 def test_freiburg1_xyz_as_evo_and_as_tum(name: str, ate_m: float, pairs: int) -> None:
     truth, estimate = (read_tum(EVO / f"freiburg1_xyz-{which}.txt") for which in ("groundtruth", "rgbdslam"))
