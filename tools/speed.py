@@ -26,8 +26,11 @@ class Slowness:
     taken_s: list[float] = field(default_factory=list)
 
     def factor(self) -> float:
-        """How many times longer the same work takes, at least 1: a fast machine gets no tighter limits."""
-        return max(1.0, statistics.median(self.taken_s) / REFERENCE_S)
+        """How many times longer the same work takes; 1 if nothing was measured.
+
+        At least 1, because a fast machine gets no tighter limits.
+        """
+        return max(1.0, statistics.median(self.taken_s or [REFERENCE_S]) / REFERENCE_S)
 
 
 @contextlib.contextmanager

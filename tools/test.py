@@ -219,7 +219,9 @@ def run_together(tiers: Sequence[Tier]) -> dict[str, Outcome]:
 def run_timed(tier: Tier, output: IO[bytes] | None = None) -> Outcome:
     """Run a tier for which everything is there; what it prints goes to ``output``, by default to the terminal."""
     started = time.monotonic()
-    with speed.slowness_meanwhile() as slowness:
+    # Measuring takes up to a tenth of a core where several tiers run at once, so only those with a limit are measured.
+    measuring = contextlib.nullcontext(speed.Slowness()) if tier.limit_s is None else speed.slowness_meanwhile()
+    with measuring as slowness:
         outcome = run_pytest(tier, output) if tier.marks else run_commands(tier, output)
     outcome.seconds = time.monotonic() - started
     outcome.slowness = slowness.factor()

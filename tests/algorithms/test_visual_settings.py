@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from slamhive.errors import InvalidInput
+from slamhive.project import project_root
 from slamhive.runtime.config import RunConfig
 from tests.algorithms.algorithm_runs import load_module
 
-PROJECT_ROOT = Path(__file__).resolve().parents[2]
 T_IMU_LEFT = [0.0, -1, 0, -0.02, 1, 0, 0, -0.06, 0, 0, 1, 0.01, 0, 0, 0, 1]
 """The cameras of EuRoC are turned like that; its files were made for 200 Hz."""
 T_IMU_RIGHT = [0.0, -1, 0, -0.02, 1, 0, 0, 0.05, 0, 0, 1, 0.01, 0, 0, 0, 1]
@@ -127,7 +127,7 @@ def test_the_body_of_vins_fusion_without_imu_is_the_left_camera(tmp_path: Path) 
 def test_images_that_vins_leaves_out_on_purpose_are_not_dropped(
     monkeypatch: pytest.MonkeyPatch, package: str, changes: dict[str, Any], every: bool
 ) -> None:
-    monkeypatch.syspath_prepend(PROJECT_ROOT / "algorithms" / package / "slamhive")
+    monkeypatch.syspath_prepend(project_root() / "algorithms" / package / "slamhive")
     values = {**EUROC, **(MONO if package == "vins-mono" else FUSION), **changes}
     config = RunConfig(
         package, "room", algorithm_parameters=values, algorithm_remap={"left": "/l", "right": "/r", "imu": "/i"}

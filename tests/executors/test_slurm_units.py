@@ -131,7 +131,7 @@ def test_options_that_the_user_may_not_give(text):
 
 
 def test_options_of_a_job():
-    options = job_options(SPEC, "home", ["--partition=gpu"])
+    options = job_options(SPEC, "home", ["--partition=gpu"], "gpu:1")
     assert "--comment=slamhive:home:k1" in options
     assert "--time=4" in options
     assert "--cpus-per-task=2" in options
@@ -142,9 +142,11 @@ def test_options_of_a_job():
 
 def placed(*options, **hints):
     """The options of a job with these hints that it would not have without them."""
-    plain = set(job_options(SPEC, "home", []))
+    plain = set(job_options(SPEC, "home", [], "gpu:1"))
     return [
-        entry for entry in job_options(replace(SPEC, placing=Placing(**hints)), "home", options) if entry not in plain
+        entry
+        for entry in job_options(replace(SPEC, placing=Placing(**hints)), "home", options, "gpu:1")
+        if entry not in plain
     ]
 
 
@@ -165,7 +167,7 @@ def test_the_longest_run_is_the_least_nice(expected_s, nice):
 
 def test_slurm_chooses_the_cores():
     assert job_limits(Limits(cpuset=(2, 3))) == Limits(cpu_cores=2.0)
-    assert not [entry for entry in job_options(replace(SPEC, limits=Limits()), "home", []) if "cpus" in entry]
+    assert not [entry for entry in job_options(replace(SPEC, limits=Limits()), "home", [], "gpu:1") if "cpus" in entry]
 
 
 def test_script_of_a_job():

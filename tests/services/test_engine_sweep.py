@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import docker
 import docker.errors
@@ -64,6 +64,17 @@ def test_sweeps_have_an_interval(hive):
         for _ in range(3):
             sweep.sweep_if_due()
         assert len(executor.found) == times
+
+
+def test_on_a_cluster_the_engines_of_the_cluster_are_swept(hive):
+    class Cluster(Swept):
+        name = "slurm"
+        capabilities = replace(Swept.capabilities, elsewhere=True)
+
+    cluster, here = Cluster(), Swept()
+    made = {cluster.name: cluster}
+    EngineSweep("auto", hive.store, lambda name: made.get(name, here), elsewhere=True).sweep()
+    assert (len(cluster.found), len(here.found)) == (1, 0)
 
 
 def test_an_engine_that_is_away_is_named_once_and_swept_later(hive, caplog):

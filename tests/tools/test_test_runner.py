@@ -95,7 +95,12 @@ def test_a_busy_or_slow_machine_fails_no_tier_but_slow_tests_do(
 @pytest.mark.parametrize(("work", "slowness"), [(0.5, 1.0), (1.0, 1.0), (1.7, 1.7)])
 def test_a_fast_machine_gets_no_tighter_limits(runner, monkeypatch, work, slowness):
     monkeypatch.setattr(runner.speed, "work_s", lambda: work * runner.speed.REFERENCE_S)
-    assert runner.run_timed(runner.Tier("none", ())).slowness == pytest.approx(slowness)
+    assert runner.run_timed(runner.Tier("none", (), limit_s=1.0)).slowness == pytest.approx(slowness)
+
+
+def test_a_tier_without_a_limit_is_not_measured(runner, monkeypatch):
+    monkeypatch.setattr(runner.speed, "work_s", None)
+    assert runner.run_timed(runner.Tier("none", ())).slowness == 1.0
 
 
 def test_slowness_is_measured_while_a_tier_runs(runner, monkeypatch):

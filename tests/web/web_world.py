@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import shutil
 import uuid
+from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -259,6 +261,10 @@ class Web:
         """The CSRF token of the client's session, out of a form."""
         page = self.client.get(f"/runs/{RUNS['queued']}").text
         return page.partition('name="csrf_token" value="')[2].partition('"')[0]
+
+
+EMPTY_STYLE = f"style-src-attr 'unsafe-hashes' 'sha256-{b64encode(sha256(b'').digest()).decode()}';"
+"""What each policy allows besides: an attribute with no style in it."""
 
 
 class TemplatesCompiledOnce(FileSystemBytecodeCache):

@@ -186,11 +186,9 @@ class SlurmExecutor(ProcessExecutor):
             return
         self._check_nodes(spec)
         self._give_orders(replace(spec, limits=job_limits(spec.limits)), work)
-        command.submit(self._job_options(spec), job_script(work, gpu=spec.asks_gpu))
+        options = job_options(spec, self._context.installation, self._options, self._gpu)
+        command.submit(options, job_script(work, gpu=spec.asks_gpu))
         self._queue.forget()
-
-    def _job_options(self, spec: RunSpec) -> list[str]:
-        return job_options(spec, self._context.installation, self._options, self._gpu)
 
     def _check_nodes(self, spec: RunSpec) -> None:
         """Raise StartFailed if each node is known to have another CPU model than the run needs."""

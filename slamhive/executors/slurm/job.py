@@ -36,7 +36,7 @@ def job_limits(limits: Limits) -> Limits:
     return replace(limits, cpuset=None, cpu_cores=cores)
 
 
-def job_options(spec: RunSpec, installation: str, options: Sequence[str], gpu: str = "gpu:1") -> list[str]:
+def job_options(spec: RunSpec, installation: str, options: Sequence[str], gpu: str) -> list[str]:
     """The arguments of ``sbatch``. ``options`` are those of the user; ``gpu`` is the resource that is a GPU."""
     work, limits = spec.work.resolve(), job_limits(spec.limits)
     chosen = [

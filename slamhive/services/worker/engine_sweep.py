@@ -33,12 +33,20 @@ class EngineSweep:
         store: Knows the active runs.
         executors: The executor for a name.
         interval_s: Time between two sweeps of :meth:`sweep_if_due`.
+        elsewhere: The settings allow executors of other machines only.
     """
 
     def __init__(
-        self, setting: str, store: Store, executors: Callable[[str], Executor], interval_s: float = INTERVAL_S
+        self,
+        setting: str,
+        store: Store,
+        executors: Callable[[str], Executor],
+        interval_s: float = INTERVAL_S,
+        *,
+        elsewhere: bool = False,
     ) -> None:
         self._setting = setting
+        self._elsewhere = elsewhere
         self._store = store
         self._executors = executors
         self._interval_s = interval_s
@@ -63,7 +71,8 @@ class EngineSweep:
     def _sweep(self) -> None:
         self._due_s = monotonic_s() + self._interval_s
         names = {record.executor for record in self._active()}
-        names.update(executor.name for executor in candidates(self._setting, self._executors))
+        allowed = candidates(self._setting, self._executors, elsewhere=self._elsewhere)
+        names.update(executor.name for executor in allowed)
         for name in sorted(names):
             try:
                 removed = self._executors(name).sweep(self._live_keys)

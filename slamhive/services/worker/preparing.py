@@ -138,8 +138,8 @@ class Preparing:
         if need is GpuNeed.NONE or (need is GpuNeed.OPTIONAL and giver is GpuGiver.NOBODY):
             return job
         try:
-            hand.executor.check_gpu()
             if giver is GpuGiver.ENGINE:
+                hand.executor.check_gpu()
                 return replace(job, asks_gpu=True)
             gpus = hand.executor.gpus()
         except EngineUnavailable:

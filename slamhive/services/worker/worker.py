@@ -82,7 +82,9 @@ class Worker:
         self._absent = AbsentExecutors(executors, TROUBLE_PAUSE_S)
         self._one_at_a_time = OneAtATime(executors)
         self._cpu_type = CpuType(settings, store, executors)
-        self._engine_sweep = EngineSweep(settings.executor, store, executors)
+        self._engine_sweep = EngineSweep(
+            settings.executor, store, executors, elsewhere=settings.mode.has_other_machines
+        )
         self._context = DriverContext(
             settings=settings,
             store=store,

@@ -193,10 +193,10 @@ def gpu(record: Mapping[str, Any]) -> Cell | None:
     if not isinstance(told, Mapping):
         return None
     number, node = told.get("number"), told.get("node")
-    place = f"GPU{'' if number is None else f' {number}'} of node {node}" if node else "GPU"
+    place = f"GPU{'' if number is None else f' {number}'} of node {node}" if node else ""
     driver = f"driver {told['driver']}" if told.get("driver") else ""
-    known = [str(part) for part in (place if node else "", driver, told.get("uuid")) if part]
-    return Cell(str(told.get("model") or place), ", ".join(known))
+    known = [str(part) for part in (place, driver, told.get("uuid")) if part]
+    return Cell(str(told.get("model") or place or "GPU"), ", ".join(known))
 
 
 def wall_time_s(run: RunRecord) -> float | None:
