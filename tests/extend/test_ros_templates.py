@@ -107,11 +107,32 @@ def test_the_run_of_ros2_plays_what_the_configuration_names() -> None:
     assert run.launch_command(config, Path("/slamhive"))[3:] == ["points:=/points", "imu:=/imu"]
     with pytest.raises(InvalidInput, match="is a ROS 1 bag"):
         run.check_config(config, Path("room.bag"))
-    stamp = SimpleNamespace(sec=3, nanosec=500_000_000)
-    at, turned = SimpleNamespace(x=1.0, y=2.0, z=3.0), SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
-    pose = SimpleNamespace(pose=SimpleNamespace(position=at, orientation=turned))
-    poses = run.poses_of([SimpleNamespace(header=SimpleNamespace(stamp=stamp), pose=pose)])
-    assert poses.stamps_s.tolist() == [3.5]
-    assert poses.T_world_sensor[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
     shell = module_at(ROS2 / "slamhive" / "mapping.py").command("jazzy", Path("/slamhive/ros2_run.py"))
     assert shell[-1].startswith(". /opt/ros/jazzy/setup.sh && ")
+
+
+def test_poses_of_ros2_are_read_from_each_type_of_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = module_at(ROS2 / "slamhive" / "ros2_run.py")
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=3, nanosec=500_000_000), frame_id="map")
+    at, turned = SimpleNamespace(x=1.0, y=2.0, z=3.0), SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+    pose = SimpleNamespace(position=at, orientation=turned)
+    moved = SimpleNamespace(translation=at, rotation=turned)
+    stamped = SimpleNamespace(header=header, pose=pose)
+    messages = {
+        run.PoseKind.ODOMETRY: SimpleNamespace(header=header, pose=SimpleNamespace(pose=pose)),
+        run.PoseKind.POSE: stamped,
+        run.PoseKind.PATH: SimpleNamespace(poses=[stamped]),
+        run.PoseKind.TF: SimpleNamespace(
+            transforms=[SimpleNamespace(header=header, child_frame_id="imu", transform=moved)]
+        ),
+    }
+    assert set(messages) == set(run.PoseKind)
+    for kind, message in messages.items():
+        found = run.PoseLog(run.PoseTopic("/poses", kind, parent="map", child="imu"))
+        found.add(message, 7.0)
+        assert found.poses.stamps_s.tolist() == [3.5]
+        assert found.poses.T_world_sensor[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
+        package, _, name = kind.partition("/")
+        monkeypatch.setitem(sys.modules, package, SimpleNamespace())
+        monkeypatch.setitem(sys.modules, f"{package}.msg", SimpleNamespace(**{name: kind}))
+        assert run.message_type(kind) is kind

@@ -24,10 +24,10 @@ from slamhive.runtime.paths import RunPaths, find_recording
 from slamhive.runtime.pcd import write_pcd
 from slamhive.runtime.program import run_program
 from slamhive.runtime.progress import json_text, say
-from slamhive.runtime.ros1.pose_messages import in_sensor_axes
 from slamhive.runtime.ros1.programs import SystemFailed
 from slamhive.runtime.ros1.system import FiledResults, Ros1System
 from slamhive.runtime.ros1.timing import frame_times, queue_drops
+from slamhive.runtime.ros_poses import in_sensor_axes
 from slamhive.runtime.trajectory import Poses, write_trajectory
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from rosgraph_msgs.msg import Clock, TopicStatistics
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-from slamhive.runtime.ros1.pose_messages import PoseLog
 from slamhive.runtime.ros1.system import Ros1System
 from slamhive.runtime.ros1.timing import PlayedClock
+from slamhive.runtime.ros_poses import PoseLog
 
 NAME = "/slamhive"
 _QUEUE = 10_000

@@ -18,11 +18,11 @@ from slamhive.runtime.config import RunConfig
 from slamhive.runtime.paths import RunPaths
 from slamhive.runtime.progress import Progress, say
 from slamhive.runtime.ros1.bag_frames import bag_frames
-from slamhive.runtime.ros1.pose_messages import PoseLog
 from slamhive.runtime.ros1.programs import NodeWatch, Program, SystemFailed, children_cpu_s
 from slamhive.runtime.ros1.recorder import Recorder
 from slamhive.runtime.ros1.system import SAVING_PATIENCE_S, Ros1System, launch_command
 from slamhive.runtime.ros1.timing import BagFrame, PlayedClock
+from slamhive.runtime.ros_poses import PoseLog
 
 if TYPE_CHECKING:
     from types import TracebackType

@@ -4,35 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from slamhive.runtime.ros_poses import PoseKind, PoseTopic
 from slamhive.runtime.trajectory import Poses
+
+__all__ = ["FiledResults", "PoseKind", "PoseTopic", "Ros1System", "launch_command"]
 
 SAVING_PATIENCE_S = 45.0
 """How long nodes may take to save their results at the end; then they are killed."""
-
-
-class PoseKind(StrEnum):
-    """The message types from which poses are read."""
-
-    ODOMETRY = "nav_msgs/Odometry"
-    POSE = "geometry_msgs/PoseStamped"
-    PATH = "nav_msgs/Path"
-    """Each message is the whole trajectory so far; the last one counts."""
-    TF = "tf2_msgs/TFMessage"
-    """The pose of the frame ``child`` in the frame ``parent``, along the tree of frames."""
-
-
-@dataclass(frozen=True, slots=True)
-class PoseTopic:
-    """Where poses come from. ``parent`` and ``child`` are for :attr:`PoseKind.TF` alone."""
-
-    topic: str
-    kind: PoseKind
-    parent: str = ""
-    child: str = ""
 
 
 @dataclass(frozen=True, eq=False)

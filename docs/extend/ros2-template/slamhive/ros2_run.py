@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import signal
 import subprocess
 import sys
@@ -10,16 +11,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.files import write_aside
 from slamhive.runtime.config import RunConfig, load
 from slamhive.runtime.paths import find_recording, run_paths
-from slamhive.runtime.trajectory import Poses, transform_from, write_trajectory
+from slamhive.runtime.ros_poses import PoseKind, PoseLog, PoseTopic
+from slamhive.runtime.trajectory import write_trajectory
 
-POSE_TOPIC = "/odom"
-"""Change it to the topic on which your system publishes ``nav_msgs/Odometry``."""
+POSES = PoseTopic("/odom", PoseKind.ODOMETRY)
+"""Where poses come from. Change it to the topic of your system; PoseKind has the types that can be read.
+
+For TF: ``PoseTopic("/tf", PoseKind.TF, parent="map", child="imu")``.
+"""
 START_PATIENCE_S = 60.0
 QUIET_S = 2.0
 
@@ -43,15 +46,10 @@ def play_command(config: RunConfig, recording: Path) -> list[str]:
     return [*command, "--topics", *topics, *(["--remap", *remaps] if remaps else [])]
 
 
-def poses_of(messages: Sequence[Any]) -> Poses:
-    """One pose for each ``nav_msgs/Odometry``; the last where several have the same timestamp."""
-    found = {}
-    for message in messages:
-        stamp, pose = message.header.stamp, message.pose.pose
-        at, turned = pose.position, pose.orientation
-        T = transform_from(np.array([at.x, at.y, at.z]), np.array([turned.x, turned.y, turned.z, turned.w]))
-        found[stamp.sec + stamp.nanosec * 1e-9] = T
-    return Poses(np.array(sorted(found)), np.array([found[key] for key in sorted(found)]).reshape(-1, 4, 4))
+def message_type(kind: PoseKind) -> Any:
+    """The class of the messages: ``nav_msgs/Odometry`` is that of ``nav_msgs.msg``."""
+    package, _, name = kind.partition("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
 def check_config(config: RunConfig, recording: Path) -> None:
@@ -66,15 +64,16 @@ def check_config(config: RunConfig, recording: Path) -> None:
 def run() -> None:
     """The whole run; raises SlamHiveError with the reason if a program ends early."""
     import rclpy  # noqa: PLC0415 - only images of ROS 2 have it
-    from nav_msgs.msg import Odometry  # noqa: PLC0415
 
     paths = run_paths()
     config, recording = load(paths.config), find_recording(paths.dataset)
     check_config(config, recording)
     rclpy.init()
     node = rclpy.create_node("slamhive")
-    messages: list[Any] = []
-    node.create_subscription(Odometry, POSE_TOPIC, messages.append, 1000)
+    found = PoseLog(POSES)
+    node.create_subscription(
+        message_type(POSES.kind), POSES.topic, lambda message: found.add(message, time.monotonic()), 1000
+    )
     nodes = subprocess.Popen(launch_command(config, Path(__file__).parent))
     try:
         _wait_for_listeners(node, list(config.algorithm_remap.values()), nodes)
@@ -84,15 +83,15 @@ def run() -> None:
             _check_running(nodes)
         if player.returncode != 0:
             raise SlamHiveError(f"ros2 bag play ended with exit code {player.returncode}")
-        until_s, seen = time.monotonic() + QUIET_S, len(messages)
+        until_s, seen = time.monotonic() + QUIET_S, len(found.arrivals)
         while time.monotonic() < until_s:
             rclpy.spin_once(node, timeout_sec=0.05)
-            if len(messages) > seen:
-                until_s, seen = time.monotonic() + QUIET_S, len(messages)
+            if len(found.arrivals) > seen:
+                until_s, seen = time.monotonic() + QUIET_S, len(found.arrivals)
     finally:
         nodes.send_signal(signal.SIGINT)
         nodes.wait(20)
-    write_trajectory(paths.result / "traj.txt", poses_of(messages))
+    write_trajectory(paths.result / "traj.txt", found.poses)
     write_aside(paths.result / "finished", "")
 
 

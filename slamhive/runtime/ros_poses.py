@@ -1,15 +1,36 @@
-"""Poses out of ROS messages. Works on anything that has the fields of the messages, so it needs no ROS."""
+"""Poses out of messages of ROS 1 and ROS 2. Works on anything that has their fields, so it needs no ROS."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from slamhive.runtime.ros1.system import PoseKind, PoseTopic
 from slamhive.runtime.trajectory import Array, Poses, transform_from
+
+
+class PoseKind(StrEnum):
+    """The message types from which poses are read, as ROS 1 names them."""
+
+    ODOMETRY = "nav_msgs/Odometry"
+    POSE = "geometry_msgs/PoseStamped"
+    PATH = "nav_msgs/Path"
+    """Each message is the whole trajectory so far; the last one counts."""
+    TF = "tf2_msgs/TFMessage"
+    """The pose of the frame ``child`` in the frame ``parent``, along the tree of frames."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseTopic:
+    """Where poses come from. ``parent`` and ``child`` are for :attr:`PoseKind.TF` alone."""
+
+    topic: str
+    kind: PoseKind
+    parent: str = ""
+    child: str = ""
 
 
 @dataclass
@@ -42,15 +63,15 @@ class PoseLog:
         self.arrivals.append((stamp_s, arrived_s))
 
     def _take_odometry(self, message: Any, arrived_s: float) -> None:
-        self._take(message.header.stamp.to_sec(), _transform(message.pose.pose), arrived_s)
+        self._take(_seconds(message.header), _transform(message.pose.pose), arrived_s)
 
     def _take_pose(self, message: Any, arrived_s: float) -> None:
-        self._take(message.header.stamp.to_sec(), _transform(message.pose), arrived_s)
+        self._take(_seconds(message.header), _transform(message.pose), arrived_s)
 
     def _take_path(self, message: Any, arrived_s: float) -> None:
         if message.poses:
-            self._poses = {entry.header.stamp.to_sec(): _transform(entry.pose) for entry in message.poses}
-            self.arrivals.append((message.poses[-1].header.stamp.to_sec(), arrived_s))
+            self._poses = {_seconds(entry.header): _transform(entry.pose) for entry in message.poses}
+            self.arrivals.append((_seconds(message.poses[-1].header), arrived_s))
 
     def _take_tf(self, message: Any, arrived_s: float) -> None:
         for edge in message.transforms:
@@ -60,7 +81,7 @@ class PoseLog:
             if child == self.source.child:
                 T = self._pose_in_parent()
                 if T is not None:
-                    self._take(edge.header.stamp.to_sec(), T, arrived_s)
+                    self._take(_seconds(edge.header), T, arrived_s)
 
     def _pose_in_parent(self) -> Array | None:
         """Along the newest edges from the child up; None while the parent cannot be reached."""
@@ -89,6 +110,12 @@ def in_sensor_axes(T: Array, R_system_sensor: Array) -> Array:
     C[:3, :3] = R_system_sensor
     turned: Array = C.T @ T @ C
     return turned
+
+
+def _seconds(header: Any) -> float:
+    """The timestamp in s; ROS 1 names its parts ``secs`` and ``nsecs``, ROS 2 ``sec`` and ``nanosec``."""
+    stamp = header.stamp
+    return float(stamp.to_sec() if hasattr(stamp, "to_sec") else stamp.sec + stamp.nanosec * 1e-9)
 
 
 def _transform(pose: Any) -> Array:
