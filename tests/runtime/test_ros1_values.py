@@ -158,7 +158,7 @@ def test_nodes_learn_how_the_points_state_their_time(
     keys: dict[str, Any], zero_s: float, absolute: bool, middle_s: float
 ) -> None:
     values = {"points_rate_hz": 10.0, "points_ring_field": "ring", "points_point_time_field": "time", **keys}
-    parameters = sweep_parameters(values, clockwise=False)[NAMESPACE]
+    parameters = sweep_parameters(values, rotation="counter-clockwise")[NAMESPACE]
     assert parameters["time_zero_s"] == pytest.approx(zero_s)
     assert parameters["absolute"] is absolute
     assert (parameters["ring_field"], parameters["time_field"]) == ("ring", "time")

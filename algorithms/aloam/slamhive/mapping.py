@@ -21,7 +21,7 @@ def make(config: RunConfig) -> Ros1System:
         poses=PoseTopic("/aft_mapped_to_init", PoseKind.ODOMETRY),
         frames="points",
         parameters={
-            **sweep_parameters(values, clockwise=values["clockwise"]),
+            **sweep_parameters(values, rotation=values["rotation"]),
             "/scan_line": int(values["points_beams"]),
             **{f"/{key}": values[key] for key in SETTINGS},
         },

@@ -35,7 +35,7 @@ def make(config: RunConfig) -> Ros1System:
             "mapping_interval_s": values["mapping_interval"],
             "loop_closure": int(values["loop_closure"]),
         },
-        parameters=sweep_parameters(values, clockwise=values["rotation"] != "counter-clockwise"),
+        parameters=sweep_parameters(values, rotation=values["rotation"]),
         # The timestamp is that of the sweep's message; odometry and mapping give the pose at its end.
         pose_delay_s=times.end_s(0.0),
         R_system_sensor=AXES,

@@ -47,7 +47,7 @@ def make(config: RunConfig) -> Ros1System:
         launch=Path(__file__).with_name("lio_sam.launch"),
         poses=PoseTopic("/lio_sam/mapping/odometry", PoseKind.ODOMETRY),
         frames="points",
-        parameters={**sweep_parameters(values, clockwise=True), "/lio_sam": settings(values)},
+        parameters={**sweep_parameters(values), "/lio_sam": settings(values)},
         # Upstream compensates the rotation during a sweep, but not the translation: positions are those at its middle.
         pose_delay_s=middle_delay_s(values),
         every_frame=values["mapping_interval"] == 0,

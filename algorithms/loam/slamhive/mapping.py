@@ -24,7 +24,7 @@ def make(config: RunConfig) -> Ros1System:
         poses=PoseTopic("/integrated_to_init", PoseKind.ODOMETRY),
         frames="points",
         parameters={
-            **sweep_parameters(values, clockwise=values["clockwise"]),
+            **sweep_parameters(values, rotation=values["rotation"]),
             "/multiScanRegistration": {
                 **period,
                 "nScanRings": int(values["points_beams"]),

@@ -15,10 +15,11 @@ def sweep_times(values: Mapping[str, Any], role: str = "points") -> PointTimes:
     return PointTimes.of(values, float(values[f"{role}_rate_hz"]), role, f"{role}_")
 
 
-def sweep_parameters(values: Mapping[str, Any], *, clockwise: bool, role: str = "points") -> dict[str, Any]:
+def sweep_parameters(values: Mapping[str, Any], *, rotation: str = "clockwise", role: str = "points") -> dict[str, Any]:
     """The parameters of the LiDAR in ``role``.
 
-    ``clockwise`` is the direction in which it turns, seen from above, which nodes use for points without a time.
+    ``rotation`` is the direction in which it turns, seen from above: ``clockwise`` or ``counter-clockwise``. Nodes use
+    it for points without a time.
     """
     times = sweep_times(values, role)
     since_start_s = times.stamp.fraction * times.scan_duration_s
@@ -31,7 +32,7 @@ def sweep_parameters(values: Mapping[str, Any], *, clockwise: bool, role: str = 
             "absolute": times.reference is TimeReference.ABSOLUTE,
             "duration_s": times.scan_duration_s,
             "stamp_fraction": times.stamp.fraction,
-            "clockwise": clockwise,
+            "clockwise": rotation == "clockwise",
         }
     }
 
