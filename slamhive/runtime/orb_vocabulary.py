@@ -12,6 +12,10 @@ from slamhive.errors import InvalidInput
 from slamhive.runtime.paths import ORB_VOCABULARY_VARIABLE
 
 PREPARED_VARIABLE = "SLAMHIVE_PREPARED"
+_GZIP = b"\x1f\x8b"
+_HEADER_FIELDS = 4
+_DESCRIPTOR_BYTES = 32
+_FIELDS = 2 + _DESCRIPTOR_BYTES + 1
 
 
 def vocabulary_path(environment: Mapping[str, str] = os.environ) -> Path:
@@ -26,11 +30,57 @@ def vocabulary_path(environment: Mapping[str, str] = os.environ) -> Path:
 
 
 def about_vocabulary(path: Path, environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
-    """Name, number of words and SHA-256 of a text vocabulary, for ``about.json``."""
+    """Name, number of words and SHA-256 of a text vocabulary, for ``about.json``; InvalidInput if it is none of ORB."""
     content = path.read_bytes()
     small = not environment.get(ORB_VOCABULARY_VARIABLE)
     return {
         "name": "small, trained on rendered rooms" if small else path.name,
-        "words": sum(line.split(b" ", 2)[1:2] == [b"1"] for line in content.splitlines()[1:]),
+        "words": _count_words(path, content),
         "sha256": hashlib.sha256(content).hexdigest(),
     }
+
+
+def _count_words(path: Path, content: bytes) -> int:
+    """The number of words, after a check that ORB-SLAM can read all of it; its own loader crashes or hangs otherwise.
+
+    A text vocabulary has a line with four numbers, then one for each node of a tree: its parent, whether it is a word,
+    the bytes of its descriptor and its weight. Nodes are numbered from 1 in their order; 0 is the root.
+    """
+    lines = content.rstrip().splitlines()
+    _check_header(path, content, lines)
+    parents, inner, words = {0}, {0}, 0
+    for number, line in enumerate(lines[1:], start=1):
+        fields = line.rstrip().count(b" ") + 1
+        if fields != _FIELDS:
+            raise _unfit(path, f"line {number + 1} has {fields} numbers instead of {_FIELDS}", "the file is incomplete")
+        parent, word, _ = line.split(b" ", 2)
+        if not parent.isdigit() or int(parent) >= number:
+            raise _unfit(path, f"node {number} comes before its parent {parent.decode(errors='replace')}", "damaged")
+        parents.add(int(parent))
+        if word == b"1":
+            words += 1
+        else:
+            inner.add(number)
+    if not words or parents != inner:
+        raise _unfit(path, f"{len(inner - parents)} of its nodes have no words below them", "the file is incomplete")
+    return words
+
+
+def _check_header(path: Path, content: bytes, lines: list[bytes]) -> None:
+    """Raise InvalidInput for files of other kinds."""
+    if content.startswith(_GZIP):
+        raise _unfit(path, "it is compressed", "unpack it")
+    if b"\0" in content[:4096]:
+        raise _unfit(path, "it is binary", "give the text file, as ORB-SLAM ships it")
+    numbers = lines[0].split() if lines else []
+    if len(numbers) != _HEADER_FIELDS or not all(number.isdigit() for number in numbers) or len(lines) == 1:
+        raise _unfit(
+            path, "its first line is not branching, depth, scoring and weighting", "give ORBvoc.txt or its like"
+        )
+    bytes_each = len(lines[1].split()) - _FIELDS + _DESCRIPTOR_BYTES
+    if bytes_each > 0 and bytes_each != _DESCRIPTOR_BYTES:
+        raise _unfit(path, f"its descriptors have {bytes_each} bytes", f"descriptors of ORB have {_DESCRIPTOR_BYTES}")
+
+
+def _unfit(path: Path, problem: str, remedy: str) -> InvalidInput:
+    return InvalidInput(f"{path} is no ORB vocabulary: {problem}", remedy)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from slamhive.runtime.orb_vocabulary import about_vocabulary, vocabulary_path
 from slamhive.runtime.trajectory import Poses, read_poses, write_trajectory
 
 TURNED = [0.0, -1, 0, 0.1, 1, 0, 0, 0.2, 0, 0, 1, 0.3, 0, 0, 0, 1]
+BYTES = " ".join(["7"] * 32)
+VOCABULARY = f"10 6 0 0\n0 0 {BYTES} 0\n1 1 {BYTES} 0.5 \n1 1 {BYTES} 0.5\n"
 VALUES: dict[str, Any] = {
     "left_fx": 460,
     "left_fy": 461.5,
@@ -63,7 +66,7 @@ def test_a_lens_that_a_system_cannot_describe_is_refused() -> None:
 
 
 def test_the_vocabulary_is_the_users_or_the_small_one(tmp_path: Path) -> None:
-    (tmp_path / "small_vocabulary.txt").write_text("10 6 0 0\n0 0 1 2 0.0\n1 1 3 4 0.5\n1 1 5 6 0.5")
+    (tmp_path / "small_vocabulary.txt").write_text(VOCABULARY)
     small = {"SLAMHIVE_PREPARED": str(tmp_path)}
     path = vocabulary_path(small)
     assert about_vocabulary(path, small)["words"] == 2
@@ -73,6 +76,32 @@ def test_the_vocabulary_is_the_users_or_the_small_one(tmp_path: Path) -> None:
     assert about_vocabulary(path, own)["name"] == "small_vocabulary.txt"
     with pytest.raises(InvalidInput, match="does not exist"):
         vocabulary_path({"SLAMHIVE_ORB_VOCABULARY": str(tmp_path / "none.txt")})
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "its first line is not branching, depth, scoring and weighting; give ORBvoc.txt"),
+        (b"10 6 0 0\n", "its first line is not"),
+        (b"%YAML:1.0\n---\nvocabulary:\n", "its first line is not"),
+        (b"\x0a\x00\x00\x00\x06\x00\x00\x00", "it is binary; give the text file"),
+        (gzip.compress(VOCABULARY.encode()), "it is compressed; unpack it"),
+        (VOCABULARY.replace(BYTES, f"{BYTES} {BYTES}").encode(), "its descriptors have 64 bytes; .* have 32"),
+        (VOCABULARY.encode()[:-40], "line 4 has 1[0-9] numbers instead of 35; the file is incomplete"),
+        (
+            VOCABULARY.replace("\n1 1", "\n0 0", 1).encode(),
+            "1 of its nodes have no words below them; the file is incomplete",
+        ),
+        (VOCABULARY.replace("\n1 1", "\n7 1", 1).encode(), "node 2 comes before its parent 7; damaged"),
+        (VOCABULARY.replace("\n1 1", "\nx 1", 1).encode(), "node 2 comes before its parent x; damaged"),
+    ],
+)
+def test_a_vocabulary_that_does_not_fit_is_refused_in_one_line(content: bytes, problem: str, tmp_path: Path) -> None:
+    path = tmp_path / "voc.txt"
+    path.write_bytes(content)
+    with pytest.raises(InvalidInput, match=rf"voc\.txt is no ORB vocabulary: {problem}") as refused:
+        about_vocabulary(path, {})
+    assert "\n" not in str(refused.value)
 
 
 def test_poses_that_a_program_saved_are_read_back(tmp_path: Path) -> None:

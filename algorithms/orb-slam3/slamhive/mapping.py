@@ -49,7 +49,8 @@ class OrbSlam3:
     def __init__(self, config: RunConfig) -> None:
         self._roles = set(config.algorithm_remap)
         self._values = config.parameters
-        self._vocabulary = vocabulary_path()
+        vocabulary = vocabulary_path()
+        self._about_vocabulary = about_vocabulary(vocabulary)  # before the system, which crashes on a wrong one
         self._work = tempfile.TemporaryDirectory(prefix="orb-slam3-")
         settings = Path(self._work.name) / "settings.yaml"
         self._result = run_paths().result
@@ -64,7 +65,7 @@ class OrbSlam3:
             sensor = SENSORS[frozenset(self._roles)]
         except KeyError:
             raise InvalidInput(f"ORB-SLAM3 has no mode for {', '.join(sorted(self._roles))}") from None
-        self._slam = Slam(self._vocabulary, settings, sensor)
+        self._slam = Slam(vocabulary, settings, sensor)
         self._track = self._tracker()
         self._imu = np.empty((0, 7))
         self._stamps_s: list[float] = []
@@ -135,7 +136,7 @@ class OrbSlam3:
         return {
             "package": "pyorbslam3",
             "version": version("pyorbslam3"),
-            "vocabulary": about_vocabulary(self._vocabulary),
+            "vocabulary": self._about_vocabulary,
         }
 
     def _tracker(self) -> Callable[[Frame, np.ndarray | None], TrackResult]:
