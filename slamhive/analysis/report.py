@@ -54,6 +54,12 @@ class Summary(Document):
     mixed_versions: Annotated[
         dict[str, tuple[str, ...]], described("The versions of each algorithm whose runs used several.")
     ] = Field(default_factory=dict)
+    mixed_trajectories: Annotated[
+        dict[str, tuple[str, ...]],
+        described(
+            "The algorithms by the kind of trajectory that was judged (live, final, keyframes), if several were."
+        ),
+    ] = Field(default_factory=dict)
     mixed_cpus: Annotated[dict[str, int], described("The number of runs on each CPU model if they ran on several.")] = (
         Field(default_factory=dict)
     )

@@ -18,6 +18,7 @@ from slamhive.analysis.colours import MARKERS, algorithm_colours, dataset_marker
 from slamhive.domain.attributes import ATTRIBUTE_KINDS
 from slamhive.domain.metrics import CATALOGUE, Direction
 from slamhive.domain.numbers import plural
+from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
 from slamhive.domain.verdict import (
     DATED_FRACTION,
     ERROR,
@@ -204,6 +205,27 @@ class RunTable:
         """A sentence on algorithms whose runs used several versions; empty if there are none."""
         mixed = [f"{name} ({', '.join(labels)})" for name, labels in self.mixed_versions.items()]
         return f"Several versions together: {', '.join(mixed)}." if mixed else ""
+
+    @property
+    def mixed_trajectories(self) -> dict[str, tuple[str, ...]]:
+        """The algorithms by the kind of the trajectory that was judged, if there are several kinds.
+
+        Protocols that name a kind judge the same of all runs.
+        """
+        if not {"trajectory", "protocol_label"} <= set(self.frame):
+            return {}
+        judged = self.frame.dropna(subset=["trajectory", "protocol_label"])
+        kinds: dict[str, set[str]] = {}
+        for name, kind, label in zip(judged["algorithm"], judged["trajectory"], judged["protocol_label"], strict=True):
+            if with_trajectory(label, TrajectoryKind(kind)) != label:
+                kinds.setdefault(str(kind), set()).add(str(name))
+        return {kind: tuple(sorted(names)) for kind, names in sorted(kinds.items())} if len(kinds) > 1 else {}
+
+    @property
+    def trajectory_words(self) -> str:
+        """A sentence on runs of which different kinds of trajectories were judged; empty if there is one kind."""
+        mixed = [f"{kind} of {', '.join(names)}" for kind, names in self.mixed_trajectories.items()]
+        return f"Several kinds of trajectories together: {'; '.join(mixed)}." if mixed else ""
 
     @property
     def mixed_cpus(self) -> dict[str, int]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from slamhive.analysis.report import DisturbedRuns, PlotBrief, ReportBrief
+from slamhive.analysis.report import DisturbedRuns, PlotBrief, Report, ReportBrief
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.meanings import id_option
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
@@ -73,17 +73,24 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         if report.unevaluated:
             tell(f"left out: {report.unevaluated} runs: not evaluated under this protocol, cancelled or not ended")
         _show_disturbance(report.disturbance)
-        for name, labels in report.mixed_versions.items():
-            tell(f"versions are mixed: {name} ran as {', '.join(labels)}", style="yellow")
-        if report.mixed_cpus:
-            models = ", ".join(f"{model} ({plural(runs, 'run')})" for model, runs in report.mixed_cpus.items())
-            tell(f"CPU models are mixed: {models}", style="yellow")
+        _show_mixed(report)
         rows = [(entry.form, entry.title, entry.charts, entry.error or "") for entry in plots]
         print_table(("form", "title", "plots", "not shown because"), rows)
         if out is not None:
             tell(f"written to {out}" + ("" if parquet_there() else f"; {WITHOUT_PARQUET}: {PARQUET_REMEDY}"))
     if refused:
         raise InvalidInput(f"{len(refused)} of {len(plots)} plots do not fit: {refused[0]}")
+
+
+def _show_mixed(report: Report) -> None:
+    """What runs of the report do not have in common."""
+    for name, labels in report.mixed_versions.items():
+        tell(f"versions are mixed: {name} ran as {', '.join(labels)}", style="yellow")
+    for kind, names in report.mixed_trajectories.items():
+        tell(f"kinds of trajectories are mixed: {kind} of {', '.join(names)}", style="yellow")
+    if report.mixed_cpus:
+        models = ", ".join(f"{model} ({plural(runs, 'run')})" for model, runs in report.mixed_cpus.items())
+        tell(f"CPU models are mixed: {models}", style="yellow")
 
 
 def _show_disturbance(found: DisturbedRuns | None) -> None:

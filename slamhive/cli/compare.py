@@ -82,6 +82,8 @@ def _notes(comparison: RunComparison) -> list[str]:
     doubtful = [run_id for column in comparison.columns for run_id in column.doubtful]
     if doubtful:
         notes.append(f"not to be trusted fully (slamhive runs show): run {', '.join(map(str, doubtful))}")
+    for kind, runs in comparison.mixed_trajectories.items():
+        notes.append(f"kinds of trajectories are mixed: {kind} of run {', '.join(map(str, runs))}")
     if comparison.unmarked:
         notes.append(f"nothing is marked as better: {comparison.unmarked}")
     return notes

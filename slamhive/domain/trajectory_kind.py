@@ -19,3 +19,12 @@ class TrajectoryKind(StrEnum):
     def adjective(self) -> str:
         """What sentences put before "trajectory"."""
         return self.value.removesuffix("s")
+
+
+def with_trajectory(label: str, kind: TrajectoryKind | None) -> str:
+    """The label of a protocol, with the kind of the trajectory that was judged.
+
+    It stays as it is if it names a kind itself, or if the kind is not stated (None).
+    """
+    named = {f"{each.adjective} trajectory" for each in TrajectoryKind}
+    return label if kind is None or named.intersection(label.split(", ")) else f"{label}, {kind.adjective} trajectory"

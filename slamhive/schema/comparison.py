@@ -51,6 +51,10 @@ class Comparison(Document):
     columns: dict[str, ComparedColumn]
     protocol: Annotated[ComparedProtocol | None, described("The one of the metrics; null if no run is evaluated.")]
     protocols: Annotated[tuple[ComparedProtocol, ...], described("All protocols that some of the runs have.")]
+    mixed_trajectories: Annotated[
+        dict[str, tuple[int, ...]],
+        described("The runs by the kind of trajectory that was judged (live, final, keyframes), if several were."),
+    ]
     settings: Annotated[dict[str, dict[str, str | None]], described("By name and column; null where a run has none.")]
     metrics: Annotated[dict[str, ComparedMetric], described("By key.")]
     unmarked: Annotated[str | None, described("Why no value is marked as the best; null if they are.")]

@@ -148,7 +148,7 @@ class RunFields(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True)
 class ProtocolLabel:
-    """The protocol of the metrics that a run shows."""
+    """The protocol of the metrics that a run shows; the label of a run's names the kind of its trajectory."""
 
     fingerprint: str
     label: str

@@ -14,6 +14,7 @@ from slamhive.domain.host import Host as HostRecord
 from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import protocol_from_content
+from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import VerdictKind
 from slamhive.schema.model import load
@@ -116,7 +117,9 @@ def _record(
         asked_version=row.asked_version,
         input_map=None if row.input_map is None else load(InputMap, row.input_map),
         protocol_override=None if override is None else protocol_from_content(override),
-        protocol=None if fingerprint is None else ProtocolLabel(fingerprint, row.protocol_label),
+        protocol=None
+        if fingerprint is None
+        else ProtocolLabel(fingerprint, with_trajectory(row.protocol_label, row.trajectory)),
         version=_version(row),
         host=None
         if row.cpu_model is None

@@ -91,3 +91,23 @@ def test_what_cannot_group() -> None:
         build("by_algorithm", table(), by="ate.rmse")
     with pytest.raises(NotFound, match="'dificulty'; did you mean 'difficulty'"):
         build("by_algorithm", table(), by="dificulty")
+
+
+def test_kinds_of_trajectories_are_not_mixed_in_silence() -> None:
+    labels = ["SE(3), association 0.01 s"] * 5
+    for kinds, words in (
+        (["final"] * 5, ""),
+        (["final", None, "final", None, None], ""),
+        (
+            ["live", "final", None, "live", "live"],
+            "Several kinds of trajectories together: final of kiss-icp; live of kiss-icp.",
+        ),
+    ):
+        shown = table()
+        rows = shown.frame.assign(trajectory=kinds, protocol_label=labels)
+        mixed = shown.with_rows(rows)
+        assert mixed.trajectory_words == words
+        caption = build("by_algorithm", mixed, metric="ate.rmse", by="dataset").charts[0].caption
+        assert ("Several kinds of trajectories" in caption) == bool(words)
+        named = mixed.with_rows(rows.assign(protocol_label=[f"{label}, live trajectory" for label in labels]))
+        assert named.trajectory_words == ""

@@ -106,6 +106,24 @@ def test_lists_that_mix_kinds_say_so(hive: Hive) -> None:
     assert trajectory_warning(records[1:]) == ""
 
 
+def test_runs_are_shown_with_the_kind_that_was_judged(hive: Hive) -> None:
+    runs = [finished_run(hive, kind) for kind in (LIVE, LIVE, FINAL, None)]
+    for run_id in runs:
+        world.evaluate_run(hive, run_id)
+    first, _, final, unknown = (hive.runs.get(run_id).protocol for run_id in runs)
+    assert first is not None
+    assert final is not None
+    assert unknown is not None
+    assert (first.label, final.label) == (f"{unknown.label}, live trajectory", f"{unknown.label}, final trajectory")
+    same = hive.run_comparisons.of(runs[:2])
+    assert same.protocol is not None
+    assert (same.protocol.label, same.mixed_trajectories) == (first.label, {})
+    mixed = hive.run_comparisons.of(runs)
+    assert mixed.protocol is not None
+    assert mixed.protocol.label == unknown.label
+    assert mixed.mixed_trajectories == {"live": (runs[0], runs[1]), "final": (runs[2],)}
+
+
 def test_the_label_of_a_protocol_names_the_trajectory_in_english() -> None:
     assert "keyframe trajectory" in replace(SE3, trajectory=KEYFRAMES).label
 

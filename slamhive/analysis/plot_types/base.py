@@ -221,6 +221,7 @@ def caption(table: RunTable, shown: int, protocol: str | None, *more: str) -> st
         table.rule_words,
         table.disturbance_words,
         table.version_words,
+        table.trajectory_words,
         table.cpu_words,
     ]
     parts.append(f"Protocol: {protocol}." if protocol else "No metric here depends on an evaluation protocol.")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.errors import Conflict
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations.service import Evaluations
@@ -76,7 +77,7 @@ class CurrentProtocols:
         if run.protocol is None or run.protocol.fingerprint == protocol.fingerprint:
             return run
         found = self._store.read(lambda t: t.metrics.by_protocol(run.id))
-        label = ProtocolLabel(protocol.fingerprint, protocol.label)
+        label = ProtocolLabel(protocol.fingerprint, with_trajectory(protocol.label, run.trajectory))
         return replace(run, protocol=label, metrics={**found.get(None, {}), **found.get(protocol.fingerprint, {})})
 
     def shown_otherwise(self, ended: Iterable[EvaluationRecord]) -> list[int]:

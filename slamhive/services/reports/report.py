@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from slamhive.analysis.analysis_file import set_words
 from slamhive.analysis.report import DisturbedRuns, Plot, ProtocolRuns, Report
 from slamhive.analysis.table import FAILED
 from slamhive.domain.bibliography import Reference
+from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
 from slamhive.services.reports.run import AnalysisOutcome, PlotOutcome
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SHOWN_ROWS = 200
 """Rows of a table on a page of the server; the CSV file has all rows."""
@@ -22,7 +27,7 @@ def make_report(outcome: AnalysisOutcome, now: datetime, references: tuple[Refer
     """The whole report, with plots and raw data, computed at ``now``; ``references`` are what to cite for it."""
     analysis, table = outcome.analysis, outcome.table
     reasons = Counter(table.failed()[FAILED])
-    protocols = table.frame.dropna(subset=["protocol"]).groupby("protocol", sort=True)["protocol_label"]
+    protocols = table.frame.dropna(subset=["protocol"]).groupby("protocol", sort=True)
     return Report(
         name=analysis.name,
         text=analysis.text,
@@ -42,16 +47,22 @@ def make_report(outcome: AnalysisOutcome, now: datetime, references: tuple[Refer
             left_out=table.without_disturbed,
         ),
         mixed_versions=table.mixed_versions,
+        mixed_trajectories=table.mixed_trajectories,
         mixed_cpus=table.mixed_cpus,
         rule=table.rule_words,
         protocols=tuple(
-            ProtocolRuns(fingerprint=str(name), label=str(labels.iloc[0]), runs=len(labels))
-            for name, labels in protocols
+            ProtocolRuns(fingerprint=str(name), label=_label(rows), runs=len(rows)) for name, rows in protocols
         ),
         references=references,
         forms=tuple(_plot(plot, place) for place, plot in enumerate(outcome.plots, start=1)),
         source=analysis.source,
     )
+
+
+def _label(rows: pd.DataFrame) -> str:
+    """The label of the protocol of runs; it names the kind of their trajectories if all have one."""
+    kinds = set(rows["trajectory"].dropna()) if rows["trajectory"].notna().all() else set()
+    return with_trajectory(str(rows["protocol_label"].iloc[0]), TrajectoryKind(*kinds) if len(kinds) == 1 else None)
 
 
 def _plot(plot: PlotOutcome, place: int) -> Plot:

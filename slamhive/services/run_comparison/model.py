@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from slamhive.domain.metrics import Metric
 from slamhive.domain.numbers import plural
+from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import whole_number
 from slamhive.schema.comparison import ComparedColumn, ComparedMetric, Comparison
@@ -121,6 +122,17 @@ class RunComparison:
     def runs(self) -> tuple[RunRecord, ...]:
         """All runs, in the order of the columns."""
         return tuple(run for column in self.columns for run in column.runs)
+
+    @property
+    def mixed_trajectories(self) -> dict[str, tuple[int, ...]]:
+        """The runs by the kind of the trajectory that was judged, if there are several kinds."""
+        if self.protocol is None or with_trajectory(self.protocol.label, TrajectoryKind.LIVE) == self.protocol.label:
+            return {}
+        kinds: dict[str, list[int]] = {}
+        for run in self.runs:
+            if run.trajectory is not None and run.id in self.protocol.runs:
+                kinds.setdefault(run.trajectory.value, []).append(run.id)
+        return {kind: tuple(runs) for kind, runs in sorted(kinds.items())} if len(kinds) > 1 else {}
 
     @property
     def address(self) -> str:

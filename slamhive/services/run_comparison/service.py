@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from slamhive.domain.run import RunState
+from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.verdict import judge
 from slamhive.errors import NotFound
 from slamhive.runs.folder import RunFolder
@@ -98,6 +99,9 @@ def _read(
 def _common(key: str, label: str, runs: Sequence[RunRecord], values: Mapping[int, _ByProtocol]) -> CommonProtocol:
     having = tuple(run.id for run in runs if key in values[run.id])
     could = (run.id for run in runs if run.state is RunState.SUCCEEDED)
+    kinds = {run.trajectory for run in runs if run.id in having}
+    if len(kinds) == 1:
+        label = with_trajectory(label, *kinds)
     return CommonProtocol(key, label, having, tuple(run_id for run_id in could if run_id not in having))
 
 

@@ -21,6 +21,7 @@ from flask import url_for as address
 
 from slamhive.domain.notes import NotesChange, split_tags
 from slamhive.domain.run import RunState
+from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import NotFound
 from slamhive.schema.api_requests import LARGEST_RUN_ID
@@ -174,6 +175,7 @@ def show(run_id: int) -> str:
         provenance=presenter.flatten(record),
         events=services.runs.events(run_id),
         evaluations=evaluations,
+        with_trajectory=with_trajectory,
         evaluating=any(entry.state in (EvaluationState.QUEUED, EvaluationState.RUNNING) for entry in evaluations),
         log=services.runs.log(run_id, max_bytes=LOG_TAIL_BYTES),
         downloads=downloads,
