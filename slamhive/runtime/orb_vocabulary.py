@@ -43,8 +43,8 @@ def about_vocabulary(path: Path, environment: Mapping[str, str] = os.environ) ->
 def _count_words(path: Path, content: bytes) -> int:
     """The number of words, after a check that ORB-SLAM can read all of it; its own loader crashes or hangs otherwise.
 
-    A text vocabulary has a line with four numbers, then one for each node of a tree: its parent, whether it is a word,
-    the bytes of its descriptor and its weight. Nodes are numbered from 1 in their order; 0 is the root.
+    A text vocabulary has a line with four numbers, then a line for each node of a tree. That has its parent, whether it
+    is a word, the bytes of its descriptor and its weight. Nodes are numbered from 1 in their order; 0 is the root.
     """
     lines = content.rstrip().splitlines()
     _check_header(path, content, lines)
