@@ -46,7 +46,8 @@ RUFF = (("check", "."), ("format", "--check", "."))
 ORB_SLAM3_LIBRARIES = ("libgl1", "libegl1", "libopengl0", "libsm6", "libice6", "libx11-6", "libxext6")
 BROWSER_PACKAGES = ("chromium", "poppler-utils")
 SLURM_PACKAGES = ("slurm-wlm", "munge", "charliecloud")
-ENGINE_PACKAGES = ("docker.io", "iptables", "debootstrap")
+ENGINE_PACKAGES = ("docker.io", "iptables")
+BESIDE_THE_ENGINE = ("debootstrap", "docker-registry")
 COMPOSE_PACKAGES = ("docker-compose-v2", "docker-compose-plugin", "docker-compose")
 CLIENT_PACKAGE = "docker-cli"
 LONGEST_FILES = 6
@@ -377,18 +378,18 @@ def provide(missing: Sequence[str]) -> str:
 
 
 def prepare_engine(engine: machine.Engine) -> str:
-    """A Docker engine that answers, and debootstrap for images where no registry answers."""
-    wanted = machine.absent(("debootstrap",)) if machine.can_install() else ()
+    """A Docker engine that answers, debootstrap for images where no registry answers, and a registry for tests."""
+    wanted = machine.absent(BESIDE_THE_ENGINE) if machine.can_install() else ()
     if machine.engine_answers():
         if wanted:
             machine.install(wanted)
         return ""
     if not machine.can_install():
-        command = machine.install_command(ENGINE_PACKAGES)
+        command = machine.install_command((*ENGINE_PACKAGES, *BESIDE_THE_ENGINE))
         raise CannotRun(f"no Docker engine answers; enable: {command}, then: sudo usermod -aG docker $USER")
     if shutil.which("dockerd", path=_server_path()) is None:
         client = (CLIENT_PACKAGE,) if machine.available(CLIENT_PACKAGE) else ()
-        machine.install((*ENGINE_PACKAGES, *client))
+        machine.install((*ENGINE_PACKAGES, *BESIDE_THE_ENGINE, *client))
     elif wanted:
         machine.install(wanted)
     if not machine.engine_answers():

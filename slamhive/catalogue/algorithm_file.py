@@ -20,6 +20,7 @@ from slamhive.domain.lidar_layout import PointOrder
 from slamhive.domain.lidar_needs import LidarNeeds, Need
 from slamhive.domain.package_origin import PackageOrigin
 from slamhive.domain.parameters import Parameter, parse_settings
+from slamhive.domain.pinned_image import PinnedImage
 from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.remaps import TopicOf
 from slamhive.domain.requirement import Requirement
@@ -111,7 +112,7 @@ class _PackageModel(BaseModel):
     upstream: str
     licence: str
     citation: str
-    image: Literal["own", "standard"] = "own"
+    image: str = "own"
     system_packages: list[str] = Field(default_factory=list)
     system_libraries: list[str] = Field(default_factory=list)
     resources: _ResourcesModel = Field(default_factory=_ResourcesModel)
@@ -172,6 +173,7 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
         time_factor=model.resources.time_factor,
         origin=None if model.imported is None else PackageOrigin(**model.imported.model_dump()),
         weights=tuple(Weights(**entry.model_dump()) for entry in model.weights),
+        pinned_image=_pinned_image(path, model.image),
     )
     algorithms = tuple(_algorithm(path, package, name, mode, model) for name, mode in model.modes.items())
     names = [algorithm.name for algorithm in algorithms]
@@ -184,6 +186,16 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
 def package_hash(folder: Path) -> str:
     """SHA-256 over the names and contents of the package's files: which version of the wrapper ran."""
     return hash_files(folder)
+
+
+def _pinned_image(path: Path, text: str) -> PinnedImage | None:
+    """What ``image`` names, None for an image without a digest. Raises InvalidInput for a name that says nothing."""
+    if text in {"own", "standard"}:
+        return None
+    try:
+        return PinnedImage.parse(text)
+    except InvalidInput as error:
+        raise InvalidInput(f"{path}: image: {error.message}", f"{error.remedy}, or own, or standard") from None
 
 
 def _check_standard_image(path: Path, base: Base) -> None:

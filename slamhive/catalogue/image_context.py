@@ -57,8 +57,11 @@ class BuildContext:
 def dockerfile_of(package: AlgorithmPackage, project_root: Path) -> str | None:
     """The Dockerfile of a package; None if somebody else makes its image. Raises InvalidInput if it cannot be read.
 
-    The standard one of ROS 1 goes on from the package's own stage that compiles.
+    The standard one of ROS 1 goes on from the package's own stage that compiles. A package whose image is named by
+    digest may keep the Dockerfile that made it; nothing is built from that here.
     """
+    if package.pinned_image is not None:
+        return None
     parts = [package.folder / "Dockerfile"]
     if package.standard_image:
         parts = [project_root / STANDARD_DOCKERFILES[package.base]]

@@ -14,6 +14,7 @@ from slamhive.domain.gpu import GpuNeed
 from slamhive.domain.lidar_needs import LidarNeeds
 from slamhive.domain.package_origin import UNKNOWN, PackageOrigin
 from slamhive.domain.parameters import Parameter
+from slamhive.domain.pinned_image import PinnedImage
 from slamhive.domain.remaps import TopicOf
 from slamhive.domain.requirement import Requirement, check_requirements
 from slamhive.domain.sensor_choice import BY_RULE, Chosen, assign_in_order, check_choice
@@ -74,6 +75,7 @@ class AlgorithmPackage:
     played. ``gpu``: whether its runs get a GPU. ``shm_mb``: size of ``/dev/shm`` in its containers, None for the
     default of the engine. ``time_factor``: the time limit of its runs is at least this many times the duration of the
     recording. ``origin``: where it was imported from; None for a package that was written for SLAM Hive.
+    ``pinned_image``: the image that was built elsewhere, which its runs use; None if it is built here, or has no digest.
     """
 
     name: str
@@ -98,11 +100,12 @@ class AlgorithmPackage:
     time_factor: float = 0.0
     origin: PackageOrigin | None = None
     weights: tuple[Weights, ...] = ()
+    pinned_image: PinnedImage | None = None
 
     @property
     def image(self) -> str:
         """The Docker image that holds this package."""
-        return f"slam-hive-algorithm:{self.name}"
+        return f"slam-hive-algorithm:{self.name}" if self.pinned_image is None else self.pinned_image.reference
 
     @property
     def short_licence(self) -> str:

@@ -67,7 +67,7 @@ class WeightsStore:
         self.check_present(package)
         entries = self.stored(package)
         for entry in entries:
-            _check(entry, _sha256_of(entry.path))
+            _check(entry, entry.path, _sha256_of(entry.path))
         return entries
 
     def add(self, package: AlgorithmPackage, source: Path, name: str | None = None) -> StoredWeights:
@@ -80,7 +80,7 @@ class WeightsStore:
         if not source.is_file():
             raise NotFound(f"{source} is not a file")
         digest = _sha256_of(source)
-        _check(entry, digest)
+        _check(entry, source, digest)
         aside = entry.path.with_name(f".{entry.path.name}")
         try:
             entry.path.parent.mkdir(parents=True, exist_ok=True)
@@ -125,10 +125,10 @@ class WeightsStore:
         return StoredWeights(entry.weights, entry.path, digest)
 
 
-def _check(entry: StoredWeights, found: str) -> None:
+def _check(entry: StoredWeights, path: Path, found: str) -> None:
     if entry.sha256 is not None and found != entry.sha256:
         raise InvalidInput(
-            f"the weights {entry.weights.name} have the SHA-256 {found[:12]}..., expected {entry.sha256[:12]}...",
+            f"{path} is not what the weights {entry.weights.name} were: SHA-256 {found}, expected {entry.sha256}",
             f"use the file that {entry.weights.page} publishes",
         )
 

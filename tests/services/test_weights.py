@@ -43,7 +43,11 @@ def test_a_file_with_another_checksum_is_refused_in_one_line_and_not_kept(store,
     (tmp_path / "download").write_bytes(b"other")
     with pytest.raises(InvalidInput) as refused:
         store.add(deep, tmp_path / "download", "known.pth")
-    assert "the weights known.pth have the SHA-256" in str(refused.value)
+    found = hashlib.sha256(b"other").hexdigest()
+    assert str(refused.value) == (
+        f"{tmp_path}/download is not what the weights known.pth were: SHA-256 {found}, expected {KNOWN.sha256}; use the "
+        "file that https://example.org/page publishes"
+    )
     assert "\n" not in str(refused.value)
     assert not any((tmp_path / "data").rglob("*.pth"))
 
@@ -54,7 +58,9 @@ def test_without_a_published_checksum_the_first_file_counts(store, tmp_path):
     entry = store.add(deep, tmp_path / "open.pth")
     assert store.checked(deep) == (entry,)
     entry.path.write_bytes(b"changed")
-    with pytest.raises(InvalidInput, match="have the SHA-256"):
+    with pytest.raises(
+        InvalidInput, match=r"weights/deep/open\.pth is not what the weights open\.pth were: SHA-256 \w+, expected"
+    ):
         store.checked(deep)
     (tmp_path / "open.pth").write_bytes(b"newer")
     with pytest.raises(InvalidInput, match="expected"):

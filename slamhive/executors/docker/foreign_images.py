@@ -49,6 +49,16 @@ else echo 'it has none of apt-get, apk, dnf and yum'; exit 1; fi
 YAML = "yaml"
 
 
+def repository_and_tag(name: str) -> tuple[str, str]:
+    """The parts of a name; the engine takes a digest (``name@sha256:...``) in place of a tag."""
+    repository, at, digest = name.partition("@")
+    if at:
+        first, colon, tag = repository.rpartition(":")
+        return (first if colon and "/" not in tag else repository), digest
+    first, colon, tag = name.rpartition(":")
+    return (name, "latest") if not colon or "/" in tag else (first, tag)
+
+
 class DockerImages:
     """See :class:`slamhive.executors.images.ImageTools`.
 
@@ -68,9 +78,7 @@ class DockerImages:
 
     def pull(self, name: str, progress: ProgressCallback) -> str:
         """Get an image from its registry; its digest."""
-        repository, colon, tag = name.rpartition(":")
-        if not colon or "/" in tag:
-            repository, tag = name, "latest"
+        repository, tag = repository_and_tag(name)
         with engine_errors(f"pulling {name}", ImageMissing):
             for event in self._client.api.pull(repository, tag=tag, stream=True, decode=True):
                 if "error" in event:

@@ -15,6 +15,7 @@ from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import ExecutorContext, ImageMissing, ProgressCallback
 from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
 from slamhive.executors.docker.engine import engine_errors, labels_of_helper
+from slamhive.executors.docker.pinned import find_pinned, pull_pinned
 from slamhive.files import temporary_folder
 
 MAPPING_SCRIPT = "/slamhive/mapping.py"
@@ -23,8 +24,11 @@ MAPPING_SCRIPT = "/slamhive/mapping.py"
 def find_image(client: docker.DockerClient, package: AlgorithmPackage, project_root: Path) -> str | None:
     """The digest (image id) that a start would use now; None if the image is missing or out of date.
 
-    A package without a Dockerfile uses an image of the published SLAM Hive, without regard to its labels.
+    A package without a Dockerfile uses an image of the published SLAM Hive, without regard to its labels. One that names
+    an image by digest uses that one and no other.
     """
+    if package.pinned_image is not None:
+        return find_pinned(client, package.pinned_image)
     image = get_image(client, package.image)
     if image is None:
         return None
@@ -42,6 +46,11 @@ def make_image(
     found = find_image(client, package, project_root)
     if found is not None:
         return found
+    if package.pinned_image is not None:
+        digest = pull_pinned(client, package.name, package.pinned_image, progress)
+        if (package.folder / "Dockerfile").is_file():
+            check_mapping_script(client, digest, package.image, context.installation)
+        return digest
     if dockerfile_of(package, project_root) is None:
         return _pull(client, package, progress)
     content = context_hash(package, project_root)
