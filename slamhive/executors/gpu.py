@@ -1,8 +1,8 @@
 """The GPUs of this machine, and what a run uses of one, from NVIDIA's management library (NVML).
 
 The Python package ``nvidia-ml-py`` (extra ``gpu``) loads ``libnvidia-ml.so.1``, which comes with the driver. NVML
-reports process ids of the machine, so a process in a container is recognised by its control group. Unverified on real
-hardware.
+reports process ids of the machine, so a process in a container is recognised by its control group. In a container
+whose processes have numbers of their own, nobody can tell which process is meant. Unverified on real hardware.
 """
 
 from __future__ import annotations
@@ -22,9 +22,11 @@ logger = logging.getLogger(__name__)
 HEADER = "time,memory_bytes,utilisation\n"
 NOT_MEASURED = "# not measured: "
 PROC = Path("/proc")
+MACHINE_NAMESPACE = "pid:[4026531836]"
+"""The namespace of process ids of the machine itself: Linux gives it this number (``PROC_PID_INIT_INO``)."""
 
-BelongsToRun = Callable[[int], bool]
-"""Whether the process with an id of this machine belongs to the run."""
+BelongsToRun = Callable[[int], bool | None]
+"""Whether the process with an id of this machine belongs to the run; None if that cannot be known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +34,8 @@ class GpuUse:
     """What a run uses of its GPU.
 
     Attributes:
-        memory_bytes: Memory of the run's processes; None where the driver does not say, as under virtualisation.
+        memory_bytes: Memory of the run's processes; None where the driver does not say, as under virtualisation, and
+            where it cannot be known which processes are those of the run.
         utilisation: Share (0 to 1) of the last sampling period of the driver in which the GPU computed for anybody.
     """
 
@@ -81,22 +84,35 @@ def gpu_use(uuid: str, belongs: BelongsToRun) -> GpuUse:
     with _nvml(f"GPU {uuid} cannot be measured") as nvml:
         handle = nvml.nvmlDeviceGetHandleByUUID(uuid)
         computing = nvml.nvmlDeviceGetComputeRunningProcesses(handle)
-        own = [process.usedGpuMemory for process in computing if belongs(process.pid)]
-        known = [int(used) for used in own if used is not None]
+        ours = [(process.usedGpuMemory, belongs(process.pid)) for process in computing]
+        # None is in the list for a process of the run whose memory is not told, and for one that may be of the run.
+        used = [None if mine is None or memory is None else int(memory) for memory, mine in ours if mine is not False]
         utilisation = nvml.nvmlDeviceGetUtilizationRates(handle).gpu / 100
-    return GpuUse(sum(known) if len(known) == len(own) else None, utilisation)
+    known = [memory for memory in used if memory is not None]
+    return GpuUse(sum(known) if len(known) == len(used) else None, utilisation)
 
 
 def in_container(container_id: str, proc: Path = PROC) -> BelongsToRun:
     """Recognises the processes of a container: their control group is named after it."""
+    of_machine = _namespace(proc) == MACHINE_NAMESPACE
 
-    def belongs(pid: int) -> bool:
+    def belongs(pid: int) -> bool | None:
+        if not of_machine:
+            return None
         try:
             return container_id in (proc / str(pid) / "cgroup").read_text(encoding="ascii", errors="replace")
         except OSError:
             return False  # it has ended
 
     return belongs
+
+
+def _namespace(proc: Path) -> str | None:
+    """The namespace in which this process sees process ids; None if Linux does not say."""
+    try:
+        return str((proc / "self" / "ns" / "pid").readlink())
+    except OSError:
+        return None
 
 
 class GpuLog:

@@ -20,7 +20,7 @@ from slamhive.executors.base import ExecutorContext
 from slamhive.executors.docker.container import container_options
 from slamhive.executors.docker.engine import GPU_LABEL, KEY_LABEL, connect
 from slamhive.executors.docker.executor import DockerExecutor
-from slamhive.executors.gpu import HEADER, GpuLog, GpuUse, in_container
+from slamhive.executors.gpu import HEADER, MACHINE_NAMESPACE, GpuLog, GpuUse, in_container
 from slamhive.executors.gpu_lease import lease_gpu
 from slamhive.executors.process.executor import ProcessExecutor
 from slamhive.executors.spec import Limits, RunOutput, RunSpec
@@ -38,11 +38,13 @@ from slamhive.errors import Unavailable
 gpus = [dataclasses.asdict(gpu) for gpu in list_gpus()]
 use = dataclasses.asdict(gpu_use(gpus[1]["uuid"], lambda pid: pid in (11, 12)))
 other = dataclasses.asdict(gpu_use(gpus[1]["uuid"], lambda pid: pid == 14))
+unknown = dataclasses.asdict(gpu_use(gpus[1]["uuid"], lambda pid: None))
+nobody = dataclasses.asdict(gpu_use(gpus[1]["uuid"], lambda pid: False))
 try:
     gpu_use("GPU-gone", lambda pid: True)
 except Unavailable as error:
     gone = str(error)
-print(json.dumps([gpus, use, other, gone]))
+print(json.dumps([gpus, use, other, unknown, nobody, gone]))
 """
 
 
@@ -68,7 +70,7 @@ def ask(library: Path, answers: Path):
 def test_gpus_and_the_memory_of_a_run_are_read_through_nvml(library, tmp_path):
     answers = tmp_path / "answers"
     answers.write_text("11 1000\n12 500\n13 9000\n14\nbusy 75\n")
-    gpus, use, other, gone = ask(library, answers)
+    gpus, use, other, unknown, nobody, gone = ask(library, answers)
     assert gpus[1] == {
         "uuid": "GPU-11111111-aaaa-bbbb-cccc-111111111111",
         "model": "NVIDIA RTX A6000",
@@ -79,6 +81,8 @@ def test_gpus_and_the_memory_of_a_run_are_read_through_nvml(library, tmp_path):
     assert use == {"memory_bytes": 1500, "utilisation": 0.75}
     # Under virtualisation the driver does not say how much memory a process has: that is not zero.
     assert other == {"memory_bytes": None, "utilisation": 0.75}
+    assert unknown == {"memory_bytes": None, "utilisation": 0.75}
+    assert nobody == {"memory_bytes": 0, "utilisation": 0.75}
     assert "GPU GPU-gone cannot be measured: Not Found" in gone
 
 
@@ -86,8 +90,30 @@ def test_a_process_is_recognised_by_the_control_group_of_its_container(tmp_path)
     for pid, group in ((7, "0::/system.slice/docker-abc123.scope"), (8, "0::/user.slice"), (9, "3:cpu:/docker/abc123")):
         (tmp_path / str(pid)).mkdir()
         (tmp_path / str(pid) / "cgroup").write_text(f"{group}\n")
+    namespace = tmp_path / "self" / "ns" / "pid"
+    namespace.parent.mkdir(parents=True)
+    namespace.symlink_to(MACHINE_NAMESPACE)
     belongs = in_container("abc123", tmp_path)
     assert [belongs(pid) for pid in (7, 8, 9, 10)] == [True, False, True, False]
+    namespace.unlink()
+    namespace.symlink_to("pid:[4026532999]")
+    belongs = in_container("abc123", tmp_path)
+    assert [belongs(pid) for pid in (7, 10)] == [None, None], "in a container, 7 is another process"
+
+
+@pytest.mark.docker
+def test_the_processes_of_a_real_container_are_recognised(base_image):
+    if str(Path("/proc/self/ns/pid").readlink()) != MACHINE_NAMESPACE:
+        pytest.skip("the tests run in a container")
+    client = connect()
+    container = client.containers.run(base_image, ["sleep", "60"], network_mode="none", detach=True)
+    try:
+        container.reload()
+        belongs = in_container(str(container.id))
+        assert [belongs(int(container.attrs["State"]["Pid"])), belongs(os.getpid())] == [True, False]
+    finally:
+        container.remove(force=True)
+        client.close()
 
 
 def test_samples_become_metrics(tmp_path):
