@@ -75,7 +75,7 @@ class AlgorithmPackage:
     played. ``gpu``: whether its runs get a GPU. ``shm_mb``: size of ``/dev/shm`` in its containers, None for the
     default of the engine. ``time_factor``: the time limit of its runs is at least this many times the duration of the
     recording. ``origin``: where it was imported from; None for a package that was written for SLAM Hive.
-    ``pinned_image``: the image that was built elsewhere, which its runs use; None if it is built here, or has no digest.
+    ``pinned_image``: the image that was built elsewhere and that its runs use; None for others.
     """
 
     name: str

@@ -61,3 +61,13 @@ def find_recording(folder: Path) -> Path:
         names = ", ".join(entry.name for entry in found) or "none"
         raise InvalidInput(f"expected one recording in {folder}, found {names}", "a .bag, an .mcap or a ROS 2 folder")
     return found[0]
+
+
+def weights_file(name: str, environment: Mapping[str, str] = os.environ) -> Path:
+    """The file with the weights ``name``; raises InvalidInput if the run was started without it."""
+    path = Path(environment.get(WEIGHTS_VARIABLE, "/slamhive-weights")) / name
+    if not path.is_file():
+        raise InvalidInput(
+            f"the weights {path} are missing", "add them: slamhive algorithm weights PACKAGE --file FILE"
+        )
+    return path

@@ -77,7 +77,16 @@ def read_poses(text: str) -> Poses:
         rows = rows.reshape(-1, 8)
     except ValueError:
         raise InvalidInput("the trajectory that the algorithm saved is not in TUM format") from None
-    return Poses(rows[:, 0], np.array([transform_from(row[1:4], row[4:8]) for row in rows]).reshape(-1, 4, 4))
+    return poses_of_rows(rows[:, 0], rows[:, 1:])
+
+
+def poses_of_rows(stamps_s: Array, rows: Array) -> Poses:
+    """The poses in ``rows`` (n, 7): position, then a quaternion with w last, in any scale. Raises InvalidInput."""
+    rows = np.asarray(rows, dtype=np.float64).reshape(-1, 7)
+    if len(rows) != len(stamps_s):
+        raise InvalidInput(f"the algorithm gave {len(rows)} poses for {len(stamps_s)} images")
+    poses = np.array([transform_from(row[:3], row[3:]) for row in rows]).reshape(-1, 4, 4)
+    return Poses(np.asarray(stamps_s, dtype=np.float64), poses)
 
 
 def nearest_rotations(matrices: Array) -> Array:

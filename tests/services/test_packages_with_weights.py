@@ -80,9 +80,7 @@ def call(*arguments: object) -> Result:
 
 
 @pytest.mark.docker
-def test_a_run_reads_its_weights_and_cannot_change_them_and_changed_ones_are_refused(
-    hive: Hive, tmp_path: Path
-) -> None:
+def test_a_run_reads_its_weights_but_cannot_change_them(hive: Hive, tmp_path: Path) -> None:
     (tmp_path / "net.pth").write_bytes(CONTENT)
     refused = call("run", "tiny", "track")
     assert "tiny needs the weights net.pth, which are not here" in refused.stderr
@@ -140,6 +138,7 @@ def test_a_package_that_requires_a_gpu_is_refused_in_one_line_where_there_is_non
     file.write_text(EXPERIMENT)
     refused = call(*command, *([file] if command[0] == "experiment" else []))
     assert refused.exit_code != 0
-    (line,) = refused.stderr.splitlines()
+    told = [line for line in refused.stderr.splitlines() if not line.startswith("checking: ")]
+    (line,) = told
     assert f"tiny requires a GPU: {reason}; " in line
     assert reason.startswith("there is no GPU here: ")

@@ -45,8 +45,8 @@ def test_a_file_with_another_checksum_is_refused_in_one_line_and_not_kept(store,
         store.add(deep, tmp_path / "download", "known.pth")
     found = hashlib.sha256(b"other").hexdigest()
     assert str(refused.value) == (
-        f"{tmp_path}/download is not what the weights known.pth were: SHA-256 {found}, expected {KNOWN.sha256}; use the "
-        "file that https://example.org/page publishes"
+        f"{tmp_path}/download is not what the weights known.pth were: SHA-256 {found}, expected {KNOWN.sha256}; "
+        "use the file that https://example.org/page publishes"
     )
     assert "\n" not in str(refused.value)
     assert not any((tmp_path / "data").rglob("*.pth"))
@@ -58,9 +58,7 @@ def test_without_a_published_checksum_the_first_file_counts(store, tmp_path):
     entry = store.add(deep, tmp_path / "open.pth")
     assert store.checked(deep) == (entry,)
     entry.path.write_bytes(b"changed")
-    with pytest.raises(
-        InvalidInput, match=r"weights/deep/open\.pth is not what the weights open\.pth were: SHA-256 \w+, expected"
-    ):
+    with pytest.raises(InvalidInput, match=r"weights/deep/open\.pth is not what .* were: SHA-256 \w+, expected"):
         store.checked(deep)
     (tmp_path / "open.pth").write_bytes(b"newer")
     with pytest.raises(InvalidInput, match="expected"):

@@ -21,10 +21,13 @@ from slamhive.runtime.app import run
 from slamhive.runtime.calibration import RADTAN, check_model, distortion
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame
-from slamhive.runtime.paths import WEIGHTS_VARIABLE
-from slamhive.runtime.trajectory import Poses, transform_from
+from slamhive.runtime.network_images import blue_first
+from slamhive.runtime.paths import weights_file
+from slamhive.runtime.trajectory import Poses, poses_of_rows
 
 PROJECT = Path(os.environ.get("MAST3R_SLAM", "/opt/MASt3R-SLAM"))
+MODEL = "MASt3R_ViTLarge_BaseDecoder_512_catmlpdpt_metric"
+WEIGHTS = (f"{MODEL}.pth", f"{MODEL}_retrieval_trainingfree.pth", f"{MODEL}_retrieval_codebook.pkl")
 IMAGES = "images"
 RATE_HZ = 30.0
 """The program gives the images of a folder timestamps at this rate."""
@@ -36,10 +39,11 @@ class Mast3rSlam:
 
     def __init__(self, config: RunConfig) -> None:
         self._values = config.parameters
+        checkpoints = {weights_file(name).parent for name in WEIGHTS}.pop()
         self._work = tempfile.TemporaryDirectory(prefix="mast3r-slam-")
         self._folder = Path(self._work.name)
         (self._folder / IMAGES).mkdir()
-        (self._folder / "checkpoints").symlink_to(os.environ.get(WEIGHTS_VARIABLE, "/slamhive-weights"))
+        (self._folder / "checkpoints").symlink_to(checkpoints)
         (self._folder / "config").symlink_to(PROJECT / "config")
         if self._values["calibrated"]:
             self._write_calibration()
@@ -48,22 +52,17 @@ class Mast3rSlam:
     def process(self, frame: Frame) -> None:
         """Write every n-th image; OpenCV writes blue first."""
         if frame.number % self._values["every"] == 0:
-            image = frame.image("left")
             path = self._folder / IMAGES / f"{len(self._stamps_s):08d}.png"
-            if not cv2.imwrite(str(path), image if image.ndim == 2 else image[..., ::-1]):
+            if not cv2.imwrite(str(path), blue_first(frame.image("left"))):
                 raise InvalidInput(f"{path} cannot be written", "raise RUN_DISK_MB")
             self._stamps_s.append(frame.stamp_s)
 
     def finish(self) -> Poses:
         """Run the program; the poses of its keyframes."""
-        self._run()
-        found = sorted((self._folder / "logs").rglob(f"{IMAGES}.txt"))
-        if not found:
-            return Poses(np.empty(0), np.empty((0, 4, 4)))
-        table = np.loadtxt(found[0], ndmin=2).reshape(-1, 8)
-        numbers = np.rint(table[:, 0] * RATE_HZ).astype(int)
-        poses = np.array([transform_from(row[1:4], row[4:8]) for row in table]).reshape(-1, 4, 4)
-        return Poses(np.array(self._stamps_s)[numbers], poses)
+        with self._work:
+            self._run()
+            found = self._folder / "logs" / f"{IMAGES}.txt"
+            return poses_in(found, self._stamps_s) if found.is_file() else Poses(np.empty(0), np.empty((0, 4, 4)))
 
     def about(self) -> dict[str, Any]:
         """Whether it knew the camera."""
@@ -93,6 +92,20 @@ class Mast3rSlam:
         )
         if ended.returncode != 0:
             raise InvalidInput(f"MASt3R-SLAM failed: {' | '.join(ended.stdout.strip().splitlines()[-LAST_LINES:])}")
+
+
+def poses_in(path: Path, stamps_s: list[float]) -> Poses:
+    """The poses that the program saved, at the timestamps of the recording. Raises InvalidInput for other text.
+
+    The program numbers the images through timestamps of its own. Numbers are read back from those.
+    """
+    by_number = dict(enumerate(stamps_s))
+    try:
+        table = np.loadtxt(path, ndmin=2).reshape(-1, 8)
+        stamps = np.array([by_number[round(own * RATE_HZ)] for own in table[:, 0]])
+    except (ValueError, KeyError):
+        raise InvalidInput("MASt3R-SLAM saved a trajectory that does not fit the images it was given") from None
+    return poses_of_rows(stamps, table[:, 1:])
 
 
 if __name__ == "__main__":

@@ -24,8 +24,8 @@ MAPPING_SCRIPT = "/slamhive/mapping.py"
 def find_image(client: docker.DockerClient, package: AlgorithmPackage, project_root: Path) -> str | None:
     """The digest (image id) that a start would use now; None if the image is missing or out of date.
 
-    A package without a Dockerfile uses an image of the published SLAM Hive, without regard to its labels. One that names
-    an image by digest uses that one and no other.
+    A package without a Dockerfile uses an image of the published SLAM Hive, without regard to its labels. A package
+    that names an image by digest uses that one and no other.
     """
     if package.pinned_image is not None:
         return find_pinned(client, package.pinned_image)
