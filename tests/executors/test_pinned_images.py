@@ -16,6 +16,7 @@ from slamhive.domain.pinned_image import PinnedImage
 from slamhive.executors.base import ExecutorContext, ImageMissing
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.docker.foreign_images import DockerImages, repository_and_tag
+from slamhive.executors.kubernetes.images import NodeImages
 from slamhive.project import project_root
 from tests.executors.registry_server import running_registry
 
@@ -35,6 +36,12 @@ DIGEST = "sha256:" + "0" * 64
 )
 def test_what_the_engine_is_asked_to_pull(name, parts):
     assert repository_and_tag(name) == parts
+
+
+def test_nodes_of_kubernetes_pull_it_by_its_digest_whatever_the_registry_of_own_images(tmp_path):
+    (tmp_path / "Dockerfile").write_text("FROM scratch\n")
+    images = NodeImages(ExecutorContext(tmp_path, project_root(), "installation"), "registry.example.org/ours")
+    assert images.identity(pinned(tmp_path, f"lab/deep:1@{DIGEST}")) == f"lab/deep@{DIGEST}"
 
 
 @pytest.fixture

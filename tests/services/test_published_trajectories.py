@@ -1,0 +1,69 @@
+"""The archive of an experiment's trajectories: what is in it, the same bytes each time, and evaluated again."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.services.experiments.views import ExperimentSource
+from slamhive.services.hive import Hive
+from tests.services.fake_executor import FakeExecutor, write_trajectory
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tools"))
+
+import trajectories  # noqa: E402
+
+pytestmark = pytest.mark.integration
+
+LINE = "1317.0000001 0.12345678 -0.0000004 12 0 0 0.70710678 0.70710678\n"
+
+
+def test_timestamps_stay_and_other_numbers_have_six_decimals() -> None:
+    assert trajectories.rounded(f"# timestamp tx\n{LINE}\n") == (
+        "1317.0000001 0.123457 -0.000000 12.000000 0.000000 0.000000 0.707107 0.707107\n"
+    )
+
+
+def test_runs_are_packed_evaluated_again_and_a_forged_one_is_found(hive: Hive, tmp_path: Path) -> None:
+    hive.executors.opened = {"process": FakeExecutor(on_start=write_trajectory(12))}
+    text = "name: twice\nalgorithms: tiny\ndatasets: track\nrepeats: 2\n"
+    hive.experiments.start(ExperimentSource(text, "twice.yaml"))
+    hive.worker().run(until_idle=True)
+    target = tmp_path / "results" / "trajectories.tar.xz"
+    assert trajectories.pack_experiment("twice", target).startswith(f"{target}: 2 runs, 2 trajectories, 0.00 MB")
+    before = target.read_bytes()
+    trajectories.pack_experiment("twice", target)
+    assert target.read_bytes() == before
+    runs = trajectories.read_archive(target)
+    assert [entry.about["file"] for entry in runs] == ["track/tiny-1.txt", "track/tiny-2.txt"]
+    assert runs[0].text is not None
+    assert runs[0].text.splitlines()[1] == "100.333333 1.000000 1.000000 0.000000 0.000000 0.000000 0.000000 1.000000"
+    assert (runs[0].about["state"], runs[0].about["poses"]) == ("succeeded", 12)
+    assert runs[0].about[trajectories.ERROR] > 1
+    truth = hive.settings.data / "datasets" / "track" / "groundtruth.txt"
+    told = trajectories.check_archive(target, {"track": truth})
+    assert told == "2 trajectories have the error that their runs had"
+    runs[1].about[trajectories.ERROR] += 0.001
+    target.write_bytes(trajectories.archive_of(runs))
+    with pytest.raises(InvalidInput, match=r"track/tiny-2\.txt has an ATE of \d+\.\d+ m, the run had"):
+        trajectories.check_archive(target, {"track": truth})
+    with pytest.raises(InvalidInput, match="has no trajectory on room with an error"):
+        trajectories.check_archive(target, {"room": truth})
+    target.write_bytes(before[:200])
+    with pytest.raises(InvalidInput, match="holds no trajectories"):
+        trajectories.read_archive(target)
+    with pytest.raises(NotFound, match="unknown experiment 'thrice'"):
+        trajectories.pack_experiment("thrice", target)
+
+
+def test_what_is_no_ground_truth_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="'room' names no ground truth; write DATASET=FILE"):
+        trajectories.truths_of(["room"])
+    with pytest.raises(NotFound, match=r"nothing\.txt does not exist"):
+        trajectories.truths_of([f"room={tmp_path}/nothing.txt"])
+    with pytest.raises(NotFound, match="does not exist"):
+        trajectories.read_archive(tmp_path / "nothing.tar.xz")
