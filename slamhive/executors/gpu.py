@@ -85,7 +85,7 @@ def gpu_use(uuid: str, belongs: BelongsToRun) -> GpuUse:
         handle = nvml.nvmlDeviceGetHandleByUUID(uuid)
         computing = nvml.nvmlDeviceGetComputeRunningProcesses(handle)
         ours = [(process.usedGpuMemory, belongs(process.pid)) for process in computing]
-        # None is in the list for a process of the run whose memory is not told, and for one that may be of the run.
+        # None is in the list for a process of the run with unknown memory, and for one that may be of the run.
         used = [None if mine is None or memory is None else int(memory) for memory, mine in ours if mine is not False]
         utilisation = nvml.nvmlDeviceGetUtilizationRates(handle).gpu / 100
     known = [memory for memory in used if memory is not None]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -25,6 +26,9 @@ from tests.executors.plugins import PLUGINS, Agent, distributions_in, install_pl
 from tests.executors.slurm_cluster import Cluster, cannot_start_because
 from tests.sharing import made_once, share_environments
 from tests.waiting import eventually
+
+if TYPE_CHECKING:
+    import docker
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 
@@ -143,6 +147,15 @@ class Maker:
     context: ExecutorContext
     make: Callable[[], Executor]
     containment: str = ""
+
+
+@pytest.fixture
+def engine() -> Iterator[docker.DockerClient]:
+    """A client of the Docker engine."""
+    import docker  # noqa: PLC0415 - the SDK takes long to load
+
+    with closing(docker.from_env()) as client:
+        yield client
 
 
 @pytest.fixture(scope="session")

@@ -66,13 +66,6 @@ def test_base_script_needs_debootstrap_only(tmp_path):
 
 
 @pytest.fixture
-def engine() -> Iterator[docker.DockerClient]:
-    client = docker.from_env()
-    yield client
-    client.close()
-
-
-@pytest.fixture
 def name(engine) -> Iterator[str]:
     """A name for an image, removed at the end."""
     name = f"slam-hive-test:{uuid.uuid4().hex}"

@@ -20,6 +20,8 @@ from slamhive.executors.kubernetes.images import NodeImages
 from slamhive.project import project_root
 from tests.executors.registry_server import running_registry
 
+pytestmark = pytest.mark.quick
+
 NOWHERE = "127.0.0.1:9/nothing"
 DIGEST = "sha256:" + "0" * 64
 
@@ -42,13 +44,6 @@ def test_nodes_of_kubernetes_pull_it_by_its_digest_whatever_the_registry_of_own_
     (tmp_path / "Dockerfile").write_text("FROM scratch\n")
     images = NodeImages(ExecutorContext(tmp_path, project_root(), "installation"), "registry.example.org/ours")
     assert images.identity(pinned(tmp_path, f"lab/deep:1@{DIGEST}")) == f"lab/deep@{DIGEST}"
-
-
-@pytest.fixture
-def engine() -> Iterator[docker.DockerClient]:
-    client = docker.from_env()
-    yield client
-    client.close()
 
 
 @pytest.fixture

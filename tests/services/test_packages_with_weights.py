@@ -122,7 +122,7 @@ def test_a_run_whose_pinned_image_is_another_one_ends_with_one_line(hive: Hive, 
     assert "\n" not in failed.detail
 
 
-@pytest.mark.integration
+@pytest.mark.docker
 @pytest.mark.parametrize("command", [("run", "tiny", "track"), ("experiment", "plan"), ("experiment", "start")])
 def test_a_package_that_requires_a_gpu_is_refused_in_one_line_where_there_is_none(
     project: Path, tmp_path: Path, command: tuple[str, ...]

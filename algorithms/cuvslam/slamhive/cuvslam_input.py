@@ -37,7 +37,7 @@ class CameraNumbers:
 
 
 def check_version(found: tuple[Any, ...]) -> str:
-    """The version that ``cuvslam.get_version()`` tells; raises InvalidInput for one with another interface."""
+    """The version that ``cuvslam.get_version()`` reports; raises InvalidInput for one with another interface."""
     if int(found[1]) != MAJOR:
         raise InvalidInput(f"this image has cuVSLAM {found[0]}, version {MAJOR} is needed", "build it with that wheel")
     return str(found[0])
