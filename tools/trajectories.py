@@ -2,10 +2,12 @@
 
     python tools/trajectories.py pack algorithms docs/results/trajectories.tar.xz
     python tools/trajectories.py check docs/results/trajectories.tar.xz kitti_06=groundtruth_tum.txt
+    python tools/trajectories.py compare docs/results/trajectories.tar.xz docs/results.md
 
 ``pack`` reads the data root in force, and takes the runs that the tables of a report count: those that have ended, and
 that nothing else disturbed. The same runs give the same bytes. ``check`` computes the error of each trajectory from the
-ground truths that it is given, and fails if one differs from what the run was found to have.
+ground truths that it is given, and fails if one differs from what the run was found to have. ``compare`` fails if the
+tables of a page do not give the mean errors of these runs.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.domain.protocol import protocol_from_content
+from slamhive.domain.verdict import VerdictKind
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.evaluation.artefacts import run_task
 from slamhive.evaluation.job import Artefacts, EvaluationTask
@@ -33,6 +36,8 @@ from slamhive.store import RunRecord
 
 INDEX = "runs.json"
 ERROR = "ate_rmse_m"
+ATE_COLUMN = 4
+"""Of the tables: algorithm, runs, failed, poses, ATE RMSE."""
 DECIMALS = 6
 SAME_M = 5e-6
 """Errors of the same trajectory differ by less: the archive rounds positions to a millionth of a metre."""
@@ -56,12 +61,17 @@ def main() -> None:
     check = commands.add_parser("check")
     check.add_argument("archive", type=Path)
     check.add_argument("truths", nargs="+", metavar="DATASET=FILE", help="ground truth in TUM format")
+    compare = commands.add_parser("compare")
+    compare.add_argument("archive", type=Path)
+    compare.add_argument("page", type=Path)
     arguments = parser.parse_args()
     try:
         if arguments.command == "pack":
             print(pack_experiment(arguments.experiment, arguments.archive))
-        else:
+        elif arguments.command == "check":
             print(check_archive(arguments.archive, truths_of(arguments.truths)))
+        else:
+            print(compare_tables(arguments.archive, arguments.page.read_text(encoding="utf-8")))
     except SlamHiveError as error:
         sys.exit(str(error))
 
@@ -185,6 +195,37 @@ def error_m(entry: Packed, truth: Path) -> float:
     if result.reason is not None:
         raise InvalidInput(f"{entry.about['file']} cannot be evaluated: {result.reason}")
     return result.metrics["ate.rmse"]
+
+
+def compare_tables(path: Path, page: str) -> str:
+    """Compare mean errors with the tables of a page; a line that says so. Raises InvalidInput for the first difference.
+
+    As in the tables, runs that count as failed are not part of a mean.
+    """
+    runs = [entry.about for entry in read_archive(path)]
+    tables = dict(means_in(page))
+    for (dataset, algorithm), (text, _) in tables.items():
+        own = [about for about in runs if (about["dataset"], about["algorithm"]) == (dataset, algorithm)]
+        errors_m = [about[ERROR] for about in own if about["verdict"] == VerdictKind.GOOD and about[ERROR] is not None]
+        mean_m = sum(errors_m) / len(errors_m) if errors_m else None
+        decimals = len(text.partition(".")[2])
+        found = "–" if mean_m is None else f"{mean_m:.{decimals}f}"
+        if found != text:
+            raise InvalidInput(f"{algorithm} on {dataset}: the page has {text} m, the runs have {found} m")
+    if len(tables) != len({(about["dataset"], about["algorithm"]) for about in runs}):
+        raise InvalidInput("the page and the archive do not have the same algorithms", "make both from one experiment")
+    return f"{len(tables)} mean errors are those of the page"
+
+
+def means_in(page: str) -> Iterator[tuple[tuple[str, str], tuple[str, str]]]:
+    """Dataset and algorithm, then mean and deviation of the ATE as text, of each row of the tables of a page."""
+    dataset = ""
+    for line in page.splitlines():
+        dataset = line.strip("# `") if line.startswith("## ") else dataset
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if line.startswith("| `") and len(cells) > ATE_COLUMN:
+            mean, _, deviation = cells[ATE_COLUMN].partition(" ± ")
+            yield (dataset, cells[0].strip("`")), (mean, deviation)
 
 
 def truths_of(texts: Iterable[str]) -> dict[str, Path]:

@@ -60,6 +60,38 @@ def test_runs_are_packed_evaluated_again_and_a_forged_one_is_found(hive: Hive, t
         trajectories.pack_experiment("thrice", target)
 
 
+PAGE = """
+## `room`
+
+| Algorithm | Runs | Failed | Poses | ATE RMSE in m | CPU |
+| --- | ---: | ---: | --- | --- | --- |
+| `good` | 2 | 0 | 9 ± 0 | 0.0150 ± 0.0071 | 1 |
+| `bad` | 1 | 1 | – | – | – |
+"""
+
+
+def row(algorithm: str, repeat: int, ate_m: float | None, verdict: str) -> trajectories.Packed:
+    about = {"dataset": "room", "algorithm": algorithm, "repeat": repeat, "file": None, "verdict": verdict}
+    return trajectories.Packed({**about, trajectories.ERROR: ate_m}, None)
+
+
+def test_the_page_with_the_results_has_the_means_of_the_runs(tmp_path: Path) -> None:
+    target = tmp_path / "trajectories.tar.xz"
+    runs = [row("good", 1, 0.01, "good"), row("good", 2, 0.02, "good"), row("bad", 1, 7.0, "diverged")]
+    target.write_bytes(trajectories.archive_of(runs))
+    assert trajectories.compare_tables(target, PAGE) == "2 mean errors are those of the page"
+    with pytest.raises(InvalidInput, match=r"good on room: the page has 0\.0151 m, the runs have 0\.0150 m"):
+        trajectories.compare_tables(target, PAGE.replace("0.0150", "0.0151"))
+    with pytest.raises(InvalidInput, match=r"bad on room: the page has 0\.1 m, the runs have – m"):
+        trajectories.compare_tables(target, PAGE.replace("1 | 1 | – | –", "1 | 1 | – | 0.1"))
+    target.write_bytes(trajectories.archive_of([*runs, row("more", 1, 0.1, "good")]))
+    with pytest.raises(InvalidInput, match="do not have the same algorithms"):
+        trajectories.compare_tables(target, PAGE)
+    read = dict(trajectories.means_in((ROOT / "docs" / "results.md").read_text()))
+    assert read["room", "aloam"] == ("0.0248", "0.0000")
+    assert len(read) == 39
+
+
 def test_what_is_no_ground_truth_is_named(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="'room' names no ground truth; write DATASET=FILE"):
         trajectories.truths_of(["room"])
