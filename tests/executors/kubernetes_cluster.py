@@ -18,6 +18,7 @@ from tests.waiting import eventually
 
 TOOLS = Path(__file__).resolve().parents[3] / "shared" / "kubernetes"
 NODES = ("node1", "node2")
+_OF_A_TEST = ("SLAMHIVE_", "TMPDIR")
 
 
 class KubernetesCluster:
@@ -61,9 +62,21 @@ class KubernetesCluster:
 
     def kill_api_server(self) -> None:
         """SIGKILL; the control plane starts it again."""
-        (victim,) = [process for process in psutil.process_iter(["cmdline"]) if self._is_api_server(process)]
+        self.kill("kube-apiserver")
+
+    def kill(self, daemon: str, node: str | None = None) -> None:
+        """SIGKILL to a daemon of the control plane, or of a node; it is started again a second later.
+
+        Some end by themselves when others are killed: a controller manager that loses etcd. Then it is waited for.
+        """
+        eventually(lambda: self.runs(daemon, node), f"a {daemon} to kill")
+        victim = next(process for process in psutil.process_iter(["cmdline"]) if self._is(process, daemon, node))
         victim.send_signal(signal.SIGKILL)
         victim.wait(10)
+
+    def runs(self, daemon: str, node: str | None = None) -> bool:
+        """Whether the daemon has been started again."""
+        return any(self._is(process, daemon, node) for process in psutil.process_iter(["cmdline"]))
 
     def wait_for_api_server(self) -> None:
         """Until it answers again."""
@@ -87,13 +100,16 @@ class KubernetesCluster:
         except AssertionError:
             return False
 
-    def _is_api_server(self, process: psutil.Process) -> bool:
+    def _is(self, process: psutil.Process, daemon: str, node: str | None) -> bool:
         line = process.info["cmdline"] or []
-        return any(part.endswith("kube-apiserver") for part in line[:2]) and str(self._folder) in " ".join(line)
+        words = " ".join(line)
+        ours = any(Path(part).name == daemon for part in line[:2]) and str(self._folder) in words
+        return ours and (node is None or f"={node} " in words or f"/{node}/" in words)
 
     def _kube(self, *arguments: str, stdin: str | None = None) -> str:
-        done = subprocess.run(
-            [sys.executable, str(TOOLS / "kube"), *arguments], input=stdin, capture_output=True, text=True, check=False
-        )
+        # A node that is started during a test must not look like a process of that test's installation.
+        environment = {name: value for name, value in os.environ.items() if not name.startswith(_OF_A_TEST)}
+        command = [sys.executable, str(TOOLS / "kube"), *arguments]
+        done = subprocess.run(command, input=stdin, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"kube {' '.join(arguments)}: {done.stderr or done.stdout}"
         return done.stdout

@@ -84,6 +84,15 @@ def test_why_a_pod_has_not_started(found, image, refused, part):
     assert part in why.why
 
 
+def test_a_container_that_was_made_and_not_started():
+    """As a kubelet shows it whose containerd was killed in between: for ever."""
+    status = {"name": "run", "containerID": "containerd://1", "state": {"waiting": {}}}
+    why = answers.why_not_started(pod(phase="Pending", containerStatuses=[status]))
+    assert (why.created, why.why) == (True, "node node1 has made its container and has not started it")
+    status["state"] = {"waiting": {"reason": "ContainerCreating"}}
+    assert not answers.why_not_started(pod(phase="Pending", containerStatuses=[status])).created
+
+
 def test_an_unschedulable_pod():
     message = "0/2 nodes are available: 2 Insufficient cpu."
     condition = {"type": "PodScheduled", "status": "False", "reason": "Unschedulable", "message": message}

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import random
 import sys
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
-from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.run import RunState
 from slamhive.executors.registry import installation_id
 from slamhive.executors.slurm import command
 from slamhive.executors.slurm.job import comment_of
+from tests.executors.random_kills import PATIENCE_S, RUNS, RandomKills, check_accounts
 from tests.executors.slurm_cluster import NODES, Cluster
 from tests.services.installation import Installation, installation
 from tests.services.machine import wait_s
@@ -21,12 +20,9 @@ from tests.waiting import eventually
 
 pytestmark = [pytest.mark.cluster, pytest.mark.timeout(1500)]
 
-RUNS = 40
-KILLS = 60
 SEED = 20_261_123
 SECONDS = (0.2, 0.5, 1.5)
 AWAY_S = 2.0
-PATIENCE_S = 600.0
 
 
 @pytest.fixture
@@ -37,20 +33,9 @@ def made(slurm_cluster: Cluster, tmp_path, monkeypatch) -> Iterator[Installation
         yield made
 
 
-def check_accounts(made: Installation, most_lost: int) -> None:
-    """All runs have ended, none was executed twice, what succeeded is evaluated, and nothing is left."""
-    made.machine.die()
-    made.machine.work_to_the_end()
-    found = made.accounts()
-    sys.stdout.write(f"{found.row()}\n")
-    failed = [run for run in made.hive.runs.page(limit=RUNS).records if run.reason is not None]
-    for run in failed:
-        sys.stdout.write(f"run {run.id}: {run.reason}: {run.detail}\n")
-    assert found.runs == RUNS
-    assert found.faults == {}
-    reasons = Counter(run.reason for run in failed)
-    assert set(reasons) <= {FailureReason.LOST}, "a run is blamed for the end of its machine"
-    assert reasons[FailureReason.LOST] <= most_lost
+def check_all(made: Installation, runs: int, most_lost: int) -> None:
+    """The accounts are right, and Slurm has nothing left."""
+    check_accounts(made, runs, most_lost)
     prefix = comment_of(installation_id(made.machine.data), "")
     assert not [job for job in command.list_jobs() if job.comment.startswith(prefix) and not job.over]
 
@@ -70,47 +55,29 @@ def test_an_experiment_while_a_node_goes_down_and_the_controller_is_killed(made,
     slurm_cluster.bring_back("two")
     eventually(made.finished, "the end of all runs", PATIENCE_S)
     sys.stdout.write(f"\n{RUNS} runs in {time.monotonic() - began_s:.1f} s\n")
-    check_accounts(made, most_lost=4)
+    check_all(made, RUNS, most_lost=4)
 
 
 def test_everything_is_killed_at_random_moments(made, slurm_cluster):
     """The worker, the controller, the daemons of the nodes, and whole nodes."""
-    rng = random.Random(SEED)
-    made.submit(RUNS, SECONDS)
-    worker = made.machine.start_worker()
-
-    def kill_worker() -> None:
-        nonlocal worker
-        made.machine.kill_worker(worker)
-        wait_s(rng.uniform(0.0, 1.0))
-        worker = made.machine.start_worker()
+    kills = RandomKills(made, SEED, SECONDS)
 
     def kill_controller() -> None:
         slurm_cluster.kill("slurmctld")
-        wait_s(rng.uniform(0.0, 1.0))
+        kills.pause()
         slurm_cluster.start_controller()
 
     def kill_daemon() -> None:
-        node = rng.choice(NODES)
+        node = kills.rng.choice(NODES)
         slurm_cluster.kill(f"slurmd-{node}")
         slurm_cluster.start_node(node)
 
     def kill_node() -> None:
-        node = rng.choice(NODES)
+        node = kills.rng.choice(NODES)
         slurm_cluster.kill_node(node)
         slurm_cluster.start_node(node)
 
-    kinds: dict[str, Callable[[], None]] = {
-        "worker": kill_worker, "controller": kill_controller, "daemon of a node": kill_daemon, "node": kill_node
-    }  # fmt: skip
-    killed: Counter[str] = Counter()
-    while killed.total() < KILLS and not made.finished():
-        wait_s(rng.uniform(0.0, 1.0))
-        name = rng.choice(list(kinds))
-        kinds[name]()
-        killed[name] += 1
-    sys.stdout.write(f"\nkilled (seed {SEED}): {dict(killed)}\n")
-    assert killed.total() == KILLS, "the runs ended before everything was killed"
-    eventually(made.finished, "the end of all runs", PATIENCE_S)
+    kills.kill({"controller": kill_controller, "daemon of a node": kill_daemon, "node": kill_node})
+    killed = kills.killed
     # A controller that has not saved a start ends the job when it is back, see Cluster.wait_until_saved.
-    check_accounts(made, most_lost=4 * (killed["node"] + killed["controller"]))
+    check_all(made, kills.submitted, most_lost=4 * (killed["node"] + killed["controller"]))

@@ -22,6 +22,7 @@ from tests.services.tiny_project import environment, make_dataset, make_project
 
 LEASE_S = 3
 TINY_IMAGE = "slam-hive-algorithm:tiny"
+IN_CONTAINERS = ("docker", "kubernetes")
 
 
 @dataclass
@@ -70,7 +71,7 @@ def installation(
     """An installation below ``folder``; what it runs ends with the block."""
     data = folder / "data"
     project, temporary = make_project(folder / "project"), folder / "temporary"
-    if executor == "docker":
+    if executor in IN_CONTAINERS:
         # As images made for the published SLAM Hive: the scripts are not baked in.
         (project / "algorithms" / "tiny" / "Dockerfile").unlink()
     make_dataset(data)

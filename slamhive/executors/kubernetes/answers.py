@@ -52,12 +52,15 @@ class NotStarted:
         image: The image is the reason, and waiting does not help.
         refused: The kubelet cannot start the container. It tries again.
         unschedulable: No node takes the pod now.
+        created: The container was made, and has yet to be started. That takes a moment, unless its containerd was
+            killed in between: then nobody starts it any more.
     """
 
     why: str
     image: bool = False
     refused: bool = False
     unschedulable: bool = False
+    created: bool = False
 
 
 def missing_right(body: str) -> Right | None:
@@ -147,6 +150,8 @@ def why_not_started(pod: Document) -> NotStarted:
         if condition.get("type") == "PodScheduled" and condition.get("status") == "False":
             unschedulable = condition.get("reason") == "Unschedulable"
             return NotStarted(condition.get("message") or "no node was chosen yet", unschedulable=unschedulable)
+    if not reason and _made(pod):
+        return NotStarted(f"node {node_of(pod)} has made its container and has not started it", created=True)
     return NotStarted(f"node {node_of(pod)} prepares the pod" if node_of(pod) else "no node was chosen yet")
 
 
@@ -257,6 +262,11 @@ def _shown(name: str, value: Decimal) -> str:
     if name == "memory":
         return f"{float(value) / 1e6:.0f} MB of {name}"
     return f"{float(value):g} {'cores' if name == 'cpu' else name}"
+
+
+def _made(pod: Document) -> bool:
+    statuses = pod.get("status", {}).get("containerStatuses") or ()
+    return _state(pod, "waiting") is not None and any(status.get("containerID") for status in statuses)
 
 
 def _state(pod: Document, kind: str) -> Document | None:

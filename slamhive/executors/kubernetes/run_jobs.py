@@ -8,7 +8,7 @@ import time
 from slamhive.clock import monotonic_s
 from slamhive.executors.base import EngineUnavailable, ExecutorContext, StartFailed
 from slamhive.executors.kubernetes import answers
-from slamhive.executors.kubernetes.answers import Document
+from slamhive.executors.kubernetes.answers import Document, NotStarted
 from slamhive.executors.kubernetes.cluster import Cluster
 from slamhive.executors.kubernetes.images import explain_missing
 from slamhive.executors.kubernetes.manifest import POD_FOLDER, Who, job_manifest, job_name, resources, selector
@@ -22,6 +22,8 @@ from slamhive.executors.status import Gone
 START_WAIT_S = 20.0
 """A pod that takes longer to start is waited for by trying again, so that the worker can do something else."""
 DELETION_WAIT_S = 15.0
+CREATED_PATIENCE_S = 15.0
+"""A container that was made starts within a second. One that takes so long was forgotten by its node."""
 _ATTEMPTS = 3
 _LOOK_EVERY_S = 0.25
 _STEP_S = 0.02
@@ -64,7 +66,7 @@ class RunJobs:
         """Make the Job of a run unless it was made, and wait a little until the algorithm has started.
 
         A pod that ended before its supervisor began is replaced: a kubelet that has just lost its API server may remove
-        the files of a new pod. Raises ImageMissing, StartFailed.
+        the files of a new pod. So is one that its node has forgotten. Raises ImageMissing, StartFailed.
         """
         for left in reversed(range(_ATTEMPTS)):
             if files.started() is None:
@@ -89,6 +91,7 @@ class RunJobs:
     def _wait_for_start(self, spec: RunSpec, files: RunFiles) -> Started:
         """Wait a little until the algorithm has started. Raises ImageMissing, StartFailed."""
         deadline_s, look_at_s, unschedulable = monotonic_s() + START_WAIT_S, 0.0, False
+        created_since_s: float | None = None
         while True:
             started = files.started()
             if started is not None:
@@ -98,9 +101,12 @@ class RunJobs:
                 raise StartFailed(f"run {spec.run_id} cannot start: {failed.why}")
             if monotonic_s() >= look_at_s:
                 look_at_s = monotonic_s() + _LOOK_EVERY_S
-                before, unschedulable = unschedulable, self._is_unschedulable(spec, files)
+                found = self._look(spec, files)
+                before, unschedulable = unschedulable, found.unschedulable
                 if unschedulable and not before:
                     self._refuse_unmeetable(spec)
+                created_since_s = (created_since_s or monotonic_s()) if found.created else None
+                self._check_forgotten(spec, files, found, created_since_s)
             if monotonic_s() > deadline_s:
                 raise self._why_it_waits(spec)
             time.sleep(_STEP_S)
@@ -128,8 +134,16 @@ class RunJobs:
         else:
             self.delete(key)
 
-    def _is_unschedulable(self, spec: RunSpec, files: RunFiles) -> bool:
-        """Whether no node takes the pod now. Raises ImageMissing or StartFailed if waiting for it is of no use."""
+    def _check_forgotten(
+        self, spec: RunSpec, files: RunFiles, found: NotStarted, created_since_s: float | None
+    ) -> None:
+        """Raise NeverBegan for a pod whose container has long been made and was never started."""
+        if created_since_s is None or monotonic_s() - created_since_s < CREATED_PATIENCE_S or files.claimed:
+            return
+        raise NeverBegan(f"the pod of run {spec.run_id} did not start: {found.why}")
+
+    def _look(self, spec: RunSpec, files: RunFiles) -> NotStarted:
+        """Why the pod has not started. Raises ImageMissing or StartFailed if waiting for it is of no use."""
         pod = self.pod(spec.key)
         if pod is None:
             ended = self._failure(spec.key)
@@ -138,12 +152,12 @@ class RunJobs:
         if ended is not None and files.started() is None:
             raise NeverBegan(f"the pod of run {spec.run_id} did not start: {ended}")
         if pod is None or ended is not None:
-            return False
+            return NotStarted("there is no pod yet")
         found = answers.why_not_started(pod)
         if found.image:
             self.delete(spec.key)
             raise explain_missing(spec.identity, self._options.registry, found.why)
-        return found.unschedulable
+        return found
 
     def _refuse_unmeetable(self, spec: RunSpec) -> None:
         """Raise StartFailed for a run that no node could take, even if it were empty; if nodes may be listed."""
