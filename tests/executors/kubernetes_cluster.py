@@ -14,9 +14,10 @@ from typing import Any, Self
 import psutil
 import pytest
 
+from tests.executors import kube_supervised
+from tests.executors.kube_supervised import KUBE
 from tests.waiting import eventually
 
-TOOLS = Path(__file__).resolve().parents[3] / "shared" / "kubernetes"
 NODES = ("node1", "node2")
 _OF_A_TEST = ("SLAMHIVE_", "TMPDIR")
 
@@ -67,7 +68,8 @@ class KubernetesCluster:
     def kill(self, daemon: str, node: str | None = None) -> None:
         """SIGKILL to a daemon of the control plane, or of a node; it is started again a second later.
 
-        Some end by themselves when others are killed: a controller manager that loses etcd. Then it is waited for.
+        Some end by themselves when others are killed, like a controller manager that loses etcd. Then the next one is
+        waited for.
         """
         eventually(lambda: self.runs(daemon, node), f"a {daemon} to kill")
         victim = next(process for process in psutil.process_iter(["cmdline"]) if self._is(process, daemon, node))
@@ -83,7 +85,7 @@ class KubernetesCluster:
         eventually(self._answers, "the API server")
 
     def __enter__(self) -> Self:
-        if not (TOOLS / "kube").exists():
+        if not KUBE.exists():
             pytest.skip("../shared/kubernetes, the control plane for tests, is not here")
         if os.geteuid() != 0:
             pytest.skip("a Kubernetes for tests needs root")
@@ -109,7 +111,8 @@ class KubernetesCluster:
     def _kube(self, *arguments: str, stdin: str | None = None) -> str:
         # A node that is started during a test must not look like a process of that test's installation.
         environment = {name: value for name, value in os.environ.items() if not name.startswith(_OF_A_TEST)}
-        command = [sys.executable, str(TOOLS / "kube"), *arguments]
+        environment.setdefault("KUBE_TOOLS", str(min(KUBE.parent.glob("kubernetes-*"))))
+        command = [sys.executable, kube_supervised.__file__, *arguments]
         done = subprocess.run(command, input=stdin, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"kube {' '.join(arguments)}: {done.stderr or done.stdout}"
         return done.stdout

@@ -103,7 +103,12 @@ class Cluster:
     def wait_for_node(self, node: str) -> None:
         """Wait until a node answers. It may still be ending a job."""
         states = ("idle", "mixed", "allocated", "completing")
-        eventually(lambda: self.state_of(node) in states, f"node {node}")
+        try:
+            eventually(lambda: self.state_of(node) in states, f"node {node}")
+        except AssertionError as error:
+            shown = self.run("scontrol", "show", "node", node, check=False).stdout
+            log = (self.folder / f"slurmd-{node}.log").read_text(errors="replace")
+            raise AssertionError(f"{error}: {shown}\n{log[-2000:]}") from None
 
     def state_of(self, node: str) -> str:
         """As ``sinfo`` shows it; ``*`` at the end says that the node does not answer."""
