@@ -42,19 +42,28 @@ class RandomKills:
         """A moment in which the rest works."""
         wait_s(self.rng.uniform(0.0, LONGEST_PAUSE_S))
 
-    def kill(self, parts: Mapping[str, Callable[[], None]]) -> None:
-        """Kill :data:`KILLS` times the worker or one of ``parts``, with runs under way, and wait for all runs."""
+    def kill(self, parts: Mapping[str, Callable[[], None]], tend: Callable[[], None] = lambda: None) -> None:
+        """Kill :data:`KILLS` times the worker or one of ``parts``, with runs under way, and wait for all runs.
+
+        ``tend`` is what an administrator does meanwhile.
+        """
         kinds = {"worker": self._kill_worker, **parts}
         while self.killed.total() < KILLS:
             if self._under_way() < LEAST:
                 self._made.submit(RUNS, self._seconds)
                 self.submitted += RUNS
             self.pause()
+            tend()
             name = self.rng.choice(list(kinds))
             kinds[name]()
             self.killed[name] += 1
         sys.stdout.write(f"\nkilled (seed {self._seed}): {dict(self.killed)}\n")
-        eventually(self._made.finished, "the end of all runs", PATIENCE_S)
+
+        def finished() -> bool:
+            tend()
+            return self._made.finished()
+
+        eventually(finished, "the end of all runs", PATIENCE_S)
 
     def _under_way(self) -> int:
         counts = self._made.hive.runs.counts()
@@ -76,7 +85,7 @@ def check_accounts(made: Installation, runs: int, most_lost: int) -> None:
     for run in failed:
         sys.stdout.write(f"run {run.id}: {run.reason}: {run.detail}\n")
     assert found.runs == runs
-    assert found.faults == {}
+    assert found.faults == {}, found.faults
     reasons = Counter(run.reason for run in failed)
     assert set(reasons) <= {FailureReason.LOST}, "a run is blamed for the end of its machine"
     assert reasons[FailureReason.LOST] <= most_lost

@@ -77,7 +77,8 @@ def test_everything_is_killed_at_random_moments(made, slurm_cluster):
         slurm_cluster.kill_node(node)
         slurm_cluster.start_node(node)
 
-    kills.kill({"controller": kill_controller, "daemon of a node": kill_daemon, "node": kill_node})
+    parts = {"controller": kill_controller, "daemon of a node": kill_daemon, "node": kill_node}
+    kills.kill(parts, slurm_cluster.forgive_duplicates)
     killed = kills.killed
     # A controller that has not saved a start ends the job when it is back, see Cluster.wait_until_saved.
     check_all(made, kills.submitted, most_lost=4 * (killed["node"] + killed["controller"]))

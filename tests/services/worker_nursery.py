@@ -6,6 +6,7 @@ settings that it has besides those of the environment, as JSON. It ends when its
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import json
 import logging
@@ -46,6 +47,7 @@ def _load_what_workers_use() -> None:
 
 def _become_worker(options: dict[str, Any], log: str) -> None:
     """In the child: work. Never returns."""
+    atexit._clear()  # what the parent registered is the parent's
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     os.setsid()
     stream = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
@@ -63,6 +65,7 @@ def _become_worker(options: dict[str, Any], log: str) -> None:
         hive = open_hive(options)
         hive.worker().run(until_idle=until_idle)
         hive.close()
+        atexit._run_exitfuncs()  # as at the end of a worker that was not forked: os._exit leaves it out
         code = 0
     finally:
         if code:
