@@ -1,8 +1,8 @@
 """``kube`` of ``../shared/kubernetes``, whose supervisors start every daemon again that ends.
 
-``kube`` keeps no reference to the daemons that it starts. Python then takes the exit code of one that has ended whenever
-the next process starts, so ``os.wait()`` never names it. A controller manager that ended while etcd was being restarted
-stayed away for good. Here each process is held.
+``kube`` keeps no reference to the daemons that it starts. Python then takes the exit code of one that has ended
+whenever the next process starts, so ``os.wait()`` never names it. A controller manager that ended while etcd was being
+restarted stayed away for good. Here each process is held.
 """
 
 from __future__ import annotations

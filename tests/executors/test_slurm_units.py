@@ -99,6 +99,11 @@ def test_answers_of_another_kind(text):
             EngineUnavailable,
             "does not answer",
         ),
+        (
+            "sbatch: error: Batch job submission failed: Transport endpoint is not connected\n",
+            EngineUnavailable,
+            "does not answer",
+        ),
         ("sbatch: fatal: Could not establish a configuration source\n", EngineUnavailable, "no configuration"),
         ("sbatch: error: invalid partition specified: nope\n", StartFailed, "refuses: invalid partition specified"),
         ("", StartFailed, "says nothing"),

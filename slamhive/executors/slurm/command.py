@@ -20,7 +20,11 @@ ALLOWED_OPTIONS = frozenset(
 """What the setting ``SLURM_OPTIONS`` may hold. Everything else follows from the run."""
 _PASSED_ON = (*INHERITED, "USER", "HOME", "SLURM_CONF")
 _TIMEOUT_S = 60.0
-_CONTROLLER_AWAY = ("unable to contact slurm controller", "connection refused", "timed out", "connection timeout")
+_CONTROLLER_AWAY = (
+    "unable to contact slurm controller", "connection refused", "timed out", "connection timeout",
+    # It was killed while it was asked.
+    "transport endpoint is not connected", "connection reset by peer", "broken pipe", "zero bytes were transmitted",
+)  # fmt: skip
 _NO_CONFIGURATION = ("could not establish a configuration", "unable to process configuration")
 _WAITING = frozenset(("PENDING", "CONFIGURING", "REQUEUED", "REQUEUE_HOLD", "SPECIAL_EXIT"))
 _RUNNING = frozenset(("RUNNING", "COMPLETING", "SUSPENDED", "STOPPED", "SIGNALING", "STAGE_OUT", "RESIZING"))
