@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -203,7 +204,19 @@ def _playback_metrics(path: Path, run_duration_s: float) -> dict[str, float]:
     lag_s = measured_number(content.get("lag_max_s"))
     if lag_s is not None:
         metrics["playback.lag_max"] = lag_s
+    dropped = _dropped_in_queues(content.get("queues"))
+    if dropped is not None:
+        metrics["queues.dropped"] = dropped
     return metrics
+
+
+def _dropped_in_queues(queues: Any) -> float | None:
+    """The sum over all queues; None if a queue says no number, or if there are none."""
+    if not isinstance(queues, list) or not queues:
+        return None
+    counts = [measured_number(queue.get("dropped")) if isinstance(queue, dict) else None for queue in queues]
+    known = [count for count in counts if count is not None]
+    return sum(known) if len(known) == len(counts) else None
 
 
 def _localisation_metrics(path: Path) -> dict[str, float]:

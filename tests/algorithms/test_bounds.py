@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from slamhive.domain.algorithm import Base
 from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.sensors import SensorKind
 from slamhive.project import project_root
+from slamhive.schema.submission import Submission
 from slamhive.services.bounds import BoundTest, bound_tests
 from slamhive.services.hive import Hive
 from slamhive.trajectory.offset import position_misfit
@@ -65,6 +67,21 @@ def test_each_algorithm_keeps_its_bounds(systems: Hive, entry: BoundTest, reques
     ):
         early_m, error_m, late_m = errors_at_shifts(systems, entry, queued.id)
         assert error_m < min(early_m, late_m), "the timestamps of the poses are not those of the sweeps"
+
+
+@pytest.mark.classical
+@pytest.mark.timeout(7200)
+def test_messages_that_full_queues_drop_are_counted(systems: Hive) -> None:
+    """LOAM's queues hold two sweeps, and no machine is 20 times faster than the recording."""
+    dataset(systems, "room")
+    (queued,) = systems.runs.submit(Submission("loam", "room", playback_rate=20.0, timeout_s=300.0))
+    systems.worker(only=[queued.id]).run(until_idle=True)
+    run = systems.runs.get(queued.id)
+    queues = json.loads(systems.runs.folder(run.id).playback.read_text())["queues"]
+    first = [queue for queue in queues if (queue["topic"], queue["to"]) == ("/points", "/multiScanRegistration")]
+    assert run.metrics is not None
+    assert first[0]["dropped"] < first[0]["delivered"] <= 150  # ROS counts what it drops as delivered
+    assert run.metrics["queues.dropped"] == sum(queue["dropped"] for queue in queues) > 20
 
 
 def errors_at_shifts(hive: Hive, entry: BoundTest, run_id: int) -> list[float]:

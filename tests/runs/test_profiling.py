@@ -69,6 +69,22 @@ def test_frames_and_playback(folder):
     assert all(not CATALOGUE[key].needs_protocol for key in metrics)
 
 
+@pytest.mark.parametrize(
+    ("queues", "dropped"),
+    [
+        ([{"topic": "/points", "dropped": 3, "delivered": 40}, {"topic": "/odom", "dropped": 0}], 3.0),
+        ([], None),
+        (None, None),
+        ("many", None),
+        ([{"topic": "/points", "dropped": "many"}, {"topic": "/odom", "dropped": 2}], None),
+        ([{"dropped": 2}, 5], None),
+    ],
+)
+def test_messages_dropped_in_queues_are_added_up(folder, queues, dropped):
+    folder.playback.write_text(json.dumps({"queues": queues}))
+    assert measure_run(folder, START, END, None, EVIDENCE).get("queues.dropped") == dropped
+
+
 def test_deadlines_are_the_recordings_frame_period(folder):
     """10 Hz: of five frames one is late by a hair, one on the dot, one lost."""
     lines = ["5.0,0.0,0.05,0", "5.1,0.1,0.2,0", "5.2,0.2,0.3001,0", "5.3,0.3,,1", "5.4,0.4,0.41,0"]

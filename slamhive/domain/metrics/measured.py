@@ -141,6 +141,14 @@ MEASURED_METRICS = (
         _FRAMES,
     ),
     _measured(
+        "queues.dropped",
+        "Messages dropped in queues, count",
+        "",
+        "Messages of all topics that full queues between the nodes of a ROS 1 system dropped.",
+        _TIMING,
+        "/statistics of ROS 1, in playback.json",
+    ),
+    _measured(
         "latency.median", "Latency median", "s", "Median time from a frame's arrival to its result.", _TIMING, _FRAMES
     ),
     _measured(
