@@ -25,6 +25,6 @@ class HeldPopen(subprocess.Popen[bytes]):
 
 
 if __name__ == "__main__":
-    subprocess.Popen = HeldPopen  # type: ignore[misc]
+    subprocess.Popen = HeldPopen  # type: ignore[assignment, misc]
     # kube starts its supervisors from __file__, which therefore has to be this one.
     exec(compile(KUBE.read_bytes(), KUBE, "exec"), {"__name__": "__main__", "__file__": __file__})
