@@ -17,7 +17,7 @@ open("/slamhive/mappingtask.yaml", "w").write(filled)
 remap = " ".join(key + ":=" + value for key, value in config["algorithm-remap"].items())
 save_map = (config["general-parameter"] or {}).get("save_map")
 subprocess.run("bash -c 'source /opt/ros/melodic/setup.bash; roslaunch /slamhive/mono.launch " + remap
-               + " & sleep 1; python3 /slamhive/dataset/rosbag_play.py;"
+               + " & sleep 6; python3 /slamhive/dataset/rosbag_play.py; rosnode kill -a; sleep 2;"
                + " mv /home/ORB_SLAM2/KeyFrameTrajectory.txt /slamhive/result/traj.txt;"
                + " touch /slamhive/result/finished'", shell=True)
 """
