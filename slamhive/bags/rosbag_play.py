@@ -51,8 +51,14 @@ def read_config():
         import yaml  # noqa: PLC0415 - reported if it is missing
     except ImportError:
         give_up("{} has no PyYAML".format(sys.executable))
-    with open(CONFIG) as stream:
-        return yaml.safe_load(stream)
+    try:
+        with open(CONFIG) as stream:
+            config = yaml.safe_load(stream)
+    except (IOError, OSError, ValueError, yaml.YAMLError) as error:
+        give_up("{} cannot be read: {}".format(CONFIG, " ".join(str(error).split())))
+    if not isinstance(config, dict):
+        give_up("{} holds no configuration".format(CONFIG))
+    return config
 
 
 def play(command):

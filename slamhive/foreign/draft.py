@@ -162,6 +162,8 @@ def _write_parameters(out: _Lines, parameters: list[DraftParameter]) -> None:
     for entry in parameters:
         out.add(f"  {entry.key}:", entry.said_by)
         out.add(f"    type: {entry.type}")
+        if entry.choices:
+            out.add(f"    choices: {json.dumps(entry.choices, ensure_ascii=True)}")
         if entry.source is not None:
             out.add(f"    from: {entry.source}")
         elif entry.default is not None:

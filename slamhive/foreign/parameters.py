@@ -10,7 +10,7 @@ from typing import Any
 from slamhive import strict_yaml
 from slamhive.errors import InvalidInput
 from slamhive.foreign.facts import FolderFacts, names_a_topic
-from slamhive.foreign.folder import ForeignFolder
+from slamhive.foreign.folder import MAPPING, SCRIPTS, ForeignFolder
 from slamhive.foreign.knowledge import example_of, general_name, source_of
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
@@ -25,7 +25,7 @@ Plain = bool | int | float | str | list[float]
 class DraftParameter:
     """A parameter of the draft. Without ``default`` and ``source``, each run has to give it.
 
-    ``said_by`` says where it was found, ``note`` where its value comes from.
+    ``said_by`` says where it was found, ``note`` where its value comes from. ``choices`` are for the type ``enum``.
     """
 
     key: str
@@ -36,6 +36,7 @@ class DraftParameter:
     source: str | None = None
     note: str = ""
     general: str | None = None
+    choices: tuple[str, ...] = ()
 
 
 def draft_parameters(folder: ForeignFolder, facts: FolderFacts, roles: tuple[str, ...]) -> Iterator[DraftParameter]:
@@ -55,7 +56,12 @@ def draft_parameters(folder: ForeignFolder, facts: FolderFacts, roles: tuple[str
             kind = types.get(name, source[1])
             yield DraftParameter(name, kind, help_text, said_by, source=source[0], general=general_name(name))
             continue
-        value, note = _value(name, names, facts, examples, folder)
+        value, note = _value(name, names, facts, examples)
+        choices = _lens_templates(name, folder)
+        if choices:
+            value, note = _chosen_template(value, note, choices)
+            yield DraftParameter(name, "enum", help_text, said_by, value, None, note, choices=choices)
+            continue
         kind = types.get(name) or type_of(value)
         value = float(value) if kind == "float" and isinstance(value, int) else value
         yield DraftParameter(name, kind, help_text, said_by, value, None, note, general_name(name))
@@ -102,9 +108,7 @@ def _named(facts: FolderFacts) -> Iterator[tuple[str, str, str]]:
             yield name, said_by, text
 
 
-def _value(
-    name: str, names: set[str], facts: FolderFacts, examples: Mapping[str, Any], folder: ForeignFolder
-) -> tuple[Plain | None, str]:
+def _value(name: str, names: set[str], facts: FolderFacts, examples: Mapping[str, Any]) -> tuple[Plain | None, str]:
     """The default of a parameter and where it comes from; None if nobody says it."""
     if name in examples:
         return examples[name], f"from {_EXAMPLE}"
@@ -116,11 +120,32 @@ def _value(
     example = example_of(name, names)
     if example is not None:
         return example[0], f"from the examples of {example[1]}"
-    camera = name.removesuffix("_calib")
-    files = [file.removeprefix("template_") for file in folder.scripts if file.startswith(f"template_{camera}_")]
-    if camera != name and len(files) == 1:
-        return files[0], "the only template of this camera"
     return None, ""
+
+
+def _lens_templates(name: str, folder: ForeignFolder) -> tuple[str, ...]:
+    """What ``cam0_calib`` may be, by which the published VINS choose ``template_cam0_pinhole.yaml`` and the like.
+
+    Raises InvalidInput if other cameras have such templates and this one has none.
+    """
+    camera = name.removesuffix("_calib")
+    if camera == name:
+        return ()
+    templates = sorted(file.removeprefix("template_") for file in folder.scripts if file.startswith("template_"))
+    found = tuple(file for file in templates if file.startswith(f"{camera}_"))
+    if not found and "template_" in folder.scripts.get(MAPPING, ""):
+        raise InvalidInput(
+            f"the parameter {name} chooses a file template_{camera}_NAME.yaml, but {folder.path / SCRIPTS} holds none",
+            "add the file",
+        )
+    return found
+
+
+def _chosen_template(value: Plain | None, note: str, choices: tuple[str, ...]) -> tuple[Plain | None, str]:
+    """The default among the templates: the one that is named elsewhere, or the only one."""
+    if value in choices:
+        return value, note
+    return (choices[0], "the only template of this camera") if len(choices) == 1 else (None, "")
 
 
 def _examples(folder: ForeignFolder) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The play script that existing algorithm images start."""
 
+import ast
 import json
 import os
 import signal
@@ -65,6 +66,29 @@ def test_it_runs_in_the_pythons_of_old_images():
     ]
     found = subprocess.run([*check, rosbag_play.__file__], check=False, capture_output=True, text=True, timeout=60)
     assert found.returncode == 0, found.stdout + found.stderr
+    text = Path(rosbag_play.__file__).read_bytes()
+    assert text.isascii()  # Python 2.7 refuses anything else without a line that names the encoding
+    tree = ast.parse(text, feature_version=(3, 5))
+    assert not [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr | ast.AnnAssign | ast.Nonlocal)]
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"a: [", "config.yaml cannot be read: while parsing"),
+        (b"\xff\xfe\xff", "config.yaml cannot be read: "),
+        (b"", "config.yaml holds no configuration"),
+        (b"- 1", "config.yaml holds no configuration"),
+        (None, "config.yaml cannot be read: .*No such file"),
+    ],
+)
+def test_a_configuration_that_cannot_be_read_is_reported_in_one_line(report, content, problem):
+    config = Path(rosbag_play.CONFIG)
+    config.unlink() if content is None else config.write_bytes(content)
+    with pytest.raises(SystemExit, match=problem):
+        rosbag_play.main()
+    said = json.loads(report.read_text())["error"]
+    assert "\n" not in said
 
 
 @pytest.fixture

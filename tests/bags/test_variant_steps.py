@@ -67,6 +67,17 @@ def apply(kind: str, sensor: Sensor, data: np.ndarray, index: int = 0, stamp_ns:
     return result
 
 
+def test_bilinear_takes_the_four_pixels_around_and_area_takes_all() -> None:
+    """At a quarter of the size a new pixel covers 4 x 4 old ones; its centre is between the four in the middle."""
+    block = np.full((4, 4), 255, dtype=np.uint8)
+    block[1:3, 1:3] = [[10, 20], [30, 40]]
+    image = np.tile(block, (12, 16))
+    bilinear = apply("resolution", CAMERA, image, scale=0.25, interpolation="bilinear")
+    area = apply("resolution", CAMERA, image, scale=0.25)
+    assert (bilinear.shape, set(bilinear.ravel())) == ((12, 16), {25})
+    assert (area.shape, set(area.ravel())) == ((12, 16), {round((100 + 12 * 255) / 16)})
+
+
 def sample_of(sensor: Sensor) -> np.ndarray:
     random = np.random.default_rng(4)
     if sensor.kind is SensorKind.CAMERA:

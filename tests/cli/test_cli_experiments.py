@@ -102,7 +102,8 @@ def test_pausing_repeating_and_cancelling(file: Path) -> None:
     assert "four" in call("experiment", "status").stdout
     assert "8 cancelled" in call("experiment", "cancel", "four").stdout
     assert call("experiment", "status").stdout == ""
-    assert "cancelled" in call("experiment", "list").stdout
+    (line,) = (row for row in call("experiment", "list").stdout.splitlines() if row.split()[1:2] == ["four"])
+    assert line.split()[:3] == ["1", "four", "cancelled"]
 
 
 @pytest.mark.parametrize(

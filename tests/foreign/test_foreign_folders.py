@@ -105,6 +105,23 @@ def test_topics_that_are_parameters_and_templates_of_two_levels(tmp_path):
     assert found["image0_topic"] == "/left"
 
 
+def test_templates_of_a_camera_are_its_choices(tmp_path):
+    path = folders.write(folders.vins(tmp_path), template_cam0_mei__yaml="xi: $cam0_xi\n")
+    (calib,) = (entry for entry in package(path).parameters if entry.key == "cam0_calib")
+    assert (calib.choices, calib.default) == (("cam0_mei.yaml", "cam0_pinhole.yaml"), None)
+    algorithm = package(path)
+    with pytest.raises(InvalidInput, match=r"cam0_calib.*one of cam0_mei\.yaml, cam0_pinhole\.yaml"):
+        Submission(algorithm.name, "room", {"cam0_calib": "cam0_fisheye.yaml"}).configuration(algorithm)
+
+
+def test_a_camera_whose_template_is_missing_is_named(tmp_path):
+    reads = folders.VINS_MAPPING + '\nopen("/slamhive/template_" + values["cam1_calib"])\n'
+    template = folders.VINS_TEMPLATE + 'cam1_calib: "$cam1_calib"\n'
+    path = folders.write(folders.vins(tmp_path), template__yaml=template, mapping__py=reads)
+    with pytest.raises(InvalidInput, match=r"cam1_calib chooses a file template_cam1_NAME\.yaml, but .* holds none"):
+        package(path)
+
+
 def test_launch_arguments_and_a_fixed_topic(tmp_path):
     algorithm = package(folders.loam(tmp_path))
     assert {entry.key: entry.default for entry in algorithm.parameters} == {"scanPeriod": 0.1, "lidar": "HDL-64E"}

@@ -32,7 +32,7 @@ from slamhive.services.algorithms.sources import SourceKind, check_folder, kind_
 from slamhive.services.hive import Hive
 from tests.foreign import folders
 from tests.fuzzing import mutated
-from tests.services.docker_base import run_docker
+from tests.services.docker_base import project_base, run_docker
 
 DOCKER = ImportRequest(executor="docker")
 TOOLS = {
@@ -290,6 +290,22 @@ def test_an_archive_is_loaded_without_its_names(engine_hive: Hive, empty_image: 
     assert len(str(refused.value)) < 600
     assert list(engine_hive.settings.algorithms_folder.iterdir()) == []
     run_docker("rmi", "--force", digest)
+
+
+@pytest.mark.docker
+@pytest.mark.images
+def test_python_is_put_on_top_of_an_image_without_it(engine_hive: Hive, tmp_path):
+    """Debian's smallest system has none."""
+    path = folders.write(folders.loam(tmp_path), Dockerfile=f"FROM {project_base()}\nCOPY slamhive /slamhive\n")
+    lines: list[str] = []
+    with engine_hive.algorithms.planned(str(path), DOCKER) as planned:
+        made = engine_hive.algorithms.perform(planned, lines.append)
+    assert "the image has no python3: installing it" in lines
+    assert any("put on top of the image" in note and "python3" in note and "PyYAML" in note for note in made.notes)
+    script = "import sys, yaml; print(yaml.safe_load('a: 1')['a'])"
+    image = made.algorithms[0].package.image
+    ended = run_docker("run", "--rm", "--network", "none", "--entrypoint", "python3", image, "-c", script)
+    assert ended.stdout == "1\n", ended.stderr
 
 
 def test_the_image_of_another_package_is_not_taken(tmp_path):
