@@ -6,9 +6,9 @@
   const textOf = (cell) => cell.innerText.replace(/[▾▴]/g, "").replace(/\s+/g, " ").trim();
   const isNumber = (cell) => cell.classList.contains("number");
 
-  /** The cells of a table, row by row, without the column of check boxes. */
+  /** The cells of a table, row by row, without those of check boxes and sparklines. */
   function rowsOf(table) {
-    return [...table.rows].map((row) => [...row.cells].filter((cell) => !cell.classList.contains("tick")));
+    return [...table.rows].map((row) => [...row.cells].filter((cell) => !cell.matches(".tick, .spark")));
   }
 
   /** Numbers in full, as their tooltip has them; commas, quotes and line ends in quotes. */

@@ -48,6 +48,7 @@
     for (const old of document.querySelectorAll("[data-swap]")) {
       const fresh = page.getElementById(old.id);
       if (!fresh || fresh.innerHTML === old.innerHTML) continue;
+      if (old.querySelector("[data-editing]")) continue;
       if (old.contains(document.activeElement) && /^(SELECT|INPUT)$/.test(document.activeElement.tagName)) continue;
       const focused = old.contains(document.activeElement) ? document.activeElement : null;
       const scrolled = [...old.querySelectorAll(".table-wrap, .log")].map((box) => [box.scrollTop, box.scrollLeft]);

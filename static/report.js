@@ -163,6 +163,7 @@
     });
     if (place.dataset.listens) return;
     place.dataset.listens = "1";
+    place.dispatchEvent(new Event("chartdrawn", { bubbles: true }));
     if (figure.zoom) place.on("plotly_relayout", () => zoomed(place, figure));
     const pattern = source.dataset.run;
     if (!pattern) return;

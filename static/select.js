@@ -1,4 +1,5 @@
-// Enables the buttons that act on selected rows only while the selection fits, and says why they are disabled.
+// Enables the buttons that act on selected rows only while the selection fits, and says why they are disabled. The box
+// in the heading selects all rows of the table.
 "use strict";
 (() => {
   function update(form) {
@@ -11,13 +12,20 @@
       if (count < needs && needs > 1) why = count ? "Select another run to compare." : `Select ${needs} to ${most} runs to compare.`;
       if (count > most) why = `${count} runs are selected, at most ${most} can be compared.`;
     }
+    const all = form.querySelector("[data-all]");
+    if (all) {
+      all.checked = count > 0 && count === form.querySelectorAll("input[name=run]:enabled").length;
+      all.indeterminate = count > 0 && !all.checked;
+    }
     const place = form.querySelector("[data-why]");
     if (place && place.textContent !== why) place.textContent = why;
   }
   const updateAll = () => document.querySelectorAll("form[data-select]").forEach(update);
   document.addEventListener("change", (event) => {
     const form = event.target.closest?.("form[data-select]");
-    if (form) update(form);
+    if (!form) return;
+    if ("all" in event.target.dataset) form.querySelectorAll("input[name=run]:enabled").forEach((box) => { box.checked = event.target.checked; });
+    update(form);
   });
   document.addEventListener("pageswap", updateAll);
   window.addEventListener("pageshow", updateAll);

@@ -285,6 +285,7 @@ def _parallel(mark: Parallel, _chart: Chart) -> list[Json]:
         "type": "parcoords",
         **slanted,
         "dimensions": dimensions,
+        "customdata": numbers(mark.runs),
         "line": {
             "color": numbers(mark.shades),
             "colorscale": SCALE,

@@ -346,6 +346,10 @@ class GroupPage:
     next_key: str | None
 
 
+Repeats = dict[tuple[int, str | None, str], list[float]]
+"""{(configuration, fingerprint of the protocol or None for measured metrics, metric): values in order of the runs}."""
+
+
 @dataclass(frozen=True, slots=True)
 class SavedSearchRecord:
     """A search with a name: its filter, columns and order."""

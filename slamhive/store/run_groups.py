@@ -25,13 +25,15 @@ from slamhive.store.models import (
     Protocol,
 )
 from slamhive.store.page_keys import behind, decode, encode, ordered
-from slamhive.store.records import GroupPage, GroupRecord, ProtocolLabel, RunSort, Spread
+from slamhive.store.records import GroupPage, GroupRecord, ProtocolLabel, Repeats, RunSort, Spread
 from slamhive.store.run_listing import LARGEST_PAGE, Matches, among
 from slamhive.store.search_names import Names, look_up
 from slamhive.store.search_sql import FIGURES, RUNS, Sql
 
 SORT_KEYS = ("configuration", "runs", "failed", "algorithm", "dataset")
 """What groups can be sorted by, besides the mean of every metric."""
+MOST_REPEATS = 100
+"""So many values of a configuration are read to draw them."""
 
 
 def group_page(
@@ -44,6 +46,12 @@ def group_page(
         raise unknown("sort key of groups", sort.key, [*SORT_KEYS, *CATALOGUE])
     names = look_up(session, search)
     return _Groups(session, search, names, Sql(names), sort).page(after, limit, metrics)
+
+
+def group_repeats(session: Session, search: Search, ids: Sequence[int], metrics: Sequence[str]) -> Repeats:
+    """See :meth:`slamhive.store.searches.SearchRepository.repeats`."""
+    names = look_up(session, search)
+    return _Groups(session, search, names, Sql(names), RunSort("configuration")).repeats(ids, metrics)
 
 
 @dataclass(frozen=True)
@@ -210,6 +218,27 @@ class _Groups:
             std = math.sqrt(squares / (n - 1)) if n > 1 else None
             spread = Spread(int(n), float(average), float(middle), std, float(low), float(high))
             found.setdefault(configuration_id, {}).setdefault(label, {})[metric_names[metric_id]] = spread
+        return found
+
+    def repeats(self, ids: Sequence[int], metrics: Sequence[str]) -> Repeats:
+        runs = RUNS.alias()
+        figures, joined = self._figures(runs, metrics)
+        keys = [runs.c.configuration_id, figures.c.metric_id, figures.c.protocol_id]
+        place = func.row_number().over(partition_by=keys, order_by=runs.c.id).label("place")
+        inner = (
+            select(*keys, figures.c.value, place)
+            .join_from(runs, figures, joined)
+            .where(runs.c.configuration_id.in_(ids), self.sql.test(self.search.tree, runs))
+            .where(not_(self.sql.failed(runs)))
+            .subquery()
+        )
+        query = select(inner).where(inner.c.place <= MOST_REPEATS).order_by(*inner.c[:3], inner.c.place)
+        metric_names = {number: key for key, number in self.names.metrics.items()}
+        fingerprints = {row.id: row.fingerprint for row in self.session.execute(_protocols())}
+        found: dict[tuple[int, str | None, str], list[float]] = {}
+        for configuration_id, metric_id, protocol_id, value, _ in map(tuple, self.session.execute(query)):
+            protocol = None if protocol_id == MEASURED_PROTOCOL_ID else fingerprints[protocol_id]
+            found.setdefault((configuration_id, protocol, metric_names[metric_id]), []).append(float(value))
         return found
 
 

@@ -15,9 +15,9 @@ from slamhive.search.fields import ParameterKind
 from slamhive.store.changes import changes_of
 from slamhive.store.metrics import VERDICT
 from slamhive.store.models import Algorithm, Dataset, Evaluation, Metric, Run, SavedSearch
-from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
+from slamhive.store.records import Count, GroupPage, Repeats, RunSort, SavedSearchRecord
 from slamhive.store.rows import Repository, changed
-from slamhive.store.run_groups import group_page
+from slamhive.store.run_groups import group_page, group_repeats
 from slamhive.store.run_listing import Matches
 from slamhive.store.search_names import look_up, stored_parameters, stored_protocols
 from slamhive.store.search_sql import Sql
@@ -88,6 +88,10 @@ class SearchRepository(Repository):
     def groups(self, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         """One page of the configurations of matching runs, with mean and spread of ``metrics`` over the repeats."""
         return group_page(self._session, search, sort, after, limit, metrics)
+
+    def repeats(self, search: Search, ids: Sequence[int], metrics: Sequence[str]) -> Repeats:
+        """The first values of ``metrics`` of some configurations, of their matching runs that did not fail."""
+        return group_repeats(self._session, search, ids, metrics)
 
     # -- saved searches --------------------------------------------------------------------------------------------
 

@@ -30,6 +30,7 @@ class Kind(StrEnum):
     PARAMETERS = "parameters"
     EXPERIMENT = "experiment"
     VERDICT = "verdict"
+    EDITED = "edited"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +113,8 @@ def all_columns() -> Mapping[str, Column]:
         Column("verdict", "Verdict", Kind.VERDICT, _verdict, help=DEFAULT_RULE.words),
         Column("trust", "Trust", Kind.TEXT, _trust, help="how far the measurements can be trusted, and why"),
         Column("disturbed", "Disturbed", Kind.TEXT, _disturbed, help="whether other load disturbed the run, and which"),
-        Column("tags", "Tags", Kind.TEXT, lambda run: _text(", ".join(run.tags)), help="given by somebody"),
-        Column("note", "Note", Kind.TEXT, lambda run: _text(run.note or ""), help="written by somebody"),
+        Column("tags", "Tags", Kind.EDITED, lambda run: _text(", ".join(run.tags)), help="given by somebody"),
+        Column("note", "Note", Kind.EDITED, lambda run: _text(run.note or ""), help="written by somebody"),
         _time_column("created_at", "Created"),
         _time_column("started_at", "Started"),
         _time_column("ended_at", "Ended"),

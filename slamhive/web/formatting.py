@@ -20,12 +20,16 @@ PERCENT_METRICS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A table cell: ``text`` with a smaller ``note`` after it, and ``exact`` on hover."""
+    """A table cell: ``text`` with a smaller ``note`` after it, and ``exact`` on hover.
+
+    ``heat`` is the level of its background, from 0 (best) to 6 (worst); None without one.
+    """
 
     text: str
     exact: str = ""
     missing: bool = False
     note: str = ""
+    heat: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

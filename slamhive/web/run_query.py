@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from werkzeug.datastructures import MultiDict
@@ -22,6 +22,7 @@ from slamhive.services.searches import LeftOut, order_in_words
 from slamhive.services.searches import summary as summary_in_words
 from slamhive.store.records import Count, RunSort
 from slamhive.web.columns import DEFAULT_COLUMNS, Column, all_columns, column
+from slamhive.web.look import Look
 
 DEFAULT_LIMIT = 50
 LARGEST_LIMIT = 500
@@ -45,6 +46,7 @@ class RunQuery:
     """What the runs page shows. Equal queries have equal addresses.
 
     ``where`` is the typed filter, ``fields`` the values of the search fields: {name: values}. ``search`` combines both.
+    ``look`` is how the list is drawn.
     """
 
     where: str
@@ -55,6 +57,7 @@ class RunQuery:
     grouped: bool
     after: str | None
     limit: int
+    look: Look = field(default_factory=Look)
 
     @classmethod
     def from_args(
@@ -75,6 +78,7 @@ class RunQuery:
             grouped=grouped,
             after=args.get("after") or None,
             limit=_integer(args, "limit", 1, largest_limit) or min(DEFAULT_LIMIT, largest_limit),
+            look=Look.from_args(args),
         )
 
     @classmethod
@@ -98,6 +102,7 @@ class RunQuery:
             "columns": [] if self.columns == DEFAULT_COLUMNS else [",".join(self.columns)],
             "limit": [] if self.limit == DEFAULT_LIMIT else [str(self.limit)],
             "after": [] if self.after is None else [self.after],
+            **self.look.args(),
         }
         return {name: values for name, values in all_args.items() if values}
 
@@ -114,6 +119,10 @@ class RunQuery:
     def at(self, after: str | None) -> RunQuery:
         """The same query after this key; None is the first page."""
         return replace(self, after=after)
+
+    def standard(self) -> RunQuery:
+        """The same runs, with the columns and the look of an address that names none."""
+        return replace(self, columns=DEFAULT_COLUMNS, look=Look(), after=None)
 
     def as_text(self) -> RunQuery:
         """The same search, written entirely as a filter."""
@@ -186,8 +195,8 @@ def _search(where: str, fields: Mapping[str, tuple[str, ...]], vocabulary: Vocab
 def _comparison(name: str, values: tuple[str, ...]) -> Filter:
     words = tuple(Word(value) for value in values)
     if name in _SINGLE:
-        field, sign = _SINGLE[name]
-        return Comparison(Word(field), sign, words)
+        single, sign = _SINGLE[name]
+        return Comparison(Word(single), sign, words)
     for bound, sign in _BOUNDS.items():
         if name.startswith(bound):
             return Comparison(Word(name.removeprefix(bound)), sign, words)

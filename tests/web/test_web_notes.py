@@ -84,7 +84,10 @@ def test_a_view_only_server_shows_notes_and_changes_none(noted: Web, tmp_path: P
     assert "seen by all" in page
     assert ">paper</a>" in page
     assert f"/runs/{run_id}/notes" not in page
-    assert "Tag selected" not in public.client.get("/runs").text
+    listed = public.client.get("/runs?columns=id,tags,note").text
+    assert "seen by all" in listed
+    assert "Tag selected" not in listed
+    assert "data-edit" not in listed
     assert public.client.post(f"/runs/{run_id}/notes", data={"note": "x"}).status_code in {400, 403}
     assert public.hive.runs.get(run_id).note == "seen by all"
     public.hive.close()

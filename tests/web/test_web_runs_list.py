@@ -93,6 +93,9 @@ def test_the_address_holds_everything():
         "where": "cpu.mean < 2 or state = failed",
         "min.ate.rmse": "0.1",
         "max.ate.rmse": "10 cm",
+        "pinned": "2",
+        "colours": "yes",
+        "sparks": "yes",
     }
     query = RunQuery.from_args(MultiDict(address), Vocabulary())
     assert RunQuery.from_args(MultiDict(query.args()), Vocabulary()) == query
@@ -108,7 +111,8 @@ def test_the_address_holds_everything():
     "arguments",
     ["state=dead", "reason=x", "sort=beauty", "order=up", "columns=x", "limit=0", "limit=9999", "limit=%C2%B2",
      "after=zzz", "from=today", "to=9999-12-31", "evaluated=maybe", "configuration=x", "min.ate.rmse=nan",
-     "where=ate.rms+<+1", "group=dataset", "group=configuration&sort=reason"],
+     "where=ate.rms+<+1", "group=dataset", "group=configuration&sort=reason",
+     "pinned=-1", "pinned=99", "colours=blue", "sparks=1"],
 )  # fmt: skip
 def test_an_address_that_cannot_be_read_is_refused_in_words(shown: Web, arguments: str):
     answer = shown.client.get(f"/runs?{arguments}", headers={"Accept": "application/json"})

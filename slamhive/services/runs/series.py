@@ -97,13 +97,13 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
         gap_s = gap_of(evaluation)
         estimate = read_track(evaluation / "traj.tum", gap_s)
         groundtruth = read_track(evaluation / "groundtruth.tum")
-        error = read_errors(evaluation)
+        error = error_over_time(evaluation, gap_s)
     aligned = estimate is not None
     usage = _columns(folder.profiling, ("time", "cpu_usage", "memory_usage"))
     found: dict[str, Any] = {
         "estimate": estimate or read_track(folder.trajectory, gap_s),
         "groundtruth": groundtruth,
-        "error": None if error is None else stamped_samples(error[:, 0], error[:, 1], gap_s),
+        "error": error,
         "cpu": None if usage is None else samples_of(usage[:, 0], usage[:, 1]),
         "memory": None if usage is None else samples_of(usage[:, 0], usage[:, 2]),
         "latency": latency_of(folder.frames),
@@ -112,6 +112,12 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
     reasons = {name: explanations[name] for name, data in found.items() if data is None}
     dropped_s = dropped_of(folder.frames, found["latency"])
     return RunSeries(**found, aligned=aligned, gap_s=gap_s, dropped_s=dropped_s, reasons=reasons)
+
+
+def error_over_time(evaluation: Path, gap_s: float) -> Samples | None:
+    """The position error of each matched pose, thinned for plotting; None if there is none."""
+    error = read_errors(evaluation)
+    return None if error is None else stamped_samples(error[:, 0], error[:, 1], gap_s)
 
 
 def gap_of(evaluation: Path) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import uuid
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from slamhive.services.runs.progress import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json
 from slamhive.services.runs.retrying import check_retriable, retry_request
 from slamhive.services.runs.scene import RunScene, run_scene
-from slamhive.services.runs.series import RunSeries, run_series
+from slamhive.services.runs.series import RunSeries, Samples, error_over_time, gap_of, run_series
 from slamhive.services.runs.specification import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
 from slamhive.services.runs.stored import StoredRuns
 from slamhive.services.versions import check_version
@@ -96,13 +97,23 @@ class Runs(StoredRuns):
 
     def retry(self, run_id: int) -> RunRecord:
         """Queue a new run with the configuration of one that has ended; raises as :meth:`submit_configuration`."""
+        return self.retry_all([run_id])[0]
+
+    def retry_all(self, run_ids: Sequence[int]) -> tuple[RunRecord, ...]:
+        """As :meth:`retry`, of several runs: queues a new run for each, or none."""
         check_writable(self._settings)
-        old = self.get(run_id)
-        check_retriable(old)
-        self._configurations.check_runnable(old.configuration_id)
-        uid, now = uuid.uuid4().hex, utc_now()
-        (new_id,) = self._store.write(lambda t: t.runs.add_runs([retry_request(t, old, uid)], now))
-        return self.get(new_id)
+        runs = [self.get(run_id) for run_id in run_ids]
+        for old in runs:
+            check_retriable(old)
+        for configuration_id in {old.configuration_id for old in runs}:
+            self._configurations.check_runnable(configuration_id)
+        uids, now = [uuid.uuid4().hex for _ in runs], utc_now()
+
+        def work(t: Transaction) -> list[int]:
+            return t.runs.add_runs([retry_request(t, old, uid) for old, uid in zip(runs, uids, strict=True)], now)
+
+        new_ids = self._store.write(work)
+        return self._store.read(lambda t: t.runs.get_many(new_ids))
 
     def cancel(self, run_id: int) -> RunRecord:
         """Cancel a queued run at once; ask the worker to end an active one."""
@@ -132,6 +143,14 @@ class Runs(StoredRuns):
     def series(self, run_id: int) -> RunSeries:
         """Trajectory, errors, resources and latencies of a run over time."""
         return run_series(self.get(run_id), self.folder(run_id))
+
+    def error_over_time(self, run_id: int) -> Samples | None:
+        """The position error of a run under its current protocol; None if there is none. Reads nothing else."""
+        run = self.get(run_id)
+        if run.protocol is None:
+            return None
+        evaluation = self.folder(run_id).evaluation(run.protocol.fingerprint)
+        return error_over_time(evaluation, gap_of(evaluation))
 
     def scene(self, run_id: int, fingerprint: str | None = None) -> RunScene:
         """The trajectories of a run in one frame, under its current protocol or the one with this fingerprint."""

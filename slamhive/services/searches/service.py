@@ -14,7 +14,7 @@ from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_o
 from slamhive.services.datasets import Catalogue, check_writable, imported_algorithms
 from slamhive.settings import Settings
 from slamhive.store import Store
-from slamhive.store.records import Count, GroupPage, RunSort, SavedSearchRecord
+from slamhive.store.records import Count, GroupPage, GroupRecord, Repeats, RunSort, SavedSearchRecord
 
 _KINDS = {
     ParameterType.INT: Kind.NUMBER,
@@ -139,6 +139,11 @@ class Searches:
     def groups(self, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         """The configurations of the matching runs, with mean and spread of ``metrics`` over the repeats."""
         return self._store.read(lambda t: t.searches.groups(search, sort, after, limit, metrics))
+
+    def repeats(self, search: Search, groups: Sequence[GroupRecord], metrics: Sequence[str]) -> Repeats:
+        """The values behind the means of ``groups``, in order of the runs."""
+        ids = [group.configuration_id for group in groups]
+        return self._store.read(lambda t: t.searches.repeats(search, ids, metrics))
 
     def save(self, record: SavedSearchRecord) -> bool:
         """Save a search, replacing one of the same name; returns whether it is new. The filter must be valid."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from slamhive.domain.algorithm import Algorithm
@@ -16,8 +16,10 @@ from slamhive.executors.registry import EXECUTORS
 from slamhive.search.fields import TRUST, Kind, Vocabulary
 from slamhive.services.exports import by_protocol
 from slamhive.services.hive import Hive
-from slamhive.store.records import GroupRecord, ProtocolLabel, RunRecord, SavedSearchRecord, Spread
+from slamhive.store.records import GroupRecord, ProtocolLabel, Repeats, RunRecord, SavedSearchRecord, Spread
 from slamhive.web.formatting import DASH, Cell, display_unit, mean_text, median_text, plural, significant, value_text
+from slamhive.web.run_query import RunQuery
+from slamhive.web.sparks import repeats_path, repeats_words
 
 GONE = "no longer exists"
 """Group of the names that runs refer to but no folder provides."""
@@ -52,13 +54,19 @@ class GroupColumn:
 
 @dataclass(frozen=True, slots=True)
 class GroupRow:
-    """One configuration under one protocol. ``first`` is false for its further protocols."""
+    """One configuration under one protocol. ``first`` is false for its further protocols.
+
+    ``means`` are the numbers in ``cells``, None for a missing one. ``sparks`` are the repeats of each cell as a path
+    and in words, if they are drawn; None for a cell without.
+    """
 
     group: GroupRecord
     protocol: ProtocolLabel | None
     parameters: str
     cells: tuple[Cell, ...]
+    means: tuple[float | None, ...]
     first: bool
+    sparks: tuple[tuple[str, str] | None, ...] = ()
 
 
 def choices(
@@ -107,6 +115,13 @@ def saved_args(record: SavedSearchRecord) -> dict[str, str]:
     return {name: text for name, text in args.items() if text}
 
 
+def place_of(query: RunQuery, saved: Sequence[SavedSearchRecord]) -> int | None:
+    """The place of the saved search that the page shows; None if it shows another one."""
+    shown = (query.search.text, query.columns, query.sort, query.grouped)
+    places = (n for n, e in enumerate(saved) if (e.filter_text, e.columns, e.sort, e.grouped) == shown)
+    return next(places, None)
+
+
 def filter_fields(vocabulary: Vocabulary, names: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
     """Every name that a filter may use, with its label, unit and values to choose from.
 
@@ -140,6 +155,19 @@ def group_rows(groups: Iterable[GroupRecord], columns: Sequence[GroupColumn]) ->
     return [row for group in groups for row in _rows_of(group, columns)]
 
 
+def with_repeats(rows: Sequence[GroupRow], columns: Sequence[GroupColumn], repeats: Repeats) -> list[GroupRow]:
+    """The same rows with the values behind each mean."""
+
+    def spark(row: GroupRow, column: GroupColumn) -> tuple[str, str] | None:
+        protocol = row.protocol.fingerprint if column.metric.needs_protocol and row.protocol is not None else None
+        values = repeats.get((row.group.configuration_id, protocol, column.metric.key), ())
+        factor = display_unit(column.metric).factor
+        path = repeats_path(values)
+        return (path, repeats_words(values, factor, column.unit)) if path else None
+
+    return [replace(row, sparks=tuple(spark(row, column) for column in columns)) for row in rows]
+
+
 def mixed_protocols(labels: Iterable[ProtocolLabel | None]) -> list[ProtocolLabel]:
     """The protocols of a list by label, if it mixes errors of several; empty otherwise."""
     several = {label.fingerprint: label for label in labels if label is not None}
@@ -168,8 +196,10 @@ def _rows_of(group: GroupRecord, columns: Sequence[GroupColumn]) -> list[GroupRo
     text = ", ".join(f"{key}={value_text(value)}" for key, value in group.parameters.items())
     rows = []
     for place, (label, figures) in enumerate(by_protocol(group)):
-        cells = tuple(_spread_cell(column.metric, figures.get(column.metric.key)) for column in columns)
-        rows.append(GroupRow(group, label, text or DASH, cells, first=place == 0))
+        spreads = [figures.get(column.metric.key) for column in columns]
+        cells = tuple(_spread_cell(column.metric, spread) for column, spread in zip(columns, spreads, strict=True))
+        means = tuple(None if spread is None else spread.mean for spread in spreads)
+        rows.append(GroupRow(group, label, text or DASH, cells, means, first=place == 0))
     return rows
 
 

@@ -9,11 +9,13 @@ from slamhive.errors import InvalidInput
 from slamhive.web.context import hive
 from slamhive.web.figures import best_plane, captions, figure_csv, run_figures, timeline
 from slamhive.web.presenters import moments
+from slamhive.web.sparks import error_image
 from slamhive.web.views.runs import RUN_ID
 
 blueprint = Blueprint("run_plots", __name__, url_prefix="/runs")
 
 LATEST_TIMESTAMP_S = 2**32
+SPARK_KEPT_S = 60
 
 
 @blueprint.get(f"/{RUN_ID}/figures.json")
@@ -33,6 +35,15 @@ def figures(run_id: int) -> Response:
             best_plane="xy" if track is None else best_plane(track),
         )
     )
+
+
+@blueprint.get(f"/{RUN_ID}/error.svg")
+def error_line(run_id: int) -> Response:
+    """The error over time as a sparkline for lists, which load it when its row comes into view."""
+    response = Response(error_image(hive().runs.error_over_time(run_id)), mimetype="image/svg+xml")
+    response.cache_control.private = True
+    response.cache_control.max_age = SPARK_KEPT_S
+    return response
 
 
 @blueprint.get(f"/{RUN_ID}/moment.json")

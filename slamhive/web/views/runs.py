@@ -11,6 +11,7 @@ from flask import (
     Blueprint,
     Response,
     flash,
+    jsonify,
     make_response,
     redirect,
     render_template,
@@ -35,7 +36,7 @@ from slamhive.web.columns import Column, all_columns, column
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
 from slamhive.web.formatting import plural
-from slamhive.web.presenters import matching, protocols, scripts, search
+from slamhive.web.presenters import arrangement, heat, matching, protocols, scripts, search
 from slamhive.web.presenters import runs as presenter
 from slamhive.web.presenters.live import progress_json
 from slamhive.web.request_input import form_text
@@ -68,11 +69,12 @@ def index() -> Response:
     page = services.runs.page(query.search, query.sort, query.after, query.limit)
     left_out = services.searches.left_out(query.search, page.count)
     mixed = search.mixed_protocols(run.protocol for run in page.records)
+    rows = presenter.rows(page.records, shown, services.catalogue.algorithms())
     return make_response(
         _search_page(
             services,
             query,
-            rows=presenter.rows(page.records, shown, services.catalogue.algorithms()),
+            rows=heat.coloured_runs(rows) if query.look.colours else rows,
             columns=shown,
             next_key=page.next_key,
             summary=summary(query, len(page.records), page.count, left_out),
@@ -90,10 +92,14 @@ def _group_page(services: Hive, query: RunQuery, shown: list[Column]) -> str:
     )
     left_out = services.searches.left_out(query.search, page.runs)
     mixed = search.mixed_protocols(label for group in page.records for label in group.figures)
+    rows = search.group_rows(page.records, figures)
+    if query.look.sparks:
+        metrics = [entry.metric.key for entry in figures]
+        rows = search.with_repeats(rows, figures, services.searches.repeats(query.search, page.records, metrics))
     return _search_page(
         services,
         query,
-        groups=search.group_rows(page.records, figures),
+        groups=heat.coloured_groups(rows, figures) if query.look.colours else rows,
         group_columns=figures,
         columns=shown,
         next_key=page.next_key,
@@ -111,12 +117,16 @@ def _analysis_url(query: RunQuery) -> str:
 
 def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
     """Render the search page. Without rows it shows why the query is invalid."""
+    saved = services.searches.saved()
+    base = list_address({**query.args(), "open": "columns", "columns": [], "pinned": []})
     return render_template(
         "runs/index.html",
         query=query,
         rule=DEFAULT_RULE.words,
         all_columns=all_columns(),
-        saved=[(entry, search.saved_args(entry)) for entry in services.searches.saved()],
+        saved=[(entry, search.saved_args(entry)) for entry in saved],
+        current_view=search.place_of(query, saved),
+        arranged=arrangement.arranged(base, content.get("columns", ()), query.look.pinned),
         unevaluated=services.searches.unevaluated(),
         choices=search.choices(
             query.fields,
@@ -228,11 +238,15 @@ def evaluate(run_id: int) -> Response:
 
 @blueprint.post(f"/{RUN_ID}/notes")
 def annotate(run_id: int) -> Response:
-    """Replace the note and the tags of one run."""
+    """Replace the note and the tags of one run; a field that is not sent stays as it is."""
     services = hive()
-    kept = split_tags(request.form.get("tags", ""))
-    removed = tuple(tag for tag in services.runs.get(run_id).tags if tag not in kept)
-    services.notes.change([run_id], NotesChange(form_text("note"), kept, removed))
+    note = form_text("note") if "note" in request.form else None
+    old = services.runs.get(run_id).tags
+    kept = split_tags(request.form["tags"]) if "tags" in request.form else old
+    change = NotesChange(note, kept, tuple(tag for tag in old if tag not in kept))
+    stored = services.notes.change([run_id], change)[run_id]
+    if wants_json():
+        return jsonify(stored.content)
     flash("Note and tags are stored.", "success")
     return _to_run(run_id)
 

@@ -1,4 +1,4 @@
-"""Actions on several runs that are selected in a list: evaluate them, tag them, delete them."""
+"""Actions on several runs that are selected in a list: evaluate, retry, tag, export and delete them."""
 
 from __future__ import annotations
 
@@ -30,6 +30,33 @@ def evaluate() -> Response:
     queued = hive().evaluations.queue(wanted, request.form.get("protocol") or None)
     flash(f"{plural(len(queued), 'evaluation')} queued." if queued else "There is nothing to evaluate.", "info")
     return _to_list()
+
+
+@blueprint.post("/retry")
+def retry() -> Response:
+    """Queue a new run for each of the selected ones, or none, and return to the list."""
+    runs = _selected(request.form.getlist("run"))
+    if not runs:
+        return _nothing_selected()
+    number = len(hive().runs.retry_all(runs))
+    words = (
+        "1 run queued, which repeats the selected one."
+        if number == 1
+        else (f"{plural(number, 'run')} queued, which repeat the selected ones.")
+    )
+    flash(words, "success")
+    return _to_list()
+
+
+@blueprint.get("/export")
+def export() -> Response:
+    """The address of a file of the selected runs, with the columns of the list."""
+    runs = _selected(request.args.getlist("run"))
+    if not runs:
+        return _back_without_selection()
+    columns = request.args.get("columns", "")
+    where = f"id in ({', '.join(map(str, runs))})"
+    return make_response(redirect(address("searches.export", name="csv", where=where, columns=columns or None), 303))
 
 
 @blueprint.get("/tags")
@@ -87,7 +114,12 @@ def _selected(texts: list[str]) -> list[int]:
 
 
 def _nothing_selected() -> Response:
+    """Back to the list, which says that nothing is selected."""
     hive().check_writable()
+    return _back_without_selection()
+
+
+def _back_without_selection() -> Response:
     flash("No run is selected. Select runs, then press the button again.", "warning")
     return _to_list()
 
