@@ -21,6 +21,7 @@ from slamhive.domain.lidar_needs import LidarNeeds, Need
 from slamhive.domain.package_origin import PackageOrigin
 from slamhive.domain.parameters import Parameter, parse_settings
 from slamhive.domain.pinned_image import PinnedImage
+from slamhive.domain.pose_time import PoseTime
 from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.remaps import TopicOf
 from slamhive.domain.requirement import Requirement
@@ -54,6 +55,7 @@ class _ModeModel(BaseModel):
     inputs: dict[str, SensorKind]
     trajectory_role: str
     trajectory: TrajectoryKind | None = None
+    pose_time: PoseTime | None = None
     name: str | None = None
     parameters: list[str] | None = None
     map_input: bool = False
@@ -248,6 +250,7 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
         inputs=tuple(Input(role, kind) for role, kind in model.inputs.items()),
         trajectory_role=model.trajectory_role,
         trajectory=model.trajectory,
+        pose_time=model.pose_time,
         parameters=parameters,
         topics=tuple(TopicOf(role, **topic.model_dump()) for role, topic in model.topics.items()),
         requires=tuple(entry for entry in _requirements(path, whole) if entry.source.role in model.inputs),

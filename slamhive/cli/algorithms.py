@@ -76,6 +76,8 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
         return
     click.echo(f"{entry.name}: {entry.title} ({entry.package.title} {entry.package.version}, {entry.package.licence})")
     click.echo(f"needs {', '.join(f'{i.role} ({i.kind})' for i in entry.inputs)}; {entry.package.upstream}")
+    if entry.pose_time is not None:
+        click.echo(f"a pose describes {entry.trajectory_role} {entry.pose_time.words}")
     if entry.package.origin is not None:
         click.echo(f"imported from {entry.package.origin.words}; runs are {entry.package.user.in_words}")
     for topic in entry.topics:

@@ -15,6 +15,7 @@ from slamhive.domain.lidar_needs import LidarNeeds
 from slamhive.domain.package_origin import UNKNOWN, PackageOrigin
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.pinned_image import PinnedImage
+from slamhive.domain.pose_time import PoseTime
 from slamhive.domain.remaps import TopicOf
 from slamhive.domain.requirement import Requirement, check_requirements
 from slamhive.domain.sensor_choice import BY_RULE, Chosen, assign_in_order, check_choice
@@ -143,7 +144,8 @@ class Algorithm:
     role that is not in it is played as ``/<role>``. ``requires`` is what must be known of the sensors.
     ``version`` is the number of the version of the package, None for the package as it is now. ``map_input``: it can
     start with the map of another run. ``lidar``: what it needs of the points of a LiDAR.
-    ``trajectory`` says which trajectory ``traj.txt`` is, None if the package does not.
+    ``trajectory`` says which trajectory ``traj.txt`` is, and ``pose_time`` at which instant its poses hold; None if the
+    package does not.
     """
 
     name: str
@@ -158,6 +160,7 @@ class Algorithm:
     topics: tuple[TopicOf, ...] = ()
     requires: tuple[Requirement, ...] = ()
     trajectory: TrajectoryKind | None = None
+    pose_time: PoseTime | None = None
     version: int | None = None
     map_input: bool = False
     lidar: LidarNeeds = field(default_factory=LidarNeeds)

@@ -9,6 +9,7 @@ from pydantic import AliasPath, BeforeValidator, Field
 from slamhive.domain.algorithm import RunUser
 from slamhive.domain.configuration import Playback
 from slamhive.domain.parameters import ParameterType, Value
+from slamhive.domain.pose_time import PoseTime
 from slamhive.domain.protocol_choices import Alignment
 from slamhive.domain.sensors import SensorKind, SensorSetup
 from slamhive.domain.trajectory_kind import TrajectoryKind
@@ -111,6 +112,10 @@ class Algorithm(Document):
     ]
     trajectory: Annotated[
         TrajectoryKind | None, described("Which trajectory traj.txt is: live, final, keyframes; null if not stated.")
+    ] = None
+    pose_time: Annotated[
+        PoseTime | None,
+        described("The instant that poses describe: message (timestamp of the image or scan), or sweep_start, ..."),
     ] = None
     package: Package
     unknown: Annotated[tuple[str, ...], described("What an import did not find and nobody has filled in.")]
