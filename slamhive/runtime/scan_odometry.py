@@ -123,9 +123,9 @@ class ScanOdometry(ABC):
 
     def finish(self) -> Poses | Trajectories:
         """One pose for each registered sweep, and the map if it was asked for."""
-        if self.values.get("save_map"):
-            write_pcd(run_paths().result / "Map.pcd", self.map_points_m())
         poses = self.final_poses() if self._poses else np.empty((0, 4, 4))
+        if self.values.get("save_map"):  # with all that the final poses know
+            write_pcd(run_paths().result / "Map.pcd", self.map_points_m())
         if len(poses) != len(self._stamps_s):
             raise InvalidInput(f"{self.package} has {len(poses)} poses for {len(self._stamps_s)} registered sweeps")
         stamps_s = np.array(self._stamps_s)

@@ -33,6 +33,9 @@ SLOW_RATE = 0.15
 """So slow that the systems keep up while other tests use the cores."""
 
 
+FEWEST_MAP_POINTS = 200
+"""Sparse features of a room or a few metres of road are as many; most maps of a LiDAR have thousands."""
+
 LAGGING = {"loam", "lego-loam"}
 """The odometry of both goes 5 % of the way at each step, and ends at the first step below 0.1 degrees and 1 mm. So it
 is late where the motion changes, and earlier timestamps fit better than those that the sources state."""
@@ -55,6 +58,9 @@ def all_tests() -> list[Any]:
 def test_each_algorithm_keeps_its_bounds(systems: Hive, entry: BoundTest, request: pytest.FixtureRequest) -> None:
     dataset(systems, entry.bound.dataset)
     submission = entry.submission()
+    has_map = any(parameter.key == "save_map" for parameter in entry.algorithm.parameters)
+    if has_map:
+        submission = replace(submission, parameters={**submission.parameters, "save_map": True})
     if request.node.get_closest_marker("images") is not None:
         parameters = {**submission.parameters, **WITH_IMAGES[f"{entry.algorithm.name}-{entry.bound.dataset}"]}
         submission = replace(submission, playback_rate=SLOW_RATE, parameters=parameters)
@@ -62,6 +68,8 @@ def test_each_algorithm_keeps_its_bounds(systems: Hive, entry: BoundTest, reques
     systems.worker(only=[queued.id]).run(until_idle=True)
     result = entry.result(systems.runs.get(queued.id))
     assert result.problem is None, f"{result.problem}\n{systems.runs.log(queued.id)[-2000:]}"
+    if has_map:
+        assert (systems.runs.get(queued.id).metrics or {})["map.points"] >= FEWEST_MAP_POINTS
     if entry.algorithm.package.name not in LAGGING and any(
         role.kind is SensorKind.LIDAR for role in entry.algorithm.inputs
     ):

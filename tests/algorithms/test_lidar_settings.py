@@ -9,6 +9,7 @@ import pytest
 
 from slamhive.errors import InvalidInput
 from slamhive.runtime.config import RunConfig
+from slamhive.runtime.ros1.system import PoseKind, PoseTopic
 from tests.algorithms.algorithm_runs import load_module
 
 VLP_16 = {"lowest_deg": -15.0, "ring_distance_deg": 2.0, "beams": 16, "ground_beams": 0}
@@ -85,4 +86,5 @@ def test_poses_of_lio_sam_hold_at_the_middle_of_the_sweep() -> None:
     system = lio_sam()
     assert system.pose_delay_s == pytest.approx(-0.05)
     assert (system.every_frame, lio_sam(mapping_interval=0.15).every_frame) == (True, False)
+    assert system.keyframes == PoseTopic("/lio_sam/mapping/path", PoseKind.PATH)
     assert (system.map_topic, lio_sam(save_map=True).map_topic) == (None, "/lio_sam/mapping/map_global")

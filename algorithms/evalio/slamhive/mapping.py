@@ -79,6 +79,11 @@ class EvalioOdometry(ScanOdometry):
         found = self._pipeline.saved_estimates()
         return np.array(found[-1][1].to_mat()) if found else None
 
+    def map_points_m(self) -> np.ndarray:
+        """What the pipeline keeps to register the next sweep with, features of all kinds together."""
+        points = [(point.x, point.y, point.z) for part in self._pipeline.map().values() for point in part]
+        return np.array(points).reshape(-1, 3)
+
     def finish(self) -> Poses | Trajectories:
         """Each pose with the time of its own sweep; the last sweeps have none where poses come later."""
         if self._behind:

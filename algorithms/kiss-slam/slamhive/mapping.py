@@ -53,6 +53,15 @@ class KissSlam(ScanOdometry):
         print(f"loop closures: {len(self._slam.get_closures())}", flush=True)
         return np.array(poses)
 
+    def map_points_m(self) -> np.ndarray:
+        """The local maps, each where the loop closures have put it."""
+        parts = [
+            part.pcd.point.positions.numpy() @ part.keypose[:3, :3].T + part.keypose[:3, 3]
+            for part in self._slam.local_map_graph.local_maps()
+            if part.pcd is not None
+        ]
+        return np.concatenate([np.empty((0, 3)), *parts])
+
 
 def configure(values: dict[str, Any]) -> Any:
     """KISS-SLAM's configuration with the parameters of the run."""

@@ -46,6 +46,7 @@ def make(config: RunConfig) -> Ros1System:
     return Ros1System(
         launch=Path(__file__).with_name("lio_sam.launch"),
         poses=PoseTopic("/lio_sam/mapping/odometry", PoseKind.ODOMETRY),
+        keyframes=PoseTopic("/lio_sam/mapping/path", PoseKind.PATH),
         frames="points",
         parameters={**sweep_parameters(values), "/lio_sam": settings(values)},
         # Upstream compensates the rotation during a sweep, but not the translation: positions are those at its middle.

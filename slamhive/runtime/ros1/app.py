@@ -27,7 +27,7 @@ from slamhive.runtime.progress import json_text, say
 from slamhive.runtime.ros1.programs import SystemFailed
 from slamhive.runtime.ros1.system import FiledResults, Ros1System
 from slamhive.runtime.ros1.timing import frame_times, queue_drops
-from slamhive.runtime.ros_poses import in_sensor_axes
+from slamhive.runtime.ros_poses import PoseLog, in_sensor_axes
 from slamhive.runtime.trajectory import Poses, write_trajectory
 
 if TYPE_CHECKING:
@@ -73,6 +73,8 @@ def _write_results(system: Ros1System, config: RunConfig, played: Played, result
     filed = _filed_results(system, played, result)
     if filed.map_points_m is not None and config.general_parameter.get("save_map"):
         write_pcd(result / "Map.pcd", filed.map_points_m)
+    if filed.keyframes is not None and len(filed.keyframes.stamps_s):
+        write_trajectory(result / "keyframe.txt", filed.keyframes)
     write_trajectory(result / "traj.txt", filed.poses)
     in_queues = sum(queue["dropped"] for queue in summary["queues"])  # type: ignore[attr-defined]
     say(
@@ -84,17 +86,21 @@ def _write_results(system: Ros1System, config: RunConfig, played: Played, result
 
 def _filed_results(system: Ros1System, played: Played, result: Path) -> FiledResults:
     """The results that the nodes saved; for nodes that save nothing what their topics held."""
-    poses = played.poses.poses
-    R_system_sensor = np.array(system.R_system_sensor)
-    live = Poses(poses.stamps_s + system.pose_delay_s, in_sensor_axes(poses.T_world_sensor, R_system_sensor))
+    live = _published(system, played.poses)
     if system.results is None:
+        keyframes = None if played.keyframes is None else _published(system, played.keyframes)
         points_m = played.map_points_m
-        return FiledResults(live, map_points_m=None if points_m is None else points_m @ R_system_sensor)
+        return FiledResults(live, keyframes, None if points_m is None else points_m @ np.array(system.R_system_sensor))
     filed = system.results()
     if len(live.stamps_s) and not len(filed.poses.stamps_s):
         published = f"the nodes published {len(live.stamps_s)} poses, but saved no trajectory"
         raise SystemFailed(f"{published}: they were killed, or had lost their map at the end")
     write_trajectory(result / "traj.live.txt", live)
-    if filed.keyframes is not None:
-        write_trajectory(result / "keyframe.txt", filed.keyframes)
     return filed
+
+
+def _published(system: Ros1System, log: PoseLog) -> Poses:
+    """The poses of a topic, with the time and in the axes of the sensor."""
+    poses = log.poses
+    T = in_sensor_axes(poses.T_world_sensor, np.array(system.R_system_sensor))
+    return Poses(poses.stamps_s + system.pose_delay_s, T)

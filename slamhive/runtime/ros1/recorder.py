@@ -44,6 +44,7 @@ class Recorder:
         for key, value in {**_SETTINGS, **parameters}.items():
             self._master.setParam(key, value)
         self.poses = PoseLog(system.poses)
+        self.keyframes = None if system.keyframes is None else PoseLog(system.keyframes)
         self.statistics: list[Any] = []
         self.map: Any = None
         self._processed: list[tuple[float, float]] | None = [] if system.processed else None
@@ -51,8 +52,9 @@ class Recorder:
         self._clock_arrivals_s: list[float] = []
         self._clock_times_s: list[float] = []
         rospy.init_node(NAME.lstrip("/"), disable_signals=True, disable_rostime=True)
-        kind = roslib.message.get_message_class(system.poses.kind.value)
-        subscribe(system.poses.topic, kind, lambda message: self.poses.add(message, time.monotonic()))
+        subscribe_poses(self.poses)
+        if self.keyframes is not None:
+            subscribe_poses(self.keyframes)
         subscribe("/clock", Clock, self._take_clock)
         subscribe("/statistics", TopicStatistics, self.statistics.append)
         if system.processed:
@@ -136,6 +138,12 @@ class ClockAfterEnd:
         """Publish the time now."""
         now_s = self._end_s + (time.monotonic() - self._since_s) * self._rate
         self._publisher.publish(Clock(rospy.Time.from_sec(now_s)))
+
+
+def subscribe_poses(log: PoseLog) -> None:
+    """Take what is published on the topic of ``log``."""
+    kind = roslib.message.get_message_class(log.source.kind.value)
+    subscribe(log.source.topic, kind, lambda message: log.add(message, time.monotonic()))
 
 
 def subscribe(topic: str, kind: Any, take: Any) -> None:

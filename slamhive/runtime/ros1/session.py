@@ -53,6 +53,7 @@ class Played:
     dropped_by_nodes: int
     player_cpu_s: float
     map_points_m: Any
+    keyframes: PoseLog | None
 
 
 class Session:
@@ -117,6 +118,7 @@ class Session:
             self._nodes.dropped,
             player_cpu_s,
             map_points_m,
+            self._recorder.keyframes,
         )
 
     def _run(self, name: str, command: Sequence[str], take: Callable[[str], None]) -> Program:

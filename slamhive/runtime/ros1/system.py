@@ -38,6 +38,7 @@ class Ros1System:
     Attributes:
         launch: The launch file. It declares an argument for each role, the topic to listen to.
         poses: Where the poses come from.
+        keyframes: Where the poses of the keyframes come from, with all that was corrected since, for ``keyframe.txt``.
         frames: The role whose messages are the frames of ``frames.csv``.
         arguments: More arguments of the launch file.
         parameters: Set on the parameter server before the nodes start; a mapping becomes a namespace.
@@ -65,6 +66,7 @@ class Ros1System:
     results: Callable[[], FiledResults] | None = None
     drop_lines: tuple[str, ...] = ()
     map_topic: str | None = None
+    keyframes: PoseTopic | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
 
 
