@@ -121,9 +121,7 @@ class Settings(BaseSettings):
     smtp_security: MailSecurity = setting(MailSecurity.STARTTLS, "Protects the connection: starttls, tls or none")
     smtp_user: str = setting("", "User name there; empty for none")
     smtp_password: str = setting("", "Password there", secret=True)
-    executor: str = setting(
-        "auto", "auto (Docker if an engine answers, else process), docker, process, slurm or kubernetes"
-    )
+    executor: str = setting("auto", "An executor that `slamhive doctor` lists; auto takes the first that can be used")
     slurm_options: str = setting(
         "", "Options of each Slurm job: --partition, --account, --qos, --constraint, --gres, --exclusive and some more"
     )

@@ -23,7 +23,7 @@ COLUMNS = ("algorithm", "dataset", "run", "poses", "at least", "ATE m", "at most
 @click.argument("names", nargs=-1, shell_complete=offers.PACKAGE)
 @click.option("--all", "all_", is_flag=True, help="Test all packages.")
 @click.option("--dataset", "datasets", multiple=True, help="Only the bounds on these datasets.")
-@click.option("--executor", help="docker or process; default: the one in force.")
+@click.option("--executor", help="An executor that `slamhive doctor` lists; default: the one in force.")
 @json_option
 @pass_cli
 def test(

@@ -48,7 +48,7 @@ def run_demo(hive: Hive, seconds: float) -> None:
     asked = [str(name) for name in parse_experiment(text, FILE).algorithms.values]
     packages = list(dict.fromkeys(hive.catalogue.algorithm(name).package.name for name in asked))
     phases = _phases(hive, executor, packages, seconds)
-    algorithms = _buildable(hive, executor, asked, phases)
+    algorithms = buildable(hive, executor, asked, phases)
     _prepare_evaluation(hive, phases)
     _render_room(hive, seconds, phases)
     source = _source(hive, strict_yaml.parse(text, FILE), algorithms, executor)
@@ -86,19 +86,22 @@ def _phases(hive: Hive, executor: str, packages: Sequence[str], seconds: float) 
     return phases
 
 
-def _buildable(hive: Hive, executor: str, algorithms: Sequence[str], phases: Phases) -> list[str]:
+def buildable(hive: Hive, executor: str, algorithms: Sequence[str], phases: Phases) -> list[str]:
     """The algorithms whose image or environment is there or can be made; says what is skipped and how to get it."""
     chosen = hive.executors.get(executor)
     problems: dict[str, SlamHiveError | None] = {}
     packages = {algorithm: hive.catalogue.algorithm(algorithm).package.name for algorithm in algorithms}
     for name in dict.fromkeys(packages.values()):
         with phases.next() as show:
+            package = hive.catalogue.package(name)
             try:
-                chosen.build(hive.catalogue.package(name), lambda line, show=show: show(0.0, line[:60]))  # type: ignore[misc]
+                identity = chosen.build(package, lambda line, show=show: show(0.0, line[:60]))  # type: ignore[misc]
             except ImageMissing as error:
                 problems[name] = error
             else:
                 problems[name] = None
+                # So that the time left of the runs does not count a build that is over.
+                hive.versions.register(chosen, package, identity)
                 show(1.0, "ready")
     for name, problem in problems.items():
         if problem is not None:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from slamhive.clock import Clock
 from slamhive.cloud.cloud_file import CloudFile
+from slamhive.cloud.cluster_records import CloudRecords
 from slamhive.cloud.plan import FIREWALL, IMAGE
 from slamhive.cloud.providers.base import Provider
-from slamhive.cloud.records import CloudRecords
 from slamhive.cloud.resources import ROLE_TAG, UID_TAG, Launch, Resource, in_role, tags_of
 from slamhive.cloud.steps import Act, Step, Wanted, deletable, next_step
 from slamhive.cloud.user_data import NodeOrders, user_data

@@ -29,6 +29,9 @@ LiveKeys = Callable[[], Collection[str]]
 """Returns the keys of the runs that workers hold now."""
 
 
+_WITH_IMAGES = "use an executor with images; slamhive doctor lists them"
+
+
 class ImageMissing(SlamHiveError):
     """The image or environment of a package does not exist and cannot be made."""
 
@@ -208,15 +211,15 @@ class Executor(ABC):
 
     def save_image(self, identity: str) -> Iterator[bytes]:  # noqa: ARG002 - as above
         """The image as ``docker save`` writes it. Raises InvalidInput if this executor has no images."""
-        raise InvalidInput(f"the executor {self.name} has no images to export", "use --executor docker")
+        raise InvalidInput(f"the executor {self.name} has no images to export", _WITH_IMAGES)
 
     def load_image(self, chunks: Iterable[bytes]) -> str:  # noqa: ARG002 - as above
         """Take the image that :meth:`save_image` gave; its identity. Raises InvalidInput."""
-        raise InvalidInput(f"the executor {self.name} takes no images", "use --executor docker")
+        raise InvalidInput(f"the executor {self.name} takes no images", _WITH_IMAGES)
 
     def image_tools(self) -> ImageTools:
         """What imports of packages that somebody else made need. Raises InvalidInput if this executor has no images."""
-        raise InvalidInput(f"the executor {self.name} has no images", "use --executor docker")
+        raise InvalidInput(f"the executor {self.name} has no images", _WITH_IMAGES)
 
     # -- the life of a run ---------------------------------------------------------------------------------------------
 
@@ -258,7 +261,8 @@ class Executor(ABC):
 
     def gpus(self) -> tuple[Gpu, ...]:
         """The GPUs that a run can get, at least one. Raises Unavailable with the reason if there is none."""
-        raise Unavailable(f"the executor {self.name} gives runs no GPU", "choose the executor docker")
+        remedy = "choose one that does; slamhive doctor lists them"
+        raise Unavailable(f"the executor {self.name} gives runs no GPU", remedy)
 
     def check_gpu(self) -> None:
         """Raise Unavailable, with the reason, if a run that asks for a GPU can never get one. Quick."""

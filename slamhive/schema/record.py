@@ -69,6 +69,13 @@ class Request(ConfigurationContent):
     ] = Field(default=None, validation_alias=AliasChoices("protocol_override", "protocol"))
 
 
+class Handle(Document):
+    """The data for finding a started run again."""
+
+    executor: str
+    data: dict[str, str]
+
+
 class RunStart(Document):
     """The record of a run that is about to be prepared."""
 

@@ -31,7 +31,7 @@ from slamhive.runtime.paths import weights_file
 from slamhive.runtime.trajectory import Poses, quaternions_xyzw
 from tests.runtime.runtime_samples import LEFT, START_NS
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 PACKAGES = project_root() / "algorithms"
 LIBRARIES = Path(__file__).parent / "gpu_libraries"

@@ -17,7 +17,7 @@ from slamhive.runtime.ros1.system import Ros1System
 from tests.algorithms.algorithm_runs import load_module
 from tests.algorithms.recorded_configs import SHARED, SHARED_DATA, config_of, sensors_of_dataset
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 KITTI = pytest.param("kitti00_velodyne_6", marks=SHARED_DATA)
 SWEEPS = {

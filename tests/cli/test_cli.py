@@ -185,7 +185,7 @@ def test_a_package_without_requirements_hides_only_itself(slamhive, tmp_path):
     assert "requirements.txt" in json.dumps(json.loads(slamhive("doctor", "--json").stdout))
     refused = slamhive("run", "tiny", "track")
     assert refused.exit_code == 1
-    assert "use --executor docker" in refused.stderr
+    assert "use an executor of containers; slamhive doctor lists them" in refused.stderr
 
 
 def test_what_is_shown_and_left_out_is_said_in_words(slamhive):

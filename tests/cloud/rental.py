@@ -15,10 +15,10 @@ import urllib3
 from werkzeug.test import Client
 
 from slamhive.cloud.cloud_file import CloudFile
+from slamhive.cloud.cluster_records import CloudRecords
 from slamhive.cloud.lifecycle import Hands, Rising, remove_all, take_down
 from slamhive.cloud.plan import Work, make_plan
 from slamhive.cloud.providers import open_provider
-from slamhive.cloud.records import CloudRecords
 from slamhive.errors import SlamHiveError
 from slamhive.schema.cloud import CloudPlan, CloudRecord, CloudState
 from tests.cloud.cloud_world import ENDPOINT, KEYS, FakeTime

@@ -201,7 +201,7 @@ def test_short_log_is_whole(tmp_path):
 
 
 def test_environment_needs_requirements(tmp_path):
-    with pytest.raises(ImageMissing, match=r"requirements\.txt.*--executor docker"):
+    with pytest.raises(ImageMissing, match=r"requirements\.txt.*use an executor of containers"):
         Environments(tmp_path).identity(package(tmp_path))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,8 +18,15 @@ TABLE = ROOT / "executors" / "registry.py"
 
 
 def names_in(path: Path, names: set[str]) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Constant) and node.value in names:
+    """Where a text is a name, or tells users which executor to take; which ones there are follows from the plug-ins."""
+    either = "|".join(sorted(names))
+    advice = re.compile(rf"executors? ({either})\b|({either}) or ({either})\b|({either}) executor\b")
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    explained = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Constant) or not isinstance(node.value, str) or id(node) in explained:
+            continue
+        if node.value in names or advice.search(node.value):
             yield f"{path.relative_to(ROOT)}:{node.lineno}: {node.value!r}"
 
 

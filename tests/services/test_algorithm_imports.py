@@ -181,7 +181,7 @@ def test_folders_without_algorithm_yaml_are_listed(hive: Hive):
 
 def test_an_executor_without_images_takes_none(hive: Hive, tmp_path):
     path = str(folders.loam(tmp_path))
-    with pytest.raises(InvalidInput, match="executor process has no images; use --executor docker"):
+    with pytest.raises(InvalidInput, match="executor process has no images; use an executor with images"):
         with_plan(hive, path, ImportRequest())
 
 

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from slamhive.cli import main
 from slamhive.clock import utc_now
-from slamhive.cloud.records import CloudRecords
+from slamhive.cloud.cluster_records import CloudRecords
 from slamhive.cloud.resources import UID_TAG
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound
 from slamhive.schema.cloud import CloudState

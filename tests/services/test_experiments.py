@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 from sqlalchemy import text
 
+from slamhive.cli.demo import buildable
+from slamhive.cli.phases import Phase as BuildPhase
+from slamhive.cli.phases import Phases
 from slamhive.domain.run import RunState
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.files import size_bytes
@@ -74,6 +77,15 @@ def runs_of(hive: Hive) -> tuple[RunRecord, ...]:
 def everything(hive: Hive) -> dict[str, int]:
     tables = ("experiments", "experiment_cells", "runs", "run_events", "configurations", "configuration_values")
     return {table: rows(hive, table) for table in tables}
+
+
+def test_the_time_left_of_the_demo_counts_no_build_that_is_over(hive: Hive) -> None:
+    """Its first steps build all packages, so the last one begins with what the preview of six runs says."""
+    phases = Phases([BuildPhase("building tiny", 1.0, "build")])
+    assert buildable(hive, "process", ["tiny"], phases) == ["tiny"]
+    started = hive.experiments.start(source())
+    between_s = GUESSED_OVERHEAD_S + GUESSED_EVALUATION_S
+    assert started.left_s == pytest.approx(6 * (10.0 + GUESSED_START_S + between_s))
 
 
 def test_a_preview_tells_what_would_happen_and_stores_nothing(hive: Hive) -> None:

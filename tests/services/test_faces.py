@@ -45,3 +45,16 @@ def test_the_check_sees_a_module_that_reaches_into_a_package(tmp_path: Path) -> 
     path = tmp_path / "caller.py"
     path.write_text("from slamhive.services.runs import Runs\nfrom slamhive.services.runs.record import begin_record\n")
     assert list(modules_reached(path)) == ["slamhive.services.runs.record.begin_record"]
+
+
+def test_names_that_once_had_two_meanings_have_one() -> None:
+    """A reader who is told "see watching" would have to ask which."""
+    stems = [path.stem for path in Path(slamhive.__file__).parent.rglob("*.py")]
+    assert len(stems) > 500
+    assert {name: stems.count(name) for name in ("watching", "preparing", "records", "record", "room")} == {
+        "watching": 1,
+        "preparing": 1,
+        "records": 1,
+        "record": 2,  # the model of run.json, and the service that writes it
+        "room": 0,
+    }

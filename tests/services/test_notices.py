@@ -26,7 +26,7 @@ from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.services.notices import Notices, channels_of
 from slamhive.services.notices.channels import SIGNATURE_HEADER
-from slamhive.services.notices.watching import GIVEN_UP_AFTER, RECORD
+from slamhive.services.notices.sending import GIVEN_UP_AFTER, RECORD
 from slamhive.services.worker import noticing
 from slamhive.settings import MailSecurity, Settings
 
@@ -165,7 +165,7 @@ def test_a_worker_that_dies_before_it_notes_sends_again(
     start(hive, GOOD)
     hive.worker().run(until_idle=True)
     with monkeypatch.context() as patch:
-        patch.setattr("slamhive.services.notices.watching.write_aside", die)
+        patch.setattr("slamhive.services.notices.sending.write_aside", die)
         with pytest.raises(KeyboardInterrupt):
             sending.work_once()
     assert not (hive.settings.experiments_folder / "pair" / RECORD).exists()

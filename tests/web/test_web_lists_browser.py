@@ -71,7 +71,7 @@ def headings(page: Page) -> list[str]:
 def left_of(page: Page, column: str) -> float:
     box = page.locator(f"#list th[data-column='{column}']").bounding_box()
     assert box is not None
-    return box["x"]
+    return float(box["x"])
 
 
 def test_columns_are_moved_by_dragging_and_by_keyboard_and_stay_so(browsing: Page) -> None:

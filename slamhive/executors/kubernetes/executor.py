@@ -30,9 +30,9 @@ from slamhive.executors.kubernetes.connection import why_no_connection
 from slamhive.executors.kubernetes.images import NodeImages
 from slamhive.executors.kubernetes.manifest import selector
 from slamhive.executors.kubernetes.options import read_options
+from slamhive.executors.kubernetes.pod_watch import PodWatch
 from slamhive.executors.kubernetes.run_files import PodUsage, RunFiles, Started
 from slamhive.executors.kubernetes.run_jobs import RunJobs
-from slamhive.executors.kubernetes.watching import PodWatch
 from slamhive.executors.nodes import Node
 from slamhive.executors.process.supervisors import wait_until
 from slamhive.executors.spec import Limit, RunSpec

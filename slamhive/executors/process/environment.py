@@ -175,7 +175,8 @@ def _environment_hash(package: AlgorithmPackage) -> str:
     requirements = package.folder / REQUIREMENTS_FILE
     if not requirements.is_file():
         raise ImageMissing(
-            f"{package.name} has no {REQUIREMENTS_FILE}: it runs in its container only", "use --executor docker"
+            f"{package.name} has no {REQUIREMENTS_FILE}: it runs in its container only",
+            "use an executor of containers; slamhive doctor lists them",
         )
     digest = hashlib.sha256(f"{sys.version} {sys.prefix}".encode())
     digest.update(requirements.read_bytes())

@@ -64,7 +64,7 @@ class ContainerSlurmExecutor(SlurmExecutor):
         if package.user is not RunUser.WORKER:
             raise ImageMissing(
                 f"{package.name} runs as {package.user.in_words} and writes into its image, which jobs cannot change",
-                "use --executor docker",
+                "choose another executor; slamhive doctor lists them",
             )
 
     def identity(self, package: AlgorithmPackage) -> str | None:

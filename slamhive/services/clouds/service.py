@@ -12,13 +12,13 @@ from pathlib import Path
 from slamhive import strict_yaml
 from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.cloud.cloud_file import CloudFile, ProviderName, load_cloud_file
+from slamhive.cloud.cluster_records import CloudRecords
 from slamhive.cloud.lifecycle import Hands, Rising, cluster_resources, remove_all, take_down
+from slamhive.cloud.machine_setup import Preparer, read_public_key
 from slamhive.cloud.plan import CloudPlan as Plan
 from slamhive.cloud.plan import Work, make_plan
-from slamhive.cloud.preparing import Preparer, read_public_key
 from slamhive.cloud.providers import open_provider
 from slamhive.cloud.providers.base import Provider
-from slamhive.cloud.records import CloudRecords
 from slamhive.cloud.resources import CLUSTER_TAG, INSTALLATION_TAG, UID_TAG, Resource
 from slamhive.errors import Conflict, InvalidInput
 from slamhive.schema.cloud import CloudPlan, CloudRecord, CloudResource, CloudState, CloudStatus

@@ -11,7 +11,7 @@ from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import RunHandle
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.model import adapter, dump
-from slamhive.schema.record import Request, RunFile, RunStart
+from slamhive.schema.record import Handle, Request, RunFile, RunStart
 from slamhive.schema.run import Event
 from slamhive.store.records import RunFields, RunRecord, RunRequest, RunSnapshot
 
@@ -54,12 +54,13 @@ def _without_mounts(content: Mapping[str, Any]) -> dict[str, Any]:
 
 def handle_to_json(handle: RunHandle) -> dict[str, Any]:
     """The data for finding a started run again."""
-    return {"executor": handle.executor, "data": dict(handle.data)}
+    return Handle.of(handle).content
 
 
 def handle_from_json(content: Mapping[str, Any]) -> RunHandle:
     """The handle that :func:`handle_to_json` wrote."""
-    return RunHandle(content["executor"], dict(content["data"]))
+    stored = Handle.read(content)
+    return RunHandle(stored.executor, dict(stored.data))
 
 
 def snapshot_of(file: RunFile, configuration_id: int, experiment_id: int | None = None) -> RunSnapshot:

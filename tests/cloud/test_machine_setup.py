@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from slamhive.cloud.cloud_file import load_cloud_file
-from slamhive.cloud.preparing import Preparer, read_public_key
-from slamhive.cloud.records import CloudRecords
+from slamhive.cloud.cluster_records import CloudRecords
+from slamhive.cloud.machine_setup import Preparer, read_public_key
 from slamhive.errors import InvalidInput, Unavailable
 from tests.cloud.cloud_world import FakeTime, cloud_text
 from tests.cloud.rental import new_record

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.cloud.cloud_file import CloudFile, Preparation
-from slamhive.cloud.records import CloudRecords
+from slamhive.cloud.cluster_records import CloudRecords
 from slamhive.cloud.user_data import JOIN, PREPARED
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.schema.cloud import CloudRecord
