@@ -219,13 +219,19 @@ def compare_tables(path: Path, page: str) -> str:
 
 def means_in(page: str) -> Iterator[tuple[tuple[str, str], tuple[str, str]]]:
     """Dataset and algorithm, then mean and deviation of the ATE as text, of each row of the tables of a page."""
+    for place, cells in rows_in(page):
+        mean, _, deviation = cells[ATE_COLUMN].partition(" ± ")
+        yield place, (mean, deviation)
+
+
+def rows_in(page: str) -> Iterator[tuple[tuple[str, str], list[str]]]:
+    """Dataset and algorithm, then all cells, of each row of the tables of a page."""
     dataset = ""
     for line in page.splitlines():
         dataset = line.strip("# `") if line.startswith("## ") else dataset
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if line.startswith("| `") and len(cells) > ATE_COLUMN:
-            mean, _, deviation = cells[ATE_COLUMN].partition(" ± ")
-            yield (dataset, cells[0].strip("`")), (mean, deviation)
+            yield (dataset, cells[0].strip("`")), cells
 
 
 def truths_of(texts: Iterable[str]) -> dict[str, Path]:

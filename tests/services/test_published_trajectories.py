@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
+from slamhive.domain.verdict import VerdictKind
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
@@ -19,6 +21,8 @@ import trajectories  # noqa: E402
 
 pytestmark = pytest.mark.integration
 
+PUBLISHED, RESULTS = ROOT / "docs" / "results" / "trajectories.tar.xz", ROOT / "docs" / "results.md"
+KITTI_06 = ROOT.parent / "shared" / "data" / "kitti06_stereo_51" / "groundtruth_tum.txt"
 LINE = "1317.0000001 0.12345678 -0.0000004 12 0 0 0.70710678 0.70710678\n"
 
 
@@ -99,3 +103,26 @@ def test_what_is_no_ground_truth_is_named(tmp_path: Path) -> None:
         trajectories.truths_of([f"room={tmp_path}/nothing.txt"])
     with pytest.raises(NotFound, match="does not exist"):
         trajectories.read_archive(tmp_path / "nothing.tar.xz")
+
+
+def test_published_trajectories_give_the_tables_of_the_page() -> None:
+    page = RESULTS.read_text(encoding="utf-8")
+    assert trajectories.compare_tables(PUBLISHED, page) == "39 mean errors are those of the page"
+    with pytest.raises(InvalidInput, match=r"svo on kitti_06: the page has 0\.142 m, the runs have 0\.141 m"):
+        trajectories.compare_tables(PUBLISHED, page.replace("| 0.141 ± 0.000 |", "| 0.142 ± 0.000 |"))
+
+
+def test_published_runs_are_five_of_each_configuration_with_verdicts_as_in_the_tables() -> None:
+    runs = [entry.about for entry in trajectories.read_archive(PUBLISHED)]
+    repeats = Counter((run["dataset"], run["algorithm"]) for run in runs)
+    assert (len(repeats), set(repeats.values())) == (39, {5})
+    failed = Counter((run["dataset"], run["algorithm"]) for run in runs if run["verdict"] != VerdictKind.GOOD)
+    stated = {place: int(cells[2]) for place, cells in trajectories.rows_in(RESULTS.read_text(encoding="utf-8"))}
+    assert {place: failed[place] for place in repeats} == stated
+
+
+@pytest.mark.shared_data
+@pytest.mark.skipif(not KITTI_06.is_file(), reason="the recorded data in ../shared/data is not here")
+def test_published_trajectories_on_kitti_have_the_errors_that_are_stated() -> None:
+    told = trajectories.check_archive(PUBLISHED, {"kitti_06": KITTI_06})
+    assert told == "30 trajectories have the error that their runs had"
