@@ -17,8 +17,10 @@ from slamhive.domain.protocol import Alignment
 from slamhive.domain.variant import VariantStep
 from slamhive.schema.model import json_schema, parse
 from slamhive.schema.submission import OPTIONS, StopWhen, Submission
+from slamhive.services.executors import Executors
 from slamhive.sweep.experiment_file import experiment_schema
 from slamhive.web.run_form import read_form
+from slamhive.web.security import API_HEADER
 from tests.web.web_world import Web
 
 pytestmark = pytest.mark.quick
@@ -70,6 +72,49 @@ def test_the_example_sets_every_option():
 
 
 def test_the_command_sets_every_option():
+    values = _command_values()
+    steps = (VariantStep("resolution", ("camera0", "camera1"), {"scale": "0.5", "interpolation": "area"}),)
+    assert Submission(**values) == dataclasses.replace(EXAMPLE, parameters={"nFeatures": "1234"}, variant=steps)
+
+
+def test_the_web_form_shows_and_sets_every_option(shown: Web):
+    page = shown.client.get("/runs/new?algorithm=eye-slam-stereo&dataset=room").text
+    names = set(re.findall(r' name="([^"]+)"', page))
+    assert {FORM_NAMES.get(name, name) for name in OPTIONS} <= names
+    read = read_form(shown.hive, _form())
+    assert read.errors == {}
+    assert read.submission == dataclasses.replace(EXAMPLE, parameters={**_defaults(shown), "nFeatures": 1234})
+
+
+def test_json_sets_every_option():
+    assert parse(Submission, json.loads(json.dumps(_body()))) == EXAMPLE
+    assert set(OPTIONS) <= _keys(json.loads(json_schema(Submission)))
+
+
+def test_command_form_and_api_store_the_same_runs(web: Web, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
+    parameters = {**_defaults(web), "nFeatures": 1234}
+    form = {**_form(), "map": "", "csrf_token": web.token}
+    assert web.client.post("/runs/new", data=form).status_code == 303
+    body = {**_body(), "map": None, "parameters": parameters}
+    assert web.client.post("/api/v1/runs", json=body, headers={API_HEADER: "1"}).status_code == 201
+    asked = Submission(**_command_values())
+    web.hive.runs.submit(dataclasses.replace(asked, map=None))
+    runs = web.hive.runs.page(limit=6).records
+    assert len({run.id for run in runs} - set(web.runs.values())) == 6
+    stored = [dataclasses.replace(run, id=0, uid="", created_at=runs[0].created_at) for run in runs]
+    assert [stored[0:2], stored[2:4]] == [stored[4:6]] * 2
+    first = stored[-1]
+    assert (first.parameters, first.playback.rate) == (parameters, EXAMPLE.playback_rate)
+    assert (first.seed, first.priority, first.memory_mb, first.timeout_s) == (7, 3, 512, 60.0)
+    assert (first.stop_when, first.sensors) == (EXAMPLE.stop_when, EXAMPLE.sensors)
+
+
+def test_the_experiment_file_has_every_option():
+    assert {EXPERIMENT_KEYS.get(name, name) for name in OPTIONS} <= _keys(json.loads(experiment_schema()))
+
+
+def _command_values() -> dict[str, Any]:
     command = main.get_command(click.Context(main), "run")
     assert command is not None
     arguments = [
@@ -80,29 +125,21 @@ def test_the_command_sets_every_option():
         *("--stop-when", "failures_of_configuration=3", "--repeat-disturbed", "1", "--map", "3"),
         *("--sensor", "left=camera1", "--sensor", "right=camera0"),
     ]
-    values = submission_values(command.make_context("run", arguments).params)
-    steps = (VariantStep("resolution", ("camera0", "camera1"), {"scale": "0.5", "interpolation": "area"}),)
-    assert Submission(**values) == dataclasses.replace(EXAMPLE, parameters={"nFeatures": "1234"}, variant=steps)
+    return submission_values(command.make_context("run", arguments).params)
 
 
-def test_the_web_form_shows_and_sets_every_option(shown: Web):
-    page = shown.client.get("/runs/new?algorithm=eye-slam-stereo&dataset=room").text
-    names = set(re.findall(r' name="([^"]+)"', page))
-    assert {FORM_NAMES.get(name, name) for name in OPTIONS} <= names
-    values = {
+def _form() -> dict[str, str]:
+    return {
         **{name: str(_value(name)) for name in OPTIONS if name not in FORM_NAMES},
         "evaluate": "no",
         "parameter.nFeatures": "1234",
         "steps": STEP,
         "sensor.left": "camera1",
     }
-    read = read_form(shown.hive, values)
-    assert read.errors == {}
-    assert read.submission == dataclasses.replace(EXAMPLE, parameters={**_defaults(shown), "nFeatures": 1234})
 
 
-def test_json_sets_every_option():
-    content = {
+def _body() -> dict[str, Any]:
+    return {
         **{name: _value(name) for name in OPTIONS if "." not in name},
         "stop_when": EXAMPLE.stop_when.content,
         "variant": [
@@ -113,12 +150,6 @@ def test_json_sets_every_option():
             }
         ],
     }
-    assert parse(Submission, json.loads(json.dumps(content))) == EXAMPLE
-    assert set(OPTIONS) <= _keys(json.loads(json_schema(Submission)))
-
-
-def test_the_experiment_file_has_every_option():
-    assert {EXPERIMENT_KEYS.get(name, name) for name in OPTIONS} <= _keys(json.loads(experiment_schema()))
 
 
 def _value(name: str) -> Any:

@@ -79,10 +79,10 @@ MAP_METRICS = (
         "map.entropy",
         "Mean map entropy",
         "nats",
-        f"Mean of 0.5 ln det(2 pi e C) over points of the map, C being the covariance of the points within "
-        f"{ENTROPY_RADIUS_M:g} m, at least {ENTROPY_NEIGHBOURS}, plus ({ENTROPY_FLOOR_M:g} m)^2 on its diagonal; the "
-        f"map thinned to one point per voxel of {MAP_VOXEL_M:g} m. Lower is crisper; needs no reference, and compares "
-        "maps of one place only.",
+        f"Mean of 0.5 ln det(2 pi e C) over points of the map. C is the covariance of the points within "
+        f"{ENTROPY_RADIUS_M:g} m, at least {ENTROPY_NEIGHBOURS}, plus ({ENTROPY_FLOOR_M:g} m)^2 on its diagonal. The "
+        f"map is thinned to one point per voxel of {MAP_VOXEL_M:g} m. Lower is crisper. It needs no reference, and "
+        "compares maps of one place only.",
         _DROESCHEL,
     ),
     _map(

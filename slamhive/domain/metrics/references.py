@@ -15,8 +15,8 @@ def _nees(part: str, words: str) -> list[Metric]:
             f"NEES {part}",
             "",
             Direction.NEUTRAL,
-            f"Mean normalised estimation error squared e^T P^-1 e of the {words}, P the covariance that the algorithm "
-            "gave with the pose: 3 is consistent, more is overconfident, less too cautious.",
+            f"Mean normalised estimation error squared e^T P^-1 e of the {words}. P is the covariance that the "
+            "algorithm gave with the pose. 3 is consistent, more is overconfident, less too cautious.",
             True,
             Group.CONSISTENCY,
             _BAR_SHALOM,
@@ -43,7 +43,7 @@ def _relations() -> list[Metric]:
     metrics: list[Metric] = []
     for part, (unit, what) in parts.items():
         definition = (
-            f"the {what}, seen from the first, over the relations; poses of the body frame, not aligned, but scaled "
+            f"the {what}, seen from the first. Poses are those of the body frame. They are not aligned, but scaled "
             "under a protocol that leaves the scale open"
         )
         base = Metric(

@@ -73,35 +73,38 @@ def _relative_size() -> list[Metric]:
                 "Limit of ATE over repeats",
                 "",
                 Group.ABSOLUTE,
-                "ATE over repeats above which the run has diverged: exp(3 sigma) of the logarithms of the errors of "
-                f"{repeats}. Sigma is 1.4826 times the median deviation of those below the median. The limit is at "
-                "least 4, at most 6, and at least 0.1 m above the median.",
+                "ATE over repeats above which the run has diverged. It is exp(3 sigma), with sigma from the logarithms "
+                f"of the errors of {repeats}. Sigma is 1.4826 times the median deviation of those below the median. "
+                "The limit is at least 4, at most 6, and at least 0.1 m above the median.",
             )
         ),
     ]
 
 
 def _relative() -> list[Metric]:
-    pairs = "of poses apart by the protocol's RPE delta"
+    all_pairs = "If the protocol takes all pairs, each pose is paired with the nearest one within a tenth of the delta"
     chosen = {
-        "frames": f"pairs {pairs} in frames (1)",
-        "seconds": f"pairs {pairs} in seconds (1 s); all pairs: each pose with the nearest, within a tenth of it",
+        "frames": "in frames (1)",
+        "seconds": f"in seconds (1 s). {all_pairs}",
         "degrees": (
-            f"pairs {pairs} in degrees (10) of rotation summed along the estimate; all pairs: each pose with the "
-            "nearest, within a tenth of it. In evo, any two poses whose orientations differ by this angle are a pair. "
-            "They may be far apart in time, so that evo measures drift"
+            f"in degrees (10) of rotation summed along the estimate. {all_pairs}. In evo, any two poses whose "
+            "orientations differ by this angle are a pair. They may be far apart in time, so that evo measures drift"
         ),
     }
-    metres = f"pairs {pairs} in metres (1 m) of estimated path; all pairs: within a tenth of it"
+    metres = (
+        "in metres (1 m) of estimated path. If the protocol takes all pairs, their paths differ from the delta by at "
+        "most a tenth"
+    )
     metrics = _both_parts("", "RPE", metres, (_ALL, _MAIN))
-    for unit, which in chosen.items():
-        metrics += _both_parts(f".{unit}", f"RPE by {unit}", which, (_MAIN, _MAIN))
+    for unit, delta in chosen.items():
+        metrics += _both_parts(f".{unit}", f"RPE by {unit}", delta, (_MAIN, _MAIN))
     return metrics
 
 
-def _both_parts(suffix: str, label: str, pairs: str, names: tuple[tuple[str, ...], tuple[str, ...]]) -> list[Metric]:
-    moved = f"the relative pose error: translation part over {pairs}"
-    turned = f"the relative pose error: rotation angle over {pairs}"
+def _both_parts(suffix: str, label: str, delta: str, names: tuple[tuple[str, ...], tuple[str, ...]]) -> list[Metric]:
+    pairs = f"The poses of a pair are the protocol's RPE delta apart, {delta}"
+    moved = f"the translation part of the relative pose error. {pairs}"
+    turned = f"the rotation angle of the relative pose error. {pairs}"
     source = f"{_STURM}; {_PAIRS[suffix]}"
     count = f"rpe{suffix}.pairs"
     group = Group.RELATIVE
@@ -109,14 +112,14 @@ def _both_parts(suffix: str, label: str, pairs: str, names: tuple[tuple[str, ...
         *statistics(_one(f"rpe{suffix}", label, "m", group, moved, source), names[0]),
         *statistics(_one(f"rpe_rot{suffix}", f"{label} rotation", "deg", group, turned, source), names[1]),
     ]
-    number = _one(count, f"{label} pairs", "", group, f"Number of {pairs}.", source)
+    number = _one(count, f"{label} pairs", "", group, f"Number of pairs. {pairs}.", source)
     return [*(replace(metric, counted_by=count) for metric in errors), neutral(number)]
 
 
 def _drift_and_scale() -> list[Metric]:
     group = Group.DRIFT
     ends = (
-        "where ground truth exists only at start and end, with a gap longer than the gap threshold. T_A aligns the "
+        "Exists where ground truth covers only start and end, with a gap longer than the gap threshold. T_A aligns the "
         "estimate with the part before the longest gap, T_E with the part after it, both as the protocol aligns"
     )
     return [
@@ -125,16 +128,16 @@ def _drift_and_scale() -> list[Metric]:
             "Drift e_align",
             "m",
             group,
-            f"Root mean square distance between the whole estimate moved by T_A and by T_E, {ends}.",
+            f"Root mean square distance between the whole estimate moved by T_A and by T_E. {ends}.",
             f"{_ENGEL}, alignment error",
         ),
-        _one("drift.rotation", "Drift rotation", "deg", group, f"Angle of T_E T_A^-1, {ends}.", _ENGEL),
+        _one("drift.rotation", "Drift rotation", "deg", group, f"Angle of T_E T_A^-1. {ends}.", _ENGEL),
         _one(
             "drift.scale",
             "Drift scale",
             "%",
             group,
-            f"Change of scale |s_E / s_A - 1| between T_A and T_E, {ends}; 0 unless the alignment has a scale.",
+            f"Change of scale |s_E / s_A - 1| between T_A and T_E. 0 unless the alignment has a scale. {ends}.",
             _ENGEL,
         ),
         _one(
@@ -143,7 +146,7 @@ def _drift_and_scale() -> list[Metric]:
             "%",
             group,
             f"Distance at the last matched pose between the estimate moved by T_A and ground truth, over the path of "
-            f"the estimate moved by T_A, {ends}.",
+            f"the estimate moved by T_A. {ends}.",
             "Schubert et al., The TUM VI Benchmark, IROS 2018, and its followers",
         ),
         _one(
@@ -151,8 +154,8 @@ def _drift_and_scale() -> list[Metric]:
             "Scale error",
             "%",
             group,
-            "|s - 1|, s being the factor by which the estimate is too large before any alignment: the inverse of the "
-            "least-squares Sim(3) scale. Without a meaning for one camera, which cannot know its scale.",
+            "|s - 1|. The factor s says how much too large the estimate is before any alignment. It is the inverse of "
+            "the least-squares Sim(3) scale. It means nothing for one camera, which cannot know its scale.",
             "Umeyama, PAMI 1991, eq. (42)",
         ),
         _one(
