@@ -203,8 +203,8 @@ def compare_tables(path: Path, page: str) -> str:
     As in the tables, runs that count as failed are not part of a mean.
     """
     runs = [entry.about for entry in read_archive(path)]
-    tables = dict(means_in(page))
-    for (dataset, algorithm), (text, _) in tables.items():
+    tables = {place: cells[ATE_COLUMN].partition(" ± ")[0] for place, cells in rows_in(page)}
+    for (dataset, algorithm), text in tables.items():
         own = [about for about in runs if (about["dataset"], about["algorithm"]) == (dataset, algorithm)]
         errors_m = [about[ERROR] for about in own if about["verdict"] == VerdictKind.GOOD and about[ERROR] is not None]
         mean_m = sum(errors_m) / len(errors_m) if errors_m else None
@@ -215,13 +215,6 @@ def compare_tables(path: Path, page: str) -> str:
     if len(tables) != len({(about["dataset"], about["algorithm"]) for about in runs}):
         raise InvalidInput("the page and the archive do not have the same algorithms", "make both from one experiment")
     return f"{len(tables)} mean errors are those of the page"
-
-
-def means_in(page: str) -> Iterator[tuple[tuple[str, str], tuple[str, str]]]:
-    """Dataset and algorithm, then mean and deviation of the ATE as text, of each row of the tables of a page."""
-    for place, cells in rows_in(page):
-        mean, _, deviation = cells[ATE_COLUMN].partition(" ± ")
-        yield place, (mean, deviation)
 
 
 def rows_in(page: str) -> Iterator[tuple[tuple[str, str], list[str]]]:

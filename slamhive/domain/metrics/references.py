@@ -43,8 +43,8 @@ def _relations() -> list[Metric]:
     metrics: list[Metric] = []
     for part, (unit, what) in parts.items():
         definition = (
-            f"the {what}, seen from the first. Poses are those of the body frame. They are not aligned, but scaled "
-            "under a protocol that leaves the scale open"
+            f"the {what}, seen from the first. Each relation gives one value. Poses are those of the body frame. "
+            "They are not aligned, but scaled under a protocol that leaves the scale open"
         )
         base = Metric(
             f"relations.{part}",

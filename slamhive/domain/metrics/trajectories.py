@@ -119,8 +119,9 @@ def _both_parts(suffix: str, label: str, delta: str, names: tuple[tuple[str, ...
 def _drift_and_scale() -> list[Metric]:
     group = Group.DRIFT
     ends = (
-        "Exists where ground truth covers only start and end, with a gap longer than the gap threshold. T_A aligns the "
-        "estimate with the part before the longest gap, T_E with the part after it, both as the protocol aligns"
+        "It exists only if ground truth covers only start and end, with a gap longer than the gap threshold. "
+        "T_A aligns the estimate with the part before the longest gap, T_E with the part after it, both as the "
+        "protocol aligns"
     )
     return [
         _one(
@@ -137,7 +138,7 @@ def _drift_and_scale() -> list[Metric]:
             "Drift scale",
             "%",
             group,
-            f"Change of scale |s_E / s_A - 1| between T_A and T_E. 0 unless the alignment has a scale. {ends}.",
+            f"Change of scale |s_E / s_A - 1| between T_A and T_E. It is 0 unless the alignment has a scale. {ends}.",
             _ENGEL,
         ),
         _one(
