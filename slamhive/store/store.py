@@ -33,8 +33,8 @@ WRITES_BETWEEN_LOOKS = 500
 class Store:
     """Runs functions in transactions, and again while the database is locked or away.
 
-    A function may therefore be called more than once. It must do nothing but database work, and take identifiers and
-    times from outside. Repeating an operation of a repository after a lost answer does no harm.
+    A function may therefore be called more than once. Whatever it does besides database work must be safe to repeat. It
+    takes identifiers and times from outside. Repeating an operation of a repository after a lost answer does no harm.
 
     Args:
         engine: From :func:`slamhive.store.engine.make_engine`.

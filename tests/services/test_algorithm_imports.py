@@ -296,7 +296,8 @@ def test_an_archive_is_loaded_without_its_names(engine_hive: Hive, empty_image: 
 @pytest.mark.images
 def test_python_is_put_on_top_of_an_image_without_it(engine_hive: Hive, tmp_path):
     """Debian's smallest system has none."""
-    path = folders.write(folders.loam(tmp_path), Dockerfile=f"FROM {project_base()}\nCOPY slamhive /slamhive\n")
+    path = folders.loam(tmp_path).rename(tmp_path / "loam-without-python")
+    folders.write(path, Dockerfile=f"FROM {project_base()}\nCOPY slamhive /slamhive\n")
     lines: list[str] = []
     with engine_hive.algorithms.planned(str(path), DOCKER) as planned:
         made = engine_hive.algorithms.perform(planned, lines.append)
@@ -323,8 +324,9 @@ def test_what_has_no_image_or_no_scripts_says_what_to_give(engine_hive: Hive, ba
     folder = folders.loam(tmp_path).rename(tmp_path / "no-image-has-this-name")
     with pytest.raises(InvalidInput, match=r"has no Dockerfile; give the image: --image NAME, or --image FILE\.tar"):
         with_plan(engine_hive, str(folder), DOCKER)
+    folder = folders.orb_slam2(tmp_path).rename(tmp_path / "nor-has-this-name")
     with pytest.raises(InvalidInput, match=r"line 3 copies ORB_SLAM2, which the folder does not hold; give the image"):
-        with_plan(engine_hive, str(folders.orb_slam2(tmp_path)), DOCKER)
+        with_plan(engine_hive, str(folder), DOCKER)
     with pytest.raises(InvalidInput, match=r"holds no /slamhive/mapping\.py.*with --image"):
         with_plan(engine_hive, base_image, ImportRequest("by-name", executor="docker"))
     assert not list(engine_hive.settings.algorithms_folder.glob("*"))

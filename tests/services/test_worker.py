@@ -25,7 +25,7 @@ from slamhive.services.hive import Hive, check_indexed, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.services.worker import worker as worker_module
 from slamhive.services.worker.run_in_hand import RunInHand
-from slamhive.store import Lease, LeaseLost
+from slamhive.store import Lease, LeaseLost, RunRecord
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.tiny_project import environment, make_dataset, make_project
 from tests.waiting import PATIENCE_S, eventually
@@ -341,17 +341,71 @@ def test_a_failure_writes_the_record_once(hive, written, executor, states):
     assert (written[-1]["reason"], written[-1]["detail"]) == (run.reason.value, run.detail)
 
 
-def test_a_worker_that_lost_its_run_leaves_the_record_alone(hive, written):
-    run_id = submit(hive, FakeExecutor())
-    lease = Lease("here", utc_now(), 60.0)
-    run = hive.store.write(lambda t: t.queue.claim(lease))
-    hand = RunInHand(hive.worker()._context, run, None)
-    hand.folder.create()
-    hand.keeper.begin(run)
+@pytest.fixture
+def hand(hive: Hive) -> RunInHand:
+    """A run that this worker holds, with a record."""
+    submit(hive, FakeExecutor())
+    worker = hive.worker()
+    run = hive.store.write(lambda t: t.queue.claim(Lease(worker.owner, utc_now(), 60.0)))
+    assert run is not None
+    held = RunInHand(worker._context, run, None)
+    held.folder.create()
+    held.begin()
+    return held
+
+
+def taken(hive: Hive) -> RunRecord | None:
+    """The run, taken by another worker after its lease has expired; None if it cannot be taken."""
+    later = utc_now() + timedelta(hours=1)
+    return hive.store.write(lambda t: t.queue.claim(Lease("there", later, 60.0)))
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda hand: hand.begin(),
+        lambda hand: hand.save({"peak_memory_bytes": 1}),
+        lambda hand: hand.move(RunState.STARTING, "too late", record={}),
+        lambda hand: hand.fail(FailureReason.START_ERROR, "too late"),
+        lambda hand: hand.check_owner(),
+    ],
+    ids=["begin", "save", "move", "fail", "check"],
+)
+def test_a_worker_that_lost_its_run_leaves_the_record_alone(hive, hand, written, write):
+    run = taken(hive)
+    assert run is not None
     with pytest.raises(LeaseLost):
-        hand.fail(FailureReason.START_ERROR, "too late")
-    assert [record["state"] for record in written] == ["preparing"]
-    assert hive.runs.get(run_id).state is RunState.PREPARING
+        write(hand)
+    assert written == []
+    assert hive.runs.get(run.id).state is RunState.PREPARING
+
+
+@pytest.mark.parametrize(
+    "write",
+    [lambda hand: hand.save({"note": 1}), lambda hand: hand.move(RunState.STARTING, "prepared", record={})],
+    ids=["save", "move"],
+)
+def test_no_worker_takes_a_run_whose_record_is_being_written(hive, hand, monkeypatch, write):
+    """Otherwise a slow writer would overwrite what the new holder has written since."""
+    order: list[str] = []
+    write_record = RunFolder.write_record
+
+    def take() -> None:
+        assert taken(hive) is not None
+        order.append("taken")
+
+    other = threading.Thread(target=take)
+
+    def slowly(folder: RunFolder, record: dict[str, Any]) -> None:
+        other.start()
+        other.join(0.3)
+        write_record(folder, record)
+        order.append("written")
+
+    monkeypatch.setattr(RunFolder, "write_record", slowly)
+    write(hand)
+    other.join()
+    assert order == ["written", "taken"]
 
 
 def test_only_an_image_that_somebody_else_made_gets_a_copy_of_the_scripts(hive):

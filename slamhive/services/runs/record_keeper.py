@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from slamhive.domain.run import RunEvent
 from slamhive.errors import SlamHiveError
 from slamhive.runs.folder import RunFolder
 from slamhive.services.runs.record import begin_record, events_to_json
-from slamhive.store import Store
 from slamhive.store.records import RunRecord
 
 
 class RecordKeeper:
-    """Writes the record of one run, always with the state changes in the database.
+    """Writes the record of one run, always with the moves that the database has.
 
     Args:
         folder: The run's folder.
-        store: The database.
-        run_id: The run.
     """
 
-    def __init__(self, folder: RunFolder, store: Store, run_id: int) -> None:
+    def __init__(self, folder: RunFolder) -> None:
         self._folder = folder
-        self._store = store
-        self._run_id = run_id
 
     def readable(self) -> bool:
         """Whether there is a readable record."""
@@ -38,18 +34,16 @@ class RecordKeeper:
         """The record; raises NotFound or InvalidInput."""
         return self._folder.read_record()
 
-    def begin(self, run: RunRecord, changes: dict[str, Any] | None = None, coming: RunEvent | None = None) -> None:
+    def begin(self, run: RunRecord, events: Sequence[RunEvent], changes: dict[str, Any] | None = None) -> None:
         """Write a record that does not exist yet or cannot be read; the arguments are those of :meth:`save`."""
-        self._write({**begin_record(run), **(changes or {})}, coming)
+        self._write({**begin_record(run), **(changes or {})}, events)
 
-    def save(self, changes: dict[str, Any], coming: RunEvent | None = None, *, without: str | None = None) -> None:
-        """Add ``changes`` and drop the key ``without``; ``coming`` is the move that the row is about to make."""
+    def save(self, events: Sequence[RunEvent], changes: dict[str, Any], *, without: str | None = None) -> None:
+        """Add ``changes`` and all moves, ``events``, and drop the key ``without``."""
         content = {**self.read(), **changes}
         if without is not None:
             content.pop(without, None)
-        self._write(content, coming)
+        self._write(content, events)
 
-    def _write(self, content: dict[str, Any], coming: RunEvent | None) -> None:
-        events = self._store.read(lambda t: t.runs.events(self._run_id))
-        content["events"] = events_to_json([*events, *([] if coming is None else [coming])])
-        self._folder.write_record(content)
+    def _write(self, content: dict[str, Any], events: Sequence[RunEvent]) -> None:
+        self._folder.write_record({**content, "events": events_to_json(events)})

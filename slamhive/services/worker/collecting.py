@@ -9,7 +9,6 @@ from datetime import datetime
 
 from slamhive.domain.disturbance import Disturbance, DisturbanceLimits, judge
 from slamhive.domain.protocol import Protocol
-from slamhive.domain.run import RunEvent
 from slamhive.errors import SlamHiveError
 from slamhive.executors.status import Exited
 from slamhive.runs.folder import RunFolder
@@ -69,11 +68,9 @@ class Collecting:
         metrics: dict[str, float],
         disturbance: Disturbance,
     ) -> None:
-        """Write the folder first, because it is the truth; then the database, its index."""
         hand = self._hand
         poses = evidence.trajectory.poses
         ending = {
-            "state": outcome.state.value,
             "reason": None if outcome.reason is None else outcome.reason.value,
             "detail": outcome.detail or None,
             "ended_at": exact(ended_at),
@@ -84,32 +81,26 @@ class Collecting:
             "about": read_about(hand.folder),
         }
         now = hand.context.now()
-        why = outcome.detail or outcome.state.value
-        hand.save(ending, RunEvent(now, hand.run.state, outcome.state, why))
-
         protocols = self._evaluation_protocols() if outcome.succeeded and hand.run.evaluate else []
 
-        def work(transaction: Transaction) -> None:
-            transaction.runs.move(
-                hand.run.id,
-                outcome.state,
-                why=why,
-                now=now,
-                owner=hand.context.owner,
-                reason=outcome.reason,
-                detail=outcome.detail or None,
-                ended_at=ended_at,
-                exit_code=evidence.exit_code,
-                poses=poses,
-                disturbance=disturbance,
-            )
+        def beside(transaction: Transaction) -> None:
             transaction.metrics.put(hand.run.id, None, metrics)
             for protocol in protocols:
                 transaction.evaluations.queue([hand.run.id], protocol, now)
             repeat_if_disturbed(transaction, transaction.runs.get(hand.run.id), now)
 
-        hand.context.store.write(work)
-        hand.reload()
+        hand.move(
+            outcome.state,
+            outcome.detail or outcome.state.value,
+            record=ending,
+            beside=beside,
+            reason=outcome.reason,
+            detail=outcome.detail or None,
+            ended_at=ended_at,
+            exit_code=evidence.exit_code,
+            poses=poses,
+            disturbance=disturbance,
+        )
 
     def _evaluation_protocols(self) -> list[Protocol]:
         """That of the run, and the same for each other trajectory that it left."""

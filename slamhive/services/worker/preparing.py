@@ -88,7 +88,7 @@ class Preparing:
         job = self._job()
         check_dataset_files(job.dataset)
         hand.folder.create()
-        hand.keeper.begin(hand.run)
+        hand.begin()
         check_gpu(hand.executor, job.algorithm.package)
         job = replace(job, weights=WeightsStore(hand.context.settings).checked(job.algorithm.package))
         job = self._with_variant(job)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from functools import cached_property
-from typing import Any
+from typing import Any, Unpack
 
 from slamhive.domain.run import FailureReason, RunEvent, RunState
-from slamhive.errors import InvalidInput
+from slamhive.errors import Conflict, InvalidInput
 from slamhive.executors.base import Executor
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import RunHandle
@@ -16,7 +17,8 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.json_values import exact
 from slamhive.services.runs import RecordKeeper, handle_from_json, spec_from_json
 from slamhive.services.worker.context import DriverContext, WorkerStopping
-from slamhive.store.records import LeaseLost, RunRecord
+from slamhive.store import Transaction
+from slamhive.store.records import LeaseLost, RunFields, RunRecord
 
 logger = logging.getLogger(__name__)
 
@@ -37,7 +39,7 @@ class RunInHand:
         self.cores = cores
         self.run = run
         self.folder = RunFolder(context.settings.runs_folder / str(run.id))
-        self.keeper = RecordKeeper(self.folder, context.store, run.id)
+        self.keeper = RecordKeeper(self.folder)
 
     @cached_property
     def executor(self) -> Executor:
@@ -69,39 +71,90 @@ class RunInHand:
         """The record as it was last written."""
         return self.keeper.read()
 
-    def save(self, changes: dict[str, Any], coming: RunEvent | None = None, *, without: str | None = None) -> None:
-        """Add to the record; see :meth:`RecordKeeper.save`."""
-        self.keeper.save({"attempt": self.run.attempt, **changes}, coming, without=without)
+    def begin(self) -> None:
+        """Write the record of a run that is about to be prepared; raises LeaseLost."""
+        self._write_held(lambda events: self.keeper.begin(self.run, events))
 
-    def move(self, target: RunState, why: str, *, record: dict[str, Any] | None = None, **fields: Any) -> None:
+    def save(self, changes: dict[str, Any], *, without: str | None = None) -> None:
+        """Add ``changes`` to the record and drop the key ``without``; raises LeaseLost."""
+        self._write_held(lambda events: self._save(events, changes, without=without))
+
+    def move(
+        self,
+        target: RunState,
+        why: str,
+        *,
+        record: dict[str, Any] | None = None,
+        beside: Callable[[Transaction], None] | None = None,
+        **fields: Unpack[RunFields],
+    ) -> None:
         """Move the run, with one write of ``run.json``.
+
+        ``run.json`` is written inside the transaction that moves the row, as its last step. A worker that takes over
+        after a crash then finds everything that the state needs. The row is locked until then, so that a worker whose
+        lease has expired cannot write over what the new holder wrote. Raises LeaseLost.
 
         Args:
             target: The new state.
             why: For the event.
-            record: What the move adds to ``run.json``. It is written with the new state, before the row moves. A worker
-                that takes over after a crash then finds everything that the state needs. None adds nothing, and
-                ``run.json`` follows the row.
+            record: What the move adds to ``run.json``; None adds nothing, and a missing ``run.json`` stays missing.
+            beside: Further database work of the same transaction.
             fields: Columns of the row.
         """
-        now, owner = self.context.now(), self.context.owner
-        changes = {"state": target.value, **({"ended_at": exact(now)} if target.ended else {})}
-        if record is not None:
-            self._write_ahead({**changes, **record}, RunEvent(now, self.run.state, target, why))
-        self.context.store.write(lambda t: t.runs.move(self.run.id, target, why=why, now=now, owner=owner, **fields))
-        self.reload()
-        if record is None and self.folder.record.exists():
-            self.save(changes)
+        now, context = self.context.now(), self.context
+        changes = {"state": target.value, **({"ended_at": exact(now)} if target.ended else {}), **(record or {})}
 
-    def _write_ahead(self, changes: dict[str, Any], coming: RunEvent) -> None:
-        self.check_owner()
-        if coming.to_state is RunState.FAILED and not self.keeper.readable():
-            self.keeper.begin(self.run, changes, coming)
-        else:
-            self.save(changes, coming)
+        def work(transaction: Transaction) -> None:
+            transaction.runs.move(self.run.id, target, why=why, now=now, owner=context.owner, **fields)
+            if target.active:
+                self._lock(transaction)
+            if beside is not None:
+                beside(transaction)
+            events = transaction.runs.events(self.run.id)
+            if record is None and not self.folder.record.exists():
+                return
+            if target.ended and not self.keeper.readable():
+                self.keeper.begin(self.run, events, changes)
+            else:
+                self._save(events, changes)
+
+        context.store.write(work)
+        self.reload()
+
+    def put_back(self, why: str) -> bool:
+        """Queue the run again; False, and nothing changes, if it is started or cancelled by now."""
+        self.reload()
+        if self.run.state is not RunState.PREPARING:
+            return False
+
+        def check_cancelled(transaction: Transaction) -> None:
+            if transaction.runs.get(self.run.id).cancel_requested:
+                raise Conflict(f"run {self.run.id} is to be cancelled")
+
+        try:
+            self.move(RunState.QUEUED, why, beside=check_cancelled)
+        except Conflict:
+            return False
+        return True
+
+    def _save(self, events: Sequence[RunEvent], changes: dict[str, Any], *, without: str | None = None) -> None:
+        self.keeper.save(events, {"attempt": self.run.attempt, **changes}, without=without)
+
+    def _write_held(self, write: Callable[[Sequence[RunEvent]], None]) -> None:
+        def work(transaction: Transaction) -> None:
+            self._lock(transaction)
+            write(transaction.runs.events(self.run.id))
+
+        self.context.store.write(work)
+
+    def _lock(self, transaction: Transaction) -> None:
+        """Keep other workers from taking the run until the transaction ends; raises LeaseLost if one has."""
+        owner, lease_s = self.context.owner, self.context.settings.lease_s
+        if not transaction.queue.heartbeat([self.run.id], transaction.lease(owner, lease_s)):
+            raise LeaseLost(f"run {self.run.id} is held by another worker now")
 
     def fail(self, reason: FailureReason, detail: str) -> None:
-        """End the run as failed. Writes the folder first, because it is the truth; then the database, its index."""
+        """End the run as failed."""
         logger.warning("run %d failed: %s: %s", self.run.id, reason, detail)
         self.folder.create()
         ending = {"reason": reason.value, "detail": detail}
@@ -117,9 +170,7 @@ class RunInHand:
 
     def check_owner(self) -> None:
         """Ask the database before the folder is written: after a long suspend, another worker may hold the run."""
-        owner, lease_s = self.context.owner, self.context.settings.lease_s
-        if not self.context.store.write(lambda t: t.queue.heartbeat([self.run.id], t.lease(owner, lease_s))):
-            raise LeaseLost(f"run {self.run.id} is held by another worker now")
+        self.context.store.write(self._lock)
 
     def check_still_ours(self) -> None:
         """Raise WorkerStopping if this worker is stopping or no longer holds the run."""

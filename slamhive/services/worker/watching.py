@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from typing import Any
 
@@ -19,6 +19,7 @@ from slamhive.services.runs import untracked_s
 from slamhive.services.worker.disk import DiskWatch, disk_limits
 from slamhive.services.worker.evidence import DISK_LIMIT, ENGINE_AWAY, STOP_RULE, STOPPED_BECAUSE
 from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
+from slamhive.store.records import LeaseLost
 
 LINGER_S = 10.0
 """How long an algorithm may take to exit after ``finished`` before it is stopped; its result counts."""
@@ -75,7 +76,8 @@ class Watch:
             if peak_bytes is not None:
                 found["peak_memory_bytes"] = peak_bytes
             if found and not moves:
-                hand.save(found)
+                with suppress(LeaseLost):  # then the peak that the new holder of the run sees counts
+                    hand.save(found)
 
     def _machine_logs(self, source: UsageSource) -> MachineLogs:
         hand = self._hand
@@ -142,7 +144,6 @@ class Watch:
 
     def _stop_because(self, cause: dict[str, Any]) -> str:
         """Stop the run. Records the reason first, so that the exit code is not blamed on the algorithm."""
-        self._hand.check_owner()
         self._hand.save(cause)
         return self._stop(cause[STOPPED_BECAUSE])
 

@@ -12,18 +12,15 @@ import threading
 from collections.abc import Callable, Collection, Iterable
 
 from slamhive.clock import monotonic_s
-from slamhive.domain.run import RunEvent, RunState
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.base import EngineUnavailable, Executor
 from slamhive.executors.identity import owner_is_dead, worker_identity
 from slamhive.executors.registry import AUTO
-from slamhive.runs.folder import RunFolder
 from slamhive.services.analyses import AnalysisJobs
 from slamhive.services.challenges import ChallengeJudge
 from slamhive.services.datasets import Catalogue, Variants
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.notices import notices_of
-from slamhive.services.runs import RecordKeeper
 from slamhive.services.worker.context import DriverContext, WorkerStopping
 from slamhive.services.worker.cpu_type import CpuType
 from slamhive.services.worker.driver import RunDriver
@@ -33,6 +30,7 @@ from slamhive.services.worker.held_runs import HeldRuns
 from slamhive.services.worker.leftovers import sweep_leftovers
 from slamhive.services.worker.lock import WorkerLock
 from slamhive.services.worker.noticing import noticing
+from slamhive.services.worker.run_in_hand import RunInHand
 from slamhive.services.worker.slots import share_cores
 from slamhive.services.worker.turns import AbsentExecutors, OneAtATime, Turns
 from slamhive.settings import Settings
@@ -237,21 +235,7 @@ class Worker:
 
     def _put_back(self, run: RunRecord, why: str) -> bool:
         """Queue a run again that was not started, so that it waits for its engine without blocking the slot."""
-        now, waits = self._context.now(), f"waits: {why}"
-
-        def work(transaction: Transaction) -> bool:
-            current = transaction.runs.get(run.id)
-            if current.state is not RunState.PREPARING or current.cancel_requested:
-                return False
-            transaction.runs.move(run.id, RunState.QUEUED, why=waits, now=now, owner=self.owner)
-            return True
-
-        keeper = RecordKeeper(RunFolder(self._settings.runs_folder / str(run.id)), self._store, run.id)
-        if keeper.readable():
-            # Before the move: after it, another slot may hold the run and its record.
-            moving = RunEvent(now, RunState.PREPARING, RunState.QUEUED, waits)
-            keeper.save({"state": RunState.QUEUED.value}, moving)
-        if not self._store.write(work):
+        if not RunInHand(self._context, run, None).put_back(f"waits: {why}"):
             return False
         self._absent.note(run.executor)
         return True
