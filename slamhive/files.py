@@ -158,6 +158,12 @@ def share_with_group(path: Path) -> None:
         path.chmod(stat.S_IMODE(path.stat().st_mode) | stat.S_IWGRP | (around & stat.S_ISGID))
 
 
+def is_full(error: BaseException) -> bool:
+    """Whether ``error``, or what caused it, says that a disk or a quota is full."""
+    cause = error if isinstance(error, OSError) else error.__context__
+    return isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
 def remedy_of(error: OSError) -> str:
     """What to do about a file or folder that could not be written."""
     if error.errno == errno.EROFS:

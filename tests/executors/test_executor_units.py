@@ -13,7 +13,7 @@ from slamhive.errors import NotFound, Unavailable
 from slamhive.executors.base import Capabilities, EngineUnavailable, ExecutorContext, ImageMissing, StartFailed
 from slamhive.executors.docker.build import follow_build
 from slamhive.executors.docker.container import container_options
-from slamhive.executors.docker.engine import connect, container_name, engine_errors
+from slamhive.executors.docker.engine import connect, container_name, engine_errors, lifetime
 from slamhive.executors.docker.stats import parse_stats
 from slamhive.executors.process.capped_log import CappedLog, assemble
 from slamhive.executors.process.environment import Environments
@@ -299,3 +299,20 @@ def test_a_late_sample_is_not_followed_by_one_at_once(tmp_path, monkeypatch, lat
     cores = [float(line.split(",")[1]) for line in (tmp_path / "profiling.csv").read_text().splitlines()[1:]]
     assert len(cores) == 19
     assert max(cores) <= 1.25
+
+
+@pytest.mark.parametrize(
+    ("state", "seconds"),
+    [
+        # As Docker 20.10 has reported it of a container that ended at once.
+        ({"StartedAt": "2026-11-24T12:39:24.774949311Z", "FinishedAt": "2026-11-24T12:39:24.773853202Z"}, 0.0),
+        ({"StartedAt": "2026-11-24T12:39:24Z", "FinishedAt": "2026-11-24T12:39:25.5Z"}, 1.5),
+    ],
+)
+def test_no_container_ends_before_it_starts(state, seconds):
+    started_at, ended_at = lifetime(state)
+    assert (ended_at - started_at).total_seconds() == seconds
+
+
+def test_a_container_that_was_never_started_has_no_times():
+    assert lifetime({"StartedAt": "0001-01-01T00:00:00Z", "FinishedAt": "0001-01-01T00:00:00Z"}) == (None, None)

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import resource
 import socket
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
 import pytest
 
+from slamhive.errors import Unavailable
 from slamhive.executors.process import landlock, namespaces
 from slamhive.executors.process.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
+from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.supervisor import OUTPUT_FOLDER
+from slamhive.executors.process.supervisors import launch
 from slamhive.executors.registry import installation_id
 from slamhive.executors.spec import Limits
 from slamhive.runs.log_line import last_error_line
 from tests.executors.conftest import wait_for_end
+from tests.waiting import eventually
 
 process_only = pytest.mark.parametrize("maker", ["process"], indirect=True)
 counted_by_the_supervisor = pytest.mark.parametrize("maker", ["process-tree"], indirect=True)
@@ -204,3 +212,38 @@ def test_a_kernel_that_refuses_is_asked_by_a_child(monkeypatch):
 
     monkeypatch.setattr(namespaces, "enter_namespaces", refuse)
     assert namespaces.refused_because() == "unshare: Operation not permitted"
+
+
+@pytest.mark.integration
+def test_a_disk_that_is_full_as_a_run_starts_is_not_the_fault_of_the_run(tmp_path: Path) -> None:
+    """The supervisor starts as soon as there is room again."""
+    small = ["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(tmp_path)]
+    if os.geteuid() != 0 or subprocess.run(small, check=False).returncode:
+        pytest.skip("a small file system needs root, and the right to mount")
+    try:
+        folder = tmp_path / "folder"
+        folder.mkdir()
+        orders = ShimSpec(
+            key="key",
+            command=[sys.executable, "-c", "print('done')"],
+            environment={},
+            folder=str(folder),
+            cores=None,
+            memory_bytes=None,
+            tasks=64,
+            log_max_bytes=1000,
+            writable=[str(folder)],
+        )
+        orders.save(tmp_path)
+        with contextlib.suppress(OSError), (tmp_path / "filling").open("wb", buffering=0) as stream:
+            while True:
+                stream.write(b"\0" * 4096)
+        os.truncate(tmp_path / "filling", (tmp_path / "filling").stat().st_size - 2 * 4096)
+        with pytest.raises(Unavailable, match="the supervisor process did not start: no room: .*No space left"):
+            launch(tmp_path)
+        (tmp_path / "filling").unlink()
+        launch(tmp_path)
+        eventually((tmp_path / EXIT_FILE).exists, "the end of the run")
+        assert json.loads((tmp_path / EXIT_FILE).read_text())["exit_code"] == 0
+    finally:
+        subprocess.run(["umount", "--lazy", tmp_path], check=True)

@@ -7,7 +7,7 @@ import os
 import re
 import socket
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import Any
@@ -123,3 +123,11 @@ def engine_time(text: str | None) -> datetime | None:
     seconds, _, fraction = text.rstrip("Z").partition(".")
     moment = datetime.fromisoformat(seconds).replace(tzinfo=UTC)
     return moment.replace(microsecond=int(fraction[:6].ljust(6, "0"))) if fraction else moment
+
+
+def lifetime(state: Mapping[str, Any]) -> tuple[datetime | None, datetime | None]:
+    """When a container started and ended; Docker may note the end of a very short one before its start."""
+    started_at, ended_at = engine_time(state.get("StartedAt")), engine_time(state.get("FinishedAt"))
+    if started_at is not None and ended_at is not None:
+        ended_at = max(started_at, ended_at)
+    return started_at, ended_at

@@ -37,6 +37,7 @@ from slamhive.executors.docker.engine import (
     container_name,
     engine_errors,
     engine_time,
+    lifetime,
 )
 from slamhive.executors.docker.foreign_images import DockerImages
 from slamhive.executors.docker.image import find_image, make_image
@@ -157,12 +158,13 @@ class DockerExecutor(Executor):
             return Gone("the container was never started")
         if state["Status"] not in ("exited", "dead"):
             return Running(process_limit=self._refused.is_to_be_ended(container))
+        started_at, ended_at = lifetime(state)
         return Exited(
             exit_code=int(state["ExitCode"]),
             out_of_memory=bool(state.get("OOMKilled")),
             refused_processes=self._refused.were_refused(str(container.id)),
-            started_at=engine_time(state.get("StartedAt")),
-            ended_at=engine_time(state.get("FinishedAt")),
+            started_at=started_at,
+            ended_at=ended_at,
         )
 
     def stop(self, handle: RunHandle, grace_s: float) -> None:

@@ -8,6 +8,7 @@ by files in the work folder:
 - ``shim.json``: which process it is, and since when.
 - ``output/``: what the algorithm prints, capped.
 - ``exit.json``: how it ended. Its disk space is reserved before the start, since an algorithm may fill the disk.
+- ``shim-errors.txt``: why the supervisor did not start. The worker has reserved its space.
 
 The supervisor is the "subreaper" of all descendants of the algorithm. None can escape by forking twice or by opening
 a session, and the CPU time of each counts when it is reaped.
@@ -25,13 +26,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 from slamhive.clock import utc_now
+from slamhive.errors import Unavailable
 from slamhive.executors.process.containment_base import DoesNotHold
+from slamhive.executors.process.exit_file import reserve
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.supervisor import Supervisor
-from slamhive.files import write_aside
+from slamhive.files import is_full, write_aside
 
 LOCK_FILE = "shim.lock"
 IDENTITY_FILE = "shim.json"
+NO_ROOM = "no room: "
+"""The last line of a supervisor that did not start because the disk is full begins so."""
 
 
 def main(work: Path) -> None:
@@ -43,7 +48,12 @@ def main(work: Path) -> None:
     if os.fork() > 0:
         os._exit(0)
     os.setsid()
-    supervise(work)
+    try:
+        supervise(work)
+    except (Unavailable, OSError) as error:
+        if (work / IDENTITY_FILE).exists() or not is_full(error):
+            raise
+        sys.exit(f"{NO_ROOM}{error}")
 
 
 def supervise(work: Path, prepare: Callable[[Path], None] | None = None) -> None:
@@ -66,6 +76,7 @@ def supervise(work: Path, prepare: Callable[[Path], None] | None = None) -> None
         sys.exit(str(reason))
     supervisor.listen()
     started_at = utc_now()
+    reserve(work)
     write_aside(work / IDENTITY_FILE, json.dumps(supervisor.introduction(started_at)))
     supervisor.run(started_at)
 

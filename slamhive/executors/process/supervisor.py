@@ -18,7 +18,7 @@ from slamhive.executors.process import namespaces
 from slamhive.executors.process.capped_log import CappedLog
 from slamhive.executors.process.containment import choose_containment
 from slamhive.executors.process.containment_base import ProcessTree
-from slamhive.executors.process.exit_file import LostOutput, reap, reserve, write_exit
+from slamhive.executors.process.exit_file import LostOutput, reap, write_exit
 from slamhive.executors.process.landlock import confine_writes
 from slamhive.executors.process.linux import (
     PR_SET_CHILD_SUBREAPER,
@@ -83,7 +83,6 @@ class Supervisor:
 
     def run(self, started_at: datetime) -> None:
         """From start to ``exit.json``."""
-        reserve(self._work)
         reader = self._spawn()
         while self._status is None:
             self._tick(reader)

@@ -17,18 +17,20 @@ import psutil
 
 import slamhive
 from slamhive.clock import monotonic_s
+from slamhive.errors import Unavailable
 from slamhive.executors.base import StartFailed
 from slamhive.executors.process.containment import found_again
 from slamhive.executors.process.containment_base import Containment
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.process.paths import INHERITED, KEY_VARIABLE
-from slamhive.executors.process.shim import IDENTITY_FILE
+from slamhive.executors.process.shim import IDENTITY_FILE, NO_ROOM
 from slamhive.executors.process.table import ProcessEntry, all_processes, end_all, living, process_birth
 from slamhive.executors.status import Exited, RunHandle
 
 START_WAIT_S = 15.0
 KILL_WAIT_S = 5.0
 _STEP_S = 0.02
+_ERRORS_BYTES = 4096
 
 
 def containment_of(handle: RunHandle) -> Containment | None:
@@ -37,11 +39,16 @@ def containment_of(handle: RunHandle) -> Containment | None:
 
 
 def launch(work: Path) -> dict[str, Any]:
-    """Start a supervisor for ``work``, and wait until it or an earlier one has written its identity."""
+    """Start a supervisor for ``work``, and wait until it or an earlier one has written its identity.
+
+    Raises StartFailed; Unavailable or OSError if the disk is full, which is not the run's fault.
+    """
     errors = work / "shim-errors.txt"
+    with errors.open("wb") as stream:
+        stream.write(b" " * _ERRORS_BYTES)  # so that a full disk does not hide the reason
     package_root = str(Path(slamhive.__file__).parent.parent)
     environment = {key: os.environ[key] for key in INHERITED if key in os.environ}
-    with errors.open("ab") as stream:
+    with errors.open("r+b") as stream:
         subprocess.run(
             [sys.executable, "-m", "slamhive.executors.process.shim", str(work)],
             env={**environment, "PYTHONPATH": package_root},
@@ -51,12 +58,19 @@ def launch(work: Path) -> dict[str, Any]:
             cwd="/",
             check=False,
         )
-    if not wait_until((work / IDENTITY_FILE).exists, START_WAIT_S):
-        lines = errors.read_text(errors="replace").strip().splitlines()
-        raise StartFailed(f"the supervisor process did not start: {lines[-1] if lines else 'it says nothing'}")
+    if not wait_until(lambda: (work / IDENTITY_FILE).exists() or _said(errors).startswith(NO_ROOM), START_WAIT_S):
+        raise StartFailed(f"the supervisor process did not start: {_said(errors) or 'it says nothing'}")
+    if not (work / IDENTITY_FILE).exists():
+        raise Unavailable(f"the supervisor process did not start: {_said(errors)}", "make room on the disk")
     identity = read_json(work / IDENTITY_FILE)
     assert identity is not None
     return identity
+
+
+def _said(errors: Path) -> str:
+    """The last line that a supervisor has written."""
+    lines = errors.read_text(errors="replace").strip().splitlines()
+    return lines[-1] if lines else ""
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
