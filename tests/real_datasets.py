@@ -20,15 +20,24 @@ def make_room(hive: Hive) -> None:
     hive.catalogue.render_room(RoomOptions(), silent)
 
 
-def import_kitti_06(hive: Hive) -> None:
-    folder = SHARED / "data" / "kitti06_stereo_51"
-    if not folder.is_dir():
-        pytest.skip("the recorded data in ../shared/data is not here")
-    planned = hive.catalogue.plan_import(folder, ImportOptions(), name="kitti_06")
-    hive.catalogue.import_dataset(planned, silent)
+def imported(name: str, recording: str) -> Callable[[Hive], None]:
+    """Imports a recording of the shared data under a name."""
+
+    def make(hive: Hive) -> None:
+        folder = SHARED / "data" / recording
+        if not folder.is_dir():
+            pytest.skip("the recorded data in ../shared/data is not here")
+        planned = hive.catalogue.plan_import(folder, ImportOptions(), name=name)
+        hive.catalogue.import_dataset(planned, silent)
+
+    return make
 
 
-DATASETS: dict[str, Callable[[Hive], None]] = {"room": make_room, "kitti_06": import_kitti_06}
+DATASETS: dict[str, Callable[[Hive], None]] = {
+    "room": make_room,
+    "kitti_06": imported("kitti_06", "kitti06_stereo_51"),
+    "aces": imported("aces", "radish_aces_2d"),
+}
 
 
 def dataset(hive: Hive, name: str) -> str:

@@ -98,11 +98,19 @@ class _WeightsModel(BaseModel):
 class _BoundModel(BaseModel):
     model_config = ConfigDict(extra="forbid")
     poses: int = Field(ge=1)
-    ate_rmse_m: float = Field(gt=0)
+    ate_rmse_m: float | None = Field(default=None, gt=0)
+    relations_m: float | None = Field(default=None, gt=0)
+    relations_deg: float | None = Field(default=None, gt=0)
     alignment: Alignment
     playback_mode: PlaybackMode = PlaybackMode.SEQUENTIAL
     playback_rate: float = Field(default=1.0, ge=0.01, le=100)
     parameters: dict[str, PlainValue] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _an_error_is_limited(self) -> _BoundModel:
+        if self.ate_rmse_m is None and self.relations_m is None:
+            raise ValueError("give ate_rmse_m, or relations_m for a dataset without ground truth")
+        return self
 
 
 class _PackageModel(BaseModel):
@@ -274,6 +282,8 @@ def _bound(path: Path, dataset: str, model: _BoundModel, parameters: tuple[Param
         alignment=model.alignment,
         playback=Playback(model.playback_mode, model.playback_rate),
         parameters={key: values[key] for key in model.parameters},
+        relations_m=model.relations_m,
+        relations_deg=model.relations_deg,
     )
 
 

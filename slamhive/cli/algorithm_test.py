@@ -16,7 +16,10 @@ from slamhive.schema.catalogue import BoundResult
 from slamhive.services.bounds import BoundTest, bound_tests
 from slamhive.services.hive import Hive
 
-COLUMNS = ("algorithm", "dataset", "run", "poses", "at least", "ATE m", "at most", "ms per frame", "RAM MB", "result")
+COLUMNS = (
+    *("algorithm", "dataset", "run", "poses", "at least", "ATE m", "at most", "relations m", "at most"),
+    *("relations deg", "at most", "ms per frame", "RAM MB", "result"),
+)
 
 
 @click.command("test")
@@ -85,6 +88,10 @@ def _print(results: Sequence[BoundResult]) -> None:
             entry.bound.poses,
             _number(entry.ate_rmse_m, 4),
             _number(entry.bound.ate_rmse_m, 4),
+            _number(entry.relations_m, 4),
+            _number(entry.bound.relations_m, 4),
+            _number(entry.relations_deg, 2),
+            _number(entry.bound.relations_deg, 2),
             _number(entry.latency_median_ms, 1),
             _number(entry.memory_max_mb, 0),
             "kept" if entry.problem is None else "NOT KEPT",

@@ -13,6 +13,8 @@ from enum import StrEnum
 from statistics import median
 
 ERROR = "ate.rmse"
+RELATION_ERROR = "relations.translation.mean"
+RELATION_ROTATION = "relations.rotation.mean"
 TRACKED_PATH = "tracked.path"
 TRACKED_FRACTION = "tracked_fraction"
 ERROR_PER_PATH = "ate.per_path"

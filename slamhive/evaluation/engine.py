@@ -16,6 +16,7 @@ import numpy as np
 from evo.core.result import Result
 
 from slamhive.domain.hint import Hint
+from slamhive.domain.verdict import ERROR
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation import without_truth
 from slamhive.evaluation.evaluators.base import Evaluator, MetricValues, Paired, absent
@@ -32,7 +33,7 @@ logger = logging.getLogger(__name__)
 
 ENGINE = f"evo {evo.__version__.removeprefix('v')}"
 
-ESSENTIAL = "ate.rmse"
+ESSENTIAL = ERROR
 """An evaluation without this metric has failed."""
 
 TOO_FAR_OFF = "it cannot be computed: the estimate is too far off for the numbers to hold"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.sensors import Matrix4
+from slamhive.domain.verdict import RELATION_ERROR
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import RELATIONS, MetricValues, absent
 from slamhive.evaluation.evaluators.map_quality import MapQuality, map_metrics
@@ -16,7 +17,7 @@ from slamhive.evaluation.references import NO_TRUTH
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import rigid_transform
 
-ESSENTIAL = "relations.translation.mean"
+ESSENTIAL = RELATION_ERROR
 """Such an evaluation has failed without this metric."""
 
 

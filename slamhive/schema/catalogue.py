@@ -79,10 +79,16 @@ class Bound(Document):
 
     dataset: str
     poses: Annotated[int, described("The trajectory has at least so many poses.")]
-    ate_rmse_m: Annotated[float, described("The absolute trajectory error (RMSE) is at most this.", unit="m")]
+    ate_rmse_m: Annotated[float | None, described("The absolute trajectory error (RMSE) is at most this.", unit="m")]
     alignment: Annotated[Alignment, described("How the estimate is aligned to the ground truth.")]
     playback: Playback
     parameters: Annotated[dict[str, Value], described("Values that differ from the defaults.")]
+    relations_m: Annotated[
+        float | None, described("The mean translation error over the dataset's relations is at most this.", unit="m")
+    ] = None
+    relations_deg: Annotated[
+        float | None, described("The mean rotation error over the dataset's relations is at most this.", unit="deg")
+    ] = None
 
 
 class BoundResult(Document):
@@ -93,6 +99,12 @@ class BoundResult(Document):
     run: Annotated[int, described("The number of the run.")]
     poses: Annotated[int | None, described("Poses of its trajectory.")]
     ate_rmse_m: Annotated[float | None, described("Its absolute trajectory error (RMSE).", unit="m")]
+    relations_m: Annotated[
+        float | None, described("Its mean translation error over the dataset's relations.", unit="m")
+    ] = None
+    relations_deg: Annotated[
+        float | None, described("Its mean rotation error over the dataset's relations.", unit="deg")
+    ] = None
     latency_median_ms: Annotated[float | None, described("Median time from a frame to its pose.", unit="ms")]
     memory_max_mb: Annotated[float | None, described("Largest memory use.", unit="MB")]
     problem: Annotated[str | None, described("Why the bound is not kept; null if it is.")]

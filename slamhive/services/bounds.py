@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.bounds import Bound
 from slamhive.domain.run import RunState
-from slamhive.domain.verdict import ERROR
+from slamhive.domain.verdict import ERROR, RELATION_ERROR, RELATION_ROTATION
 from slamhive.schema.catalogue import BoundResult
 from slamhive.schema.submission import Submission
 from slamhive.store import RunRecord
@@ -51,6 +51,8 @@ class BoundTest:
             run=run.id,
             poses=run.poses,
             ate_rmse_m=metrics.get(ERROR),
+            relations_m=metrics.get(RELATION_ERROR),
+            relations_deg=metrics.get(RELATION_ROTATION),
             latency_median_ms=_scaled(metrics.get("latency.median"), 1e3),
             memory_max_mb=_scaled(metrics.get("ram.max"), 1e-6),
             problem=problem,

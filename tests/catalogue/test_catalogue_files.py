@@ -143,6 +143,11 @@ def test_an_algorithm_is_read_with_its_parameters(tmp_path):
             f"format: 1\n{BOUNDS}".replace(", alignment: se3", ""),
             "bounds.track.lidar.alignment is missing",
         ),
+        (
+            "format: 1",
+            f"format: 1\n{BOUNDS}".replace("ate_rmse_m: 0.2, ", ""),
+            "bounds.track.lidar: give ate_rmse_m, or relations_m for a dataset without ground truth",
+        ),
         ("format: 1", f"format: 1\n{BOUNDS}".replace("{seconds: 1}", "{second: 1}"), "has no parameter 'second'; did"),
         ("format: 1", f"format: 1\n{BOUNDS}".replace("{seconds: 1}", "{seconds: 99}"), "parameter seconds=99"),
         ("format: 1", f"format: 1\n{BOUNDS}".replace("track", "../x"), "dataset name '../x' is not allowed"),

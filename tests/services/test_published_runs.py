@@ -16,8 +16,9 @@ import pytest
 
 from slamhive.bags.room import RoomOptions
 from slamhive.catalogue.algorithm_file import load_algorithms
-from slamhive.domain.run import RunState
+from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import parse_step
+from slamhive.errors import InvalidInput
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.docker.image import make_image
 from slamhive.executors.docker.kept_images import KEPT
@@ -218,6 +219,23 @@ def test_a_folder_like_orb_slam_runs_untouched_and_gets_the_camera_of_the_varian
         assert seen == {"home": "/root", "size": [expected["Camera.width"], expected["Camera.height"]]}
         assert [(result / name).read_text().strip() for name in ("folder", "home")] == ["/home/ORB_SLAM2", "/root"]
     assert {entry: entry.read_bytes() for entry in path.rglob("*") if entry.is_file()} == before
+    with pytest.raises(InvalidInput, match=r"orb-slam2-ros-mono needs 1 camera sensor, dataset track has 0 \("):
+        room_hive.runs.submit(Submission(path.name, "track", executor="docker"))
+    assert_a_player_that_fails_is_the_reason(room_hive, path.name)
+
+
+def assert_a_player_that_fails_is_the_reason(hive: Hive, algorithm: str) -> None:
+    """The real ``rosbag play``, on a recording that is no bag any more once its run has been prepared."""
+    recording = hive.catalogue.dataset("room").bag_path
+    with recording.open("r+b") as file:
+        file.write(b"#NO BAG!")
+    (queued,) = hive.runs.submit(Submission(algorithm, "room", {"gain": "2"}, executor="docker", evaluate=False))
+    hive.worker(only=[queued.id]).run(until_idle=True)
+    run = hive.runs.get(queued.id)
+    assert run.reason is FailureReason.PLAYER_FAILED, run.detail
+    assert run.detail is not None
+    assert run.detail.startswith("the recording was not played: rosbag play ended with exit code ")
+    assert "\n" not in run.detail
 
 
 def test_a_folder_like_vins_runs_untouched_with_its_templates_of_two_levels(
