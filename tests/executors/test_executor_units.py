@@ -311,6 +311,8 @@ def test_a_late_sample_is_not_followed_by_one_at_once(tmp_path, monkeypatch, lat
 )
 def test_no_container_ends_before_it_starts(state, seconds):
     started_at, ended_at = lifetime(state)
+    assert started_at is not None
+    assert ended_at is not None
     assert (ended_at - started_at).total_seconds() == seconds
 
 

@@ -239,7 +239,7 @@ def test_a_disk_that_is_full_as_a_run_starts_is_not_the_fault_of_the_run(tmp_pat
             while True:
                 stream.write(b"\0" * 4096)
         os.truncate(tmp_path / "filling", (tmp_path / "filling").stat().st_size - 2 * 4096)
-        with pytest.raises(Unavailable, match="the supervisor process did not start: no room: .*No space left"):
+        with pytest.raises(Unavailable, match=r"the supervisor process did not start: no room: .*No space left"):
             launch(tmp_path)
         (tmp_path / "filling").unlink()
         launch(tmp_path)
