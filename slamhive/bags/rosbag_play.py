@@ -17,6 +17,8 @@ CONFIG = "/slamhive/config.yaml"
 REPORT = "/slamhive/result/playback.json"
 ENDED_BY_IMAGE = (0, -signal.SIGINT, -signal.SIGTERM, -signal.SIGHUP)
 """How a player ends that played all, or that its image stopped."""
+FATAL = "[FATAL]"
+"""Marks a line on why the player ended early. ``rosbag play`` is a script that hides the exit code of the player."""
 
 
 def play_command(folder, config):
@@ -71,13 +73,17 @@ def play(command):
         signal.signal(number, lambda number, _frame: player.send_signal(number))
         signal.siginterrupt(number, False)
     assert player.stderr is not None
-    last = ""
+    last = fatal = ""
     for raw in iter(player.stderr.readline, b""):
         line = raw.decode("utf-8", "replace")
         sys.stderr.write(line.encode("ascii", "replace").decode("ascii"))
         last = line.strip() or last
+        if FATAL in line:
+            fatal = line.split("]: ")[-1].split("\x1b")[0].strip() or last
     player.stderr.close()
     code = player.wait()
+    if fatal:
+        give_up("rosbag play failed: {}".format(fatal))
     if code not in ENDED_BY_IMAGE:
         give_up("rosbag play ended with exit code {}{}".format(code, ": " + last if last else ""))
 

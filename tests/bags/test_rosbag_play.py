@@ -134,6 +134,13 @@ def test_a_player_that_fails_is_reported_with_its_last_line(report, handlers, ca
     assert "Error opening file" in capfd.readouterr().err
 
 
+def test_a_player_whose_exit_code_rosbag_hides_is_reported(report, handlers, capfd):
+    rosbag(report.parent, r"printf '\033[31m[FATAL] [1795527808.288]: Error parsing header\033[0m\nbye\n' >&2")
+    with pytest.raises(SystemExit, match="rosbag play failed: Error parsing header"):
+        rosbag_play.main()
+    assert json.loads(report.read_text()) == {"error": "rosbag play failed: Error parsing header"}
+
+
 @pytest.mark.parametrize("script", ["exit 0", "kill -INT $$"])
 def test_a_player_that_played_all_or_was_ended_by_its_image_reports_nothing(report, handlers, script):
     rosbag(report.parent, script)
