@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 ENVIRONMENT_PREFIX = "SLAMHIVE_"
@@ -53,6 +56,16 @@ class MailSecurity(StrEnum):
     STARTTLS = "starttls"
     TLS = "tls"
     NONE = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class FurtherSetting:
+    """A text that an executor declares as a setting, by its name in lower case. It is no field of :class:`Settings`."""
+
+    name: str
+    default: str
+    help: str
+    secret: bool = False
 
 
 def setting(
@@ -122,18 +135,6 @@ class Settings(BaseSettings):
     smtp_user: str = setting("", "User name there; empty for none")
     smtp_password: str = setting("", "Password there", secret=True)
     executor: str = setting("auto", "An executor that `slamhive doctor` lists; auto takes the first that can be used")
-    slurm_options: str = setting(
-        "", "Options of each Slurm job: --partition, --account, --qos, --constraint, --gres, --exclusive and some more"
-    )
-    slurm_containers: str = setting(
-        "auto",
-        "What runs images of packages on nodes: charliecloud, apptainer, podman, auto, or none for no images",
-    )
-    slurm_gpu: str = setting("gpu:1", "The gres of a run that uses a GPU: NAME:1 or NAME:TYPE:1, such as gpu:a100:1")
-    kubernetes_options: str = setting(
-        "",
-        "How a cluster is used: --context, --namespace, --registry, --claim, --queue, --gpu and --node",
-    )
     cloud_join: str = setting(
         "", "Shell command that makes a rented machine a node of the cluster, see cloud.md", secret=True
     )
@@ -200,6 +201,19 @@ class Settings(BaseSettings):
     source_archives: str = setting(
         "", "Folder with sources as NAME-COMMIT.tar.xz for building images offline; empty means their repositories"
     )
+
+    _further: dict[str, str] = PrivateAttr(default_factory=dict)
+
+    @property
+    def further(self) -> Mapping[str, str]:
+        """The values, by name in lower case, of settings that an executor declares, unless they are left out."""
+        return MappingProxyType(self._further)
+
+    def with_further(self, values: Mapping[str, str]) -> Settings:
+        """The same settings with these values of settings that an executor declares."""
+        made = self.model_copy()
+        made._further = dict(values)
+        return made
 
     @classmethod
     def settings_customise_sources(cls, *_: Any, **sources: Any) -> tuple[PydanticBaseSettingsSource, ...]:

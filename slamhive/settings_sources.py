@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import runpy
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -16,7 +16,7 @@ from pydantic_settings import EnvSettingsSource
 
 from slamhive.errors import InvalidInput, unknown
 from slamhive.input_bounds import check_value
-from slamhive.settings import ENVIRONMENT_PREFIX, Settings
+from slamhive.settings import ENVIRONMENT_PREFIX, FurtherSetting, Settings
 
 CONFIGURATION_FILE = "configuration.py"
 
@@ -41,11 +41,22 @@ class SettingInForce:
     source: str
 
 
-def describe() -> list[SettingInfo]:
-    """Every setting with its documentation, in definition order."""
-    return [
+Declared = Callable[[], Sequence[FurtherSetting]]
+
+
+def no_further() -> Sequence[FurtherSetting]:
+    """No settings besides the fields of :class:`Settings`."""
+    return ()
+
+
+def describe(further: Iterable[FurtherSetting] = ()) -> list[SettingInfo]:
+    """Every setting with its documentation, in definition order, and those that executors declare."""
+    own = [
         SettingInfo(name.upper(), _variable(name), str(field.default), _extra(name)["unit"], field.description or "")
         for name, field in Settings.model_fields.items()
+    ]
+    return own + [
+        SettingInfo(entry.name.upper(), _variable(entry.name), entry.default, "", entry.help) for entry in further
     ]
 
 
@@ -53,6 +64,7 @@ def load_settings(
     project_root: Path,
     environment: Mapping[str, str] | None = None,
     options: Mapping[str, Any] | None = None,
+    further: Declared = no_further,
 ) -> Settings:
     """Read all sources in their order; raises InvalidInput or NotFound naming the setting, its value and its source.
 
@@ -60,39 +72,49 @@ def load_settings(
         project_root: Folder that may hold ``configuration.py``; relative data roots start there.
         environment: Defaults to ``os.environ``.
         options: From the command line; None values mean "not given".
+        further: Returns the settings that executors declare. It is called only if a source has a name that is none of
+            the fields, since it loads plug-ins.
     """
-    given = _given(project_root, environment, options)
+    given = _given(project_root, environment, options, further)
     for name, (raw, source) in given.items():
         check_value(raw, f"{name.upper()} from {source}")
+    declared = {name: raw for name, (raw, _) in given.items() if name not in Settings.model_fields}
+    for name, raw in declared.items():
+        if not isinstance(raw, str):
+            raise InvalidInput(f"{name.upper()}={raw!r} from {given[name][1]}: expected str")
     try:
-        settings = Settings(**{name: raw for name, (raw, _) in given.items()})
+        settings = Settings(**{name: raw for name, (raw, _) in given.items() if name not in declared})
     except ValidationError as error:
         problem = error.errors()[0]
         name = str(problem["loc"][0])
         raw, source = given[name]
         raise InvalidInput(f"{name.upper()}={raw!r} from {source}: {_problem(name, problem)}") from None
-    return settings.model_copy(update={"data": project_root / settings.data.expanduser()})
+    placed = settings.model_copy(update={"data": project_root / settings.data.expanduser()})
+    return placed.with_further(declared)
 
 
 def settings_in_force(
     project_root: Path,
     environment: Mapping[str, str] | None = None,
     options: Mapping[str, Any] | None = None,
+    further: Sequence[FurtherSetting] = (),
 ) -> list[SettingInForce]:
     """Every setting with its value and where that comes from, in definition order; see :func:`load_settings`.
 
     Keys and passwords are not shown.
     """
-    given = _given(project_root, environment, options)
-    settings = load_settings(project_root, environment, options)
+    given = _given(project_root, environment, options, lambda: further)
+    settings = load_settings(project_root, environment, options, lambda: further)
+    values = {name: (getattr(settings, name), _extra(name)["secret"]) for name in Settings.model_fields}
+    values |= {entry.name: (settings.further.get(entry.name, entry.default), entry.secret) for entry in further}
     return [
-        SettingInForce(info, _shown(name, getattr(settings, name)), given[name][1] if name in given else "default")
-        for name, info in zip(Settings.model_fields, describe(), strict=True)
+        SettingInForce(info, _shown(value, secret=secret), given[name][1] if name in given else "default")
+        for (name, (value, secret)), info in zip(values.items(), describe(further), strict=True)
     ]
 
 
-def _shown(name: str, value: object) -> str:
-    if _extra(name)["secret"] and value:
+def _shown(value: object, *, secret: bool) -> str:
+    if secret and value:
         return "(not shown)"
     return re.sub(r"://.*@", "://***@", str(value))
 
@@ -115,16 +137,16 @@ def _problem(name: str, problem: ErrorDetails) -> str:
 
 
 def _given(
-    project_root: Path, environment: Mapping[str, str] | None, options: Mapping[str, Any] | None
+    project_root: Path, environment: Mapping[str, str] | None, options: Mapping[str, Any] | None, further: Declared
 ) -> dict[str, tuple[Any, str]]:
     """The settings that are not left at their defaults: value and source. Later sources win."""
     variables = EnvSettingsSource(Settings)
     if environment is not None:
         variables.env_vars = {name.lower(): value for name, value in environment.items() if value}
     given: dict[str, tuple[Any, str]] = {}
-    for name, raw in _configuration_values(project_root / CONFIGURATION_FILE).items():
+    for name, raw in _configuration_values(project_root / CONFIGURATION_FILE, further).items():
         given[name] = raw, CONFIGURATION_FILE
-    for name, raw in variables().items():
+    for name, raw in (variables() | _declared_in(variables.env_vars, further)).items():
         given[name] = raw, f"environment variable {_variable(name)}"
     for name, raw in (options or {}).items():
         if raw is not None:
@@ -136,7 +158,15 @@ def _variable(name: str) -> str:
     return ENVIRONMENT_PREFIX + name.upper()
 
 
-def _configuration_values(path: Path) -> dict[str, Any]:
+def _declared_in(variables: Mapping[str, str | None], further: Declared) -> dict[str, str]:
+    """The values of declared settings among environment ``variables``, whose names are in lower case."""
+    prefix = ENVIRONMENT_PREFIX.lower()
+    found = {key.removeprefix(prefix): value for key, value in variables.items() if key.startswith(prefix) and value}
+    strange = {name: value for name, value in found.items() if name not in Settings.model_fields}
+    return {entry.name: strange[entry.name] for entry in further() if entry.name in strange} if strange else {}
+
+
+def _configuration_values(path: Path, further: Declared) -> dict[str, Any]:
     """The upper-case names that ``configuration.py`` defines. It is the user's own code, run by path."""
     if not path.is_file():
         return {}
@@ -145,7 +175,9 @@ def _configuration_values(path: Path) -> dict[str, Any]:
     except (Exception, SystemExit) as error:  # noqa: BLE001 - the file is the user's; whatever it raises is explained
         raise InvalidInput(f"{path} cannot be run: {type(error).__name__}: {error}") from None
     values = {key.lower(): value for key, value in content.items() if key.isupper()}
-    for name in values:
-        if name not in Settings.model_fields:
-            raise unknown(f"setting in {path}", name.upper(), [known.upper() for known in Settings.model_fields])
+    if values.keys() - Settings.model_fields.keys():
+        known = [*Settings.model_fields, *(entry.name for entry in further())]
+        for name in values:
+            if name not in known:
+                raise unknown(f"setting in {path}", name.upper(), [entry.upper() for entry in known])
     return values

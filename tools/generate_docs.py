@@ -24,6 +24,7 @@ from slamhive.catalogue.protocol_file import protocol_schema
 from slamhive.cloud.cloud_file import cloud_schema
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
+from slamhive.executors.registry import declared_settings
 from slamhive.project import project_root
 from slamhive.schema import accounts, catalogue, collection, experiment, nodes
 from slamhive.schema.analysis import StoredAnalysis
@@ -117,7 +118,7 @@ def settings_page() -> str:
     rows = (
         f"| `{entry.name}` | `{entry.environment}` | {f'`{entry.default}`' if entry.default else 'empty'} "
         f"| {entry.unit} | {_cell(entry.help)} |\n"
-        for entry in describe()
+        for entry in describe(declared_settings())
     )
     return NOTE + SETTINGS_HEAD + "".join(rows)
 

@@ -20,6 +20,7 @@ from slamhive.executors.base import (
     Capabilities,
     Executor,
     ExecutorContext,
+    ExecutorOption,
     ImageMissing,
     ProgressCallback,
     StartFailed,
@@ -34,6 +35,7 @@ from slamhive.tree import remove_tree
 
 KEY_VARIABLE = "PLAIN_RUN_KEY"
 PATIENCE_S = 10.0
+SHELL = ExecutorOption("shell", "/bin/sh", "The shell that starts algorithms")  # the setting PLAIN_SHELL
 
 # Whoever makes the folder "started" runs the command, so that two workers start one run. The shell outlives SIGTERM to
 # write the exit code. A file appears in one step, or it could be read half-written.
@@ -51,13 +53,15 @@ class PlainExecutor(Executor):
 
     name = "plain"
     capabilities = Capabilities(several_at_once=False)
+    options = (SHELL,)
 
     def __init__(self, context: ExecutorContext) -> None:
         super().__init__(context)
         self._environments = Environments(context.data.resolve())
 
     def unavailable_because(self) -> str | None:
-        return None if Path("/bin/sh").exists() else "the executor plain needs /bin/sh"
+        shell = self._context.value(SHELL)
+        return None if Path(shell).exists() else f"there is no shell {shell}; change PLAIN_SHELL"
 
     def check_package(self, package: AlgorithmPackage) -> None:
         self._environments.identity(package)  # raises ImageMissing for a package without requirements.txt
@@ -143,7 +147,16 @@ class PlainExecutor(Executor):
             KEY_VARIABLE: spec.key,
         }
         # In a session of its own, and no child of this process: the run outlives the worker and leaves it no zombie.
-        command = ["setsid", "--fork", "/bin/sh", "-c", SCRIPT, "sh", str(environment.python), str(script)]
+        command = [
+            "setsid",
+            "--fork",
+            self._context.value(SHELL),
+            "-c",
+            SCRIPT,
+            "sh",
+            str(environment.python),
+            str(script),
+        ]
         subprocess.run(command, cwd=work, env=variables, check=True)
 
 

@@ -9,6 +9,7 @@ import click
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import counting_bar, print_json, print_table, tell
 from slamhive.cli.plugins import all_origins
+from slamhive.executors.registry import declared_settings
 from slamhive.project import project_root
 from slamhive.services.doctor import Verdict, examine, examine_cluster, plugin_checks
 from slamhive.services.reindex import reindex, run_folders
@@ -70,7 +71,7 @@ def doctor(cli: CliContext, what: str, as_json: bool) -> None:
 @pass_cli
 def settings(cli: CliContext, as_json: bool) -> None:
     """List all settings with value, source, unit and meaning."""
-    entries = settings_in_force(project_root(), options=cli.options)
+    entries = settings_in_force(project_root(), options=cli.options, further=declared_settings())
     if as_json:
         print_json([{**asdict(entry.info), "value": entry.value, "source": entry.source} for entry in entries])
         return

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -109,6 +109,23 @@ class Capabilities:
 
 
 @dataclass(frozen=True, slots=True)
+class ExecutorOption:
+    """A text that users set for one executor.
+
+    Attributes:
+        name: In lower case. The setting is called ``<EXECUTOR>_<NAME>``.
+        default: Its value unless the user sets it.
+        help: For ``docs/settings.md`` and ``slamhive settings``.
+        secret: It is shown nowhere.
+    """
+
+    name: str
+    default: str
+    help: str
+    secret: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class ExecutorContext:
     """What every executor is made from.
 
@@ -118,10 +135,7 @@ class ExecutorContext:
         installation: Distinguishes the runs of this data root from those of another on the same engine.
         log_max_bytes: How much of a run's output is kept.
         source_archives: Folder with archives of sources, for images that are built without the internet.
-        slurm_options: What is added to each job of Slurm, as the user wrote it.
-        slurm_containers: The container runtime of jobs: its name, ``auto`` or ``none``.
-        slurm_gpu: The generic resource that is one GPU.
-        kubernetes_options: How the cluster is used, as the user wrote it.
+        options: Values of the options that the executor declares, by name; those left out have their defaults.
     """
 
     data: Path
@@ -129,10 +143,11 @@ class ExecutorContext:
     installation: str
     log_max_bytes: int = 10_000_000
     source_archives: Path | None = None
-    slurm_options: str = ""
-    slurm_containers: str = "auto"
-    slurm_gpu: str = "gpu:1"
-    kubernetes_options: str = ""
+    options: Mapping[str, str] = field(default_factory=dict)
+
+    def value(self, option: ExecutorOption) -> str:
+        """The value of an option of the executor."""
+        return self.options.get(option.name, option.default)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +168,8 @@ class Executor(ABC):
 
     name: ClassVar[str]
     capabilities: ClassVar[Capabilities]
+    options: ClassVar[tuple[ExecutorOption, ...]] = ()
+    """What users may set for this executor."""
 
     def __init__(self, context: ExecutorContext) -> None:
         self._context = context

@@ -6,14 +6,16 @@ import fcntl
 import uuid
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
-from slamhive.executors.base import Executor, ExecutorContext
+from slamhive.executors.base import Executor, ExecutorContext, ExecutorOption
 from slamhive.files import write_aside
 from slamhive.registry import Registry
+from slamhive.settings import FurtherSetting, Settings
 
 AUTO = "auto"
 _INSTALLATION_FILE = "installation"
@@ -28,26 +30,72 @@ def _read(name: str, found: Any) -> Mapping[str, ExecutorFactory]:
         raise InvalidInput(
             f"it makes no executor, but is of type {type(found).__name__}", "see docs/extend/executor.md"
         )
+    options = getattr(found, "options", ())
+    if not isinstance(options, tuple) or not all(isinstance(option, ExecutorOption) for option in options):
+        raise InvalidInput("its options are no tuple of ExecutorOption", "see docs/extend/executor.md")
+    for option in options:
+        if (setting := _setting_name(name, option)) in Settings.model_fields:
+            raise InvalidInput(f"its option {option.name} would be the setting {setting.upper()}, which SLAM Hive has")
     return {name: found}
 
 
 EXECUTORS: Registry[ExecutorFactory] = Registry("executor", "slamhive.executors", _read)
 
 
-def _loaded_late(module: str, name: str) -> ExecutorFactory:
-    """A class or function that is imported when it makes its first executor: the Docker SDK takes 0.2 s to import."""
+@dataclass(frozen=True, slots=True)
+class _LoadedLate:
+    """A class or function that is imported when it makes its first executor: the Docker SDK takes 0.2 s to import.
 
-    def make(context: ExecutorContext) -> Executor:
-        executor: Executor = getattr(import_module(module), name)(context)
+    ``declares`` is the module with the options of the executor, if it has any.
+    """
+
+    module: str
+    name: str
+    declares: str | None = None
+
+    def __call__(self, context: ExecutorContext) -> Executor:
+        executor: Executor = getattr(import_module(self.module), self.name)(context)
         return executor
 
-    return make
+    @property
+    def options(self) -> tuple[ExecutorOption, ...]:
+        return () if self.declares is None else import_module(self.declares).OPTIONS
 
 
-EXECUTORS.register("docker", _loaded_late("slamhive.executors.docker.executor", "DockerExecutor"))
-EXECUTORS.register("process", _loaded_late("slamhive.executors.process.executor", "ProcessExecutor"))
-EXECUTORS.register("slurm", _loaded_late("slamhive.executors.slurm.containers", "open_slurm"))
-EXECUTORS.register("kubernetes", _loaded_late("slamhive.executors.kubernetes.executor", "KubernetesExecutor"))
+EXECUTORS.register("docker", _LoadedLate("slamhive.executors.docker.executor", "DockerExecutor"))
+EXECUTORS.register("process", _LoadedLate("slamhive.executors.process.executor", "ProcessExecutor"))
+EXECUTORS.register(
+    "slurm", _LoadedLate("slamhive.executors.slurm.containers", "open_slurm", "slamhive.executors.slurm.options")
+)
+EXECUTORS.register(
+    "kubernetes",
+    _LoadedLate(
+        "slamhive.executors.kubernetes.executor", "KubernetesExecutor", "slamhive.executors.kubernetes.cluster_options"
+    ),
+)
+
+
+def declared_settings() -> list[FurtherSetting]:
+    """The options of all executors as settings."""
+    return [
+        FurtherSetting(_setting_name(name, option), option.default, option.help, option.secret)
+        for name, factory in EXECUTORS
+        for option in _options_of(factory)
+    ]
+
+
+def given_options(name: str, further: Mapping[str, str]) -> dict[str, str]:
+    """Those options of the executor ``name`` that the settings ``further`` give a value."""
+    names = {option.name: _setting_name(name, option) for option in _options_of(EXECUTORS.get(name))}
+    return {option: further[setting] for option, setting in names.items() if setting in further}
+
+
+def _options_of(factory: ExecutorFactory) -> tuple[ExecutorOption, ...]:
+    return tuple(getattr(factory, "options", ()))
+
+
+def _setting_name(executor: str, option: ExecutorOption) -> str:
+    return f"{executor}_{option.name}".replace("-", "_").lower()
 
 
 def open_executor(name: str, context: ExecutorContext) -> Executor:

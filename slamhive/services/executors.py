@@ -7,7 +7,14 @@ from pathlib import Path
 
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.base import Executor, ExecutorContext
-from slamhive.executors.registry import AUTO, candidates, choose_executor, installation_id, open_executor
+from slamhive.executors.registry import (
+    AUTO,
+    candidates,
+    choose_executor,
+    given_options,
+    installation_id,
+    open_executor,
+)
 from slamhive.settings import Settings
 
 NO_INSTALLATION = "none"
@@ -35,7 +42,7 @@ class Executors:
     def get(self, name: str) -> Executor:
         """The executor called ``name``, opened on first use; raises NotFound that lists the choices."""
         if name not in self.opened:
-            self.opened[name] = open_executor(name, self._context())
+            self.opened[name] = open_executor(name, self._context(name))
         return self.opened[name]
 
     def choose(self, asked: str | None = None) -> str:
@@ -78,7 +85,7 @@ class Executors:
     def _chosen(self, wanted: str) -> tuple[Executor, str]:
         return choose_executor(wanted, self.get, elsewhere=self._elsewhere)
 
-    def _context(self) -> ExecutorContext:
+    def _context(self, name: str) -> ExecutorContext:
         data, archives = self._settings.data, self._settings.source_archives
         return ExecutorContext(
             data=data,
@@ -86,8 +93,5 @@ class Executors:
             installation=installation_id(data) if data.is_dir() else NO_INSTALLATION,
             log_max_bytes=self._settings.log_max_bytes,
             source_archives=Path(archives) if archives else None,
-            slurm_options=self._settings.slurm_options,
-            slurm_containers=self._settings.slurm_containers,
-            slurm_gpu=self._settings.slurm_gpu,
-            kubernetes_options=self._settings.kubernetes_options,
+            options=given_options(name, self._settings.further),
         )

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.errors import Conflict
 from slamhive.project import project_root
 from slamhive.services.data_root import DataRoot, open_data_root
-from slamhive.settings import Mode, Settings
+from slamhive.settings import FurtherSetting, Mode, Settings
 from slamhive.settings_sources import load_settings
 
 if TYPE_CHECKING:
@@ -369,8 +369,14 @@ def open_hive(options: Mapping[str, Any] | None = None, data_root: DataRoot = Da
     Unavailable if the data root or the database cannot be used.
     """
     root = project_root()
-    settings = load_settings(root, options=options)
+    settings = load_settings(root, options=options, further=_declared_by_executors)
     return Hive(settings, open_data_root(settings, data_root), root)
+
+
+def _declared_by_executors() -> Sequence[FurtherSetting]:
+    from slamhive.executors.registry import declared_settings
+
+    return declared_settings()
 
 
 def check_indexed(hive: Hive) -> None:

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.settings import Mode
+from slamhive.executors.registry import declared_settings
+from slamhive.settings import FurtherSetting, Mode
 from slamhive.settings_sources import describe, load_settings, settings_in_force
 
 
@@ -64,7 +65,8 @@ def test_times_must_be_such_as_dates_can_be_reckoned_with(tmp_path, text):
 
 
 def test_every_default_is_within_its_bounds(tmp_path):
-    load_settings(tmp_path, {entry.environment: entry.default for entry in describe()})
+    settings = {entry.environment: entry.default for entry in describe(declared_settings())}
+    load_settings(tmp_path, settings, further=declared_settings)
 
 
 def test_the_shipped_configuration_file_is_valid():
@@ -74,7 +76,7 @@ def test_the_shipped_configuration_file_is_valid():
 
 def test_every_setting_is_documented():
     documentation = (Path(__file__).resolve().parents[2] / "docs" / "settings.md").read_text(encoding="utf-8")
-    for entry in describe():
+    for entry in describe(declared_settings()):
         assert entry.help
         assert entry.name in documentation
         assert entry.environment in documentation
@@ -97,6 +99,43 @@ def test_each_value_in_force_tells_where_it_comes_from_and_no_secret(tmp_path):
     assert found["HOST"] == ("127.0.0.1", "default")
     assert found["DATABASE_URL"][0] == "mysql://***@lab/x"
     assert "hunter2" not in str(found)
+
+
+def declared():
+    return [FurtherSetting("plain_shell", "/bin/sh", "A shell"), FurtherSetting("plain_token", "", "A token", True)]
+
+
+def test_settings_that_executors_declare_come_from_the_same_sources(tmp_path):
+    (tmp_path / "configuration.py").write_text("PLAIN_SHELL = '/bin/dash'\nPLAIN_TOKEN = 'hunter2'\n")
+    assert load_settings(tmp_path, {}, further=declared).further == {
+        "plain_shell": "/bin/dash",
+        "plain_token": "hunter2",
+    }
+    environment = {"SLAMHIVE_PLAIN_SHELL": "/bin/bash", "SLAMHIVE_PLAIN_OTHER": "x"}
+    assert load_settings(tmp_path, environment, further=declared).further["plain_shell"] == "/bin/bash"
+    found = {
+        entry.info.name: (entry.value, entry.source)
+        for entry in settings_in_force(tmp_path, environment, further=declared())
+    }
+    assert found["PLAIN_SHELL"] == ("/bin/bash", "environment variable SLAMHIVE_PLAIN_SHELL")
+    assert found["PLAIN_TOKEN"] == ("(not shown)", "configuration.py")
+    assert load_settings(tmp_path, environment, {"plain_shell": "/x"}, declared).further["plain_shell"] == "/x"
+
+
+def test_a_setting_that_nobody_declares_is_refused(tmp_path):
+    (tmp_path / "configuration.py").write_text("PLAIN_SHEL = '/bin/dash'\n")
+    with pytest.raises(NotFound, match="did you mean 'PLAIN_SHELL'"):
+        load_settings(tmp_path, {}, further=declared)
+    (tmp_path / "configuration.py").write_text("PLAIN_SHELL = 3\n")
+    with pytest.raises(InvalidInput, match=r"PLAIN_SHELL=3 from configuration.py: expected str"):
+        load_settings(tmp_path, {}, further=declared)
+
+
+def test_executors_are_asked_for_their_settings_only_if_there_is_a_strange_name(tmp_path):
+    def fail():
+        raise AssertionError
+
+    assert load_settings(tmp_path, {"SLAMHIVE_PORT": "2"}, further=fail).further == {}
 
 
 @pytest.mark.parametrize(

@@ -262,7 +262,7 @@ def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
     context = ExecutorContext(environment_data, PROJECT_ROOT, uuid.uuid4().hex, 100_000)
     if name == "slurm":
         request.getfixturevalue("slurm_cluster")
-        slurm = replace(context, slurm_containers=containment or "auto")
+        slurm = replace(context, options={"containers": containment or "auto"})
         return Maker(name, slurm, lambda: open_executor(name, slurm))
     if containment:
         return Maker(name, context, lambda: ProcessExecutor(context, containment), containment)

@@ -79,7 +79,7 @@ def test_slurm_gives_a_gpu_to_one_run_at_a_time_and_the_run_knows_which(bench, m
 
 @pytest.mark.parametrize("maker", ["slurm-none"], indirect=True)
 def test_a_kind_of_gpu_that_slurm_does_not_have(bench):
-    other = open_executor("slurm", replace(bench.context, slurm_gpu="gpu:a100:1"))
+    other = open_executor("slurm", replace(bench.context, options={**bench.context.options, "gpu": "gpu:a100:1"}))
     with pytest.raises(Unavailable, match="no node of Slurm has the gres gpu:a100:1"):
         other.check_gpu()
     with pytest.raises(StartFailed, match="sbatch refuses"):

@@ -219,7 +219,7 @@ def as_user(bench, kubernetes_cluster, tmp_path, monkeypatch) -> Callable[..., K
 
     def make(token: str, options: str = "") -> KubernetesExecutor:
         monkeypatch.setenv("KUBECONFIG", str(with_token(kubernetes_cluster, tmp_path, token)))
-        return KubernetesExecutor(replace(bench.context, data=bench.root, kubernetes_options=options))
+        return KubernetesExecutor(replace(bench.context, data=bench.root, options={"options": options}))
 
     return make
 

@@ -74,7 +74,7 @@ def test_the_node_its_machine_and_the_runtime_are_recorded(bench):
 
 def test_a_runtime_that_the_node_lacks_is_named(bench, monkeypatch):
     monkeypatch.setenv("PATH", "/usr/sbin:/sbin:/bin")  # jobs get it too
-    context = replace(bench.context, slurm_containers="podman")
+    context = replace(bench.context, options={"containers": "podman"})
     executor = type(bench.executor)(context)
     spec = bench.spec(SLEEP)
     with pytest.raises(StartFailed, match=r"has no container runtime: Podman: there is no podman in PATH"):

@@ -250,7 +250,7 @@ def test_mount_points_lie_in_the_image_or_in_folders_of_the_run_alone(tmp_path):
 
 def test_containers_are_a_setting(tmp_path):
     context = ExecutorContext(tmp_path, tmp_path, "home")
-    assert type(open_slurm(replace(context, slurm_containers="none"))) is SlurmExecutor
+    assert type(open_slurm(replace(context, options={"containers": "none"}))) is SlurmExecutor
     assert open_slurm(context).capabilities.needs != SlurmExecutor.capabilities.needs
     with pytest.raises(InvalidInput, match="SLURM_CONTAINERS='docker' is unknown"):
-        open_slurm(replace(context, slurm_containers="docker"))
+        open_slurm(replace(context, options={"containers": "docker"}))

@@ -23,6 +23,13 @@ def make(context):
 WRONG = """
 from slamhive.domain.metrics import Direction, Metric
 from slamhive.evaluation.evaluators.base import MetricValues
+from slamhive.executors.base import ExecutorOption
+
+class Untyped:
+    options = ("shell",)
+
+class Taking:
+    options = (ExecutorOption("pids", "", "x"),)
 
 class Half:
     keys = ("half.done",)
@@ -64,6 +71,9 @@ failing = "slamhive_wrong:FAILING"
 sprawling = "slamhive_wrong:SPRAWLING"
 [project.entry-points."slamhive.algorithms"]
 empty = "slamhive_wrong"
+[project.entry-points."slamhive.executors"]
+untyped = "slamhive_wrong:Untyped"
+run = "slamhive_wrong:Taking"
 """
 TAKEN = """
 from slamhive.domain.protocol import Alignment, Protocol
@@ -137,6 +147,8 @@ EXPECTED = {
     ("evaluator", "class"): r"it is the class Failing, not an object",
     ("evaluator", "greedy"): r"its metric 'ate.rmse' is that of the evaluator 'ate'",
     ("algorithm", "empty"): r"holds no algorithm.yaml",
+    ("executor", "untyped"): r"its options are no tuple of ExecutorOption",
+    ("executor", "run"): r"its option pids would be the setting RUN_PIDS, which SLAM Hive has",
     ("protocol", "tum"): r"the name 'tum' is taken by slamhive",
     ("protocol", "se3"): r"the name 'se3' is that of an alignment",
     ("web page", "rules"): r"there are pages below /runs already",

@@ -168,6 +168,16 @@ def test_an_executor_runs(evaluated: Command):
     assert run["metrics"][KEY]["value"] > 0
 
 
+def test_an_executor_has_settings_of_its_own(evaluated: Command, root: Path, examples: Path, carry_out: Run):
+    found = {entry["name"]: entry for entry in evaluated.json("settings")}
+    assert found["PLAIN_SHELL"]["value"] == "/bin/sh"
+    data = Path(evaluated.environment["SLAMHIVE_DATA"])
+    other = Command(carry_out, root, data, examples, plain_shell="/bin/none")
+    assert {entry["name"]: entry for entry in other.json("settings")}["PLAIN_SHELL"]["value"] == "/bin/none"
+    refused = other.run("run", "tiny", "track", "--executor", "plain", expected=1)
+    assert "there is no shell /bin/none; change PLAIN_SHELL" in refused.stderr
+
+
 def test_an_importer_imports(evaluated: Command, tmp_path: Path):
     source = tmp_path / "desk"
     (source / "depth").mkdir(parents=True)

@@ -26,6 +26,7 @@ from slamhive.executors.base import (
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.answers import Document, Right
 from slamhive.executors.kubernetes.cluster import Cluster
+from slamhive.executors.kubernetes.cluster_options import CLUSTER_OPTIONS, OPTIONS
 from slamhive.executors.kubernetes.connection import why_no_connection
 from slamhive.executors.kubernetes.images import NodeImages
 from slamhive.executors.kubernetes.manifest import selector
@@ -54,6 +55,7 @@ class KubernetesExecutor(Executor):
     """The executor ``kubernetes``. Safe to share between threads."""
 
     name = "kubernetes"
+    options = OPTIONS
     capabilities = Capabilities(
         isolates=True,
         limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK, Limit.TIME}),
@@ -65,7 +67,7 @@ class KubernetesExecutor(Executor):
 
     def __init__(self, context: ExecutorContext) -> None:
         super().__init__(context)
-        self._options = read_options(context.kubernetes_options)
+        self._options = read_options(context.value(CLUSTER_OPTIONS))
         self._cluster = Cluster(self._options)
         self._jobs = RunJobs(self._cluster, self._options, context)
         self._watch = PodWatch(self._cluster, selector(context.installation))

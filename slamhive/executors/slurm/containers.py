@@ -26,6 +26,7 @@ from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.slurm.docker_archive import make_mount_point
 from slamhive.executors.slurm.executor import SlurmExecutor
 from slamhive.executors.slurm.image_folders import ImageFolder, ImageFolders
+from slamhive.executors.slurm.options import CONTAINERS
 from slamhive.executors.slurm.runtimes import AUTO, NONE, RUNTIMES, ContainerOrders
 from slamhive.executors.spec import ROS_ENVIRONMENT, RunSpec
 
@@ -37,7 +38,7 @@ _SEPARATORS = ":,"
 
 def open_slurm(context: ExecutorContext) -> SlurmExecutor:
     """The executor ``slurm``, with or without containers. Raises InvalidInput for an unknown runtime."""
-    asked = context.slurm_containers
+    asked = context.value(CONTAINERS)
     if asked == NONE:
         return SlurmExecutor(context)
     if asked not in (AUTO, *RUNTIMES):
@@ -57,7 +58,7 @@ class ContainerSlurmExecutor(SlurmExecutor):
 
     def examine(self) -> list[Finding]:
         """Also which runtime is used. Only the nodes know which they have."""
-        return [*super().examine(), Finding("SLURM_CONTAINERS", self._context.slurm_containers)]
+        return [*super().examine(), Finding("SLURM_CONTAINERS", self._context.value(CONTAINERS))]
 
     def check_package(self, package: AlgorithmPackage) -> None:
         """Raise ImageMissing for a package that has to write into its image."""
@@ -115,7 +116,7 @@ class ContainerSlurmExecutor(SlurmExecutor):
             raise ImageMissing(f"the image {spec.identity[:19]} of {spec.package} is gone", "build it again")
         if spec.user is not RunUser.WORKER:
             raise StartFailed(f"run {spec.run_id} cannot be {spec.user.in_words} in a job of Slurm")
-        orders = container_orders(spec, image, self._context.slurm_containers)
+        orders = container_orders(spec, image, self._context.value(CONTAINERS))
         make_own_copies(spec)
         make_mount_points(orders)
         container_shim_spec(spec, orders, self._context).save(work)

@@ -37,6 +37,7 @@ from slamhive.executors.slurm import command
 from slamhive.executors.slurm.gres import offers, read_gpu
 from slamhive.executors.slurm.job import ERRORS_FILE, comment_of, job_limits, job_options, job_script
 from slamhive.executors.slurm.node import USAGE_FILE, Place
+from slamhive.executors.slurm.options import CONTAINERS, GPU, JOB_OPTIONS, OPTIONS
 from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
@@ -54,6 +55,7 @@ class SlurmExecutor(ProcessExecutor):
     """The executor ``slurm``. It has the environments of the process executor. Safe to share between threads."""
 
     name = "slurm"
+    options = OPTIONS
     capabilities = Capabilities(
         limits=frozenset({Limit.CORES, Limit.MEMORY, Limit.PROCESSES, Limit.DISK}),
         needs=PackageNeed.ENVIRONMENT,
@@ -65,8 +67,8 @@ class SlurmExecutor(ProcessExecutor):
 
     def __init__(self, context: ExecutorContext) -> None:
         super().__init__(context)
-        self._options = command.read_options(context.slurm_options)
-        self._gpu = read_gpu(context.slurm_gpu)
+        self._options = command.read_options(context.value(JOB_OPTIONS))
+        self._gpu = read_gpu(context.value(GPU))
         self._queue = Queue()
 
     def unavailable_because(self) -> str | None:
@@ -85,7 +87,7 @@ class SlurmExecutor(ProcessExecutor):
 
     def examine_nodes(self) -> list[Finding]:
         """What each node is, which container runtime it has, and why not the others."""
-        return survey(self._options, self._context.slurm_containers)
+        return survey(self._options, self._context.value(CONTAINERS))
 
     def nodes(self) -> list[Node]:
         """The nodes of the partition, or of all."""

@@ -1,0 +1,10 @@
+"""What users may set for Kubernetes."""
+
+from __future__ import annotations
+
+from slamhive.executors.base import ExecutorOption
+
+CLUSTER_OPTIONS = ExecutorOption(
+    "options", "", "How a cluster is used: --context, --namespace, --registry, --claim, --queue, --gpu and --node"
+)
+OPTIONS = (CLUSTER_OPTIONS,)
