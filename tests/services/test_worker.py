@@ -380,6 +380,29 @@ def test_a_worker_that_lost_its_run_leaves_the_record_alone(hive, hand, written,
     assert hive.runs.get(run.id).state is RunState.PREPARING
 
 
+def test_a_run_is_put_back_even_if_its_record_cannot_be_read(hive, hand, written):
+    hand.folder.record.write_text("{")
+    assert hand.put_back("waits")
+    assert hive.runs.get(hand.run.id).state is RunState.QUEUED
+    assert [record["state"] for record in written] == ["queued"]
+
+
+def test_a_run_is_not_put_back_if_it_is_cancelled_started_or_lost(hive, hand, written):
+    hive.runs.cancel(hand.run.id)
+    assert not hand.put_back("waits")
+    assert hive.runs.get(hand.run.id).state is RunState.PREPARING
+    hand.move(RunState.STARTING, "prepared", record={})
+    assert not hand.put_back("waits")
+    assert [record["state"] for record in written] == ["starting"]
+
+
+def test_a_run_that_another_worker_has_is_not_put_back(hive, hand, written):
+    assert taken(hive) is not None
+    with pytest.raises(LeaseLost):
+        hand.put_back("waits")
+    assert written == []
+
+
 @pytest.mark.parametrize(
     "write",
     [lambda hand: hand.save({"note": 1}), lambda hand: hand.move(RunState.STARTING, "prepared", record={})],

@@ -113,7 +113,7 @@ class RunInHand:
             events = transaction.runs.events(self.run.id)
             if record is None and not self.folder.record.exists():
                 return
-            if target.ended and not self.keeper.readable():
+            if not target.active and not self.keeper.readable():
                 self.keeper.begin(self.run, events, changes)
             else:
                 self._save(events, changes)
@@ -133,6 +133,8 @@ class RunInHand:
 
         try:
             self.move(RunState.QUEUED, why, beside=check_cancelled)
+        except LeaseLost:
+            raise
         except Conflict:
             return False
         return True
