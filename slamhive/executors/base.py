@@ -289,9 +289,9 @@ class Executor(ABC):
         """The UUIDs of the GPUs of all runs that run now, of any installation, except the run of ``key``."""
         return frozenset()
 
-    def gpu_use(self, handle: RunHandle, uuid: str) -> GpuUse:
-        """What the run uses of its GPU now. Raises Unavailable."""
-        raise Unavailable(f"the executor {self.name} does not measure GPU {uuid} of {handle.data}")
+    def gpu_use(self, handle: RunHandle, uuid: str | None) -> GpuUse:  # noqa: ARG002 - as above
+        """What the run uses of its GPU now; ``uuid`` is None where nobody could find it out. Raises Unavailable."""
+        raise Unavailable(f"the executor {self.name} does not measure GPUs")
 
     def hidden_bytes(self, handle: RunHandle) -> int:  # noqa: ARG002 - as above
         """How much the run has written where only the executor can see it."""

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
+import psutil
+
 from slamhive.domain.gpu import Gpu
 from slamhive.errors import Unavailable
 
@@ -103,6 +105,21 @@ def in_container(container_id: str, proc: Path = PROC) -> BelongsToRun:
             return container_id in (proc / str(pid) / "cgroup").read_text(encoding="ascii", errors="replace")
         except OSError:
             return False  # it has ended
+
+    return belongs
+
+
+def below(ancestor: psutil.Process, proc: Path = PROC) -> BelongsToRun:
+    """Recognises the descendants of a process."""
+    of_machine = _namespace(proc) == MACHINE_NAMESPACE
+
+    def belongs(pid: int) -> bool | None:
+        if not of_machine:
+            return None
+        try:
+            return ancestor in psutil.Process(pid).parents()
+        except psutil.NoSuchProcess:
+            return False
 
     return belongs
 

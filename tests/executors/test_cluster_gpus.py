@@ -88,25 +88,35 @@ def test_a_kind_of_gpu_that_slurm_does_not_have(bench):
 
 
 def runs_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, need: str, gpu: str) -> list[dict[str, Any]]:
-    """The records of two runs, at the same time if they can be, of a package with this need of a GPU."""
+    """The records of two runs, at the same time if they can be, of a package with this need of a GPU.
+
+    Each with what was measured of its GPU, as ``gpu.csv``.
+    """
     settings = {"worker_slots": "2", "slurm_containers": "none", "slurm_gpu": gpu}
     with installation(tmp_path, monkeypatch, executor="slurm", **settings) as made:  # type: ignore[arg-type]
         (package,) = (tmp_path / "project").glob("algorithms/tiny/algorithm.yaml")
         package.write_text(f"{package.read_text()}gpu: {need}\n")
         made.submit(2, (1.0,))
         made.hive.worker().run(until_idle=True)
-        return [made.hive.runs.record(run.id) for run in made.hive.runs.page().records]
+        folders = [made.hive.runs.folder(run.id) for run in made.hive.runs.page().records]
+        return [
+            {**folder.read_record(), "gpu.csv": folder.gpu.read_text() if folder.gpu.exists() else None}
+            for folder in folders
+        ]
 
 
 def test_the_record_of_a_run_names_its_gpu(slurm_cluster, tmp_path, monkeypatch):
     records = runs_of(tmp_path, monkeypatch, "required", "gpu:fake:1")
     assert [record["state"] for record in records] == ["succeeded"] * 2
     assert [(record["gpu"]["node"], record["gpu"]["number"]) for record in records] == [("one", "0")] * 2
+    why = "# not measured: nobody knows the UUID of GPU 0 of one\n"
+    assert [record["gpu.csv"] for record in records] == [why] * 2
 
 
 def test_who_can_use_a_gpu_runs_without_where_there_is_none(slurm_cluster, tmp_path, monkeypatch):
     records = runs_of(tmp_path, monkeypatch, "optional", "gpu:a100:1")
-    assert [(record["state"], record.get("gpu")) for record in records] == [("succeeded", None)] * 2
+    found = [(record["state"], record.get("gpu"), record["gpu.csv"]) for record in records]
+    assert found == [("succeeded", None, None)] * 2
 
 
 def test_who_requires_a_gpu_is_refused_where_there_is_none(slurm_cluster, tmp_path, monkeypatch):

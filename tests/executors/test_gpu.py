@@ -2,31 +2,43 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import uuid
 from dataclasses import replace
 from pathlib import Path
 
+import psutil
 import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.domain.gpu import Gpu, GpuNeed
+from slamhive.domain.gpu import GivenGpu, Gpu, GpuNeed
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.docker.container import container_options
 from slamhive.executors.docker.engine import GPU_LABEL, KEY_LABEL, connect
 from slamhive.executors.docker.executor import DockerExecutor
-from slamhive.executors.gpu import HEADER, MACHINE_NAMESPACE, GpuLog, GpuUse, in_container
+from slamhive.executors.gpu import HEADER, MACHINE_NAMESPACE, GpuLog, GpuUse, below, in_container
 from slamhive.executors.gpu_lease import lease_gpu
+from slamhive.executors.host import describe_host
 from slamhive.executors.process.executor import ProcessExecutor
+from slamhive.executors.process.shim_spec import ShimSpec
+from slamhive.executors.process.supervisors import launch
+from slamhive.executors.slurm import gpu_readings
+from slamhive.executors.slurm.executor import SlurmExecutor
+from slamhive.executors.slurm.gpu_readings import GpuReadings, use_of
+from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE, Place
 from slamhive.executors.spec import Limits, RunOutput, RunSpec
+from slamhive.executors.status import RunHandle
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.profiling import _gpu_metrics
 from slamhive.services.runs import check_gpu
+from tests.waiting import eventually
 
 SOURCE = Path(__file__).parent / "nvml" / "fake_nvml.c"
 FIRST, SECOND = (Gpu(f"GPU-{name}", "model", "driver", 8) for name in ("first", "second"))
@@ -239,3 +251,74 @@ def test_the_gpu_of_a_running_container_is_in_use_for_other_runs_only(tmp_path, 
         container.remove(force=True)
         executor.close()
         client.close()
+
+
+@pytest.mark.integration
+def test_descendants_of_a_process_are_recognised():
+    if str(Path("/proc/self/ns/pid").readlink()) != MACHINE_NAMESPACE:
+        pytest.skip("the tests run in a container")
+    child = subprocess.Popen(["/bin/sh", "-c", "sleep 60; true"])
+    try:
+        eventually(lambda: psutil.Process(child.pid).children(), "the child of the shell")
+        (grandchild,) = psutil.Process(child.pid).children()
+        belongs = below(psutil.Process())
+        assert [belongs(pid) for pid in (child.pid, grandchild.pid, os.getppid())] == [True, True, False]
+        assert below(psutil.Process(child.pid))(os.getpid()) is False
+    finally:
+        grandchild.kill()
+        child.kill()
+        child.wait()
+    assert belongs(child.pid) is False
+
+
+def test_a_node_reads_its_gpu_twice_a_second_and_gives_up_with_the_reason(monkeypatch):
+    now_s = iter([0.0, 0.0, 0.1, 0.6, 0.6, 1.2, 1.2])
+    monkeypatch.setattr(gpu_readings, "monotonic_s", lambda: next(now_s))
+    uses = iter([GpuUse(100, 0.5), GpuUse(None, 0.7)])
+
+    def read() -> GpuUse:
+        use = next(uses, None)
+        if use is None:
+            raise Unavailable("the driver is gone")
+        return use
+
+    readings = GpuReadings(read)
+    assert [use_of(readings.read()) for _ in range(3)] == [GpuUse(100, 0.5), GpuUse(100, 0.5), GpuUse(None, 0.7)]
+    for _ in range(2):
+        with pytest.raises(Unavailable, match="the driver is gone"):
+            use_of(readings.read())
+    assert GpuReadings.of_run(None, psutil.Process()) is None
+    unknown = GpuReadings.of_run(GivenGpu("one", "0"), psutil.Process())
+    assert unknown is not None
+    monkeypatch.undo()
+    with pytest.raises(Unavailable, match="nobody knows the UUID of GPU 0 of one"):
+        use_of(unknown.read())
+    with pytest.raises(Unavailable, match="does not measure a GPU"):
+        use_of(None)
+
+
+@pytest.mark.integration
+def test_a_job_of_slurm_passes_on_what_its_run_uses_of_the_gpu(library, tmp_path):
+    """The process that measures a run on its node, with a driver that is made for the tests."""
+    work, answers = tmp_path / "work", tmp_path / "answers"
+    work.mkdir()
+    sleep = [sys.executable, "-c", "import time; time.sleep(60)"]
+    ShimSpec(sleep, {}, str(work), None, None, 64, 1000, key="key", writable=[str(work)]).save(work)
+    supervisor = psutil.Process(launch(work)["pid"])
+    eventually(supervisor.children, "the algorithm")
+    own = [f"{process.pid} 700" for process in supervisor.children(recursive=True)][-1:]
+    answers.write_text("\n".join([*own, f"{os.getpid()} 9000", "busy 25", ""]))
+    gpu = GivenGpu("one", "1", "GPU-11111111-aaaa-bbbb-cccc-111111111111")
+    (work / PLACE_FILE).write_text(json.dumps(dataclasses.asdict(Place("one", "7", "", describe_host(), gpu))))
+    environment = {**os.environ, "LD_LIBRARY_PATH": str(library), "FAKE_NVML": str(answers)}
+    command = [sys.executable, "-m", "slamhive.executors.slurm.node", "measure", str(work)]
+    measuring = subprocess.Popen(command, env=environment)
+    try:
+        eventually((work / USAGE_FILE).exists, "the first reading")
+        executor = SlurmExecutor(ExecutorContext(tmp_path, tmp_path, "installation"))
+        found = executor.gpu_use(RunHandle("slurm", {"work": str(work)}), gpu.uuid)
+    finally:
+        supervisor.send_signal(signal.SIGUSR1)
+        measuring.wait(30)
+    of_machine = str(Path("/proc/self/ns/pid").readlink()) == MACHINE_NAMESPACE
+    assert found == GpuUse(700 if of_machine else None, 0.25)

@@ -221,9 +221,9 @@ class DockerExecutor(Executor):
             found = self._engine().containers.list(filters={"label": GPU_LABEL}, ignore_removed=True)
         return frozenset(entry.labels[GPU_LABEL] for entry in found if entry.labels.get(KEY_LABEL) != key)
 
-    def gpu_use(self, handle: RunHandle, uuid: str) -> GpuUse:
+    def gpu_use(self, handle: RunHandle, uuid: str | None) -> GpuUse:
         """As the driver reports it; processes are told apart by their control group."""
-        return gpu_use(uuid, in_container(handle.data["container"]))
+        return gpu_use(uuid or "", in_container(handle.data["container"]))
 
     def hidden_bytes(self, handle: RunHandle) -> int:
         """The size of the container's own layer."""

@@ -27,6 +27,7 @@ from slamhive.executors.base import (
     PackageNeed,
     StartFailed,
 )
+from slamhive.executors.gpu import GpuUse
 from slamhive.executors.nodes import Node
 from slamhive.executors.process.executor import ProcessExecutor, remove_work
 from slamhive.executors.process.exit_file import EXIT_FILE
@@ -34,9 +35,10 @@ from slamhive.executors.process.paths import shim_spec_of
 from slamhive.executors.process.shim import IDENTITY_FILE
 from slamhive.executors.process.supervisors import KILL_WAIT_S, START_WAIT_S, read_exit, read_json, wait_until
 from slamhive.executors.slurm import command
+from slamhive.executors.slurm.gpu_readings import use_of
 from slamhive.executors.slurm.gres import offers, read_gpu
 from slamhive.executors.slurm.job import ERRORS_FILE, comment_of, job_limits, job_options, job_script
-from slamhive.executors.slurm.node import USAGE_FILE, Place
+from slamhive.executors.slurm.node import GPU_KEY, USAGE_FILE, Place
 from slamhive.executors.slurm.options import CONTAINERS, GPU, JOB_OPTIONS, OPTIONS
 from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import Limit, RunSpec
@@ -181,6 +183,11 @@ class SlurmExecutor(ProcessExecutor):
             return None
         wait_until(lambda: (work / USAGE_FILE).exists() or (work / EXIT_FILE).exists(), START_WAIT_S)
         return NodeUsage(work) if not (work / EXIT_FILE).exists() else None
+
+    def gpu_use(self, handle: RunHandle, uuid: str | None) -> GpuUse:  # noqa: ARG002 - the node knows it
+        """What the job measures on its node."""
+        content = read_json(Path(handle.data["work"]) / USAGE_FILE) or {}
+        return use_of(content.get(GPU_KEY))
 
     def _submit(self, spec: RunSpec, work: Path) -> None:
         """Submit the job of the run unless Slurm has one. A second job would find the lock of the first and end."""

@@ -32,12 +32,14 @@ from slamhive.executors.process.supervisors import (
     wait_until,
 )
 from slamhive.executors.process.tree_usage import ProcessTreeSource
+from slamhive.executors.slurm.gpu_readings import GpuReadings
 from slamhive.executors.slurm.gres import VISIBLE, given_gpus
 from slamhive.executors.slurm.runtimes import ContainerOrders, Tried, choose_runtime, command_of, try_runtimes
 from slamhive.executors.status import RunHandle, UsageSource
 from slamhive.files import write_aside
 
 USAGE_FILE = "usage.json"
+GPU_KEY = "gpu"
 PLACE_FILE = "place.json"
 _INTERVAL_S = 0.1
 
@@ -110,7 +112,7 @@ def _node() -> str:
 
 
 def measure(work: Path) -> None:
-    """Write CPU time (s), memory and peak (bytes) of the run until its supervisor ends."""
+    """Write CPU time (s), memory and peak (bytes) of the run, and its use of a GPU, until its supervisor ends."""
     if not wait_until((work / IDENTITY_FILE).exists, START_WAIT_S):
         return
     identity = read_json(work / IDENTITY_FILE) or {}
@@ -122,8 +124,9 @@ def measure(work: Path) -> None:
         return
     containment = containment_of(handle)
     source: UsageSource = (None if containment is None else containment.usage()) or ProcessTreeSource(supervisor)
+    gpu = GpuReadings.of_run(Place.load(work).gpu, supervisor)
     try:
-        while supervisor_of(handle) is not None and _write(work, source):
+        while supervisor_of(handle) is not None and _write(work, source, gpu):
             time.sleep(_INTERVAL_S)
     except FileNotFoundError:
         return  # the run was removed
@@ -131,13 +134,19 @@ def measure(work: Path) -> None:
         source.close()
 
 
-def _write(work: Path, source: UsageSource) -> bool:
+def _write(work: Path, source: UsageSource, gpu: GpuReadings | None) -> bool:
     """Write one reading; False once the run is gone. It is not flushed to disk, because only the newest one counts."""
     usage = source.read()
     if usage is None:
         return False
     aside = work / f".{USAGE_FILE}"
-    content = {"cpu_s": usage[0], "memory_bytes": usage[1], "peak_bytes": source.peak_memory_bytes()}
+    content: dict[str, object] = {
+        "cpu_s": usage[0],
+        "memory_bytes": usage[1],
+        "peak_bytes": source.peak_memory_bytes(),
+    }
+    if gpu is not None:
+        content[GPU_KEY] = gpu.read()
     aside.write_text(json.dumps(content), encoding="ascii")
     aside.replace(work / USAGE_FILE)
     return True

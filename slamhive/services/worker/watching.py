@@ -83,10 +83,11 @@ class Watch:
         hand = self._hand
         counters = HostCounters(hand.spec.limits.cpuset) if source.on_this_machine else None
         energy, host = EnergyLog(hand.folder.energy), HostLog(hand.folder.host, counters)
-        uuid = hand.spec.gpu
-        if uuid is None:
+        gpu = hand.saved().get("gpu")
+        if gpu is None:
             return MachineLogs(energy, host)
-        return MachineLogs(energy, host, GpuLog(hand.folder.gpu, lambda: hand.executor.gpu_use(hand.handle, uuid)))
+        log = GpuLog(hand.folder.gpu, lambda: hand.executor.gpu_use(hand.handle, gpu["uuid"]))
+        return MachineLogs(energy, host, log)
 
     def _wait_for_end(self) -> str:
         """Why the run has ended: ``exited``, ``gone``, ``cancelled``, or the value under :data:`STOPPED_BECAUSE`."""
