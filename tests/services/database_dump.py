@@ -84,6 +84,9 @@ def _dump(session: Session) -> Dump:
         if table.name in IN_ORDER:
             named = _numbered(named, IN_ORDER[table.name])
         found[table.name] = sorted(map(_settled(table.name), named), key=repr)
+    # A deleted run leaves the keys of its metrics. A key without a value is content of no database.
+    used = {row["metric_id"] for row in found["metric_values"]}
+    found["metrics"] = [row for row in found["metrics"] if (row["key"],) in used]
     return found
 
 
