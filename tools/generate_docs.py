@@ -66,8 +66,12 @@ out of range, and a name that does not exist, stop every command with one line t
 
 Passwords and keys belong into the environment, never into a file under version control.
 
+The last ones of the table belong to one executor each. Executors of plug-ins may have settings too; `slamhive
+settings` lists them.
+
 One variable is no setting: `SLAMHIVE_ROOT` names the project's folder (with `algorithms/`, `templates/` and
-`configuration.py`) where it is not the checkout that the program was started from, or that of the installed package.
+`configuration.py`). Without it, that is the checkout that the program was started from, or the folder of the installed
+package.
 
 | setting | environment variable | default | unit | what it does |
 |---|---|---|---|---|
