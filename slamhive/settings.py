@@ -59,8 +59,15 @@ class MailSecurity(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class FurtherSetting:
-    """A text that an executor declares as a setting, by its name in lower case. It is no field of :class:`Settings`."""
+class ExecutorOption:
+    """A text that users set for one executor, which declares it. It is no field of :class:`Settings`.
+
+    Attributes:
+        name: In lower case. As a setting, it is called ``<EXECUTOR>_<NAME>``.
+        default: Its value unless the user sets it.
+        help: For ``docs/settings.md`` and ``slamhive settings``.
+        secret: It is shown nowhere.
+    """
 
     name: str
     default: str

@@ -16,9 +16,12 @@ from pydantic_settings import EnvSettingsSource
 
 from slamhive.errors import InvalidInput, unknown
 from slamhive.input_bounds import check_value
-from slamhive.settings import ENVIRONMENT_PREFIX, FurtherSetting, Settings
+from slamhive.project import ROOT_VARIABLE
+from slamhive.settings import ENVIRONMENT_PREFIX, ExecutorOption, Settings
 
 CONFIGURATION_FILE = "configuration.py"
+_ROOT = ROOT_VARIABLE.removeprefix(ENVIRONMENT_PREFIX).lower()
+"""The only variable with the prefix that is no setting. Where it is set, no executor need be asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +44,15 @@ class SettingInForce:
     source: str
 
 
-Declared = Callable[[], Sequence[FurtherSetting]]
+Declared = Callable[[], Sequence[ExecutorOption]]
 
 
-def no_further() -> Sequence[FurtherSetting]:
+def no_further() -> Sequence[ExecutorOption]:
     """No settings besides the fields of :class:`Settings`."""
     return ()
 
 
-def describe(further: Iterable[FurtherSetting] = ()) -> list[SettingInfo]:
+def describe(further: Iterable[ExecutorOption] = ()) -> list[SettingInfo]:
     """Every setting with its documentation, in definition order, and those that executors declare."""
     own = [
         SettingInfo(name.upper(), _variable(name), str(field.default), _extra(name)["unit"], field.description or "")
@@ -97,7 +100,7 @@ def settings_in_force(
     project_root: Path,
     environment: Mapping[str, str] | None = None,
     options: Mapping[str, Any] | None = None,
-    further: Sequence[FurtherSetting] = (),
+    further: Sequence[ExecutorOption] = (),
 ) -> list[SettingInForce]:
     """Every setting with its value and where that comes from, in definition order; see :func:`load_settings`.
 
@@ -162,7 +165,7 @@ def _declared_in(variables: Mapping[str, str | None], further: Declared) -> dict
     """The values of declared settings among environment ``variables``, whose names are in lower case."""
     prefix = ENVIRONMENT_PREFIX.lower()
     found = {key.removeprefix(prefix): value for key, value in variables.items() if key.startswith(prefix) and value}
-    strange = {name: value for name, value in found.items() if name not in Settings.model_fields}
+    strange = {name: value for name, value in found.items() if name not in {_ROOT, *Settings.model_fields}}
     return {entry.name: strange[entry.name] for entry in further() if entry.name in strange} if strange else {}
 
 

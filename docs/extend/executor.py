@@ -20,7 +20,6 @@ from slamhive.executors.base import (
     Capabilities,
     Executor,
     ExecutorContext,
-    ExecutorOption,
     ImageMissing,
     ProgressCallback,
     StartFailed,
@@ -31,6 +30,7 @@ from slamhive.executors.process.tree_usage import ProcessTreeSource
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Gone, RunHandle, Running, RunStatus
 from slamhive.files import write_aside
+from slamhive.settings import ExecutorOption
 from slamhive.tree import remove_tree
 
 KEY_VARIABLE = "PLAIN_RUN_KEY"

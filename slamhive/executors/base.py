@@ -17,6 +17,7 @@ from slamhive.evaluation.process_starter import ProcessStarter
 from slamhive.executors.gpu import GpuUse
 from slamhive.executors.spec import Limit, Limits, RunSpec
 from slamhive.executors.status import RunHandle, RunStatus, UsageSource
+from slamhive.settings import ExecutorOption
 
 if TYPE_CHECKING:
     from slamhive.executors.images import ImageTools
@@ -106,23 +107,6 @@ class Capabilities:
         """In words, which of ``limits`` the executor ``name`` does not enforce; None if it enforces all."""
         missing = sorted(limits.kinds() - self.limits)
         return f"the executor {name} does not limit {' and '.join(missing)}" if missing else None
-
-
-@dataclass(frozen=True, slots=True)
-class ExecutorOption:
-    """A text that users set for one executor.
-
-    Attributes:
-        name: In lower case. The setting is called ``<EXECUTOR>_<NAME>``.
-        default: Its value unless the user sets it.
-        help: For ``docs/settings.md`` and ``slamhive settings``.
-        secret: It is shown nowhere.
-    """
-
-    name: str
-    default: str
-    help: str
-    secret: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,16 +6,16 @@ import fcntl
 import uuid
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
-from slamhive.executors.base import Executor, ExecutorContext, ExecutorOption
+from slamhive.executors.base import Executor, ExecutorContext
 from slamhive.files import write_aside
 from slamhive.registry import Registry
-from slamhive.settings import FurtherSetting, Settings
+from slamhive.settings import ExecutorOption, Settings
 
 AUTO = "auto"
 _INSTALLATION_FILE = "installation"
@@ -75,10 +75,10 @@ EXECUTORS.register(
 )
 
 
-def declared_settings() -> list[FurtherSetting]:
-    """The options of all executors as settings."""
+def declared_settings() -> list[ExecutorOption]:
+    """The options of all executors, by the names of their settings."""
     return [
-        FurtherSetting(_setting_name(name, option), option.default, option.help, option.secret)
+        replace(option, name=_setting_name(name, option))
         for name, factory in EXECUTORS
         for option in _options_of(factory)
     ]

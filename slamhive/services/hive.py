@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.errors import Conflict
 from slamhive.project import project_root
 from slamhive.services.data_root import DataRoot, open_data_root
-from slamhive.settings import FurtherSetting, Mode, Settings
+from slamhive.settings import ExecutorOption, Mode, Settings
 from slamhive.settings_sources import load_settings
 
 if TYPE_CHECKING:
@@ -373,7 +373,7 @@ def open_hive(options: Mapping[str, Any] | None = None, data_root: DataRoot = Da
     return Hive(settings, open_data_root(settings, data_root), root)
 
 
-def _declared_by_executors() -> Sequence[FurtherSetting]:
+def _declared_by_executors() -> Sequence[ExecutorOption]:
     from slamhive.executors.registry import declared_settings
 
     return declared_settings()

@@ -6,7 +6,7 @@ import pytest
 
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.executors.registry import declared_settings
-from slamhive.settings import FurtherSetting, Mode
+from slamhive.settings import ExecutorOption, Mode
 from slamhive.settings_sources import describe, load_settings, settings_in_force
 
 
@@ -102,7 +102,7 @@ def test_each_value_in_force_tells_where_it_comes_from_and_no_secret(tmp_path):
 
 
 def declared():
-    return [FurtherSetting("plain_shell", "/bin/sh", "A shell"), FurtherSetting("plain_token", "", "A token", True)]
+    return [ExecutorOption("plain_shell", "/bin/sh", "A shell"), ExecutorOption("plain_token", "", "A token", True)]
 
 
 def test_settings_that_executors_declare_come_from_the_same_sources(tmp_path):
@@ -135,7 +135,7 @@ def test_executors_are_asked_for_their_settings_only_if_there_is_a_strange_name(
     def fail():
         raise AssertionError
 
-    assert load_settings(tmp_path, {"SLAMHIVE_PORT": "2"}, further=fail).further == {}
+    assert load_settings(tmp_path, {"SLAMHIVE_PORT": "2", "SLAMHIVE_ROOT": "/x"}, further=fail).further == {}
 
 
 @pytest.mark.parametrize(

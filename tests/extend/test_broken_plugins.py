@@ -23,7 +23,7 @@ def make(context):
 WRONG = """
 from slamhive.domain.metrics import Direction, Metric
 from slamhive.evaluation.evaluators.base import MetricValues
-from slamhive.executors.base import ExecutorOption
+from slamhive.settings import ExecutorOption
 
 class Untyped:
     options = ("shell",)

@@ -387,7 +387,7 @@ def test_a_run_is_put_back_even_if_its_record_cannot_be_read(hive, hand, written
     assert [record["state"] for record in written] == ["queued"]
 
 
-def test_a_run_is_not_put_back_if_it_is_cancelled_started_or_lost(hive, hand, written):
+def test_a_run_is_not_put_back_if_it_is_cancelled_or_started(hive, hand, written):
     hive.runs.cancel(hand.run.id)
     assert not hand.put_back("waits")
     assert hive.runs.get(hand.run.id).state is RunState.PREPARING

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from slamhive.executors.base import ExecutorOption
+from slamhive.settings import ExecutorOption
 
 CLUSTER_OPTIONS = ExecutorOption(
     "options", "", "How a cluster is used: --context, --namespace, --registry, --claim, --queue, --gpu and --node"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from slamhive.executors.base import ExecutorOption
+from slamhive.settings import ExecutorOption
 
 JOB_OPTIONS = ExecutorOption(
     "options",

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any, Unpack
 
 from slamhive.domain.run import FailureReason, RunEvent, RunState
-from slamhive.errors import Conflict, InvalidInput
+from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.executors.base import Executor
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import RunHandle
@@ -110,13 +110,15 @@ class RunInHand:
                 self._lock(transaction)
             if beside is not None:
                 beside(transaction)
-            events = transaction.runs.events(self.run.id)
             if record is None and not self.folder.record.exists():
                 return
-            if not target.active and not self.keeper.readable():
-                self.keeper.begin(self.run, events, changes)
-            else:
+            events = transaction.runs.events(self.run.id)
+            try:
                 self._save(events, changes)
+            except (InvalidInput, NotFound):
+                if target.active:
+                    raise
+                self.keeper.begin(self.run, events, changes)
 
         context.store.write(work)
         self.reload()
