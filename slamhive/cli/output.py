@@ -150,7 +150,7 @@ def counting_bar(title: str, total: int, *, tells_left: bool = True) -> Iterator
     """
     if not messages.is_terminal:
         plain = _plain_progress(title, tells_left=tells_left)
-        yield lambda done, text: plain(done / total if total else 1.0, f"{done}/{total} {text}")
+        yield lambda done, text: plain(done / total if total else 1.0, _counted(done, total, text))
         return
     with Progress(
         TextColumn("{task.description}"),
@@ -162,6 +162,10 @@ def counting_bar(title: str, total: int, *, tells_left: bool = True) -> Iterator
     ) as bar:
         task = bar.add_task(title, total=total)
         yield lambda done, text: bar.update(task, completed=done, description=f"{title}: {text}")
+
+
+def _counted(done: int, total: int, text: str) -> str:
+    return f"{done} of {total}, {text}" if text else f"{done} of {total}"
 
 
 def _plain_progress(title: str, *, tells_left: bool = True) -> Callable[[float, str], None]:

@@ -98,7 +98,7 @@ def _show_experiment(
                 tell(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
                 return
             phase = f" ({status.phase})" if status.phase else ""
-            time_left = "" if status.left_s is None else f", {words(status.left_s)} left{phase}"
+            time_left = "" if status.left_s is None or not waiting else f", {words(status.left_s)} left{phase}"
             show(max(0, total - len(waiting)), f"{status.counts[Phase.FAILED]} failed{time_left}")
             if waiting:
                 # Looking at a large experiment takes a while: most of the time is left to what is looked at.

@@ -56,6 +56,7 @@ def test_an_experiment_from_plan_to_report(file: Path, tmp_path: Path) -> None:
     assert started.exit_code == 1, "two of four fail"
     assert "four: finished; 4 runs of 4 configurations: 2 good, 2 failed" in started.output
     assert "failed: nonzero exit 2" in started.output
+    assert "runs: 4 of 4, 2 failed (100%" in started.output, "no time is left when all have ended"
 
     rows = call("experiment", "report", file).stdout.splitlines()
     assert rows[0].split()[:3] == ["cell", "behaviour", "seconds"]

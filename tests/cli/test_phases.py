@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from slamhive.cli.output import counting_bar
 from slamhive.cli.phases import Phase, Phases, words
 
 BUILDS = [Phase("building a", 60.0, "build"), Phase("building b", 60.0, "build"), Phase("runs", 30.0, "run")]
@@ -60,3 +61,10 @@ def test_a_fraction_is_better_than_an_expectation(phases: Phases) -> None:
 )
 def test_no_more_exact_than_it_is_known(seconds: float, text: str) -> None:
     assert words(seconds) == text
+
+
+def test_a_counting_bar_says_how_many_of_how_many(capsys: pytest.CaptureFixture[str]) -> None:
+    with counting_bar("runs", 4, tells_left=False) as show:
+        show(0, "1 failed")
+        show(4, "")
+    assert capsys.readouterr().err.splitlines() == ["runs: 0 of 4, 1 failed (0%, 0 s)", "runs: 4 of 4 (100%, 0 s)"]

@@ -33,11 +33,6 @@ _NO_FIX = -1
 """``NavSatStatus.STATUS_NO_FIX``."""
 
 
-def is_truth_topic(kind: str) -> bool:
-    """Whether messages of this type can be ground truth."""
-    return kind in _READERS or kind == NAV_SAT_FIX
-
-
 def read_truth_topic(bag: SourceBag, wanted: str) -> FoundTruth:
     """The poses on the topic ``wanted``; of a transform, ``TOPIC:FRAME`` names the frame that moves.
 
