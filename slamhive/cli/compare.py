@@ -84,8 +84,9 @@ def _notes(comparison: RunComparison) -> list[str]:
         notes.append(f"not to be trusted fully (slamhive runs show): run {', '.join(map(str, doubtful))}")
     for kind, runs in comparison.mixed_trajectories.items():
         notes.append(f"kinds of trajectories are mixed: {kind} of run {', '.join(map(str, runs))}")
-    if comparison.unmarked:
-        notes.append(f"nothing is marked as better: {comparison.unmarked}")
+    notes += [entry.words for entry in comparison.unmarked]
+    if comparison.single_runs and not comparison.marks_nothing:
+        notes.append("* is the best value of one run each; repeats may change this")
     return notes
 
 

@@ -57,5 +57,7 @@ class Comparison(Document):
     ]
     settings: Annotated[dict[str, dict[str, str | None]], described("By name and column; null where a run has none.")]
     metrics: Annotated[dict[str, ComparedMetric], described("By key.")]
-    unmarked: Annotated[str | None, described("Why no value is marked as the best; null if they are.")]
+    unmarked: Annotated[
+        str | None, described("Which metrics have no value marked as the best, and why; null for none.")
+    ]
     address: Annotated[str, described("The path of the same comparison on the web pages.")]

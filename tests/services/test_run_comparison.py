@@ -7,7 +7,10 @@ from typing import Any, cast
 
 import pytest
 
+from slamhive.domain.host import Host
+from slamhive.domain.trust import Trust, TrustLevel
 from slamhive.services.run_comparison.figures import metric_lines
+from slamhive.services.run_comparison.marks import Unmarked, unmarked_parts
 from slamhive.services.run_comparison.model import MetricLine, RunColumn
 from slamhive.services.run_comparison.settings import setting_lines
 
@@ -16,18 +19,25 @@ pytestmark = pytest.mark.integration  # scipy takes half a second to load
 
 @dataclass(frozen=True)
 class Numbered:
-    """A run that has a number alone."""
+    """What the marks of a comparison need of a run."""
 
     id: int
+    trust: Trust | None = None
+    dataset: str = "room"
+    host: Host | None = None
 
 
-def column(*run_ids: int, failed: tuple[int, ...] = ()) -> RunColumn:
-    return RunColumn(cast("Any", tuple(map(Numbered, run_ids))), failed)
+def column(*run_ids: int, failed: tuple[int, ...] = (), trust: Trust | None = None) -> RunColumn:
+    return RunColumn(cast("Any", tuple(Numbered(run_id, trust) for run_id in run_ids)), failed)
 
 
-def line_of(key: str, values: dict[int, float], *columns: RunColumn, marked: bool = True) -> MetricLine:
-    (line,) = metric_lines(columns, {run: {key: value} for run, value in values.items()}, marked=marked)
+def line_of(key: str, values: dict[int, float], *columns: RunColumn, unmarked: tuple[Unmarked, ...] = ()) -> MetricLine:
+    (line,) = metric_lines(columns, {run: {key: value} for run, value in values.items()}, unmarked)
     return line
+
+
+def parts_of(*runs: Numbered, mixed: bool = False) -> tuple[Unmarked, ...]:
+    return unmarked_parts(cast("Any", runs), mixed_trajectories=mixed)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +55,7 @@ def test_the_better_single_run_is_marked(key: str, values: dict[int, float], bes
 
 def test_a_value_alone_is_not_better_than_nothing():
     values = {1: {"ate.rmse": 0.2}, 2: {}}
-    (line,) = metric_lines((column(1), column(2)), values, marked=True)
+    (line,) = metric_lines((column(1), column(2)), values)
     assert (line.figures[1], line.best) == (None, None)
 
 
@@ -55,8 +65,49 @@ def test_a_failed_run_is_shown_and_never_marked():
     assert line.best == 2
 
 
-def test_nothing_is_marked_between_runs_that_are_not_comparable():
-    assert line_of("ate.rmse", {1: 0.2, 2: 0.1}, column(1), column(2), marked=False).best is None
+def test_a_run_with_low_trust_is_never_marked():
+    low = Trust(TrustLevel.LOW)
+    line = line_of("ate.rmse", {1: 0.01, 2: 0.3, 3: 0.2}, column(1, trust=low), column(2), column(3))
+    assert line.best == 2
+    assert line_of("ate.rmse", {1: 0.01, 2: 0.3}, column(1, trust=low), column(2)).best is None
+    limited = Trust(TrustLevel.LIMITED)
+    assert line_of("ate.rmse", {1: 0.01, 2: 0.3}, column(1, trust=limited), column(2)).best == 0
+
+
+@pytest.mark.parametrize(
+    "key", ["disturbance.others_cores", "playback.lag_max", "cpu.player_mean", "poses", "ate.sse", "ate.over_repeats"]
+)
+def test_what_says_nothing_of_the_algorithm_is_never_marked(key: str):
+    assert line_of(key, {1: 1.0, 2: 2.0}, column(1), column(2)).best is None
+
+
+def test_nothing_is_marked_between_runs_of_several_datasets():
+    unmarked = parts_of(Numbered(1), Numbered(2, dataset="kitti"))
+    assert [entry.words for entry in unmarked] == ["nothing is marked as better: the runs are of 2 datasets"]
+    for key in ("ate.rmse", "cpu.mean"):
+        assert line_of(key, {1: 0.2, 2: 0.1}, column(1), column(2), unmarked=unmarked).best is None
+
+
+def test_errors_of_mixed_trajectories_are_not_marked():
+    unmarked = parts_of(Numbered(1), Numbered(2), mixed=True)
+    assert line_of("ate.rmse", {1: 0.2, 2: 0.1}, column(1), column(2), unmarked=unmarked).best is None
+    assert line_of("cpu.mean", {1: 0.2, 2: 0.1}, column(1), column(2), unmarked=unmarked).best == 1
+
+
+def test_what_several_processors_measured_is_not_marked():
+    one, other = (Host(cpu_model=name, cpu_count=2, memory_bytes=1, kernel="k", os="o") for name in ("A", "B"))
+    unmarked = parts_of(Numbered(1, host=one), Numbered(2, host=other), Numbered(3))
+    assert [entry.words for entry in unmarked] == [
+        "no CPU, memory or time is marked as better: the runs are of 2 CPU models"
+    ]
+    assert line_of("cpu.mean", {1: 0.2, 2: 0.1}, column(1), column(2), unmarked=unmarked).best is None
+    assert line_of("ate.rmse", {1: 0.2, 2: 0.1}, column(1), column(2), unmarked=unmarked).best == 1
+    assert parts_of(Numbered(1, host=one), Numbered(2, host=one), Numbered(3)) == ()
+
+
+def test_a_group_with_one_good_run_is_not_better_than_repeats():
+    values = {1: 0.1, 2: 0.5, 3: 0.51}
+    assert line_of("ate.rmse", values, column(1, 4, failed=(4,)), column(2, 3)).best is None
 
 
 def test_repeats_are_marked_only_if_chance_does_not_explain_the_difference():

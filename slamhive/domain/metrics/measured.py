@@ -16,7 +16,9 @@ _PSI = "Linux pressure stall information, /proc/pressure"
 
 
 def _measured(key: str, label: str, unit: str, definition: str, group: Group, source: str) -> Metric:
-    return Metric(key, label, unit, Direction.LOWER, definition, needs_protocol=False, group=group, source=source)
+    """Less is better, except of what the machine did, for which no run can be praised or blamed."""
+    direction = Direction.NEUTRAL if group is Group.MACHINE else Direction.LOWER
+    return Metric(key, label, unit, direction, definition, needs_protocol=False, group=group, source=source)
 
 
 _USAGE = Group.USAGE
@@ -29,13 +31,15 @@ MEASURED_METRICS = (
     ),
     _measured("cpu.p95", "CPU 95 %", "cores", "Time-weighted 95th percentile of cores in use.", _USAGE, _SAMPLER),
     _measured("cpu.max", "CPU max", "cores", "Largest sample of cores in use.", _USAGE, _SAMPLER),
-    _measured(
-        "cpu.player_mean",
-        "CPU player",
-        "cores",
-        "CPU time of the player process that feeds the recording, over the wall time of the run; part of CPU mean.",
-        _USAGE,
-        _PLAYER,
+    neutral(
+        _measured(
+            "cpu.player_mean",
+            "CPU player",
+            "cores",
+            "CPU time of the player process that feeds the recording, over the wall time of the run; part of CPU mean.",
+            _USAGE,
+            _PLAYER,
+        )
     ),
     _measured(
         "cpu.limit_used",
@@ -114,7 +118,7 @@ MEASURED_METRICS = (
         _NVML,
     ),
     _measured("duration", "Wall time", "s", "From the algorithm's start to its end.", _TIMING, _CLOCK),
-    higher(
+    neutral(  # a system that gives a pose for every keyframe is no worse than one that gives each frame one
         _measured(
             "poses",
             "Poses",
@@ -166,13 +170,15 @@ MEASURED_METRICS = (
         _TIMING,
         _FRAMES,
     ),
-    _measured(
-        "playback.lag_max",
-        "Playback lag",
-        "s",
-        "How late the player was at worst against its schedule.",
-        _TIMING,
-        _PLAYER,
+    neutral(
+        _measured(
+            "playback.lag_max",
+            "Playback lag",
+            "s",
+            "How late the player was at worst against its schedule.",
+            _TIMING,
+            _PLAYER,
+        )
     ),
     _measured(
         "disturbance.others_cores",
@@ -222,15 +228,13 @@ MEASURED_METRICS = (
         _MACHINE,
         "/sys/devices/system/cpu/cpu*/thermal_throttle",
     ),
-    neutral(
-        _measured(
-            "disturbance.cpu_frequency",
-            "CPU frequency",
-            "Hz",
-            "Mean frequency of the fastest core. Unverified on real hardware.",
-            _MACHINE,
-            "/sys/devices/system/cpu/cpu*/cpufreq/scaling_cur_freq",
-        )
+    _measured(
+        "disturbance.cpu_frequency",
+        "CPU frequency",
+        "Hz",
+        "Mean frequency of the fastest core. Unverified on real hardware.",
+        _MACHINE,
+        "/sys/devices/system/cpu/cpu*/cpufreq/scaling_cur_freq",
     ),
     _measured(
         "map.localisation_time",

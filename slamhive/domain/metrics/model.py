@@ -81,13 +81,17 @@ STATISTICS = {
 
 
 def statistics(base: Metric, names: tuple[str, ...]) -> list[Metric]:
-    """One metric for each statistic in ``names`` of the errors that the definition of ``base`` describes."""
+    """One metric for each statistic in ``names`` of the errors that the definition of ``base`` describes.
+
+    A sum grows with the number of poses, so no direction of it is better.
+    """
     return [
         replace(
             base,
             key=f"{base.key}.{name}",
             label=f"{base.label} {name.upper() if name in ('rmse', 'sse') else name}",
             unit=f"{base.unit}²" if name == "sse" else base.unit,
+            direction=Direction.NEUTRAL if name == "sse" else base.direction,
             definition=f"{STATISTICS[name].capitalize()} of {base.definition}.",
         )
         for name in names

@@ -60,12 +60,14 @@ def _relative_size() -> list[Metric]:
             "ATE RMSE over the root mean square distance of the matched true positions from their mean, which is the "
             "ATE RMSE of an estimate that never moves.",
         ),
-        _one(
-            "ate.over_repeats",
-            "ATE over repeats",
-            "",
-            Group.ABSOLUTE,
-            f"ATE RMSE over the median of {repeats}; three at least. It changes when a repeat is evaluated.",
+        neutral(
+            _one(
+                "ate.over_repeats",
+                "ATE over repeats",
+                "",
+                Group.ABSOLUTE,
+                f"ATE RMSE over the median of {repeats}; three at least. It changes when a repeat is evaluated.",
+            )
         ),
         neutral(
             _one(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from slamhive.domain.metrics import METRICS, Direction, Group
+from slamhive.domain.metrics import METRICS, Direction
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import FROM_REPEATS, VerdictKind
 from slamhive.schema.gate import LARGEST_VALUE, MeasuredRun
@@ -52,4 +52,4 @@ def _can_become_worse(key: str) -> bool:
     metric = METRICS.entries.get(key)
     if metric is None or key in FROM_REPEATS:
         return False
-    return metric.direction is not Direction.NEUTRAL and metric.group is not Group.MACHINE
+    return metric.direction is not Direction.NEUTRAL

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from slamhive import strict_yaml
 from slamhive.domain.metrics import Direction, Metric, with_unknown
+from slamhive.services.run_comparison.marks import Unmarked
 from slamhive.services.run_comparison.model import Figure, MetricLine, RunColumn, RunComparison, shown_digits
 
 if TYPE_CHECKING:
@@ -19,18 +20,24 @@ _MEASURED = ({"form": "usage"}, {"form": "latency"})
 Values = Mapping[int, Mapping[str, float]]
 
 
-def metric_lines(columns: Sequence[RunColumn], values: Values, *, marked: bool) -> tuple[MetricLine, ...]:
+def metric_lines(
+    columns: Sequence[RunColumn], values: Values, unmarked: Sequence[Unmarked] = ()
+) -> tuple[MetricLine, ...]:
     """All metrics that a run has, in the order of the catalogue.
 
     Args:
         columns: What stands side by side.
         values: {run: {metric key: value}}.
-        marked: Whether the better column is marked.
+        unmarked: The metrics whose better column is not marked.
     """
     known = {key: value for run_values in values.values() for key, value in run_values.items()}
     metrics = with_unknown(known)
     numbers = {metric.counted_by for metric in metrics}
-    return tuple(_line(metric, columns, values, marked=marked) for metric in metrics if metric.key not in numbers)
+    shown = [metric for metric in metrics if metric.key not in numbers]
+    return tuple(
+        _line(metric, columns, values, marked=not any(entry.holds_for(metric) for entry in unmarked))
+        for metric in shown
+    )
 
 
 def _line(metric: Metric, columns: Sequence[RunColumn], values: Values, *, marked: bool) -> MetricLine:
@@ -69,7 +76,7 @@ def _best(metric: Metric, columns: Sequence[RunColumn], samples: Sequence[Sequen
     rivals = [
         (sign * sum(sample) / len(sample), place)
         for place, (column, sample) in enumerate(zip(columns, samples, strict=True))
-        if sample and not (len(column.runs) == 1 and column.failed)
+        if sample and column.can_be_better
     ]
     if len(rivals) < 2:
         return None
@@ -79,9 +86,9 @@ def _best(metric: Metric, columns: Sequence[RunColumn], samples: Sequence[Sequen
 
 
 def _differ(first: Sequence[float], second: Sequence[float]) -> bool:
-    """Whether two groups differ by more than chance; single values are compared as they are."""
+    """Whether two groups differ by more than chance. Two single values are compared as they are."""
     if min(len(first), len(second)) < 2:
-        return True
+        return len(first) == len(second)
     import numpy as np  # noqa: PLC0415 - loaded for repeats only, with scipy
 
     from slamhive.analysis.statistics import compare_means  # noqa: PLC0415

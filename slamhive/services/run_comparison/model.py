@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from slamhive.domain.metrics import Metric
 from slamhive.domain.numbers import plural
 from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
+from slamhive.domain.trust import TrustLevel
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import whole_number
 from slamhive.schema.comparison import ComparedColumn, ComparedMetric, Comparison
+from slamhive.services.run_comparison.marks import Part, Unmarked
 from slamhive.store.records import RunRecord
 
 FEWEST_RUNS, MOST_RUNS = 2, 20
@@ -39,6 +41,12 @@ class RunColumn:
     def doubtful(self) -> tuple[int, ...]:
         """The numbers of those of its runs that cannot be trusted fully."""
         return tuple(run.id for run in self.runs if run.trust is not None and run.trust.reasons)
+
+    @property
+    def can_be_better(self) -> bool:
+        """Whether one of its runs neither failed nor has low trust: its values are those of the algorithm."""
+        low = {run.id for run in self.runs if run.trust is not None and run.trust.level is TrustLevel.LOW}
+        return any(run_id not in low and run_id not in self.failed for run_id in self.run_ids)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +115,7 @@ class MetricLine:
 class RunComparison:
     """Runs side by side under one protocol; ``protocol`` is None if none of them is evaluated.
 
-    ``unmarked`` says why no metric is marked, if the runs are not comparable.
+    ``unmarked`` says in which metrics the runs are not comparable, so that none is marked as better.
     """
 
     columns: tuple[RunColumn, ...]
@@ -116,7 +124,7 @@ class RunComparison:
     protocol: CommonProtocol | None
     settings: tuple[SettingLine, ...]
     metrics: tuple[MetricLine, ...]
-    unmarked: str
+    unmarked: tuple[Unmarked, ...]
 
     @property
     def runs(self) -> tuple[RunRecord, ...]:
@@ -126,13 +134,17 @@ class RunComparison:
     @property
     def mixed_trajectories(self) -> dict[str, tuple[int, ...]]:
         """The runs by the kind of the trajectory that was judged, if there are several kinds."""
-        if self.protocol is None or with_trajectory(self.protocol.label, TrajectoryKind.LIVE) == self.protocol.label:
-            return {}
-        kinds: dict[str, list[int]] = {}
-        for run in self.runs:
-            if run.trajectory is not None and run.id in self.protocol.runs:
-                kinds.setdefault(run.trajectory.value, []).append(run.id)
-        return {kind: tuple(runs) for kind, runs in sorted(kinds.items())} if len(kinds) > 1 else {}
+        return mixed_trajectories(self.runs, self.protocol)
+
+    @property
+    def marks_nothing(self) -> bool:
+        """Whether no metric at all is marked as better."""
+        return any(entry.part is Part.ALL for entry in self.unmarked)
+
+    @property
+    def single_runs(self) -> bool:
+        """Whether each column is one run, so that nobody knows how much repeats would differ."""
+        return all(len(column.runs) == 1 for column in self.columns)
 
     @property
     def address(self) -> str:
@@ -153,8 +165,19 @@ class RunComparison:
             columns=dict(zip(names, columns, strict=True)),
             settings={line.key: dict(zip(names, line.texts, strict=True)) for line in self.settings},
             metrics={line.metric.key: line.document(names) for line in self.metrics},
-            unmarked=self.unmarked or None,
+            unmarked="; ".join(entry.words for entry in self.unmarked) or None,
         )
+
+
+def mixed_trajectories(runs: Sequence[RunRecord], protocol: CommonProtocol | None) -> dict[str, tuple[int, ...]]:
+    """The runs by the kind of the trajectory that was judged under ``protocol``; empty if all are of one kind."""
+    if protocol is None or with_trajectory(protocol.label, TrajectoryKind.LIVE) == protocol.label:
+        return {}
+    kinds: dict[str, list[int]] = {}
+    for run in runs:
+        if run.trajectory is not None and run.id in protocol.runs:
+            kinds.setdefault(run.trajectory.value, []).append(run.id)
+    return {kind: tuple(members) for kind, members in sorted(kinds.items())} if len(kinds) > 1 else {}
 
 
 def read_run_ids(texts: Iterable[str]) -> tuple[int, ...]:

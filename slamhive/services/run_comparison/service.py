@@ -12,7 +12,8 @@ from slamhive.domain.verdict import judge
 from slamhive.errors import NotFound
 from slamhive.runs.folder import RunFolder
 from slamhive.services.run_comparison.figures import metric_lines
-from slamhive.services.run_comparison.model import CommonProtocol, RunColumn, RunComparison
+from slamhive.services.run_comparison.marks import unmarked_parts
+from slamhive.services.run_comparison.model import CommonProtocol, RunColumn, RunComparison, mixed_trajectories
 from slamhive.services.run_comparison.settings import setting_lines, settings_of
 from slamhive.store import Store
 from slamhive.store.records import EvaluationState, RunRecord
@@ -51,15 +52,14 @@ class RunComparisons:
         evaluated = {run: found.get(fingerprint, {}) if fingerprint else {} for run, found in values.items()}
         columns = _columns(runs, evaluated, grouped=grouped)
         shown = {run: {**values[run].get(None, {}), **found} for run, found in evaluated.items()}
-        datasets = {run.dataset for run in runs}
-        unmarked = f"the runs are of {len(datasets)} datasets" if len(datasets) > 1 else ""
+        unmarked = unmarked_parts(runs, mixed_trajectories=bool(mixed_trajectories(runs, chosen)))
         return RunComparison(
             columns=columns,
             grouped=grouped,
             protocols=protocols,
             protocol=chosen,
             settings=setting_lines([[self._settings_of(run) for run in column.runs] for column in columns]),
-            metrics=metric_lines(columns, shown, marked=not unmarked),
+            metrics=metric_lines(columns, shown, unmarked),
             unmarked=unmarked,
         )
 
