@@ -125,15 +125,16 @@ def iso_time(at: datetime) -> str:
 
 
 def relative_time(at: datetime | None, now: datetime) -> str:
-    """``just now``, ``5 min ago``, ``3 h ago``, ``2 d ago``; the date after a month."""
+    """``just now``, ``5 min ago``, ``in 3 h``; the date if it is more than a month away."""
     if at is None:
         return DASH
-    seconds = (now - at).total_seconds()
+    seconds = abs((now - at).total_seconds())
     if seconds < 10:
         return "just now"
     for below_s, unit_s, unit in ((60, 1, "s"), (3600, 60, "min"), (86_400, 3600, "h"), (30 * 86_400, 86_400, "d")):
         if seconds < below_s:
-            return f"{int(seconds // unit_s)} {unit} ago"
+            amount = f"{int(seconds // unit_s)} {unit}"
+            return f"{amount} ago" if at < now else f"in {amount}"
     return at.astimezone(UTC).strftime("%Y-%m-%d")
 
 
