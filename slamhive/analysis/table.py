@@ -249,7 +249,7 @@ class RunTable:
         if not dated:
             return self.rule.words
         return (
-            f"{self.rule.words} {dated} of the runs were evaluated before this rule: they need "
+            f"{self.rule.words} {dated} of the runs have old evaluations: they need "
             f"{100 * DATED_FRACTION:g} % of the time tracked. Evaluate them again to apply the rule."
         )
 

@@ -128,7 +128,7 @@ def judge_trust(metrics: Mapping[str, float], disturbance: Disturbance | None, *
     if realtime and DROPPED_FRAMES not in metrics:
         missing.append("dropped frames were not counted")
     if disturbance is None or disturbance.disturbed is None:
-        missing.append("it was not recorded whether the machine was disturbed")
+        missing.append("the load of the machine was not recorded")
     return Trust(None if missing else TrustLevel.HIGH, (), tuple(missing))
 
 

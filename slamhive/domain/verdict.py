@@ -123,7 +123,7 @@ class FailureRule:
 
     @property
     def words(self) -> str:
-        """The rule as a sentence for captions."""
+        """The rule in one or two sentences, for captions."""
         parts = ["did not end well", "could not be evaluated"]
         if self.tracked_path_below is not None:
             parts.append(f"tracked less than {100 * self.tracked_path_below:.4g} % of the path")
@@ -135,13 +135,14 @@ class FailureRule:
         if self.ate_path_above_percent is not None:
             errors.append(f"above {self.ate_path_above_percent:g} % of the path")
         if self.ate_extent_above_percent is not None:
-            errors.append(f"above {self.ate_extent_above_percent:g} % of that of an estimate that never moves")
+            errors.append(f"above {self.ate_extent_above_percent:g} % of the error of standing still")
         if self.outliers:
-            factors = f"{_LEAST_FACTOR:g} to {_LARGEST_FACTOR:g} times, depending on their spread,"
+            factors = f"{_LEAST_FACTOR:g} to {_LARGEST_FACTOR:g} times"
             errors.append(f"more than {factors} the median of {FEWEST_REPEATS} or more repeats")
-        if errors:
-            parts.append(f"diverged (ATE RMSE {_either(errors)})")
-        return f"A run counts as failed if it {_either(parts)}."
+        if not errors:
+            return f"A run counts as failed if it {_either(parts)}."
+        diverged = f"It diverged if its ATE RMSE is {_either(errors)}."
+        return f"A run counts as failed if it {_either([*parts, 'diverged'])}. {diverged}"
 
 
 DEFAULT_RULE = FailureRule()
@@ -149,10 +150,7 @@ DEFAULT_RULE = FailureRule()
 DATED_FRACTION = 0.75
 """Evaluations without ``tracked.path`` are judged by the share of time that was tracked."""
 
-_DATED = (
-    "The evaluation is older than this rule, so the verdict rests on the metrics that it has; "
-    "evaluate the run again to renew it."
-)
+_DATED = "An older version evaluated this run, so some metrics are missing; evaluate the run again to renew it."
 
 
 def judge(metrics: Mapping[str, float], rule: FailureRule = DEFAULT_RULE) -> Verdict:

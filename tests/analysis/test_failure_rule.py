@@ -54,7 +54,7 @@ def test_keyframe_runs_are_good_and_diverged_ones_have_failed() -> None:
 def test_runs_from_before_the_rule_are_judged_by_what_they_have_and_the_caption_says_so() -> None:
     found = table({"ate.rmse": [0.1, 0.1], "tracked_fraction": [0.2, 0.9], "tracked.path": [None, None]})
     assert list(found.frame[FAILED]) == ["tracked too little", None]
-    assert "2 of the runs were evaluated before this rule" in found.rule_words
+    assert "2 of the runs have old evaluations" in found.rule_words
     assert "Evaluate them again" in found.rule_words
 
 

@@ -137,8 +137,8 @@ def test_another_rule_may_be_stricter_looser_or_leave_parts_out():
 def test_the_rule_is_stated_in_words():
     assert DEFAULT_RULE.words == (
         "A run counts as failed if it did not end well, could not be evaluated, tracked less than 70 % of the path or "
-        "diverged (ATE RMSE above 5 % of the path, above 50 % of that of an estimate that never moves or more than 4 "
-        "to 6 times, depending on their spread, the median of 3 or more repeats)."
+        "diverged. It diverged if its ATE RMSE is above 5 % of the path, above 50 % of the error of standing still or "
+        "more than 4 to 6 times the median of 3 or more repeats."
     )
     assert FailureRule(None, None, None, None, None, outliers=False).words == (
         "A run counts as failed if it did not end well or could not be evaluated."
