@@ -12,10 +12,26 @@ from slamhive.domain.numbers import plural as plural  # noqa: PLC0414 - re-expor
 DASH = "–"
 PERCENT_METRICS = frozenset(
     {
-        *("tracked_fraction", "frames.dropped_fraction", "deadline.missed_fraction", "relations.matched_fraction"),
         "cpu.limit_used",
+        "deadline.missed_fraction",
+        "disturbance.cpu_pressure",
+        "disturbance.io_pressure",
+        "disturbance.memory_pressure",
+        "disturbance.steal_fraction",
+        "frames.dropped_fraction",
+        "gpu.utilisation_max",
+        "gpu.utilisation_mean",
+        "map.localised_fraction",
+        "nees.orientation.within",
+        "nees.position.within",
+        "relations.matched_fraction",
+        "tracked.path",
+        "tracked.time",
+        "tracked_fraction",
+        *(f"map.{kind}.{size}" for kind in ("accuracy", "completeness", "fscore") for size in ("5cm", "10cm", "20cm")),
     }
 )
+"""Shares, which are stored as 0 to 1."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,7 +70,10 @@ def test_a_report_counts_names_and_shows(world):
     page = report_page(report, world.catalogue.project_root)
     assert "<b>name" not in page.split("<script")[0]
     assert 'href="javascript:' not in page
-    assert "http://" not in page.split("<script")[0]
+    text = page.split("<script")[0]
+    assert "http://" not in text
+    assert text.count("counts as failed if") == 1, "captions on the page do not repeat it"
+    assert "counts as failed if" in report.forms[0].charts[0].caption, "exported files state it"
 
 
 def test_disturbed_runs_are_kept_and_told_or_left_out_on_request(world):
