@@ -13,6 +13,7 @@ from slamhive.schema.analysis import StoredAnalysis
 from slamhive.schema.collection import PublicSequence
 from slamhive.schema.experiment import Cell, ExperimentStatus, Grid
 from slamhive.schema.fields import described
+from slamhive.schema.finding import FoundThing
 from slamhive.schema.model import Document
 from slamhive.schema.run import Run
 from slamhive.schema.types import Moment
@@ -182,6 +183,12 @@ class Datasets(Document):
     """All datasets."""
 
     datasets: tuple[catalogue.Dataset, ...]
+
+
+class FoundThings(Document):
+    """What a search over everything found."""
+
+    found: Annotated[tuple[FoundThing, ...], described("The best 8 of each kind.")]
 
 
 class PublicDatasets(Document):

@@ -37,6 +37,13 @@ def test_names_and_descriptions_are_found(shown: Web) -> None:
     assert names(shown, "no such thing") == {}
 
 
+def test_the_api_finds_what_the_page_finds(shown: Web) -> None:
+    found = shown.client.get("/api/v1/find?q=eye-slam").get_json()["found"]
+    assert [entry["name"] for entry in found] == ["eye-slam-mono", "eye-slam-stereo"]
+    assert {entry["kind"] for entry in found} == {"algorithm"}
+    assert shown.client.get("/api/v1/find").status_code == 400
+
+
 def test_a_number_is_a_run(shown: Web) -> None:
     assert names(shown, "3")["run"] == ["Run 3"]
     assert names(shown, "run 3")["run"] == ["Run 3"]

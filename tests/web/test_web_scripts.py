@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from slamhive.cli.main import main
 from slamhive.settings import Settings
 from slamhive.store.records import RunSort
-from slamhive.web.presenters.scripts import search_scripts
+from slamhive.web.presenters.scripts import experiment_scripts, search_scripts
 from tests.web.web_world import RUNS, Web
 
 pytestmark = pytest.mark.integration
@@ -46,3 +46,19 @@ def test_no_filter_can_leave_its_quotes(shown: Web, monkeypatch: pytest.MonkeyPa
     arguments = ["--data", str(shown.hive.settings.data), *shlex.split(command.text)[1:]]
     done = CliRunner().invoke(main, arguments)
     assert (done.exit_code, done.stdout.splitlines()[1:]) == (0, []), done.output
+
+
+def test_other_pages_show_their_scripts(shown: Web) -> None:
+    compared = html.unescape(shown.client.get(f"/compare?runs={RUNS['done']},{RUNS['failed']}").text)
+    assert f"slamhive compare {RUNS['done']} {RUNS['failed']}</pre>" in compared
+    assert f"/api/v1/comparison?runs={RUNS['done']},{RUNS['failed']}'</pre>" in compared
+    dataset = html.unescape(shown.client.get("/datasets/hall").text)
+    assert "hive.runs.where('dataset = hall').to_pandas()" in dataset
+    assert shown.client.get("/api/v1/datasets/hall").status_code == 200
+
+
+def test_the_scripts_of_an_experiment_name_it() -> None:
+    python, command, curl = experiment_scripts("two words", Settings())
+    assert "hive.experiments.get('two words')" in python.text
+    assert shlex.split(command.text) == ["slamhive", "experiment", "report", "two words"]
+    assert shlex.split(curl.text)[1].endswith("/api/v1/experiments/two%20words/cells")

@@ -97,6 +97,9 @@ COMPARISON_ARGUMENTS = (
     Argument("protocol", "Fingerprint; by default the protocol that most of the runs have.", TEXT),
     Argument("group", "One column for all repeats.", _choice("configuration")),
 )
+FIND_ARGUMENTS = (
+    Argument("q", "Words of names and descriptions, the number of a run, a tag or a filter.", TEXT, required=True),
+)
 PUBLIC_ARGUMENTS = (Argument("words", "Only sequences that all these words fit.", TEXT),)
 TIMESTAMP_ARGUMENTS = (
     Argument("timestamp", "A header timestamp in s.", {"type": "number", "minimum": 0}, required=True),

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from slamhive.schema.api_answers import FilterField, FilterFields, Removal, SavedSearch, SavedSearches
+from flask import request
+
+from slamhive.errors import InvalidInput
+from slamhive.schema.api_answers import FilterField, FilterFields, FoundThings, Removal, SavedSearch, SavedSearches
 from slamhive.schema.api_requests import SearchRequest
+from slamhive.schema.finding import FoundThing
 from slamhive.services.exports import RunExport
+from slamhive.services.finding import LONGEST_TEXT, find
 from slamhive.store.records import RunSort, SavedSearchRecord
+from slamhive.web.api.arguments import FIND_ARGUMENTS
 from slamhive.web.api.operation import Section
 from slamhive.web.api.table import TABLE
 from slamhive.web.context import hive
@@ -16,6 +22,16 @@ from slamhive.web.presenters.search import fields_of_filters
 def filter_fields() -> FilterFields:
     """The names that a filter may use, with unit and values to choose from."""
     return FilterFields(fields=tuple(map(FilterField.model_validate, fields_of_filters(hive()))))
+
+
+@TABLE.get(Section.SEARCHES, "/find", FoundThings, FIND_ARGUMENTS)
+def find_anything() -> FoundThings:
+    """Everything with these words in its name or description, of each kind the best 8."""
+    text = request.args.get("q", "").strip()[:LONGEST_TEXT]
+    if not text:
+        raise InvalidInput("q is empty", "say what to find, for example ?q=kiss")
+    groups = find(hive(), text)
+    return FoundThings(found=tuple(FoundThing.of(entry) for entries in groups.values() for entry in entries))
 
 
 @TABLE.get(Section.SEARCHES, "/searches", SavedSearches)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
+from urllib.parse import quote
 
 from slamhive.settings import Settings
 from slamhive.store.records import RunSort
@@ -37,6 +39,39 @@ def search_scripts(where: str, sort: RunSort, settings: Settings) -> tuple[Scrip
         f"table = hive.runs{chosen}.sort({sort.key!r}{order}).to_pandas()",
         shlex.join(command),
         shlex.join(["curl", "--get", f"{_server(settings)}/api/v1/runs", *data]),
+    )
+
+
+def comparison_scripts(run_ids: Sequence[int], settings: Settings, *, grouped: bool) -> tuple[Script, ...]:
+    """A comparison of runs; in Python, their metrics as a table."""
+    numbers = ",".join(map(str, run_ids))
+    group = "&group=configuration" if grouped else ""
+    command = f"slamhive compare {' '.join(map(str, run_ids))}{' --group configuration' if grouped else ''}"
+    return _scripts(
+        settings,
+        f"import pandas as pd\n\ntable = pd.DataFrame({{run: hive.runs.get(run).metrics for run in ({numbers})}})",
+        command,
+        f"curl '{_server(settings)}/api/v1/comparison?runs={numbers}{group}'",
+    )
+
+
+def experiment_scripts(name: str, settings: Settings) -> tuple[Script, ...]:
+    """The results of an experiment."""
+    return _scripts(
+        settings,
+        f"experiment = hive.experiments.get({name!r})\ntable = experiment.runs.to_pandas()",
+        shlex.join(["slamhive", "experiment", "report", name]),
+        shlex.join(["curl", f"{_server(settings)}/api/v1/experiments/{quote(name)}/cells"]),
+    )
+
+
+def dataset_scripts(name: str, settings: Settings) -> tuple[Script, ...]:
+    """The description of a dataset; in Python, its runs."""
+    return _scripts(
+        settings,
+        f"table = hive.runs.where({f'dataset = {name}'!r}).to_pandas()",
+        shlex.join(["slamhive", "dataset", "show", name]),
+        shlex.join(["curl", f"{_server(settings)}/api/v1/datasets/{quote(name)}"]),
     )
 
 

@@ -9,6 +9,7 @@ from slamhive.errors import InvalidInput
 from slamhive.services.run_comparison import RunComparison, analysis_text, plots_of, read_run_ids
 from slamhive.web.context import hive
 from slamhive.web.presenters import comparison as presenter
+from slamhive.web.presenters.scripts import comparison_scripts
 
 blueprint = Blueprint("compare", __name__, url_prefix="/compare")
 
@@ -31,6 +32,7 @@ def show() -> Response:
             metrics=presenter.metric_groups(compared),
             args=presenter.address_args(compared),
             analysis=analysis_text(compared),
+            scripts=comparison_scripts([run.id for run in compared.runs], hive().settings, grouped=compared.grouped),
         )
     )
 

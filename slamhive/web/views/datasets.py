@@ -20,6 +20,7 @@ from slamhive.web.context import dataset_checker, hive, variant_maker
 from slamhive.web.figures import best_plane, motion_figures, path_figures, sweep_figure
 from slamhive.web.formatting import plural
 from slamhive.web.presenters.catalogue import lacking, step_kinds
+from slamhive.web.presenters.scripts import dataset_scripts
 from slamhive.web.run_form import read_steps
 
 _COLOUR = OKABE_ITO[0]
@@ -71,6 +72,7 @@ def show(name: str) -> str:
         dataset=dataset,
         algorithms=[(algorithm, lacking(algorithm, dataset)) for algorithm in services.catalogue.algorithms()],
         run_count=runs.total,
+        scripts=dataset_scripts(name, services.settings),
         variants=[(entry, load(Variant, entry.steps)) for entry in services.variants.entries(name)],
         cache_bytes=services.settings.variant_cache_bytes,
         making=variant_maker().latest(name),

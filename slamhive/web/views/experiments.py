@@ -21,6 +21,7 @@ from slamhive.web.experiment_page import CellsQuery, GridQuery, page_number, rep
 from slamhive.web.formatting import plural
 from slamhive.web.presenters import experiments as presenter
 from slamhive.web.presenters import rankings
+from slamhive.web.presenters.scripts import experiment_scripts
 
 blueprint = Blueprint("experiments", __name__, url_prefix="/experiments")
 
@@ -81,6 +82,7 @@ def show(name: str) -> str:
         cells=cells,
         metrics=metrics,
         lines=presenter.cell_lines(page.cells, shown_axes, metrics, _protocol_labels(page.cells)),
+        scripts=experiment_scripts(name, hive().settings),
         rankings=[] if status.cells > LARGE else _rankings(name, page.cells, shown_axes),
     )
 
