@@ -71,7 +71,7 @@ def test_the_examples_of_the_documentation_work(address: str, capsys: pytest.Cap
                 asyncio.run(waits)
     shown = capsys.readouterr()
     assert re.search(r"^succeeded \d", shown.out)
-    assert "2/2" in shown.err
+    assert "2 of 2" in shown.err
     assert "[1, 2]" in shown.out
     assert "'seconds': 0.05" in shown.out
     assert "unknown run 123456" in shown.out
