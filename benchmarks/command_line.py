@@ -15,8 +15,17 @@ import subprocess
 import sys
 from pathlib import Path
 
-BARE = [sys.executable, "-c", "import sqlalchemy, pydantic, numpy, click"]
-COMMANDS = (("--version",), ("runs",), ("runs", "--json"), ("search", "list"), ("experiment", "list"))
+BARE = [sys.executable, "-c", "import sqlalchemy, click"]
+COMMANDS = (
+    ("--version",),
+    ("runs",),
+    ("runs", "--json"),
+    ("search", "list"),
+    ("experiment", "list"),
+    ("dataset", "list"),
+    ("algorithm", "list"),
+    ("nodes",),
+)
 
 
 def cpu_s(command: list[str]) -> float:

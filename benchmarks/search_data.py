@@ -27,7 +27,6 @@ from slamhive.store.metrics import VERDICT
 from slamhive.store.models import (
     MEASURED_PROTOCOL_ID,
     Algorithm,
-    Base,
     Configuration,
     ConfigurationValue,
     Dataset,
@@ -36,6 +35,7 @@ from slamhive.store.models import (
     Parameter,
     Run,
 )
+from slamhive.store.tables import Base
 from slamhive.store.verdicts import CODES
 
 REPEATS = 5

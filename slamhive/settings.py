@@ -6,14 +6,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
-
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 ENVIRONMENT_PREFIX = "SLAMHIVE_"
 LARGEST = {"bytes": 1e15}
@@ -75,6 +71,22 @@ class ExecutorOption:
     secret: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class SettingKind:
+    """What a setting may be. ``kind`` is the type of its values; numbers are from ``minimum`` to ``maximum``.
+
+    ``unit`` is that of the number, empty for none. The value of a ``secret`` is shown nowhere.
+    """
+
+    kind: type[Any]
+    default: Any
+    help: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    secret: bool
+
+
 def setting(
     default: Any,
     help_text: str,
@@ -84,17 +96,19 @@ def setting(
     maximum: float | None = None,
     secret: bool = False,
 ) -> Any:
-    """A field of :class:`Settings` with its documentation; numbers have bounds, and secrets are shown nowhere."""
-    number = isinstance(default, int | float) and not isinstance(default, bool)
-    highest = LARGEST.get(unit, 1e9) if number and maximum is None else maximum
-    extra: dict[str, Any] = {"unit": unit, "secret": secret}
-    return Field(default, description=help_text, ge=minimum, le=highest, repr=not secret, json_schema_extra=extra)
+    """A field of :class:`Settings` with its documentation. Its values have the type of ``default``."""
+    kind = Path if isinstance(default, Path) else type(default)
+    highest = LARGEST.get(unit, 1e9) if kind in (int, float) and maximum is None else maximum
+    about = SettingKind(kind, default, help_text, unit, minimum, highest, secret)
+    return field(default=default, repr=not secret, metadata={SettingKind: about})
 
 
-class Settings(BaseSettings):
-    """All settings of one installation, checked and typed."""
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """All settings of one installation; :mod:`slamhive.settings_sources` checks what users set.
 
-    model_config = SettingsConfigDict(frozen=True, extra="forbid", env_prefix=ENVIRONMENT_PREFIX, env_ignore_empty=True)
+    ``further``: the values, by name in lower case, of settings that an executor declares, unless they are left out.
+    """
 
     mode: Mode = setting(
         Mode.WORKSTATION, "workstation, view-only, or cluster and cloud, where algorithms run on other machines only"
@@ -209,30 +223,11 @@ class Settings(BaseSettings):
         "", "Folder with sources as NAME-COMMIT.tar.xz for building images offline; empty means their repositories"
     )
 
-    _further: dict[str, str] = PrivateAttr(default_factory=dict)
+    further: Mapping[str, str] = field(default_factory=dict, repr=False)
 
-    @property
-    def further(self) -> Mapping[str, str]:
-        """The values, by name in lower case, of settings that an executor declares, unless they are left out."""
-        return MappingProxyType(self._further)
-
-    def with_further(self, values: Mapping[str, str]) -> Settings:
-        """The same settings with these values of settings that an executor declares."""
-        made = self.model_copy()
-        made._further = dict(values)
-        return made
-
-    @classmethod
-    def settings_customise_sources(cls, *_: Any, **sources: Any) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Only what is passed: ``Settings()`` holds the defaults, and ``settings_sources`` reads the sources."""
-        return (sources["init_settings"],)
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _is_no_number(cls, value: object, info: ValidationInfo) -> object:
-        if isinstance(value, bool) and cls.model_fields[str(info.field_name)].annotation is not bool:
-            raise ValueError("a truth value is not a number")
-        return value
+    def with_values(self, values: Mapping[str, Any]) -> Settings:
+        """The same settings with these values."""
+        return replace(self, **values)
 
     @property
     def effective_database_url(self) -> str:
@@ -308,3 +303,9 @@ class Settings(BaseSettings):
     def runs_folder(self) -> Path:
         """Where run folders lie."""
         return self.data / "runs"
+
+
+SETTINGS: Mapping[str, SettingKind] = {
+    entry.name: entry.metadata[SettingKind] for entry in fields(Settings) if entry.metadata
+}
+"""What each setting may be, by the name of its field, in order of definition."""

@@ -39,7 +39,7 @@ MAPPING_SCRIPT = "slamhive/mapping.py"
 
 
 class _LidarModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
     point_time: Need = Need.OPTIONAL
     ring: Need = Need.IGNORED
     organised: Need = Need.IGNORED
@@ -49,7 +49,7 @@ class _LidarModel(BaseModel):
 
 
 class _ModeModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
     title: str
     setup: SensorSetup
     inputs: dict[str, SensorKind]
@@ -78,7 +78,7 @@ class _ModeModel(BaseModel):
 
 
 class _ResourcesModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
     cpu_cores: float = Field(default=2.0, gt=0)
     memory_mb: int = Field(default=4096, gt=0)
     shm_mb: int | None = Field(default=None, gt=0)
@@ -86,7 +86,7 @@ class _ResourcesModel(BaseModel):
 
 
 class _WeightsModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=200)
     licence: str
     page: str
@@ -96,7 +96,7 @@ class _WeightsModel(BaseModel):
 
 
 class _BoundModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
     poses: int = Field(ge=1)
     ate_rmse_m: float | None = Field(default=None, gt=0)
     relations_m: float | None = Field(default=None, gt=0)
@@ -114,7 +114,7 @@ class _BoundModel(BaseModel):
 
 
 class _PackageModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
     format: Literal[1]
     package: str
     title: str

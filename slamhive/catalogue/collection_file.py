@@ -56,7 +56,7 @@ Words = list[Annotated[str, Field(pattern=r"\A[a-z0-9][a-z0-9-]{0,40}\z")]]
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
 
 
 class NeedModel(_Model):

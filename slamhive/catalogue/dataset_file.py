@@ -29,7 +29,7 @@ _CAMERAS = {SensorKind.CAMERA, SensorKind.DEPTH}
 
 
 class _SensorModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
     name: str
     kind: SensorKind
     topic: str
@@ -53,7 +53,7 @@ class _SensorModel(BaseModel):
 
 
 class _GroundTruthModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
     file: str
     gravity_aligned: bool
     positions_only: bool = False
@@ -62,7 +62,7 @@ class _GroundTruthModel(BaseModel):
 
 
 class _DatasetModel(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
     format: Literal[1]
     name: str
     title: str = ""

@@ -10,7 +10,7 @@ _TOPIC = r"^/[A-Za-z][\w/]{0,200}$"
 class OriginModel(BaseModel):
     """Where the package was imported from; see :class:`slamhive.domain.algorithm.PackageOrigin`."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
     source: str
     commit: str | None = None
     checksum: str | None = None
@@ -22,7 +22,7 @@ class OriginModel(BaseModel):
 class TopicModel(BaseModel):
     """How the algorithm learns of the topic of a role; see :class:`slamhive.domain.remaps.TopicOf`."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
     fixed: str | None = Field(default=None, pattern=_TOPIC)
     argument: str | None = Field(default=None, pattern=r"^[A-Za-z]\w{0,63}$")
     parameter: str | None = None

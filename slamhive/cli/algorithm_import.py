@@ -97,4 +97,4 @@ def _show_result(made: ImportedPackage, *, as_json: bool) -> None:
     )
 
 
-IMPORT_COMMANDS = (import_, remove)
+COMMANDS = (import_, remove)

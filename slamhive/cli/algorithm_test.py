@@ -106,3 +106,6 @@ def _print(results: Sequence[BoundResult]) -> None:
 
 def _number(value: float | None, digits: int) -> str | None:
     return None if value is None else f"{value:.{digits}f}"
+
+
+COMMANDS = (test,)

@@ -97,4 +97,4 @@ def prune(cli: CliContext, name: str | None, dry_run: bool) -> None:
         click.echo("no version is unused")
 
 
-VERSION_COMMANDS = (versions, verify, export, remove_version, prune)
+COMMANDS = (versions, verify, export, remove_version, prune)

@@ -69,3 +69,6 @@ def _print(hive: Hive, entries: tuple[StoredWeights, ...], *, as_json: bool) -> 
             for entry in entries
         ],
     )
+
+
+COMMANDS = (weights_command,)

@@ -8,19 +8,23 @@ from typing import Any
 import click
 
 from slamhive.cli import offers
-from slamhive.cli.algorithm_import import IMPORT_COMMANDS
-from slamhive.cli.algorithm_test import test
-from slamhive.cli.algorithm_versions import VERSION_COMMANDS
-from slamhive.cli.algorithm_weights import weights_command
 from slamhive.cli.context import CliContext, json_option, pass_cli
+from slamhive.cli.groups import LazyGroup
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.domain.algorithm import Algorithm as Entry
 from slamhive.domain.parameters import Parameter
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.schema.catalogue import Algorithm
 
+_ELSEWHERE = {
+    **dict.fromkeys(("import", "remove"), "algorithm_import"),
+    "test": "algorithm_test",
+    "weights": "algorithm_weights",
+    **dict.fromkeys(("versions", "verify", "export", "remove-version", "prune"), "algorithm_versions"),
+}
 
-@click.group()
+
+@click.group(cls=LazyGroup, modules=_ELSEWHERE)
 def algorithm() -> None:
     """List, show, build and test algorithms; list, verify and move their versions."""
 
@@ -118,10 +122,6 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
         raise click.exceptions.Exit(1)
 
 
-for _command in (test, weights_command, *VERSION_COMMANDS):
-    algorithm.add_command(_command)
-
-
 def _json(entry: Entry, identities: Mapping[str, str | None]) -> dict[str, Any]:
     return {**Algorithm.of(entry).content, "identity": identities[entry.package.name]}
 
@@ -141,8 +141,5 @@ def _default(parameter: Parameter) -> str:
 def _text(value: Any) -> str:
     return ", ".join(f"{number:g}" for number in value) if isinstance(value, tuple) else str(value)
 
-
-for _command in IMPORT_COMMANDS:
-    algorithm.add_command(_command)
 
 COMMANDS = (algorithm,)

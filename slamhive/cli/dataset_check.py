@@ -50,3 +50,6 @@ def _where(finding: Finding) -> str:
     if finding.at_s is None:
         return "everywhere"
     return f"{finding.at_s:.2f} s" + (f" and {finding.count - 1} more" if finding.count > 1 else "")
+
+
+COMMANDS = (check,)

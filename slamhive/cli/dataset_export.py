@@ -42,3 +42,6 @@ def export(cli: CliContext, name: str, format_name: str, folder: Path | None, pa
     for note in plan.notes:
         tell(note)
     click.echo(str(target))
+
+
+COMMANDS = (export,)

@@ -155,5 +155,5 @@ def _needs(entry: PublicSequence) -> str | None:
     return ", ".join(need.kind.value for need in entry.needs) or None
 
 
-IN_GROUP = (fetch, search, links)
+COMMANDS = (fetch, search, links)
 """Commands of the group ``dataset``."""

@@ -5,29 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamhive.bags.importing import ImportOptions
-from slamhive.bags.room import RoomOptions
-from slamhive.cli import dataset_fetch, offers
+from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.dataset_check import check
-from slamhive.cli.dataset_export import export
+from slamhive.cli.groups import LazyGroup
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput
-from slamhive.services.datasets import (
-    MotionSummary,
-    PlannedImport,
-    dataset_document,
-    draw_ground_truth,
-    motion_summary,
-)
+
+if TYPE_CHECKING:
+    from slamhive.services.datasets import MotionSummary, PlannedImport
+
+_ELSEWHERE = {
+    "check": "dataset_check",
+    "export": "dataset_export",
+    **dict.fromkeys(("fetch", "search", "links"), "dataset_fetch"),
+}
 
 
-@click.group()
+@click.group(cls=LazyGroup, modules=_ELSEWHERE)
 def dataset() -> None:
     """Fetch, import, export, render and show datasets."""
 
@@ -74,6 +73,8 @@ def import_(
     cli: CliContext, source: Path, name: str | None, format_name: str | None, preview: bool, as_json: bool, **given: Any
 ) -> None:
     """Make a dataset of the recording at PATH: a file or a folder, its format is detected."""
+    from slamhive.bags.importing import ImportOptions  # noqa: PLC0415 - lists need neither importers nor OpenCV
+
     catalogue = cli.hive(indexed=False).catalogue
     given["topics"] = _topics(given["topics"])
     planned = catalogue.plan_import(source, ImportOptions(**given), format_name=format_name, name=name)
@@ -135,6 +136,8 @@ def _show_plan(planned: PlannedImport) -> None:
 @pass_cli
 def room(cli: CliContext, name: str, seconds: float, seed: int, as_json: bool) -> None:
     """Render the synthetic room: stereo, depth, IMU, LiDAR and exact ground truth."""
+    from slamhive.bags.room import RoomOptions  # noqa: PLC0415
+
     options = RoomOptions(name=name, duration_s=seconds, seed=seed)
     with progress_bar(f"rendering {name}") as progress:
         made = cli.hive(indexed=False).catalogue.render_room(options, progress)
@@ -183,6 +186,8 @@ def list_(cli: CliContext, as_json: bool) -> None:
 @pass_cli
 def show(cli: CliContext, name: str, picture: Path | None, as_json: bool) -> None:
     """Show one dataset: sensors, calibration, ground truth and its motion."""
+    from slamhive.services.datasets import draw_ground_truth, motion_summary  # noqa: PLC0415 - loads OpenCV
+
     entry = cli.hive(indexed=False).catalogue.dataset(name)
     exists = entry.groundtruth_path is not None and entry.groundtruth_path.is_file()
     motion = motion_summary(entry) if exists else None
@@ -223,6 +228,8 @@ def remove(cli: CliContext, name: str) -> None:
 
 
 def _to_json(entry: Dataset) -> dict[str, Any]:
+    from slamhive.services.datasets import dataset_document  # noqa: PLC0415 - a plain list has no documents
+
     return {**dataset_document(entry).content, "folder": str(entry.folder)}
 
 
@@ -270,8 +277,5 @@ def _ground_truth_in_words(entry: Dataset) -> str:
     )
     return f"{truth.file}, {', '.join(trait for trait in traits if trait)}"
 
-
-for _command in (check, export, *dataset_fetch.IN_GROUP):
-    dataset.add_command(_command)
 
 COMMANDS = (dataset,)

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from slamhive import __version__, registry
+from slamhive import __version__
 from slamhive.cli.context import CliContext
 from slamhive.cli.groups import LazyGroup
 from slamhive.cli.mistakes import mistakes_end_with
@@ -48,6 +48,9 @@ MODULES = {
     "worker": "serving",
 }
 """The module of each command."""
+
+REGISTRY = "slamhive.registry"
+"""The logger of the module that loads plug-ins. Importing it for its name would load ``importlib.metadata``."""
 
 
 class Root(LazyGroup):
@@ -90,6 +93,6 @@ def main(context: click.Context, data: Path | None, database_url: str | None, ve
     """
     level = logging.INFO if verbose else logging.ERROR
     logging.basicConfig(level=level, format="%(levelname)s %(name)s: %(message)s")
-    logging.getLogger(registry.__name__).setLevel(logging.WARNING)  # what it says of broken plug-ins is always shown
+    logging.getLogger(REGISTRY).setLevel(logging.WARNING)  # what it says of broken plug-ins is always shown
     context.obj = CliContext({"data": None if data is None else data.absolute(), "database_url": database_url})
     context.call_on_close(context.obj.close)

@@ -6,15 +6,17 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
 from slamhive.clock import monotonic_s
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 STATE_STYLES = {"succeeded": "green", "failed": "red", "cancelled": "yellow", "running": "cyan", "queued": "dim"}
 PIPED_WIDTH = 160
@@ -130,14 +132,7 @@ def progress_bar(title: str, *, tells_left: bool = True) -> Iterator[Callable[[f
     if not messages.is_terminal:
         yield _plain_progress(title, tells_left=tells_left)
         return
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        *((TextColumn("left"), TimeRemainingColumn()) if tells_left else ()),
-        console=messages,
-    ) as bar:
+    with _bar("{task.percentage:>3.0f} %", tells_left=tells_left) as bar:
         task = bar.add_task(title, total=1.0)
         yield lambda fraction, text: bar.update(task, completed=fraction, description=f"{title}: {text}")
 
@@ -152,20 +147,22 @@ def counting_bar(title: str, total: int, *, tells_left: bool = True) -> Iterator
         plain = _plain_progress(title, tells_left=tells_left)
         yield lambda done, text: plain(done / total if total else 1.0, _counted(done, total, text))
         return
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        *((TextColumn("left"), TimeRemainingColumn()) if tells_left else ()),
-        console=messages,
-    ) as bar:
+    with _bar("{task.completed}/{task.total}", tells_left=tells_left) as bar:
         task = bar.add_task(title, total=total)
         yield lambda done, text: bar.update(task, completed=done, description=f"{title}: {text}")
 
 
 def _counted(done: int, total: int, text: str) -> str:
     return f"{done} of {total}, {text}" if text else f"{done} of {total}"
+
+
+def _bar(share: str, *, tells_left: bool) -> Progress:
+    """A bar with what it is about, how much is done in the form ``share``, and times."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # noqa: PLC0415
+
+    left = (TextColumn("left"), TimeRemainingColumn()) if tells_left else ()
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn(share), TimeElapsedColumn(), *left)
+    return Progress(*columns, console=messages)
 
 
 def _plain_progress(title: str, *, tells_left: bool = True) -> Callable[[float, str], None]:

@@ -11,8 +11,9 @@ import click
 from slamhive.domain.sensor_choice import parse_choices
 from slamhive.domain.variant import Variant, parse_step
 from slamhive.errors import InvalidInput
-from slamhive.schema.fields import Option
-from slamhive.schema.submission import CONTENT, OPTIONS, RULES, parse_stop_when
+from slamhive.schema.limits import RULES
+from slamhive.schema.options import Option
+from slamhive.schema.submission import CONTENT, OPTIONS, parse_stop_when
 
 Command = Callable[..., Any]
 Decorator = Callable[[Command], Command]

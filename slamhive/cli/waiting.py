@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from slamhive.cli.output import counting_bar, tell
 from slamhive.cli.phases import words
@@ -12,8 +13,10 @@ from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
 from slamhive.services.experiments import Phase, Standing
 from slamhive.services.hive import Hive
-from slamhive.services.worker import WORKED_ON, WorkingMeanwhile
 from slamhive.store import EvaluationState, RunRecord
+
+if TYPE_CHECKING:
+    from slamhive.services.worker import WorkingMeanwhile
 
 PAUSE_S = 0.3
 
@@ -30,6 +33,8 @@ def run_to_end(
     If no worker runs on this machine, this process works on these runs itself. An interrupt (Ctrl-C) cancels what has
     not ended. ``on_end`` is called with each run as soon as it is complete.
     """
+    from slamhive.services.worker import WorkingMeanwhile  # noqa: PLC0415 - lists and reports wait for nothing
+
     with WorkingMeanwhile(hive.worker, lambda: run_ids) as worker:
         try:
             _show_until_complete(hive, run_ids, evaluate, on_end, worker)
@@ -48,6 +53,8 @@ def experiment_to_end(
     experiment as it is: the next worker, or the same command again, goes on. ``on_end`` as in :func:`run_to_end`;
     ``title`` stands before the progress.
     """
+    from slamhive.services.worker import WORKED_ON, WorkingMeanwhile  # noqa: PLC0415 - as above
+
     with WorkingMeanwhile(hive.worker, lambda: hive.experiments.unfinished(name)[:WORKED_ON]) as worker:
         try:
             _show_experiment(hive, name, on_end, worker, title)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
-from slamhive.domain.sensors import SensorSetup
+if TYPE_CHECKING:
+    from slamhive.domain.algorithm import Algorithm
+    from slamhive.domain.sensors import SensorSetup
 
 IMPORTED = "imported"
 """The executor of imported runs."""
@@ -16,6 +18,8 @@ EXTERNAL_PACKAGE = "(imported)"
 
 def external_algorithm(name: str, setup: SensorSetup) -> Algorithm:
     """The algorithm called ``name``, whose trajectories describe the body. It cannot be run."""
+    from slamhive.domain.algorithm import Algorithm, AlgorithmPackage  # noqa: PLC0415 - lists of runs need only names
+
     package = AlgorithmPackage(
         name=EXTERNAL_PACKAGE, folder=Path(), title=name, version="", upstream="", licence="", citation=""
     )

@@ -15,7 +15,7 @@ from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.executors.base import Executor, ExecutorContext
 from slamhive.files import write_aside
 from slamhive.registry import Registry
-from slamhive.settings import ExecutorOption, Settings
+from slamhive.settings import SETTINGS, ExecutorOption
 
 AUTO = "auto"
 _INSTALLATION_FILE = "installation"
@@ -34,7 +34,7 @@ def _read(name: str, found: Any) -> Mapping[str, ExecutorFactory]:
     if not isinstance(options, tuple) or not all(isinstance(option, ExecutorOption) for option in options):
         raise InvalidInput("its options are no tuple of ExecutorOption", "see docs/extend/executor.md")
     for option in options:
-        if (setting := _setting_name(name, option)) in Settings.model_fields:
+        if (setting := _setting_name(name, option)) in SETTINGS:
             raise InvalidInput(f"its option {option.name} would be the setting {setting.upper()}, which SLAM Hive has")
     return {name: found}
 

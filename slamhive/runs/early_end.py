@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from slamhive.domain.run import FailureReason
-from slamhive.schema.submission import StopWhen
+from slamhive.schema.limits import StopWhen
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ PerDay = Annotated[int, Field(ge=1, le=MOST_PER_DAY)]
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 class SequenceEntry(_Part):

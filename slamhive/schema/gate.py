@@ -11,11 +11,11 @@ from slamhive.domain.gate import Answer
 from slamhive.domain.metrics import Direction
 from slamhive.domain.verdict import VerdictKind
 from slamhive.schema.fields import described
+from slamhive.schema.limits import Limits
 from slamhive.schema.model import Document
 from slamhive.schema.protocol import StatedProtocol
 from slamhive.schema.record import ConfigurationContent
 from slamhive.schema.run import ProtocolName
-from slamhive.schema.submission import Limits
 from slamhive.schema.types import Moment
 
 LARGEST_VALUE = 1e15

@@ -10,9 +10,9 @@ from pydantic import StrictInt as Whole
 from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode
 from slamhive.domain.variant import Variant
 from slamhive.schema.fields import described
+from slamhive.schema.limits import NEVER
 from slamhive.schema.model import Document
 from slamhive.schema.protocol import StatedProtocol
-from slamhive.schema.submission import NEVER
 from slamhive.schema.types import Definitions, Moment, Rules, Uid, Values
 
 

@@ -15,10 +15,10 @@ from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.variant import Variant
 from slamhive.schema.fields import described
 from slamhive.schema.imports import Origin
+from slamhive.schema.limits import NEVER
 from slamhive.schema.model import Document
 from slamhive.schema.protocol import StatedProtocol
 from slamhive.schema.run import Event
-from slamhive.schema.submission import NEVER
 from slamhive.schema.types import FoundDisturbance, Moment, Rules, Values
 
 FORMAT = 1

@@ -16,8 +16,8 @@ from slamhive.domain.trust import TrustLevel
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import VerdictKind
 from slamhive.schema.fields import described
+from slamhive.schema.limits import Limits
 from slamhive.schema.model import Document
-from slamhive.schema.submission import Limits
 from slamhive.schema.types import FoundDisturbance, Moment, Rules, Timestamp, Values
 
 

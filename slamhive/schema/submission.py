@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import Annotated, Any
-
-from pydantic import ConfigDict, with_config
+from typing import Annotated, Any, ClassVar
 
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode
@@ -15,50 +13,18 @@ from slamhive.domain.parameters import Value, parse_settings
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput, unknown
-from slamhive.schema.fields import described, options_of
+from slamhive.schema.limits import NEVER, RULES, CpuCores, MemoryMb, StopWhen, TimeoutS
+from slamhive.schema.options import Asked, options_of
 
 CONTENT = "content"
 """The group of the fields that make up a configuration."""
 MAX_REPEATS = 1000
 
-CpuCores = Annotated[
-    float | None,
-    described(
-        "CPU limit of each run; by default that of the settings.",
-        title="CPU limit",
-        unit="cores",
-        group="limits",
-        ge=0.1,
-        le=1024,
-    ),
-]
-MemoryMb = Annotated[
-    int | None,
-    described(
-        "Memory limit of each run; by default what the algorithm asks for.",
-        title="Memory limit",
-        unit="MB",
-        group="limits",
-        ge=16,
-        le=10_000_000,
-    ),
-]
-TimeoutS = Annotated[
-    float | None,
-    described(
-        "Wall-clock limit of each run; by default derived from the duration of the recording.",
-        title="Time limit",
-        unit="s",
-        group="limits",
-        ge=1,
-        le=30 * 86_400,
-    ),
-]
-Executor = Annotated[str | None, described("Where runs are executed; by default the executor in force.")]
-Priority = Annotated[int, described("Runs with a higher priority start first.", ge=-1000, le=1000)]
+Executor = Annotated[str | None, Asked("Where runs are executed; by default the executor in force.")]
+Priority = Annotated[int, Asked("Runs with a higher priority start first.", ge=-1000, le=1000)]
 StartingMap = Annotated[
     str | None,
-    described(
+    Asked(
         "Number or uid of the run whose saved map the algorithm starts with, to find itself in it.",
         title="Start with the map of run",
         group=CONTENT,
@@ -66,11 +32,11 @@ StartingMap = Annotated[
 ]
 RequestedAlignment = Annotated[
     Alignment | None,
-    described("How the estimate is aligned to the ground truth; by default as the sensors require."),
+    Asked("How the estimate is aligned to the ground truth; by default as the sensors require."),
 ]
 RepeatDisturbed = Annotated[
     int,
-    described(
+    Asked(
         "How often a run is repeated at most because the machine was disturbed while it was measured.",
         title="Repeat if disturbed",
         ge=0,
@@ -80,57 +46,13 @@ RepeatDisturbed = Annotated[
 
 SameCpu = Annotated[
     bool,
-    described(
-        "All runs of the experiment are measured on one CPU model; false allows several.", title="Same CPU model"
-    ),
+    Asked("All runs of the experiment are measured on one CPU model; false allows several.", title="Same CPU model"),
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What each run may use; None means the default of the settings or of the package."""
-
-    cpu_cores: CpuCores = None
-    memory_mb: MemoryMb = None
-    timeout_s: TimeoutS = None
-
-
-def _rule(title: str, description: str, unit: str = "") -> Any:
-    return described(description, title=title, unit=unit, group="stop_when", gt=0)
-
-
-@dataclass(frozen=True, slots=True)
-class StopWhen:
-    """When a run ends early, with the reason recorded. None never ends one."""
-
-    lost_tracking_s: Annotated[
-        float | None, _rule("No pose for", "End the run after so many seconds of the recording without a pose.", "s")
-    ] = None
-    memory_mb: Annotated[int | None, _rule("Memory above", "End the run when it uses more memory.", "MB")] = None
-    time_s: Annotated[float | None, _rule("Time above", "End the run when it takes longer.", "s")] = None
-    failures_of_configuration: Annotated[
-        int | None,
-        _rule("Failures of its configuration", "Skip the run once its configuration has failed this often."),
-    ] = None
-
-    @property
-    def content(self) -> dict[str, Any]:
-        """The rules that are set, as JSON."""
-        return {name: value for name in RULES if (value := getattr(self, name)) is not None}
-
-    @classmethod
-    def of(cls, content: Mapping[str, Any] | None) -> StopWhen:
-        """The rules of :attr:`content`. None, for an absent column or key, is no rule; unknown rules are ignored."""
-        return cls(**{name: value for name, value in (content or {}).items() if name in RULES})
-
-
-RULES = tuple(option.name for option in options_of(StopWhen))
 _RULE_PREFIX = "stop_when."
-NEVER = StopWhen()
-"""No rule: the run ends by itself or at its limits."""
 
 
-@with_config(ConfigDict(extra="forbid", allow_inf_nan=False, title="SLAM Hive submission"))
 @dataclass(frozen=True, slots=True)
 class Submission:
     """A request for one or more runs of one configuration.
@@ -139,42 +61,49 @@ class Submission:
     """
 
     algorithm: Annotated[
-        str, described("Name of the algorithm; NAME@2 is version 2 of its package, NAME the newest.", group=CONTENT)
+        str, Asked("Name of the algorithm; NAME@2 is version 2 of its package, NAME the newest.", group=CONTENT)
     ]
-    dataset: Annotated[str, described("Name of the dataset.", group=CONTENT)]
+    dataset: Annotated[str, Asked("Name of the dataset.", group=CONTENT)]
     parameters: Annotated[
         Mapping[str, Value],
-        described(
+        Asked(
             "Values of the algorithm's parameters, by key or general name; the others keep their defaults.",
             group=CONTENT,
         ),
     ] = field(default_factory=dict)
-    repeat: Annotated[int, described("How many runs of this configuration.", ge=1, le=MAX_REPEATS)] = 1
+    repeat: Annotated[int, Asked("How many runs of this configuration.", ge=1, le=MAX_REPEATS)] = 1
     executor: Executor = None
-    seed: Annotated[int, described("Seed of the first run; repeats get the next ones.", ge=0, le=2**31 - 1)] = 0
+    seed: Annotated[int, Asked("Seed of the first run; repeats get the next ones.", ge=0, le=2**31 - 1)] = 0
     playback_mode: Annotated[
         PlaybackMode,
-        described("realtime: a slow algorithm loses frames; sequential: no frame is lost.", group=CONTENT),
+        Asked("realtime: a slow algorithm loses frames; sequential: no frame is lost.", group=CONTENT),
     ] = PlaybackMode.REALTIME
     playback_rate: Annotated[
-        float, described("Playback speed; 2.0 plays twice as fast.", group=CONTENT, ge=0.01, le=100)
+        float, Asked("Playback speed; 2.0 plays twice as fast.", group=CONTENT, ge=0.01, le=100)
     ] = 1.0
-    evaluate: Annotated[bool, described("Evaluate each run that succeeds.")] = True
+    evaluate: Annotated[bool, Asked("Evaluate each run that succeeds.")] = True
     alignment: RequestedAlignment = None
     cpu_cores: CpuCores = None
     memory_mb: MemoryMb = None
     timeout_s: TimeoutS = None
     priority: Priority = 0
-    variant: Annotated[Variant, described("Pre-processing steps of the dataset, in order.", group=CONTENT)] = ()
+    variant: Annotated[Variant, Asked("Pre-processing steps of the dataset, in order.", group=CONTENT)] = ()
     sensors: Annotated[
         Mapping[str, str],
-        described(
+        Asked(
             "The sensor for a role, where several fit; the other roles follow the order of the dataset.", group=CONTENT
         ),
     ] = field(default_factory=dict)
     map: StartingMap = None
-    stop_when: Annotated[StopWhen, described("Rules that end a run early.")] = NEVER
+    stop_when: Annotated[StopWhen, Asked("Rules that end a run early.")] = NEVER
     repeat_disturbed: RepeatDisturbed = 0
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {
+        "extra": "forbid",
+        "allow_inf_nan": False,
+        "title": "SLAM Hive submission",
+    }
+    """How documents are read and described; pydantic itself is not loaded for it."""
 
     def configuration(self, algorithm: Algorithm, input_map: InputMap | None = None) -> Configuration:
         """The checked configuration, its variant as it was given; raises NotFound or InvalidInput naming the value.

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, St
 
 from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.parameters import Parameter, ParameterType, Value
-from slamhive.schema.submission import StopWhen
+from slamhive.schema.limits import StopWhen
 
 
 def _moment(raw: object) -> object:

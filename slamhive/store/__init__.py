@@ -2,36 +2,41 @@
 
 from __future__ import annotations
 
-from slamhive.store.account_records import Account, Act, AuditLine, Credentials, Key, KeyKind, NewKey
-from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
-from slamhive.store.configuration_records import (
-    ConfigurationFilter,
-    ConfigurationPage,
-    ConfigurationRecord,
-    ParameterCondition,
-    StoredParameter,
-)
-from slamhive.store.leases import Lease
-from slamhive.store.records import (
-    AlgorithmRecord,
-    AlgorithmVersion,
-    Count,
-    DatasetRecord,
-    EvaluationRecord,
-    EvaluationState,
-    LeaseLost,
-    Page,
-    ProtocolLabel,
-    RunFields,
-    RunRecord,
-    RunRequest,
-    RunSnapshot,
-    RunSort,
-    VersionRecord,
-)
-from slamhive.store.same_cpu import Machine
-from slamhive.store.store import AbsentStore, Store, open_store
-from slamhive.store.transaction import Transaction
+from typing import TYPE_CHECKING
+
+from slamhive.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from slamhive.store.account_records import Account, Act, AuditLine, Credentials, Key, KeyKind, NewKey
+    from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
+    from slamhive.store.configuration_records import (
+        ConfigurationFilter,
+        ConfigurationPage,
+        ConfigurationRecord,
+        ParameterCondition,
+        StoredParameter,
+    )
+    from slamhive.store.leases import Lease
+    from slamhive.store.records import (
+        AlgorithmRecord,
+        AlgorithmVersion,
+        Count,
+        DatasetRecord,
+        EvaluationRecord,
+        EvaluationState,
+        LeaseLost,
+        Page,
+        ProtocolLabel,
+        RunFields,
+        RunRecord,
+        RunRequest,
+        RunSnapshot,
+        RunSort,
+        VersionRecord,
+    )
+    from slamhive.store.same_cpu import Machine
+    from slamhive.store.store import AbsentStore, Store, open_store
+    from slamhive.store.transaction import Transaction
 
 __all__ = [
     "AbsentStore",
@@ -70,3 +75,6 @@ __all__ = [
     "VersionRecord",
     "open_store",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazy_names(__name__)

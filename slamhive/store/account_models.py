@@ -2,55 +2,52 @@
 
 from __future__ import annotations
 
-from datetime import datetime
-from typing import Any
-
-from sqlalchemy import ForeignKey, Index, String
-from sqlalchemy.orm import Mapped, mapped_column
+from sqlalchemy import ForeignKey, Index, Integer, String
 
 from slamhive.domain.accounts import Role
 from slamhive.store.account_records import KeyKind
-from slamhive.store.models import NAME_LENGTH, TABLE_OPTIONS, Base
-from slamhive.store.types import JsonText
+from slamhive.store.models import NAME_LENGTH
+from slamhive.store.tables import TABLE_OPTIONS, Base, column, optional
+from slamhive.store.types import JsonText, UtcDateTime, enum_column
 
 
 class Account(Base):
     """Somebody who can sign in. Rows are never removed."""
 
     __tablename__ = "accounts"
-    id: Mapped[int] = mapped_column(primary_key=True)
-    name: Mapped[str] = mapped_column(String(NAME_LENGTH), unique=True)
-    role: Mapped[Role]
-    password_hash: Mapped[str] = mapped_column(String(190))
-    created_at: Mapped[datetime]
-    disabled_at: Mapped[datetime | None]
+    id = column(Integer, primary_key=True)
+    name = column(String(NAME_LENGTH), unique=True)
+    role = column(enum_column(Role))
+    password_hash = column(String(190))
+    created_at = column(UtcDateTime)
+    disabled_at = optional(UtcDateTime)
 
 
 class AccountKey(Base):
-    """What proves who somebody is: a session or an API token. Only the SHA-256 digest of its secret is stored."""
+    """What proves who somebody is: a connection or an API token. Only the SHA-256 digest of its secret is stored."""
 
     __tablename__ = "account_keys"
-    id: Mapped[int] = mapped_column(primary_key=True)
-    account_id: Mapped[int] = mapped_column(ForeignKey("accounts.id"), index=True)
-    kind: Mapped[KeyKind]
-    name: Mapped[str] = mapped_column(String(NAME_LENGTH))
-    digest: Mapped[str] = mapped_column(String(64), unique=True)
-    scopes: Mapped[Any] = mapped_column(JsonText)
-    created_at: Mapped[datetime]
-    expires_at: Mapped[datetime]
-    used_at: Mapped[datetime | None]
+    id = column(Integer, primary_key=True)
+    account_id = column(Integer, ForeignKey("accounts.id"), index=True)
+    kind = column(enum_column(KeyKind))
+    name = column(String(NAME_LENGTH))
+    digest = column(String(64), unique=True)
+    scopes = column(JsonText)
+    created_at = column(UtcDateTime)
+    expires_at = column(UtcDateTime)
+    used_at = optional(UtcDateTime)
 
 
 class AccountIdentity(Base):
     """Who somebody is at a provider of OpenID Connect; ``digest`` identifies issuer and subject together."""
 
     __tablename__ = "account_identities"
-    id: Mapped[int] = mapped_column(primary_key=True)
-    account_id: Mapped[int] = mapped_column(ForeignKey("accounts.id"), index=True)
-    digest: Mapped[str] = mapped_column(String(64), unique=True)
-    issuer: Mapped[str] = mapped_column(String(500))
-    subject: Mapped[str] = mapped_column(String(255))
-    created_at: Mapped[datetime]
+    id = column(Integer, primary_key=True)
+    account_id = column(Integer, ForeignKey("accounts.id"), index=True)
+    digest = column(String(64), unique=True)
+    issuer = column(String(500))
+    subject = column(String(255))
+    created_at = column(UtcDateTime)
 
 
 class AuditLine(Base):
@@ -58,11 +55,11 @@ class AuditLine(Base):
 
     __tablename__ = "audit_log"
     __table_args__ = (Index("ix_audit_log_account", "account", "id"), TABLE_OPTIONS)
-    id: Mapped[int] = mapped_column(primary_key=True)
-    uid: Mapped[str] = mapped_column(String(32), unique=True)
-    at: Mapped[datetime]
-    account: Mapped[str] = mapped_column(String(NAME_LENGTH))
-    via: Mapped[str] = mapped_column(String(100))
-    address: Mapped[str] = mapped_column(String(64))
-    action: Mapped[str] = mapped_column(String(64))
-    subject: Mapped[str] = mapped_column(String(500))
+    id = column(Integer, primary_key=True)
+    uid = column(String(32), unique=True)
+    at = column(UtcDateTime)
+    account = column(String(NAME_LENGTH))
+    via = column(String(100))
+    address = column(String(64))
+    action = column(String(64))
+    subject = column(String(500))

@@ -26,7 +26,7 @@ class AccountRepository(Repository):
     def add(self, name: str, role: Role, password_hash: str, now: datetime) -> Account:
         """Add an account; raises Conflict if the name is taken."""
         values = {"role": role, "password_hash": password_hash, "created_at": now}
-        get_or_insert(self._session, models.Account, {"name": name}, values)
+        get_or_insert(self._connection, models.Account, {"name": name}, values)
         credentials = self.credentials(name)
         if credentials.password_hash != password_hash:  # its salt is random: after a lost answer, this one is ours
             raise Conflict(f"there is an account {name!r} already", "choose another name, or change its password")
@@ -34,12 +34,12 @@ class AccountRepository(Repository):
 
     def all(self) -> list[Account]:
         """All accounts, by name."""
-        return [_account(row) for row in self._session.execute(select(_ACCOUNTS).order_by(_ACCOUNTS.c.name))]
+        return [_account(row) for row in self._connection.execute(select(_ACCOUNTS).order_by(_ACCOUNTS.c.name))]
 
     def exist(self) -> bool:
         """Whether anybody can sign in."""
         query = select(_ACCOUNTS.c.id).where(_ACCOUNTS.c.disabled_at.is_(None)).limit(1)
-        return self._session.execute(query).first() is not None
+        return self._connection.execute(query).first() is not None
 
     def named(self, name: str) -> Account:
         """The account of that name; raises NotFound."""
@@ -55,7 +55,7 @@ class AccountRepository(Repository):
     def find(self, name: str, *, locked: bool = False) -> Credentials | None:
         """As :meth:`credentials`, or None. ``locked``: nobody changes the account until the transaction ends."""
         query = select(_ACCOUNTS).where(_ACCOUNTS.c.name == name)
-        row = self._session.execute(query.with_for_update() if locked else query).one_or_none()
+        row = self._connection.execute(query.with_for_update() if locked else query).one_or_none()
         return None if row is None else Credentials(_account(row), row.password_hash)
 
     def set_password(self, name: str, password_hash: str) -> None:
@@ -71,14 +71,14 @@ class AccountRepository(Repository):
         self._update(name, disabled_at=at)
 
     def _update(self, name: str, **values: Any) -> None:
-        self._session.execute(update(_ACCOUNTS).where(_ACCOUNTS.c.name == name).values(values))
+        self._connection.execute(update(_ACCOUNTS).where(_ACCOUNTS.c.name == name).values(values))
 
     # -- who somebody is elsewhere -----------------------------------------------------------------------------------
 
     def known_as(self, identity: Identity) -> Credentials | None:
         """The account that this identity belongs to."""
         query = select(_ACCOUNTS).join(_IDENTITIES, _IDENTITIES.c.account_id == _ACCOUNTS.c.id)
-        row = self._session.execute(query.where(_IDENTITIES.c.digest == identity.digest)).one_or_none()
+        row = self._connection.execute(query.where(_IDENTITIES.c.digest == identity.digest)).one_or_none()
         return None if row is None else Credentials(_account(row), row.password_hash)
 
     def link(self, account_id: int, identity: Identity, now: datetime) -> None:
@@ -89,7 +89,7 @@ class AccountRepository(Repository):
             "subject": identity.subject,
             "created_at": now,
         }
-        get_or_insert(self._session, models.AccountIdentity, {"digest": identity.digest}, values)
+        get_or_insert(self._connection, models.AccountIdentity, {"digest": identity.digest}, values)
         found = self.known_as(identity)
         if found is None or found.account.id != account_id:
             owner = "nobody" if found is None else found.account.name
@@ -98,11 +98,11 @@ class AccountRepository(Repository):
     def identities(self, account_id: int) -> list[Identity]:
         """The identities of an account."""
         query = select(_IDENTITIES.c.issuer, _IDENTITIES.c.subject).where(_IDENTITIES.c.account_id == account_id)
-        return [Identity(row.issuer, row.subject) for row in self._session.execute(query.order_by(_IDENTITIES.c.id))]
+        return [Identity(row.issuer, row.subject) for row in self._connection.execute(query.order_by(_IDENTITIES.c.id))]
 
     def unlink(self, account_id: int) -> None:
         """Remove all identities of an account."""
-        self._session.execute(delete(_IDENTITIES).where(_IDENTITIES.c.account_id == account_id))
+        self._connection.execute(delete(_IDENTITIES).where(_IDENTITIES.c.account_id == account_id))
 
     # -- sessions and tokens -----------------------------------------------------------------------------------------
 
@@ -113,7 +113,7 @@ class AccountRepository(Repository):
             "account_id": account_id,
             "scopes": list(key.scopes),
         }
-        key_id, _ = get_or_insert(self._session, models.AccountKey, {"digest": key.digest}, values)
+        key_id, _ = get_or_insert(self._connection, models.AccountKey, {"digest": key.digest}, values)
         if key.kind is KeyKind.SESSION:
             self._end_oldest_sessions(account_id)
         return self._key(_joined().where(_KEYS.c.id == key_id))
@@ -121,7 +121,7 @@ class AccountRepository(Repository):
     def _end_oldest_sessions(self, account_id: int) -> None:
         query = select(_KEYS.c.id).where(_KEYS.c.account_id == account_id, _KEYS.c.kind == KeyKind.SESSION)
         surplus = self._column(query.order_by(_KEYS.c.id.desc()))[MOST_SESSIONS:]
-        self._session.execute(delete(_KEYS).where(_KEYS.c.id.in_(surplus)))
+        self._connection.execute(delete(_KEYS).where(_KEYS.c.id.in_(surplus)))
 
     def key(self, kind: KeyKind, digest: str, now: datetime) -> Key | None:
         """The session or token of this digest; None if there is none, it has expired, or its account is disabled."""
@@ -131,7 +131,7 @@ class AccountRepository(Repository):
             _KEYS.c.expires_at > now,
             _ACCOUNTS.c.disabled_at.is_(None),
         )
-        row = self._session.execute(query).one_or_none()
+        row = self._connection.execute(query).one_or_none()
         return None if row is None else _key(row)
 
     def tokens(self, name: str | None = None) -> list[Key]:
@@ -139,7 +139,7 @@ class AccountRepository(Repository):
         query = _joined().where(_KEYS.c.kind == KeyKind.TOKEN)
         if name is not None:
             query = query.where(_ACCOUNTS.c.name == name)
-        rows = self._session.execute(query.order_by(_ACCOUNTS.c.name, _KEYS.c.id))
+        rows = self._connection.execute(query.order_by(_ACCOUNTS.c.name, _KEYS.c.id))
         return [_key(row) for row in rows]
 
     def token(self, key_id: int, owner: str | None = None) -> Key:
@@ -149,26 +149,26 @@ class AccountRepository(Repository):
 
     def touch(self, key_id: int, now: datetime) -> None:
         """Note that a token is used."""
-        self._session.execute(update(_KEYS).where(_KEYS.c.id == key_id).values(used_at=now))
+        self._connection.execute(update(_KEYS).where(_KEYS.c.id == key_id).values(used_at=now))
 
     def revoke(self, key_id: int) -> None:
         """Remove an API token."""
-        self._session.execute(delete(_KEYS).where(_KEYS.c.id == key_id, _KEYS.c.kind == KeyKind.TOKEN))
+        self._connection.execute(delete(_KEYS).where(_KEYS.c.id == key_id, _KEYS.c.kind == KeyKind.TOKEN))
 
     def end_session(self, digest: str) -> None:
         """Remove one session, if it is there."""
-        self._session.execute(delete(_KEYS).where(_KEYS.c.digest == digest, _KEYS.c.kind == KeyKind.SESSION))
+        self._connection.execute(delete(_KEYS).where(_KEYS.c.digest == digest, _KEYS.c.kind == KeyKind.SESSION))
 
     def end_sessions(self, account_id: int) -> None:
         """Remove all sessions of an account."""
-        self._session.execute(delete(_KEYS).where(_KEYS.c.account_id == account_id, _KEYS.c.kind == KeyKind.SESSION))
+        self._connection.execute(delete(_KEYS).where(_KEYS.c.account_id == account_id, _KEYS.c.kind == KeyKind.SESSION))
 
     def forget_expired_sessions(self, now: datetime) -> None:
         """Remove sessions that have expired. Expired tokens stay in the list of their owner."""
-        self._session.execute(delete(_KEYS).where(_KEYS.c.kind == KeyKind.SESSION, _KEYS.c.expires_at <= now))
+        self._connection.execute(delete(_KEYS).where(_KEYS.c.kind == KeyKind.SESSION, _KEYS.c.expires_at <= now))
 
     def _key(self, query: Select[Any]) -> Key:
-        row = self._session.execute(query).one_or_none()
+        row = self._connection.execute(query).one_or_none()
         if row is None:
             raise NotFound("there is no such API token", "slamhive account token list shows those that exist")
         return _key(row)

@@ -32,7 +32,7 @@ class AnalysisRepository(LeaseQueue[str]):
 
     def put(self, record: AnalysisRecord) -> None:
         """File an analysis as its folder describes it; a worker that computes it loses it. May be repeated."""
-        changes_of(self._session).started.add(f"analysis {record.name}")
+        changes_of(self._connection).started.add(f"analysis {record.name}")
         values = {
             "name": record.name,
             "listed": record.listed,
@@ -42,8 +42,8 @@ class AnalysisRepository(LeaseQueue[str]):
             "attempt": 0,
             **NO_LEASE,
         }
-        if not changed(self._session, update(_TABLE).where(_TABLE.c.token == record.token).values(values)):
-            self._session.execute(insert(_TABLE).values(token=record.token, **values))
+        if not changed(self._connection, update(_TABLE).where(_TABLE.c.token == record.token).values(values)):
+            self._connection.execute(insert(_TABLE).values(token=record.token, **values))
 
     def get(self, token: str) -> AnalysisRecord:
         """The analysis at this address; raises NotFound."""
@@ -55,7 +55,7 @@ class AnalysisRepository(LeaseQueue[str]):
     def listed(self, limit: int) -> list[AnalysisRecord]:
         """The analyses that the list shows, newest first."""
         query = select(_TABLE).where(_TABLE.c.listed == True).order_by(_TABLE.c.id.desc()).limit(limit)  # noqa: E712
-        return [_record(row) for row in self._session.execute(query)]
+        return [_record(row) for row in self._connection.execute(query)]
 
     def visitors(self) -> list[AnalysisRecord]:
         """The analyses that visitors made in view-only mode, oldest first."""
@@ -76,11 +76,11 @@ class AnalysisRepository(LeaseQueue[str]):
     def list_or_not(self, token: str, *, listed: bool) -> None:
         """Show it in the list, or at its address only. Raises NotFound."""
         self.get(token)
-        self._session.execute(update(_TABLE).where(_TABLE.c.token == token).values(listed=listed))
+        self._connection.execute(update(_TABLE).where(_TABLE.c.token == token).values(listed=listed))
 
     def delete(self, token: str) -> bool:
         """Delete it; whether it existed. A worker that computes it learns of it with its next heartbeat."""
-        return changed(self._session, delete(_TABLE).where(_TABLE.c.token == token)) == 1
+        return changed(self._connection, delete(_TABLE).where(_TABLE.c.token == token)) == 1
 
     # -- the queue -------------------------------------------------------------------------------------------------
 
@@ -105,18 +105,18 @@ class AnalysisRepository(LeaseQueue[str]):
         runs, evaluations = Run.__table__, Evaluation.__table__
         for part in chunks(sorted(run_ids)):
             facts = select(runs.c.id, runs.c.state, runs.c.reason, runs.c.current_protocol_id)
-            for row in self._session.execute(facts.where(runs.c.id.in_(part)).order_by(runs.c.id)):
+            for row in self._connection.execute(facts.where(runs.c.id.in_(part)).order_by(runs.c.id)):
                 digest.update(repr(tuple(row)).encode())
             latest = select(evaluations.c.run_id, func.count(), func.max(evaluations.c.id)).where(
                 evaluations.c.run_id.in_(part), evaluations.c.ended_at.is_not(None)
             )
-            for row in self._session.execute(latest.group_by(evaluations.c.run_id).order_by(evaluations.c.run_id)):
+            for row in self._connection.execute(latest.group_by(evaluations.c.run_id).order_by(evaluations.c.run_id)):
                 digest.update(repr(tuple(row)).encode())
         return digest.hexdigest()
 
     def _records(self, condition: ColumnElement[bool]) -> list[AnalysisRecord]:
         query = select(_TABLE).where(condition).order_by(_TABLE.c.id)
-        return [_record(row) for row in self._session.execute(query)]
+        return [_record(row) for row in self._connection.execute(query)]
 
 
 def _ending(record: AnalysisRecord) -> dict[str, Any]:

@@ -62,7 +62,7 @@ class ArchiveRepository(Repository):
         """{number: uid} of runs."""
         found: dict[int, str] = {}
         for part in chunks(sorted(set(run_ids))):
-            for row in self._session.execute(select(_RUNS.c.id, _RUNS.c.uid).where(_RUNS.c.id.in_(part))):
+            for row in self._connection.execute(select(_RUNS.c.id, _RUNS.c.uid).where(_RUNS.c.id.in_(part))):
                 found[row.id] = row.uid
         return found
 
@@ -87,7 +87,7 @@ class ArchiveRepository(Repository):
             .order_by(_EVALUATIONS.c.id)
         )
         found: dict[int, list[EndedEvaluation]] = defaultdict(list)
-        for row in self._session.execute(query):
+        for row in self._connection.execute(query):
             values = {name: getattr(row, name) for name in AS_FILED}
             found[row.run_id].append(EndedEvaluation(domain.protocol_from_content(row.definition), **values))
         return found
@@ -96,15 +96,15 @@ class ArchiveRepository(Repository):
         """The moves of these runs, oldest first."""
         query = select(_EVENTS).where(_EVENTS.c.run_id.in_(run_ids)).order_by(_EVENTS.c.id)
         found: dict[int, list[RunEvent]] = defaultdict(list)
-        for row in self._session.execute(query):
+        for row in self._connection.execute(query):
             found[row.run_id].append(RunEvent(row.at, row.from_state, row.to_state, row.why))
         return found
 
     def saved_searches(self) -> list[tuple[SavedSearchRecord, datetime]]:
         """All saved searches, and when each of them was saved."""
-        rows = self._session.execute(select(SavedSearch.name, SavedSearch.created_at))
+        rows = self._connection.execute(select(SavedSearch.name, SavedSearch.created_at))
         from_name = {row.name: row.created_at for row in rows}
-        return [(record, from_name[record.name]) for record in SearchRepository(self._session).saved()]
+        return [(record, from_name[record.name]) for record in SearchRepository(self._connection).saved()]
 
     # -- in --------------------------------------------------------------------------------------------------------
 
@@ -114,32 +114,32 @@ class ArchiveRepository(Repository):
 
     def dataset_if_absent(self, name: str, values: Mapping[str, Any]) -> int:
         """The id of the dataset of this name; stored with ``values`` if there is none."""
-        return get_or_insert(self._session, Dataset, {"name": name}, values)[0]
+        return get_or_insert(self._connection, Dataset, {"name": name}, values)[0]
 
     def algorithm_if_absent(self, name: str, package: str, mode: str) -> int:
         """The id of the algorithm of this name; stored if there is none."""
-        return get_or_insert(self._session, Algorithm, {"name": name}, {"package": package, "mode": mode})[0]
+        return get_or_insert(self._connection, Algorithm, {"name": name}, {"package": package, "mode": mode})[0]
 
     def put_configurations(
         self, entries: Sequence[NewConfiguration], created_at: Sequence[datetime]
     ) -> list[tuple[int, bool]]:
         """The number of each configuration, and whether it is new. New ones keep their original time of creation."""
-        found = ConfigurationRepository(self._session).get_or_create_many(entries, max(created_at))
+        found = ConfigurationRepository(self._connection).get_or_create_many(entries, max(created_at))
         times = {number: at for (number, new), at in zip(found, created_at, strict=True) if new}
         table = Configuration.__table__
         for number, at in times.items():
-            self._session.execute(update(table).where(table.c.id == number).values(created_at=at))
-        changes = changes_of(self._session)
+            self._connection.execute(update(table).where(table.c.id == number).values(created_at=at))
+        changes = changes_of(self._connection)
         changes.configurations = [replace(row, at=times.get(row.id, row.at)) for row in changes.configurations]
         return found
 
     def experiment(self, uid: str) -> str | None:
         """The name of the experiment with this uid; None if there is none."""
-        return self._session.execute(select(Experiment.name).where(Experiment.uid == uid)).scalar_one_or_none()
+        return self._connection.execute(select(Experiment.name).where(Experiment.uid == uid)).scalar_one_or_none()
 
     def put_experiment(self, uid: str, name: str, values: Mapping[str, Any]) -> int:
         """The id of the experiment with this uid, stored if there is none; the caller chooses a free ``name``."""
-        return get_or_insert(self._session, Experiment, {"uid": uid}, {"name": name, **values})[0]
+        return get_or_insert(self._connection, Experiment, {"uid": uid}, {"name": name, **values})[0]
 
     def add_cells(self, experiment_id: int, cells: Sequence[NewCell]) -> None:
         """Store the cells that are not stored yet."""
@@ -148,13 +148,13 @@ class ArchiveRepository(Repository):
             numbers = _CELLS.c.number.between(min(wanted), max(wanted))
             here = self._numbers(_CELLS.c.number, _CELLS.c.experiment_id == experiment_id, numbers)
             missing = [cell for cell in cells if cell.number not in here]
-            ExperimentRepository(self._session).add_cells(experiment_id, missing)
+            ExperimentRepository(self._connection).add_cells(experiment_id, missing)
 
     def saved_search_if_absent(self, record: SavedSearchRecord, created_at: datetime) -> None:
         """Save a search unless its name is taken."""
         values = saved_columns(record) | {"created_at": created_at}
-        get_or_insert(self._session, SavedSearch, {"name": record.name}, values)
-        changes_of(self._session).searches = True
+        get_or_insert(self._connection, SavedSearch, {"name": record.name}, values)
+        changes_of(self._connection).searches = True
 
     def _numbers(self, column: ColumnElement[int], *conditions: ColumnElement[bool]) -> set[int]:
         return set(self._column(select(column).where(*conditions)))

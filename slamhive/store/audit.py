@@ -26,7 +26,7 @@ class AuditRepository(Repository):
             **{name: getattr(act, name) for name in ("at", "account", "via", "address", "action")},
             "subject": cut(subject, SUBJECT_LENGTH),
         }
-        get_or_insert(self._session, models.AuditLine, {"uid": act.uid}, values)
+        get_or_insert(self._connection, models.AuditLine, {"uid": act.uid}, values)
 
     def lines(self, limit: int, before: int | None = None, account: str | None = None) -> list[AuditLine]:
         """The newest lines, of one account or of all; ``before`` continues after the line of that id."""
@@ -35,11 +35,11 @@ class AuditRepository(Repository):
             query = query.where(_AUDIT.c.id < before)
         if account is not None:
             query = query.where(_AUDIT.c.account == account)
-        return [AuditLine(**row._mapping) for row in self._session.execute(query)]
+        return [AuditLine(**row._mapping) for row in self._connection.execute(query)]
 
     def _stored(self) -> Iterator[str]:
         """The numbers of new runs and names of experiments: the request does not have them."""
-        changes = changes_of(self._session)
+        changes = changes_of(self._connection)
         runs = [row.id for row in changes.runs]
         if runs:
             yield f"queued {in_ranges(runs)}"

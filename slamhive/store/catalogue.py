@@ -29,10 +29,10 @@ class CatalogueRepository(Repository):
     def put_algorithm_named(self, name: str, package: str, mode: str) -> int:
         """The same for an algorithm whose folder may be gone (reindex)."""
         values = {"package": package, "mode": mode}
-        algorithm_id, created = get_or_insert(self._session, Algorithm, {"name": name}, values)
-        changes_of(self._session).catalogue |= created
+        algorithm_id, created = get_or_insert(self._connection, Algorithm, {"name": name}, values)
+        changes_of(self._connection).catalogue |= created
         if not created:
-            self._session.execute(
+            self._connection.execute(
                 update(Algorithm.__table__).where(Algorithm.__table__.c.id == algorithm_id).values(values)
             )
         return algorithm_id
@@ -53,24 +53,26 @@ class CatalogueRepository(Repository):
             ],
         }
         keys = {"name": dataset.name}
-        dataset_id, created = get_or_insert(self._session, Dataset, keys, {**values, "registered_at": now})
-        changes_of(self._session).catalogue |= created
+        dataset_id, created = get_or_insert(self._connection, Dataset, keys, {**values, "registered_at": now})
+        changes_of(self._connection).catalogue |= created
         if not created and not gone:
-            self._session.execute(update(Dataset.__table__).where(Dataset.__table__.c.id == dataset_id).values(values))
+            self._connection.execute(
+                update(Dataset.__table__).where(Dataset.__table__.c.id == dataset_id).values(values)
+            )
         return dataset_id
 
     def put_host(self, host: HostRecord) -> int:
         """The id of ``host``, stored if it is new."""
-        return get_or_insert(self._session, Host, {"fingerprint": host.fingerprint}, asdict(host))[0]
+        return get_or_insert(self._connection, Host, {"fingerprint": host.fingerprint}, asdict(host))[0]
 
     def put_protocol(self, protocol: domain.Protocol) -> int:
         """The id of ``protocol``, stored if it is new."""
         values = {"label": cut(protocol.label, 255), "definition": protocol.content}
-        return get_or_insert(self._session, Protocol, {"fingerprint": protocol.fingerprint}, values)[0]
+        return get_or_insert(self._connection, Protocol, {"fingerprint": protocol.fingerprint}, values)[0]
 
     def algorithms(self) -> list[AlgorithmRecord]:
         """All algorithms that the database knows, by name."""
-        rows = self._session.execute(select(Algorithm.__table__).order_by(Algorithm.name))
+        rows = self._connection.execute(select(Algorithm.__table__).order_by(Algorithm.name))
         return [AlgorithmRecord(row.id, row.name, row.package, row.mode) for row in rows]
 
     def algorithm(self, name: str) -> AlgorithmRecord:
@@ -82,7 +84,7 @@ class CatalogueRepository(Repository):
 
     def datasets(self) -> list[DatasetRecord]:
         """All datasets that the database knows, by name."""
-        return [_dataset(row) for row in self._session.execute(select(Dataset.__table__).order_by(Dataset.name))]
+        return [_dataset(row) for row in self._connection.execute(select(Dataset.__table__).order_by(Dataset.name))]
 
     def dataset(self, name: str) -> DatasetRecord:
         """The dataset called ``name``; raises NotFound."""

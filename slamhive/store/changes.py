@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Generic, TypeVar
 
-from sqlalchemy.orm import Session
+from sqlalchemy import Connection
 
 from slamhive.domain.protocol import Protocol
 from slamhive.evaluation.job import Artefacts
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 CHANGES_KEY = "slamhive.changes"
 OWNER_KEY = "slamhive.owner"
-"""The account for which a session stores runs; None for nobody."""
+"""The account for which a connection stores runs; None for nobody."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +76,8 @@ class Changes:
 Listener = Callable[[Changes], None]
 
 
-def changes_of(session: Session) -> Changes:
-    """The notes of the transaction of ``session``."""
-    found = session.info.setdefault(CHANGES_KEY, Changes())
+def changes_of(connection: Connection) -> Changes:
+    """The notes of the transaction of ``connection``."""
+    found = connection.get_execution_options().get(CHANGES_KEY, Changes())
     assert isinstance(found, Changes)
     return found

@@ -24,18 +24,18 @@ class ConfigurationBook(Repository):
 
     def page(self, wanted: ConfigurationFilter, after: str | None, limit: int) -> ConfigurationPage:
         """One page, newest first; see :func:`list_configurations`."""
-        return list_configurations(self._session, wanted, after, limit)
+        return list_configurations(self._connection, wanted, after, limit)
 
     def get(self, configuration_id: int) -> ConfigurationRecord:
         """The configuration with this number; raises NotFound."""
-        found = configuration_records(self._session, [configuration_id])
+        found = configuration_records(self._connection, [configuration_id])
         if not found:
             raise NotFound(f"unknown configuration {configuration_id}", "slamhive configuration list shows all")
         return found[0]
 
     def records(self, configuration_ids: Sequence[int]) -> tuple[ConfigurationRecord, ...]:
         """The configurations with these numbers, in this order; those that do not exist are left out."""
-        return configuration_records(self._session, configuration_ids)
+        return configuration_records(self._connection, configuration_ids)
 
     def latest_runs(self, configuration_id: int, limit: int) -> list[int]:
         """The numbers of its newest runs, newest first."""
@@ -45,12 +45,12 @@ class ConfigurationBook(Repository):
     def named(self, name: str) -> int | None:
         """The number of the configuration called ``name``."""
         query = select(_LABELS.c.configuration_id).where(_LABELS.c.name == name)
-        return self._session.execute(query).scalar_one_or_none()
+        return self._connection.execute(query).scalar_one_or_none()
 
     def with_content(self, content_hash: str) -> int | None:
         """The number of the configuration with this content."""
         table = Configuration.__table__
-        return self._session.execute(
+        return self._connection.execute(
             select(table.c.id).where(table.c.content_hash == content_hash)
         ).scalar_one_or_none()
 
@@ -61,17 +61,17 @@ class ConfigurationBook(Repository):
         if owner not in (None, configuration_id):
             raise _name_taken(name, owner)
         if name is None and not note:
-            self._session.execute(delete(_LABELS).where(_LABELS.c.configuration_id == configuration_id))
-            changes_of(self._session).described.add(configuration_id)
+            self._connection.execute(delete(_LABELS).where(_LABELS.c.configuration_id == configuration_id))
+            changes_of(self._connection).described.add(configuration_id)
             return
         values = {"name": name, "note": note}
-        changes_of(self._session).described.add(configuration_id)
+        changes_of(self._connection).described.add(configuration_id)
         try:
             if changed(
-                self._session, update(_LABELS).where(_LABELS.c.configuration_id == configuration_id).values(values)
+                self._connection, update(_LABELS).where(_LABELS.c.configuration_id == configuration_id).values(values)
             ):
                 return
-            self._session.execute(insert(_LABELS).values(configuration_id=configuration_id, **values))
+            self._connection.execute(insert(_LABELS).values(configuration_id=configuration_id, **values))
         except IntegrityError:  # another transaction was faster
             raise _name_taken(name, None) from None
 
@@ -79,21 +79,21 @@ class ConfigurationBook(Repository):
         """Put configurations into a group, which keeps those that it has. Raises NotFound."""
         for configuration_id in dict.fromkeys(configuration_ids):
             if group not in self.get(configuration_id).groups:
-                self._session.execute(insert(_GROUPS).values(name=group, configuration_id=configuration_id))
-        changes_of(self._session).described.update(configuration_ids)
+                self._connection.execute(insert(_GROUPS).values(name=group, configuration_id=configuration_id))
+        changes_of(self._connection).described.update(configuration_ids)
 
     def remove_from_group(self, group: str, configuration_ids: Sequence[int]) -> None:
         """Take configurations out of a group; an empty group disappears. Raises NotFound for one that is not in it."""
         for configuration_id in dict.fromkeys(configuration_ids):
             place = (_GROUPS.c.name == group, _GROUPS.c.configuration_id == configuration_id)
-            if not changed(self._session, delete(_GROUPS).where(*place)):
+            if not changed(self._connection, delete(_GROUPS).where(*place)):
                 raise NotFound(f"configuration {configuration_id} is not in the group {group!r}")
-        changes_of(self._session).described.update(configuration_ids)
+        changes_of(self._connection).described.update(configuration_ids)
 
     def groups(self) -> dict[str, int]:
         """All groups by name, and how many configurations each has."""
         query = select(_GROUPS.c.name, func.count()).group_by(_GROUPS.c.name).order_by(_GROUPS.c.name)
-        return {row[0]: row[1] for row in self._session.execute(query)}
+        return {row[0]: row[1] for row in self._connection.execute(query)}
 
     def delete(self, configuration_id: int) -> None:
         """Remove a configuration that nothing depends on; raises NotFound, or Conflict naming what does."""
@@ -104,13 +104,13 @@ class ConfigurationBook(Repository):
         if record.runs:
             raise _has_runs(record.label, f"{record.runs} run{'s' if record.runs > 1 else ''}")
         for table in (_LABELS, _GROUPS, ConfigurationValue.__table__, VariantOption.__table__):
-            self._session.execute(delete(table).where(table.c.configuration_id == configuration_id))
+            self._connection.execute(delete(table).where(table.c.configuration_id == configuration_id))
         table = Configuration.__table__
         try:
-            self._session.execute(delete(table).where(table.c.id == configuration_id))
+            self._connection.execute(delete(table).where(table.c.id == configuration_id))
         except IntegrityError:  # a run was queued meanwhile
             raise _has_runs(record.label, "a new run") from None
-        changes_of(self._session).deleted.add(configuration_id)
+        changes_of(self._connection).deleted.add(configuration_id)
 
 
 def _has_runs(label: str, runs: str) -> Conflict:

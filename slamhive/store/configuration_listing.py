@@ -6,8 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, and_, exists, func, literal, or_, select
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, Connection, Select, and_, exists, func, literal, or_, select
 
 from slamhive.domain.parameters import ParameterType
 from slamhive.errors import InvalidInput, unknown
@@ -38,7 +37,7 @@ _BOOLEANS = {"true": 1.0, "false": 0.0}
 
 
 def list_configurations(
-    session: Session, wanted: ConfigurationFilter, after: str | None, limit: int
+    connection: Connection, wanted: ConfigurationFilter, after: str | None, limit: int
 ) -> ConfigurationPage:
     """One page of the configurations that match ``wanted``, newest first.
 
@@ -46,47 +45,47 @@ def list_configurations(
     """
     if not 1 <= limit <= LARGEST_PAGE:
         raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
-    conditions = _conditions(session, wanted)
-    total = int(session.execute(select(func.count()).select_from(Configuration).where(*conditions)).scalar_one())
+    conditions = _conditions(connection, wanted)
+    total = int(connection.execute(select(func.count()).select_from(Configuration).where(*conditions)).scalar_one())
     query = select(Configuration.id).where(*conditions)
     if after is not None:
         query = query.where(Configuration.id < _page_key(after))
-    ids = session.execute(query.order_by(Configuration.id.desc()).limit(limit + 1)).scalars().all()
+    ids = connection.execute(query.order_by(Configuration.id.desc()).limit(limit + 1)).scalars().all()
     shown = ids[:limit]
     return ConfigurationPage(
-        records=configuration_records(session, shown),
+        records=configuration_records(connection, shown),
         total=total,
         next_key=str(shown[-1]) if len(ids) > limit else None,
     )
 
 
-def configuration_records(session: Session, ids: Sequence[int]) -> tuple[ConfigurationRecord, ...]:
+def configuration_records(connection: Connection, ids: Sequence[int]) -> tuple[ConfigurationRecord, ...]:
     """The configurations with these ids, in this order; unknown ids are left out."""
     found: dict[int, ConfigurationRecord] = {}
     for part in chunks(ids):
-        found.update({record.id: record for record in _records(session, part)})
+        found.update({record.id: record for record in _records(connection, part)})
     return tuple(found[entry] for entry in ids if entry in found)
 
 
-def _records(session: Session, ids: Sequence[int]) -> list[ConfigurationRecord]:
-    rows = session.execute(_query().where(Configuration.id.in_(ids))).all()
-    values = ConfigurationRepository(session).parameters_of_all(ids)
-    definitions = _definitions(session, ids)
+def _records(connection: Connection, ids: Sequence[int]) -> list[ConfigurationRecord]:
+    rows = connection.execute(_query().where(Configuration.id.in_(ids))).all()
+    values = ConfigurationRepository(connection).parameters_of_all(ids)
+    definitions = _definitions(connection, ids)
     groups = _lists(
-        session,
+        connection,
         select(ConfigurationGroup.configuration_id, ConfigurationGroup.name)
         .where(ConfigurationGroup.configuration_id.in_(ids))
         .order_by(ConfigurationGroup.name),
     )
     experiments = _lists(
-        session,
+        connection,
         select(ExperimentCell.configuration_id, Experiment.name)
         .join(Experiment, Experiment.id == ExperimentCell.experiment_id)
         .where(ExperimentCell.configuration_id.in_(ids))
         .order_by(Experiment.id),
     )
     counted = select(Run.configuration_id, func.count()).where(Run.configuration_id.in_(ids))
-    runs = {row[0]: row[1] for row in session.execute(counted.group_by(Run.configuration_id))}
+    runs = {row[0]: row[1] for row in connection.execute(counted.group_by(Run.configuration_id))}
     return [
         ConfigurationRecord(
             id=row.id,
@@ -125,28 +124,28 @@ def _query() -> Select[Any]:
     )
 
 
-def _definitions(session: Session, ids: Sequence[int]) -> dict[int, dict[str, StoredParameter]]:
+def _definitions(connection: Connection, ids: Sequence[int]) -> dict[int, dict[str, StoredParameter]]:
     """How each value's parameter was defined when it was stored; the few definitions are read once."""
     used = select(ConfigurationValue.parameter_id).where(ConfigurationValue.configuration_id.in_(ids)).distinct()
-    rows = session.execute(select(Parameter.__table__).where(Parameter.id.in_(used)))
+    rows = connection.execute(select(Parameter.__table__).where(Parameter.id.in_(used)))
     known = {row.id: (row.key, StoredParameter(row.type, row.unit, row.general)) for row in rows}
     pairs = select(ConfigurationValue.configuration_id, ConfigurationValue.parameter_id)
     found: dict[int, dict[str, StoredParameter]] = {}
-    for configuration_id, parameter_id in session.execute(pairs.where(ConfigurationValue.configuration_id.in_(ids))):
+    for configuration_id, parameter_id in connection.execute(pairs.where(ConfigurationValue.configuration_id.in_(ids))):
         key, definition = known[parameter_id]
         found.setdefault(configuration_id, {})[key] = definition
     return found
 
 
-def _lists(session: Session, query: Select[int, str]) -> dict[int, tuple[str, ...]]:
+def _lists(connection: Connection, query: Select[int, str]) -> dict[int, tuple[str, ...]]:
     """Rows of id and name as {id: names}, each name once and in order."""
     found: dict[int, dict[str, None]] = {}
-    for configuration_id, name in session.execute(query):
+    for configuration_id, name in connection.execute(query):
         found.setdefault(configuration_id, {})[name] = None
     return {configuration_id: tuple(names) for configuration_id, names in found.items()}
 
 
-def _conditions(session: Session, wanted: ConfigurationFilter) -> list[ColumnElement[bool]]:
+def _conditions(connection: Connection, wanted: ConfigurationFilter) -> list[ColumnElement[bool]]:
     table = Configuration.__table__.c
     conditions: list[ColumnElement[bool]] = []
     if wanted.algorithms:
@@ -169,15 +168,15 @@ def _conditions(session: Session, wanted: ConfigurationFilter) -> list[ColumnEle
     if wanted.used is not None:
         has_runs = exists(select(literal(1)).where(Run.configuration_id == table.id))
         conditions.append(has_runs if wanted.used else ~has_runs)
-    return [*conditions, *(table.id.in_(_matching(session, condition)) for condition in wanted.conditions)]
+    return [*conditions, *(table.id.in_(_matching(connection, condition)) for condition in wanted.conditions)]
 
 
-def _matching(session: Session, condition: ParameterCondition) -> Select[Any]:
+def _matching(connection: Connection, condition: ParameterCondition) -> Select[Any]:
     """Ids of the configurations whose parameter of that key or general name fulfils the condition."""
     named = or_(Parameter.key == condition.name, Parameter.general == condition.name)
-    rows = session.execute(select(Parameter.id, Parameter.type).where(named)).all()
+    rows = connection.execute(select(Parameter.id, Parameter.type).where(named)).all()
     if not rows:
-        known = session.execute(select(Parameter.key, Parameter.general).distinct()).all()
+        known = connection.execute(select(Parameter.key, Parameter.general).distinct()).all()
         names = sorted({name for row in known for name in row if name})
         raise unknown("parameter of any stored configuration", condition.name, names)
     tests = [

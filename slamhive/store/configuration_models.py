@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from sqlalchemy import ForeignKey, String, UniqueConstraint
-from sqlalchemy.orm import Mapped, mapped_column
+from sqlalchemy import ForeignKey, Integer, String, UniqueConstraint
 
-from slamhive.store.models import NAME_LENGTH, TABLE_OPTIONS, Base
+from slamhive.store.models import NAME_LENGTH
+from slamhive.store.tables import TABLE_OPTIONS, Base, column, optional
 from slamhive.store.types import LongText
 
 
@@ -14,11 +14,9 @@ class ConfigurationLabel(Base):
 
     __tablename__ = "configuration_labels"
     __table_args__ = (UniqueConstraint("name"), TABLE_OPTIONS)
-    configuration_id: Mapped[int] = mapped_column(
-        ForeignKey("configurations.id"), primary_key=True, autoincrement=False
-    )
-    name: Mapped[str | None] = mapped_column(String(NAME_LENGTH))
-    note: Mapped[str] = mapped_column(LongText)
+    configuration_id = column(Integer, ForeignKey("configurations.id"), primary_key=True, autoincrement=False)
+    name = optional(String(NAME_LENGTH))
+    note = column(LongText)
 
 
 class ConfigurationGroup(Base):
@@ -26,5 +24,5 @@ class ConfigurationGroup(Base):
 
     __tablename__ = "configuration_groups"
     __table_args__ = ({**TABLE_OPTIONS, "sqlite_with_rowid": False},)
-    name: Mapped[str] = mapped_column(String(NAME_LENGTH), primary_key=True)
-    configuration_id: Mapped[int] = mapped_column(ForeignKey("configurations.id"), primary_key=True, index=True)
+    name = column(String(NAME_LENGTH), primary_key=True)
+    configuration_id = column(Integer, ForeignKey("configurations.id"), primary_key=True, index=True)

@@ -14,7 +14,6 @@ from slamhive.domain.parameters import Parameter as Definition
 from slamhive.domain.parameters import ParameterType, Value
 from slamhive.domain.variant import Variant
 from slamhive.errors import NotFound
-from slamhive.schema.model import dump, load
 from slamhive.store.changes import NewRow, changes_of
 from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.models import (
@@ -26,7 +25,7 @@ from slamhive.store.models import (
     Parameter,
     VariantOption,
 )
-from slamhive.store.rows import Repository, chunks, get_or_insert
+from slamhive.store.rows import Repository, chunks, from_json, get_or_insert, to_json
 from slamhive.store.variant_options import option_rows
 
 ROWS_OF_A_STATEMENT = 100
@@ -67,7 +66,7 @@ class ConfigurationRepository(Repository):
             known.update(self._ids_by_hash(list(missing)))
             new = {known[content_hash]: missing[content_hash] for content_hash in ours}
             self._insert_values(new)
-            changes_of(self._session).configurations += [NewRow(number, entry, now) for number, entry in new.items()]
+            changes_of(self._connection).configurations += [NewRow(number, entry, now) for number, entry in new.items()]
         return [(known[entry.content_hash], entry.content_hash in ours) for entry in entries]
 
     def restore(self, entries: Mapping[int, NewConfiguration], created_at: Mapping[int, datetime]) -> dict[int, int]:
@@ -76,13 +75,13 @@ class ConfigurationRepository(Repository):
         new = {n: entry for n, entry in entries.items() if known.setdefault(entry.content_hash, n) == n}
         if new:
             rows = [{**_row(entry), "id": number, "created_at": created_at[number]} for number, entry in new.items()]
-            self._session.execute(insert(Configuration.__table__), rows)
+            self._connection.execute(insert(Configuration.__table__), rows)
             self._insert_values(new)
         return {number: known[entry.content_hash] for number, entry in entries.items()}
 
     def get(self, configuration_id: int) -> domain.Configuration:
         """The configuration with this id; raises NotFound."""
-        row = self._session.execute(
+        row = self._connection.execute(
             select(
                 Algorithm.name.label("algorithm"),
                 Dataset.name.label("dataset"),
@@ -110,7 +109,7 @@ class ConfigurationRepository(Repository):
         wanted = sorted(set(configuration_ids))
         found: dict[int, dict[str, Value]] = {configuration_id: {} for configuration_id in wanted}
         for part in chunks(wanted):
-            rows = self._session.execute(
+            rows = self._connection.execute(
                 select(ConfigurationValue.configuration_id, Parameter.key, ConfigurationValue.value)
                 .join(Parameter, Parameter.id == ConfigurationValue.parameter_id)
                 .where(ConfigurationValue.configuration_id.in_(part))
@@ -124,7 +123,7 @@ class ConfigurationRepository(Repository):
         found: dict[str, int] = {}
         for part in chunks(hashes):
             query = select(Configuration.content_hash, Configuration.id).where(Configuration.content_hash.in_(part))
-            found.update((row.content_hash, row.id) for row in self._session.execute(query))
+            found.update((row.content_hash, row.id) for row in self._connection.execute(query))
         return found
 
     def _insert(self, missing: Mapping[str, NewConfiguration], now: datetime) -> set[str]:
@@ -133,11 +132,11 @@ class ConfigurationRepository(Repository):
         for part in chunks(list(missing), ROWS_OF_A_STATEMENT):
             rows = [{**_row(missing[content_hash]), "created_at": now} for content_hash in part]
             try:
-                self._session.execute(insert(Configuration.__table__), rows)
+                self._connection.execute(insert(Configuration.__table__), rows)
             except IntegrityError:
                 for row in rows:
                     keys = {"content_hash": row.pop("content_hash")}
-                    if get_or_insert(self._session, Configuration, keys, row)[1]:
+                    if get_or_insert(self._connection, Configuration, keys, row)[1]:
                         inserted.add(keys["content_hash"])
             else:
                 inserted.update(part)
@@ -160,9 +159,9 @@ class ConfigurationRepository(Repository):
                 columns = {"configuration_id": configuration_id, "parameter_id": ids[signature][key]}
                 rows.append({**columns, **_columns(value)})
         if rows:
-            self._session.execute(insert(ConfigurationValue.__table__), rows)
+            self._connection.execute(insert(ConfigurationValue.__table__), rows)
         if options:
-            self._session.execute(insert(VariantOption.__table__), options)
+            self._connection.execute(insert(VariantOption.__table__), options)
 
     def _parameter_ids(
         self, algorithm_id: int, values: Mapping[str, Value], definitions: Sequence[Definition]
@@ -171,9 +170,9 @@ class ConfigurationRepository(Repository):
 
         A general name is an alias: the rows of a key have the one that its newest definition gives it.
         """
-        scope = self._session.execute(select(Algorithm.package).where(Algorithm.id == algorithm_id)).scalar_one()
+        scope = self._connection.execute(select(Algorithm.package).where(Algorithm.id == algorithm_id)).scalar_one()
         table = Parameter.__table__
-        rows = self._session.execute(select(table).where(table.c.scope == scope))
+        rows = self._connection.execute(select(table).where(table.c.scope == scope))
         known = {(row.key, row.type, row.unit): row for row in rows}
         defined = {definition.key: definition for definition in definitions}
         ids: dict[str, int] = {}
@@ -182,7 +181,7 @@ class ConfigurationRepository(Repository):
             row = known.get((key, kind, unit))
             if row is None:
                 keys = {"scope": scope, "key": key, "type": kind, "unit": unit}
-                ids[key], _ = get_or_insert(self._session, Parameter, keys, {"general": general})
+                ids[key], _ = get_or_insert(self._connection, Parameter, keys, {"general": general})
             else:
                 ids[key] = row.id
         renamed = {
@@ -192,7 +191,7 @@ class ConfigurationRepository(Repository):
         }
         for key, general in renamed.items():
             same = (table.c.scope == scope, table.c.key == key)
-            self._session.execute(update(table).where(*same).values(general=general))
+            self._connection.execute(update(table).where(*same).values(general=general))
         return ids
 
 
@@ -217,10 +216,10 @@ def _row(entry: NewConfiguration) -> dict[str, Any]:
         "dataset_id": entry.dataset_id,
         "playback_mode": configuration.playback.mode,
         "playback_rate": configuration.playback.rate,
-        "variant": dump(Variant, configuration.variant) or None,
+        "variant": to_json(Variant, configuration.variant),
         "sensors": dict(configuration.sensors) or None,
         "version": configuration.version,
-        "map": None if configuration.map is None else dump(domain.InputMap, configuration.map),
+        "map": to_json(domain.InputMap, configuration.map),
     }
 
 
@@ -231,10 +230,10 @@ def configuration_of(row: Row[Any], parameters: dict[str, Value]) -> domain.Conf
         dataset=row.dataset,
         parameters=parameters,
         playback=domain.Playback(row.playback_mode, row.playback_rate),
-        variant=load(Variant, row.variant) if row.variant else (),
+        variant=from_json(Variant, row.variant) if row.variant else (),
         sensors=row.sensors or {},
         version=row.version,
-        map=None if row.map is None else load(domain.InputMap, row.map),
+        map=None if row.map is None else from_json(domain.InputMap, row.map),
     )
 
 

@@ -34,12 +34,12 @@ class DeletedRunRepository(Repository):
         ids = [run.run_id for run in runs]
         alike = self._repeats(ids)
         for part in chunks(ids):
-            self._session.execute(update(_RUNS).where(_RUNS.c.retry_of.in_(part)).values(retry_of=None))
+            self._connection.execute(update(_RUNS).where(_RUNS.c.retry_of.in_(part)).values(retry_of=None))
             for table in _OF_RUNS:
-                self._session.execute(delete(table).where(table.c.run_id.in_(part)))
-            self._session.execute(delete(_RUNS).where(_RUNS.c.id.in_(part)))
+                self._connection.execute(delete(table).where(table.c.run_id.in_(part)))
+            self._connection.execute(delete(_RUNS).where(_RUNS.c.id.in_(part)))
         self.remember(runs)
-        VerdictRepository(self._session).renew(alike)
+        VerdictRepository(self._connection).renew(alike)
 
     def remember(self, runs: Sequence[Deleted]) -> None:
         """File that these runs were deleted, except those that are stored again."""
@@ -48,12 +48,12 @@ class DeletedRunRepository(Repository):
         new = [run for run in runs if run.uid not in known]
         if new:
             rows = [{"uid": run.uid, "run_id": run.run_id, "deleted_at": run.at} for run in new]
-            self._session.execute(insert(_DELETED), rows)
+            self._connection.execute(insert(_DELETED), rows)
 
     def forget(self, uids: Sequence[str]) -> None:
         """These runs are stored again."""
         for part in chunks(uids):
-            self._session.execute(delete(_DELETED).where(_DELETED.c.uid.in_(part)))
+            self._connection.execute(delete(_DELETED).where(_DELETED.c.uid.in_(part)))
 
     def among(self, uids: Sequence[str]) -> set[str]:
         """Those of these runs that were deleted."""

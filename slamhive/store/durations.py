@@ -92,7 +92,7 @@ class DurationRepository(Repository):
                 .where(Configuration.content_hash.in_(part))
                 .group_by(Configuration.content_hash)
             )
-            for row in self._session.execute(query):
+            for row in self._connection.execute(query):
                 found[row.content_hash] = KnownConfiguration(row.runs, row.measured, row.duration_s)
         return found
 
@@ -109,7 +109,7 @@ class DurationRepository(Repository):
             .where(*among)
             .group_by(*_PAIRING)
         )
-        return {(row[0], row[1], row[2], row[3]): row[4] for row in self._session.execute(query)}
+        return {(row[0], row[1], row[2], row[3]): row[4] for row in self._connection.execute(query)}
 
     def unfinished(self, experiment_id: int) -> dict[Pairing, Unfinished]:
         """The runs of an experiment that have not ended, of each algorithm on each dataset."""
@@ -123,7 +123,7 @@ class DurationRepository(Repository):
             .group_by(*_PAIRING)
         )
         return {
-            (row[0], row[1], row[2], row[3]): Unfinished(row[4], int(row[5])) for row in self._session.execute(query)
+            (row[0], row[1], row[2], row[3]): Unfinished(row[4], int(row[5])) for row in self._connection.execute(query)
         }
 
     def active(self, experiment_id: int) -> list[ActiveRun]:
@@ -136,7 +136,7 @@ class DurationRepository(Repository):
             .where(Run.experiment_id == experiment_id, Run.state.in_(_ACTIVE), RunEvent.to_state == RunState.PREPARING)
             .group_by(RunEvent.run_id, Run.state, Algorithm.package)
         )
-        return [ActiveRun(*row) for row in self._session.execute(query)]
+        return [ActiveRun(*row) for row in self._connection.execute(query)]
 
     def unbuilt(self, experiment_id: int) -> list[str]:
         """The packages of runs that have not ended, of which no version was ever built here."""
@@ -149,11 +149,11 @@ class DurationRepository(Repository):
             .where(Run.experiment_id == experiment_id, Run.state.not_in(_ENDED))
             .where(Algorithm.package.not_in(_BUILT))
         )
-        return list(self._session.scalars(query))
+        return list(self._connection.scalars(query))
 
     def built(self) -> set[str]:
         """The packages of which a version was built here."""
-        return set(self._session.scalars(_BUILT))
+        return set(self._connection.scalars(_BUILT))
 
     def build_s(self) -> float | None:
         """How long building a package takes: the median of what the first runs of versions waited for, None if none.
@@ -174,7 +174,7 @@ class DurationRepository(Repository):
             .where(RunEvent.to_state.in_((RunState.PREPARING, RunState.STARTING)))
         )
         at: dict[RunState, dict[int, datetime]] = {RunState.PREPARING: {}, RunState.STARTING: {}}
-        for run_id, state, moved_at in self._session.execute(moves.order_by(RunEvent.id)):
+        for run_id, state, moved_at in self._connection.execute(moves.order_by(RunEvent.id)):
             at[state][run_id] = moved_at
         claimed, starting = at[RunState.PREPARING], at[RunState.STARTING]
         times = [starting[run_id] - claimed[run_id] for run_id in claimed.keys() & starting.keys()]
@@ -188,11 +188,11 @@ class DurationRepository(Repository):
             .order_by(Run.ended_at.desc())
             .limit(_LATEST)
         )
-        ran = {row.id: row.ended_at - row.started_at for row in self._session.execute(query)}
+        ran = {row.id: row.ended_at - row.started_at for row in self._connection.execute(query)}
         moves = select(RunEvent.run_id, RunEvent.to_state, RunEvent.at).where(RunEvent.run_id.in_(ran))
         claimed: dict[int, datetime] = {}
         ended: dict[int, datetime] = {}
-        for run_id, state, at in self._session.execute(moves.order_by(RunEvent.id)):
+        for run_id, state, at in self._connection.execute(moves.order_by(RunEvent.id)):
             if state is RunState.PREPARING:
                 claimed[run_id] = at
             elif state.ended:
@@ -204,7 +204,7 @@ class DurationRepository(Repository):
         """How many evaluations of runs of an experiment wait or are under way."""
         query = select(func.count()).select_from(Evaluation).join(Run, Run.id == Evaluation.run_id)
         states = (EvaluationState.QUEUED, EvaluationState.RUNNING)
-        found = self._session.scalar(query.where(Run.experiment_id == experiment_id, Evaluation.state.in_(states)))
+        found = self._connection.scalar(query.where(Run.experiment_id == experiment_id, Evaluation.state.in_(states)))
         return found or 0
 
     def by_machine(self, since: datetime) -> list[MachineRuns]:
@@ -218,12 +218,12 @@ class DurationRepository(Repository):
             .group_by(Host.cpu_model, Host.cpu_count)
             .order_by(func.count().desc(), Host.cpu_model, Host.cpu_count)
         )
-        return [MachineRuns(row[0], row[1], row[2], row[3], int(row[4])) for row in self._session.execute(query)]
+        return [MachineRuns(row[0], row[1], row[2], row[3], int(row[4])) for row in self._connection.execute(query)]
 
     def queued(self) -> dict[str, int]:
         """How many runs wait for each executor."""
         query = select(Run.executor, func.count()).where(Run.state == RunState.QUEUED).group_by(Run.executor)
-        return {row[0]: row[1] for row in self._session.execute(query)}
+        return {row[0]: row[1] for row in self._connection.execute(query)}
 
     def evaluation_s(self) -> float | None:
         """How long an evaluation takes: the median of the latest, None if none has ended well."""
@@ -233,7 +233,7 @@ class DurationRepository(Repository):
             .order_by(Evaluation.id.desc())
             .limit(_LATEST)
         )
-        return _median_s([ended - started for started, ended in self._session.execute(query) if started and ended])
+        return _median_s([ended - started for started, ended in self._connection.execute(query) if started and ended])
 
     def _is_duration(self) -> ColumnElement[bool]:
         metric_id = select(Metric.id).where(Metric.key == DURATION).scalar_subquery()

@@ -44,7 +44,7 @@ class EvaluationRepository(LeaseQueue[int]):
         """
         wanted = list(run_ids)
         self._check_succeeded(wanted)
-        protocol_id = CatalogueRepository(self._session).put_protocol(protocol)
+        protocol_id = CatalogueRepository(self._connection).put_protocol(protocol)
         values = {"state": EvaluationState.QUEUED, "artefacts": artefacts, "created_at": now, "attempt": 0}
         keys = {"protocol_id": protocol_id, "open": 1}
         ids: dict[int, int] = {}
@@ -53,19 +53,19 @@ class EvaluationRepository(LeaseQueue[int]):
             new = [{"run_id": run_id, **keys, **values} for run_id in part if run_id not in ids]
             try:
                 if new:
-                    self._session.execute(insert(_TABLE), new)
+                    self._connection.execute(insert(_TABLE), new)
                 ids.update(self._open_ids(part, protocol_id))
             except IntegrityError:  # another process queues the same at the same time
                 for run_id in part:
-                    ids[run_id] = get_or_insert(self._session, Evaluation, {"run_id": run_id, **keys}, values)[0]
-        changes_of(self._session).asked_evaluations.append(AskedEvaluations(protocol, artefacts, now, list(ids)))
+                    ids[run_id] = get_or_insert(self._connection, Evaluation, {"run_id": run_id, **keys}, values)[0]
+        changes_of(self._connection).asked_evaluations.append(AskedEvaluations(protocol, artefacts, now, list(ids)))
         return [ids[run_id] for run_id in wanted]
 
     def _open_ids(self, run_ids: Sequence[int], protocol_id: int) -> dict[int, int]:
         query = select(_TABLE.c.run_id, _TABLE.c.id).where(
             _TABLE.c.run_id.in_(run_ids), _TABLE.c.protocol_id == protocol_id, _TABLE.c.open == 1
         )
-        return {row.run_id: row.id for row in self._session.execute(query)}
+        return {row.run_id: row.id for row in self._connection.execute(query)}
 
     def claim(self, lease: Lease, limit: int = 100, runs: Collection[int] | None = None) -> list[EvaluationRecord]:
         """Take up to ``limit`` evaluations, oldest first: queued ones, and those whose worker went silent.
@@ -84,7 +84,7 @@ class EvaluationRepository(LeaseQueue[int]):
         Returns whether the protocol has become the run's current one: that of its first success, until :meth:`use`
         chooses another. May be repeated. Raises LeaseLost if another worker holds the evaluation now.
         """
-        row = self._session.execute(select(_TABLE).where(_TABLE.c.id == evaluation_id)).one_or_none()
+        row = self._connection.execute(select(_TABLE).where(_TABLE.c.id == evaluation_id)).one_or_none()
         if row is None:
             raise NotFound(f"unknown evaluation {evaluation_id}")
         if row.ended_at == now and row.open is None:
@@ -92,8 +92,8 @@ class EvaluationRepository(LeaseQueue[int]):
         if not self._end(evaluation_id, owner, **_ending(result, now)):
             raise LeaseLost(f"evaluation {evaluation_id} is {row.state}, held by {row.lease_owner or 'nobody'}")
         became_current = result.succeeded and self._store_figures(row.run_id, row.protocol_id, result)
-        VerdictRepository(self._session).renew([row.run_id], row.protocol_id)
-        changes_of(self._session).evaluated.add(evaluation_id)
+        VerdictRepository(self._connection).renew([row.run_id], row.protocol_id)
+        changes_of(self._connection).evaluated.add(evaluation_id)
         return became_current
 
     def use(self, run_ids: Iterable[int], fingerprint: str) -> None:
@@ -101,7 +101,7 @@ class EvaluationRepository(LeaseQueue[int]):
 
         Raises NotFound for an unknown protocol or run, Conflict for a run without metrics under it.
         """
-        protocol_id = self._session.execute(
+        protocol_id = self._connection.execute(
             select(Protocol.id).where(Protocol.fingerprint == fingerprint, Protocol.id != MEASURED_PROTOCOL_ID)
         ).scalar_one_or_none()
         if protocol_id is None:
@@ -118,8 +118,8 @@ class EvaluationRepository(LeaseQueue[int]):
             if lacking is not None:
                 raise Conflict(f"run {lacking} has no metrics under protocol {fingerprint}", "evaluate it first")
             runs = Run.__table__
-            self._session.execute(update(runs).where(runs.c.id.in_(part)).values(current_protocol_id=protocol_id))
-            MetricRepository(self._session).follow_protocols(part)
+            self._connection.execute(update(runs).where(runs.c.id.in_(part)).values(current_protocol_id=protocol_id))
+            MetricRepository(self._connection).follow_protocols(part)
 
     def protocols(self) -> list[tuple[domain.Protocol, int]]:
         """The protocols with metrics, and how many runs each has; the most used first."""
@@ -131,7 +131,7 @@ class EvaluationRepository(LeaseQueue[int]):
             .group_by(Protocol.id)
             .order_by(count.desc(), Protocol.id)
         )
-        rows = self._session.execute(query)
+        rows = self._connection.execute(query)
         return [(domain.protocol_from_content(definition), runs) for definition, runs in rows]
 
     def unevaluated_run_ids(self) -> list[int]:
@@ -165,7 +165,7 @@ class EvaluationRepository(LeaseQueue[int]):
 
     def counts_by_state(self) -> dict[EvaluationState, int]:
         """How many evaluations are in each state, 0 included."""
-        states = self._session.execute(select(_TABLE.c.state, func.count()).group_by(_TABLE.c.state)).all()
+        states = self._connection.execute(select(_TABLE.c.state, func.count()).group_by(_TABLE.c.state)).all()
         found = {row[0]: row[1] for row in states}
         return {state: found.get(state, 0) for state in EvaluationState}
 
@@ -190,20 +190,22 @@ class EvaluationRepository(LeaseQueue[int]):
 
     def _store_figures(self, run_id: int, protocol_id: int, result: EvaluationResult) -> bool:
         """Whether the protocol has become the run's current one: only where it had none, and for ``traj.txt`` alone."""
-        MetricRepository(self._session).replace(run_id, result.fingerprint, result.metrics)
+        MetricRepository(self._connection).replace(run_id, result.fingerprint, result.metrics)
         runs = Run.__table__
-        definition = self._session.execute(select(Protocol.definition).where(Protocol.id == protocol_id)).scalar_one()
+        definition = self._connection.execute(
+            select(Protocol.definition).where(Protocol.id == protocol_id)
+        ).scalar_one()
         first = update(runs).where(runs.c.id == run_id, runs.c.current_protocol_id.is_(None))
         if "trajectory" in definition:
             first = first.where(false())
-        became_current = changed(self._session, first.values(current_protocol_id=protocol_id)) == 1
-        MetricRepository(self._session).follow_protocols([run_id])
+        became_current = changed(self._connection, first.values(current_protocol_id=protocol_id)) == 1
+        MetricRepository(self._connection).follow_protocols([run_id])
         return became_current
 
     def _check_succeeded(self, run_ids: list[int]) -> None:
         states: dict[int, RunState] = {}
         for part in chunks(run_ids):
-            rows = self._session.execute(select(Run.id, Run.state).where(Run.id.in_(part)))
+            rows = self._connection.execute(select(Run.id, Run.state).where(Run.id.in_(part)))
             states.update((row.id, row.state) for row in rows)
         for run_id in run_ids:
             if run_id not in states:
@@ -212,7 +214,7 @@ class EvaluationRepository(LeaseQueue[int]):
                 raise Conflict(f"run {run_id} is {states[run_id]}", "only a run that succeeded can be evaluated")
 
     def _records(self, condition: ColumnElement[bool]) -> list[EvaluationRecord]:
-        rows = self._session.execute(_query().where(condition).order_by(_TABLE.c.id)).all()
+        rows = self._connection.execute(_query().where(condition).order_by(_TABLE.c.id)).all()
         return [_record(row) for row in rows]
 
 

@@ -40,7 +40,7 @@ class ExperimentCounts(Repository):
         """How many runs of each experiment were measured on a disturbed machine and not repeated since."""
         owner = _RUNS.c.experiment_id
         query = select(owner, func.count()).where(_RUNS.c.disturbed_by > "", _of(experiment_id)).group_by(owner)
-        found = {number: count for number, count in self._session.execute(query)}  # noqa: C416 - rows, not pairs
+        found = {number: count for number, count in self._connection.execute(query)}  # noqa: C416 - rows, not pairs
         if not found:
             return {}
         repeated = Counter(row.experiment_id for row in self._all_retried(experiment_id) if row.disturbed_by)
@@ -55,7 +55,7 @@ class ExperimentCounts(Repository):
             .order_by(_RUNS.c.ended_at.desc(), _RUNS.c.id.desc())
             .limit(most)
         )
-        rows = self._session.execute(query).all()
+        rows = self._connection.execute(query).all()
         kinds = self._kinds([row.id for row in rows if row.state is RunState.SUCCEEDED])
         judged = {run_id: kind is not None and kind.failed for run_id, kind in kinds.items()}
         return [row.state is RunState.FAILED or judged.get(row.id, False) for row in rows]
@@ -79,7 +79,7 @@ class ExperimentCounts(Repository):
         evaluated = _RUNS.c.current_protocol_id.is_not(None)
         keys = (place, _RUNS.c.state, _RUNS.c.reason, evaluated)
         counts: Counter[_Key] = Counter()
-        for number, state, reason, is_evaluated, count in self._session.execute(
+        for number, state, reason, is_evaluated, count in self._connection.execute(
             select(*keys, func.count()).where(_of(experiment_id)).group_by(*keys)
         ):
             counts[number, state, reason, VerdictKind.GOOD if is_evaluated else None] += count
@@ -100,10 +100,10 @@ class ExperimentCounts(Repository):
             .where(*failed, _of(experiment_id, guarded=True))
             .group_by(place, _FIGURES.c.value)
         )
-        return [(number, kind_of(code), count) for number, code, count in self._session.execute(query)]
+        return [(number, kind_of(code), count) for number, code, count in self._connection.execute(query)]
 
     def _kinds(self, run_ids: Sequence[int]) -> dict[int, VerdictKind | None]:
-        found = MetricRepository(self._session).for_runs(run_ids, [], verdicts=True)
+        found = MetricRepository(self._connection).for_runs(run_ids, [], verdicts=True)
         return {run_id: kind_of(values.get(VERDICT)) for run_id, values in found.items()}
 
     def _all_retried(self, experiment_id: int | None) -> Sequence[Any]:
@@ -116,7 +116,7 @@ class ExperimentCounts(Repository):
             .select_from(later.join(_RUNS, _RUNS.c.id == later.c.retry_of))
             .where(_of(experiment_id, guarded=True), later.c.retry_of.is_not(None), _replaced_by(later))
         )
-        return self._session.execute(query).all()
+        return self._connection.execute(query).all()
 
 
 def _of(experiment_id: int | None, *, guarded: bool = False) -> ColumnElement[bool]:

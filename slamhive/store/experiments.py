@@ -36,13 +36,13 @@ class ExperimentRepository(Repository):
 
     def get_or_create(self, uid: str, name: str, **values: Any) -> ExperimentRecord:
         """The experiment called ``name``; stored with ``uid`` and ``values`` (its other fields) if there is none."""
-        get_or_insert(self._session, Experiment, {"name": name}, {"uid": uid, **values})
-        changes_of(self._session).started.add(f"experiment {name}")
+        get_or_insert(self._connection, Experiment, {"name": name}, {"uid": uid, **values})
+        changes_of(self._connection).started.add(f"experiment {name}")
         return self.get(name)
 
     def find(self, name: str) -> ExperimentRecord | None:
         """The experiment called ``name``, None if there is none."""
-        row = self._session.execute(select(_EXPERIMENTS).where(_EXPERIMENTS.c.name == name)).one_or_none()
+        row = self._connection.execute(select(_EXPERIMENTS).where(_EXPERIMENTS.c.name == name)).one_or_none()
         return None if row is None else _record(row)
 
     def get(self, name: str) -> ExperimentRecord:
@@ -56,21 +56,23 @@ class ExperimentRepository(Repository):
     def mention(self, name: str) -> bool:
         """Whether the file of some experiment contains every part of a dotted name."""
         parts = [_EXPERIMENTS.c.source.contains(part, autoescape=True) for part in name.split(".")]
-        return self._session.scalar(select(_EXPERIMENTS.c.id).where(*parts).limit(1)) is not None
+        return self._connection.scalar(select(_EXPERIMENTS.c.id).where(*parts).limit(1)) is not None
 
     def locked(self, name: str) -> ExperimentRecord:
         """The same, with its row locked until this transaction ends."""
-        self._session.execute(select(_EXPERIMENTS.c.id).where(_EXPERIMENTS.c.name == name).with_for_update())
+        self._connection.execute(select(_EXPERIMENTS.c.id).where(_EXPERIMENTS.c.name == name).with_for_update())
         return self.get(name)
 
     def all(self) -> list[ExperimentRecord]:
         """All experiments, the newest first."""
-        return [_record(row) for row in self._session.execute(select(_EXPERIMENTS).order_by(_EXPERIMENTS.c.id.desc()))]
+        return [
+            _record(row) for row in self._connection.execute(select(_EXPERIMENTS).order_by(_EXPERIMENTS.c.id.desc()))
+        ]
 
     def change(self, experiment_id: int, **values: Any) -> None:
         """Write these fields."""
-        self._session.execute(update(_EXPERIMENTS).where(_EXPERIMENTS.c.id == experiment_id).values(values))
-        changes_of(self._session).experiments.add(experiment_id)
+        self._connection.execute(update(_EXPERIMENTS).where(_EXPERIMENTS.c.id == experiment_id).values(values))
+        changes_of(self._connection).experiments.add(experiment_id)
 
     # -- cells -----------------------------------------------------------------------------------------------------
 
@@ -87,8 +89,8 @@ class ExperimentRepository(Repository):
             for cell in cells
         ]
         if rows:
-            self._session.execute(insert(_CELLS), rows)
-            changes_of(self._session).cells.append((experiment_id, cells))
+            self._connection.execute(insert(_CELLS), rows)
+            changes_of(self._connection).cells.append((experiment_id, cells))
 
     def cell_hashes(self, experiment_id: int, first: int, last: int) -> dict[int, str]:
         """{number: content hash of the configuration} of the stored cells from ``first`` to ``last``."""
@@ -97,7 +99,7 @@ class ExperimentRepository(Repository):
             .join(Configuration, Configuration.id == _CELLS.c.configuration_id)
             .where(*_between(_CELLS.c.number, experiment_id, first, last))
         )
-        return {row.number: row.content_hash for row in self._session.execute(query)}
+        return {row.number: row.content_hash for row in self._connection.execute(query)}
 
     def cells(self, experiment_id: int, after: int, limit: int | None) -> list[CellRecord]:
         """The next cells after number ``after``, or all of them."""
@@ -109,7 +111,7 @@ class ExperimentRepository(Repository):
         )
         return [
             CellRecord(row.number, row.name, row.configuration_id, _values(row.axis_values))
-            for row in self._session.execute(query)
+            for row in self._connection.execute(query)
         ]
 
     def cell_runs(self, experiment_id: int, first: int, last: int, metrics: Sequence[str]) -> list[CellRun]:
@@ -124,8 +126,8 @@ class ExperimentRepository(Repository):
             .where(*_between(_RUNS.c.cell, experiment_id, first, last))
             .order_by(_RUNS.c.cell, _RUNS.c.id)
         )
-        rows = self._session.execute(query).all()
-        figures = MetricRepository(self._session).for_runs((row.id for row in rows), metrics, verdicts=True)
+        rows = self._connection.execute(query).all()
+        figures = MetricRepository(self._connection).for_runs((row.id for row in rows), metrics, verdicts=True)
         return [
             CellRun(
                 *(row.id, row.cell, row.seed, row.state, row.reason, bool(row.retried), row.retry_of),
@@ -171,7 +173,7 @@ class ExperimentRepository(Repository):
     def hold(self, experiment_id: int, *, held: bool) -> None:
         """Hold back the runs that have not ended, or release them. A run that a worker holds goes on."""
         unfinished = [_RUNS.c.experiment_id == experiment_id, _RUNS.c.state.not_in(_ENDED)]
-        self._session.execute(update(_RUNS).where(*unfinished).values(held=held))
+        self._connection.execute(update(_RUNS).where(*unfinished).values(held=held))
 
     def cancel(self, experiment_id: int, now: datetime, why: str) -> tuple[int, int]:
         """Cancel all queued runs and ask the workers of active ones to end; how many of each."""
@@ -179,14 +181,16 @@ class ExperimentRepository(Repository):
         queued = self._column(select(_RUNS.c.id).where(mine, _RUNS.c.state == RunState.QUEUED).with_for_update())
         for part in chunks(queued):
             values = {"state": RunState.CANCELLED, "ended_at": now, "held": False}
-            self._session.execute(update(_RUNS).where(_RUNS.c.id.in_(part)).values(values))
+            self._connection.execute(update(_RUNS).where(_RUNS.c.id.in_(part)).values(values))
             event = {"at": now, "from_state": RunState.QUEUED, "to_state": RunState.CANCELLED, "why": why}
-            self._session.execute(insert(EventRow.__table__), [{"run_id": run_id, **event} for run_id in part])
+            self._connection.execute(insert(EventRow.__table__), [{"run_id": run_id, **event} for run_id in part])
         active = [mine, _RUNS.c.state.not_in((*_ENDED, RunState.QUEUED, RunState.CANCELLING))]
         asked = self._column(select(_RUNS.c.id).where(*active).with_for_update())
         for part in chunks(asked):
-            self._session.execute(update(_RUNS).where(_RUNS.c.id.in_(part)).values(cancel_requested=True, held=False))
-        changes = changes_of(self._session)
+            self._connection.execute(
+                update(_RUNS).where(_RUNS.c.id.in_(part)).values(cancel_requested=True, held=False)
+            )
+        changes = changes_of(self._connection)
         changes.cancelled.append((queued, now, why))
         changes.asked_to_end.update(asked)
         return len(queued), len(asked)

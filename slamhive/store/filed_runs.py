@@ -80,18 +80,18 @@ class FiledRunRepository(Repository):
         Raises Conflict, having written nothing, if a number or uid belongs to another run.
         """
         here = self._rows_here([run.snapshot for run in runs])
-        catalogue = CatalogueRepository(self._session)
+        catalogue = CatalogueRepository(self._connection)
         protocols = {entry.protocol.fingerprint: entry.protocol for run in runs for entry in run.evaluations}
         numbers = {fingerprint: catalogue.put_protocol(protocol) for fingerprint, protocol in protocols.items()}
         left = self._put_rows(runs, here, numbers)
         self._put_events(runs, here)
         self._add_evaluations(runs, here, numbers)
         self._put_figures(runs, here, numbers)
-        NoteRepository(self._session).put({run.snapshot.id: run.notes for run in runs})
-        VerdictRepository(self._session).renew(run.snapshot.id for run in runs)
-        DeletedRunRepository(self._session).forget([run.snapshot.request.uid for run in runs])
+        NoteRepository(self._connection).put({run.snapshot.id: run.notes for run in runs})
+        VerdictRepository(self._connection).renew(run.snapshot.id for run in runs)
+        DeletedRunRepository(self._connection).forget([run.snapshot.request.uid for run in runs])
         # The ledger keeps queued runs; these have folders.
-        changes, filed = changes_of(self._session), {run.snapshot.id for run in runs}
+        changes, filed = changes_of(self._connection), {run.snapshot.id for run in runs}
         changes.runs = [row for row in changes.runs if row.id not in filed]
         return left
 
@@ -99,7 +99,7 @@ class FiledRunRepository(Repository):
         """The numbers of those of these runs that have a row."""
         uids = {snapshot.id: snapshot.request.uid for snapshot in snapshots}
         same = _RUNS.c.id.in_(uids) | _RUNS.c.uid.in_(uids.values())
-        found = {row.uid: row.id for row in self._session.execute(select(_RUNS.c.uid, _RUNS.c.id).where(same))}
+        found = {row.uid: row.id for row in self._connection.execute(select(_RUNS.c.uid, _RUNS.c.id).where(same))}
         by_number = {number: uid for uid, number in found.items()}
         claimed: set[str] = set()
         for number, uid in uids.items():
@@ -121,11 +121,11 @@ class FiledRunRepository(Repository):
         new = [row for row in rows if row["id"] not in here]
         if new:
             columns = sorted({name for row in new for name in row})
-            self._session.execute(insert(_RUNS), [{name: row.get(name) for name in columns} for row in new])
+            self._connection.execute(insert(_RUNS), [{name: row.get(name) for name in columns} for row in new])
         known = sorted((row for row in rows if row["id"] in here), key=sorted)
         for _, alike in groupby(known, key=sorted):
             same = update(_RUNS).where(_RUNS.c.id == bindparam("number"))
-            self._session.execute(same, [{"number": row.pop("id"), **row} for row in alike])
+            self._connection.execute(same, [{"number": row.pop("id"), **row} for row in alike])
         return left
 
     def _repeating_others(self, runs: Sequence[FiledRun]) -> dict[int, int]:
@@ -143,16 +143,16 @@ class FiledRunRepository(Repository):
 
     def _put_events(self, runs: Sequence[FiledRun], here: Collection[int]) -> None:
         if here:
-            self._session.execute(delete(_EVENTS).where(_EVENTS.c.run_id.in_(here)))
+            self._connection.execute(delete(_EVENTS).where(_EVENTS.c.run_id.in_(here)))
         rows = [event_row(run.snapshot.id, event) for run in runs for event in run.snapshot.events]
         if rows:
-            self._session.execute(insert(_EVENTS), rows)
+            self._connection.execute(insert(_EVENTS), rows)
 
     def _add_evaluations(self, runs: Sequence[FiledRun], here: Collection[int], protocols: Mapping[str, int]) -> None:
         """Add the evaluations that are not stored yet: one for each run, protocol and state."""
         columns = (_EVALUATIONS.c.run_id, _EVALUATIONS.c.protocol_id, _EVALUATIONS.c.state)
         query = select(*columns).where(_EVALUATIONS.c.run_id.in_(here))
-        there = {tuple(row) for row in self._session.execute(query)} if here else set()
+        there = {tuple(row) for row in self._connection.execute(query)} if here else set()
         rows = []
         for run in runs:
             for entry in run.evaluations:
@@ -160,11 +160,11 @@ class FiledRunRepository(Repository):
                 if keys not in there:
                     rows.append(_evaluation_row(keys[0], keys[1], entry))
         if rows:
-            self._session.execute(insert(_EVALUATIONS), rows)
+            self._connection.execute(insert(_EVALUATIONS), rows)
 
     def _put_figures(self, runs: Sequence[FiledRun], here: set[int], protocols: Mapping[str, int]) -> None:
         keys = {key for run in runs for values in (run.measured, *run.figures.values()) for key in values}
-        metrics = MetricRepository(self._session).ids(keys)
+        metrics = MetricRepository(self._connection).ids(keys)
         rows = [row for run in runs for row in _figure_rows(run, metrics, protocols)]
         filled = self._with_figures(here)
         number, protocol = _FIGURES.c.run_id == bindparam("number"), _FIGURES.c.protocol_id == bindparam("protocol")
@@ -175,7 +175,7 @@ class FiledRunRepository(Repository):
             for fingerprint in run.figures
         ]
         if taken_anew:
-            self._session.execute(delete(_FIGURES).where(number, protocol), taken_anew)
+            self._connection.execute(delete(_FIGURES).where(number, protocol), taken_anew)
         measured_anew = [
             {"number": row["run_id"], "protocol": MEASURED_PROTOCOL_ID, "metric": row["metric_id"]}
             for row in rows
@@ -183,10 +183,10 @@ class FiledRunRepository(Repository):
         ]
         if measured_anew:
             one = _FIGURES.c.metric_id == bindparam("metric")
-            self._session.execute(delete(_FIGURES).where(number, protocol, one), measured_anew)
+            self._connection.execute(delete(_FIGURES).where(number, protocol, one), measured_anew)
         if rows:
-            self._session.execute(insert(_FIGURES), rows)
-        MetricRepository(self._session).follow_protocols(filled)
+            self._connection.execute(insert(_FIGURES), rows)
+        MetricRepository(self._connection).follow_protocols(filled)
 
     def _with_figures(self, run_ids: Collection[int]) -> set[int]:
         """Those of these runs that have metrics."""

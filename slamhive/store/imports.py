@@ -46,7 +46,7 @@ class ImportRepository(Repository):
         found: dict[str, int] = {}
         for part in chunks(sorted(set(beginnings)), _CHUNK):
             spans = [_RUNS.c.uid.between(text, text + "g") for text in part]
-            rows = self._session.execute(
+            rows = self._connection.execute(
                 select(_RUNS.c.uid, _RUNS.c.id).where(or_(*spans), _RUNS.c.executor == IMPORTED)
             )
             found.update((row.uid, row.id) for row in rows)
@@ -64,7 +64,7 @@ class ImportRepository(Repository):
             )
             for run in runs
         ]
-        ids = RunRepository(self._session).add_runs(requests, now)
+        ids = RunRepository(self._connection).add_runs(requests, now)
         if ids:
             sealed = [
                 {
@@ -78,7 +78,7 @@ class ImportRepository(Repository):
                 for run_id, run in zip(ids, runs, strict=True)
             ]
             row = update(_RUNS).where(_RUNS.c.id == bindparam("run"))
-            self._session.execute(
+            self._connection.execute(
                 row.values(
                     state=bindparam("to"),
                     poses=bindparam("count"),
@@ -89,5 +89,5 @@ class ImportRepository(Repository):
                 sealed,
             )
             event = update(_EVENTS).where(_EVENTS.c.run_id == bindparam("run"))
-            self._session.execute(event.values(to_state=bindparam("to"), why=bindparam("text")), sealed)
+            self._connection.execute(event.values(to_state=bindparam("to"), why=bindparam("text")), sealed)
         return ids

@@ -74,23 +74,23 @@ class LeaseQueue(Repository, Generic[K]):
     def heartbeat(self, keys: Iterable[K], lease: Lease) -> set[K]:
         """Extend the leases; the rows that the owner still holds. It must let go of all others at once."""
         held = self._held(lease.owner, list(keys))
-        self._session.execute(update(self.table).where(held).values(lease.columns))
+        self._connection.execute(update(self.table).where(held).values(lease.columns))
         return set(self._column(select(self.table.c[self.key]).where(held)))
 
     def release(self, keys: Iterable[K], owner: str) -> None:
         """Give rows back, so that the next worker need not wait for the lease to expire."""
         refund = {"attempt": self.table.c.attempt - 1} if self.refunds_attempts else {}
-        self._session.execute(update(self.table).where(self._held(owner, list(keys))).values(self._freed | refund))
+        self._connection.execute(update(self.table).where(self._held(owner, list(keys))).values(self._freed | refund))
 
     def release_all(self, owner: str) -> None:
         """Give back everything that ``owner``, known to be dead, still holds."""
-        self._session.execute(update(self.table).where(self._held(owner)).values(self._freed))
+        self._connection.execute(update(self.table).where(self._held(owner)).values(self._freed))
 
     def owners(self) -> set[str]:
         """Everyone who holds a row."""
         owner = self.table.c.lease_owner
         held = select(owner).where(owner.is_not(None), self.table.c.state.in_(self.working)).distinct()
-        return {str(name) for name in self._session.execute(held).scalars()}
+        return {str(name) for name in self._connection.execute(held).scalars()}
 
     @property
     def _freed(self) -> dict[str, Any]:
@@ -115,14 +115,14 @@ class LeaseQueue(Repository, Generic[K]):
         """Hold a row if it is ``still`` as it was when it was chosen; whether this worker holds it now."""
         taken = {"attempt": self.table.c.attempt + 1, **lease.columns, **values}
         chosen = self.table.c[self.key] == key
-        return changed(self._session, update(self.table).where(chosen, still).values(taken)) == 1
+        return changed(self._connection, update(self.table).where(chosen, still).values(taken)) == 1
 
     def _take_oldest(self, free: ColumnElement[bool], lease: Lease, most: int, **values: Any) -> list[K]:
         """Hold up to ``most`` of the ``free`` rows, the oldest first."""
         columns = self.table.c
         candidates = select(columns[self.key]).where(free).order_by(columns.id).limit(most + _SPARE_CANDIDATES)
         taken: list[K] = []
-        for key in self._session.execute(candidates).scalars().all():
+        for key in self._connection.execute(candidates).scalars().all():
             if len(taken) < most and self._take(key, lease, free, **values):
                 taken.append(key)
         return taken
@@ -130,4 +130,4 @@ class LeaseQueue(Repository, Generic[K]):
     def _end(self, key: K, owner: str, **values: Any) -> bool:
         """Write the end of a row that ``owner`` holds; False if it holds it no more."""
         ended = {**NO_LEASE, **values}
-        return changed(self._session, update(self.table).where(self._held(owner, [key])).values(ended)) == 1
+        return changed(self._connection, update(self.table).where(self._held(owner, [key])).values(ended)) == 1

@@ -11,7 +11,7 @@ from sqlalchemy import func, insert, select, union, update
 
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunState
-from slamhive.schema.submission import StopWhen
+from slamhive.schema.limits import StopWhen
 from slamhive.store.changes import AskedEvaluations, NewRow
 from slamhive.store.configuration_models import ConfigurationGroup, ConfigurationLabel
 from slamhive.store.configurations import ConfigurationRepository
@@ -52,24 +52,24 @@ class LedgerRepository(Repository):
     def empty(self) -> bool:
         """Whether no configuration, experiment or saved search is stored."""
         tables = (Configuration, Experiment, SavedSearch)
-        return not any(self._session.execute(select(table.id).limit(1)).first() for table in tables)
+        return not any(self._connection.execute(select(table.id).limit(1)).first() for table in tables)
 
     def experiments(self) -> dict[int, str]:
         """{number: uid}."""
-        return {row.id: row.uid for row in self._session.execute(select(Experiment.id, Experiment.uid))}
+        return {row.id: row.uid for row in self._connection.execute(select(Experiment.id, Experiment.uid))}
 
     def sizes(self) -> dict[str, dict[str, Any]]:
         """The counts of cells and runs of each experiment, by its uid."""
         columns = (Experiment.uid, Experiment.cells, Experiment.runs, Experiment.complete)
         return {
             row.uid: {"cells": row.cells, "runs": row.runs, "complete": row.complete}
-            for row in self._session.execute(select(*columns))
+            for row in self._connection.execute(select(*columns))
         }
 
     def stored_cells(self) -> dict[str, int]:
         """How many cells of each experiment are stored, by its uid."""
         query = select(Experiment.uid, func.count()).join(_CELLS, _CELLS.c.experiment_id == Experiment.id)
-        return {row[0]: row[1] for row in self._session.execute(query.group_by(Experiment.uid))}
+        return {row[0]: row[1] for row in self._connection.execute(query.group_by(Experiment.uid))}
 
     def configurations(self) -> set[int]:
         """The numbers of all configurations."""
@@ -79,12 +79,12 @@ class LedgerRepository(Repository):
         """The numbers of the configurations that have a name, a note or a group."""
         tables = (ConfigurationLabel.__table__, ConfigurationGroup.__table__)
         query = union(*(select(table.c.configuration_id) for table in tables))
-        return sorted(self._session.execute(query).scalars())
+        return sorted(self._connection.execute(query).scalars())
 
     def waiting(self) -> dict[int, RunState]:
         """Runs that may have no folder, and their states."""
         query = select(_RUNS.c.id, _RUNS.c.state).where(_RUNS.c.state.in_(WAITING))
-        return {row.id: row.state for row in self._session.execute(query)}
+        return {row.id: row.state for row in self._connection.execute(query)}
 
     def asked_to_end(self) -> list[int]:
         """Active runs that a user has cancelled."""
@@ -94,17 +94,17 @@ class LedgerRepository(Repository):
     def requests(self, run_ids: Sequence[int]) -> list[NewRow[RunRequest]]:
         """The requests of these runs."""
         query = select(_RUNS).where(_RUNS.c.id.in_(run_ids)).order_by(_RUNS.c.id)
-        return [NewRow(row.id, _request(row), row.created_at) for row in self._session.execute(query)]
+        return [NewRow(row.id, _request(row), row.created_at) for row in self._connection.execute(query)]
 
     def cancellations(self, run_ids: Collection[int]) -> dict[int, tuple[datetime, str]]:
         """{number: when and why} of those of these runs that were cancelled."""
         query = select(_EVENTS).where(_EVENTS.c.run_id.in_(run_ids), _EVENTS.c.to_state == RunState.CANCELLED)
-        return {row.run_id: (row.at, row.why) for row in self._session.execute(query)}
+        return {row.run_id: (row.at, row.why) for row in self._connection.execute(query)}
 
     def evaluation_counts(self) -> tuple[int, int]:
         """How many evaluations have ended, and how many have not."""
         query = select(_EVALUATIONS.c.open, func.count()).group_by(_EVALUATIONS.c.open)
-        counts = {row[0]: row[1] for row in self._session.execute(query)}
+        counts = {row[0]: row[1] for row in self._connection.execute(query)}
         return counts.get(None, 0), counts.get(1, 0)
 
     def ended(
@@ -119,7 +119,7 @@ class LedgerRepository(Repository):
         )
         query = query.limit(1000) if evaluation_ids is None else query.where(_EVALUATIONS.c.id.in_(evaluation_ids))
         found = []
-        for row in self._session.execute(query):
+        for row in self._connection.execute(query):
             values = {name: getattr(row, name) for name in AS_FILED}
             entry = EndedEvaluation(domain.protocol_from_content(row.definition), **values)
             found.append((row.id, row.run_id, entry))
@@ -135,7 +135,7 @@ class LedgerRepository(Repository):
         )
         together: dict[tuple[Any, ...], list[int]] = defaultdict(list)
         definitions: dict[int, Any] = {}
-        for row in self._session.execute(query):
+        for row in self._connection.execute(query):
             definitions[row.protocol_id] = row.definition
             together[row.protocol_id, row.artefacts, row.created_at].append(row.run_id)
         return [
@@ -150,7 +150,7 @@ class LedgerRepository(Repository):
     ) -> dict[int, int]:
         """Store configurations under their numbers where these are free; {old number: number here}."""
         taken = set(self._column(select(_CONFIGURATIONS.c.id).where(_CONFIGURATIONS.c.id.in_(entries))))
-        repository = ConfigurationRepository(self._session)
+        repository = ConfigurationRepository(self._connection)
         free = {number: entry for number, entry in entries.items() if number not in taken}
         found = repository.restore(free, created_at)
         rest = [number for number in entries if number in taken]
@@ -160,9 +160,9 @@ class LedgerRepository(Repository):
     def unknown(self, run_ids: Sequence[int], uids: Sequence[str]) -> set[int]:
         """Those of some hundreds of numbers that are free and whose uid is neither stored nor deleted."""
         query = select(_RUNS.c.id, _RUNS.c.uid).where(_RUNS.c.id.in_(run_ids) | _RUNS.c.uid.in_(uids))
-        rows = self._session.execute(query).all()
+        rows = self._connection.execute(query).all()
         numbers, known = {row.id for row in rows}, {row.uid for row in rows}
-        known |= DeletedRunRepository(self._session).among(uids)
+        known |= DeletedRunRepository(self._connection).among(uids)
         return {number for number, uid in zip(run_ids, uids, strict=True) if number not in numbers and uid not in known}
 
     def repeat(self, originals: Mapping[int, int]) -> None:
@@ -172,19 +172,21 @@ class LedgerRepository(Repository):
             here = set(self._column(select(_RUNS.c.id).where(_RUNS.c.id.in_(wanted))))
             for run_id in part:
                 if originals[run_id] in here:
-                    self._session.execute(update(_RUNS).where(_RUNS.c.id == run_id).values(retry_of=originals[run_id]))
+                    self._connection.execute(
+                        update(_RUNS).where(_RUNS.c.id == run_id).values(retry_of=originals[run_id])
+                    )
 
     def cancel_if_queued(self, run_id: int, at: datetime, why: str) -> None:
         """Cancel a run if it is still queued."""
-        state = self._session.execute(select(_RUNS.c.state).where(_RUNS.c.id == run_id)).scalar_one()
+        state = self._connection.execute(select(_RUNS.c.state).where(_RUNS.c.id == run_id)).scalar_one()
         if state is RunState.QUEUED:
-            RunRepository(self._session).move(run_id, RunState.CANCELLED, why=why, now=at)
+            RunRepository(self._connection).move(run_id, RunState.CANCELLED, why=why, now=at)
 
     def ask_to_end(self, run_ids: Sequence[int]) -> None:
         """Ask the workers of those of these runs that are active to end them."""
         for part in chunks(run_ids):
             active = [_RUNS.c.id.in_(part), _RUNS.c.state.in_(_ACTIVE)]
-            self._session.execute(update(_RUNS).where(*active).values(cancel_requested=True))
+            self._connection.execute(update(_RUNS).where(*active).values(cancel_requested=True))
 
     def queue_evaluations(self, asked: AskedEvaluations, protocol_id: int) -> int:
         """Queue the evaluations of runs that succeeded, unless they are queued already; how many."""
@@ -206,7 +208,7 @@ class LedgerRepository(Repository):
         }
         if runs:
             rows = [{"run_id": run_id, "artefacts": asked.artefacts, **values} for run_id in runs]
-            self._session.execute(insert(_EVALUATIONS), rows)
+            self._connection.execute(insert(_EVALUATIONS), rows)
         return len(runs)
 
 

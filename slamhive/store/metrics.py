@@ -45,7 +45,7 @@ class MetricRepository(Repository):
         ``keys`` restricts them to these metrics. ``protocol_id`` takes the metrics of this protocol instead.
         ``verdicts`` adds the stored verdicts under :data:`VERDICT`. One query serves a few hundred runs.
         """
-        known = {row.id: row.key for row in self._session.execute(select(Metric.id, Metric.key))}
+        known = {row.id: row.key for row in self._connection.execute(select(Metric.id, Metric.key))}
         if not verdicts:
             known = {metric_id: key for metric_id, key in known.items() if key != VERDICT}
         chosen = MetricValue.is_current == 1
@@ -55,7 +55,7 @@ class MetricRepository(Repository):
         wanted = sorted(set(run_ids))
         found: dict[int, dict[str, float]] = {run_id: {} for run_id in wanted}
         for part in chunks(wanted):
-            rows = self._session.execute(
+            rows = self._connection.execute(
                 select(MetricValue.run_id, MetricValue.metric_id, MetricValue.value)
                 .where(MetricValue.run_id.in_(part), MetricValue.metric_id.in_(metric_ids), chosen)
                 .order_by(MetricValue.run_id, MetricValue.metric_id)
@@ -81,11 +81,11 @@ class MetricRepository(Repository):
         mark = case((figures.c.protocol_id == func.coalesce(current, last, 0), 1), else_=0)
         for part in chunks(sorted(set(run_ids))):
             changing = [figures.c.run_id.in_(part), figures.c.protocol_id != MEASURED_PROTOCOL_ID]
-            self._session.execute(update(figures).where(*changing).values(is_current=mark))
+            self._connection.execute(update(figures).where(*changing).values(is_current=mark))
 
     def by_protocol(self, run_id: int) -> dict[str | None, dict[str, float]]:
         """All metrics of one run: {protocol fingerprint, None for measured: {metric key: value}}."""
-        rows = self._session.execute(
+        rows = self._connection.execute(
             select(Protocol.id, Protocol.fingerprint, Metric.key, MetricValue.value)
             .join(Protocol, Protocol.id == MetricValue.protocol_id)
             .join(Metric, Metric.id == MetricValue.metric_id)
@@ -100,18 +100,18 @@ class MetricRepository(Repository):
     def ids(self, keys: Iterable[str]) -> dict[str, int]:
         """{key: id} of metrics; a new key is stored."""
         wanted = list(keys)
-        rows = self._session.execute(select(Metric.key, Metric.id).where(Metric.key.in_(wanted)))
+        rows = self._connection.execute(select(Metric.key, Metric.id).where(Metric.key.in_(wanted)))
         known = {row.key: row.id for row in rows}
         for key in wanted:
             if key not in known:
-                known[key], _ = get_or_insert(self._session, Metric, {"key": key}, {})
+                known[key], _ = get_or_insert(self._connection, Metric, {"key": key}, {})
         return known
 
     def _protocol_id(self, fingerprint: str | None) -> int:
         if fingerprint is None:
             return MEASURED_PROTOCOL_ID
         lookup = select(Protocol.id).where(Protocol.fingerprint == fingerprint)
-        found = self._session.execute(lookup).scalar_one_or_none()
+        found = self._connection.execute(lookup).scalar_one_or_none()
         if found is None:
             raise NotFound(f"unknown protocol {fingerprint!r}", "store it with catalogue.put_protocol first")
         return found
@@ -126,7 +126,7 @@ class MetricRepository(Repository):
         )
         if not replace_all:
             outdated = outdated.where(MetricValue.metric_id.in_(list(metric_ids.values())))
-        self._session.execute(outdated)
+        self._connection.execute(outdated)
         rows = [
             {
                 "run_id": run_id,
@@ -138,6 +138,6 @@ class MetricRepository(Repository):
             for key, value in values.items()
         ]
         if rows:
-            self._session.execute(insert(MetricValue.__table__), rows)
+            self._connection.execute(insert(MetricValue.__table__), rows)
         if protocol_id != MEASURED_PROTOCOL_ID:
             self.follow_protocols([run_id])

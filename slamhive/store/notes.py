@@ -21,13 +21,13 @@ class NoteRepository(Repository):
         """Replace the notes and tags of these runs."""
         for part in chunks(sorted(notes)):
             for table in (_NOTES, _TAGS):
-                self._session.execute(delete(table).where(table.c.run_id.in_(part)))
+                self._connection.execute(delete(table).where(table.c.run_id.in_(part)))
         texts = [{"run_id": run_id, "note": entry.note} for run_id, entry in notes.items() if entry.note]
         tags = [{"run_id": run_id, "tag": tag} for run_id, entry in notes.items() for tag in entry.tags]
         if texts:
-            self._session.execute(insert(_NOTES), texts)
+            self._connection.execute(insert(_NOTES), texts)
         if tags:
-            self._session.execute(insert(_TAGS), tags)
+            self._connection.execute(insert(_TAGS), tags)
 
     def for_runs(self, run_ids: Iterable[int]) -> dict[int, RunNotes]:
         """{run: notes and tags} of those of these runs that have any."""
@@ -36,10 +36,11 @@ class NoteRepository(Repository):
         tags: dict[int, list[str]] = {}
         for part in chunks(wanted):
             texts.update(
-                (row.run_id, row.note) for row in self._session.execute(select(_NOTES).where(_NOTES.c.run_id.in_(part)))
+                (row.run_id, row.note)
+                for row in self._connection.execute(select(_NOTES).where(_NOTES.c.run_id.in_(part)))
             )
             rows = select(_TAGS).where(_TAGS.c.run_id.in_(part)).order_by(_TAGS.c.run_id, _TAGS.c.tag)
-            for row in self._session.execute(rows):
+            for row in self._connection.execute(rows):
                 tags.setdefault(row.run_id, []).append(row.tag)
         return {
             run_id: RunNotes(texts.get(run_id, ""), tuple(tags.get(run_id, ())))

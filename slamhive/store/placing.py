@@ -40,7 +40,7 @@ class PlacingRepository(Repository):
             .limit(_LATEST)
         )
         found = []
-        for handle, cpu_model, affinity in self._session.execute(query):
+        for handle, cpu_model, affinity in self._connection.execute(query):
             node = ((handle or {}).get("data") or {}).get(NODE)
             if node:
                 found.append(NodeSeen(str(node), cpu_model, affinity))
@@ -55,7 +55,9 @@ class PlacingRepository(Repository):
             .group_by(Run.executor, node)
         )
         # MySQL gives the JSON of a text, SQLite the text.
-        return {(row[0], None if row[1] is None else row[1].strip('"')): row[2] for row in self._session.execute(query)}
+        return {
+            (row[0], None if row[1] is None else row[1].strip('"')): row[2] for row in self._connection.execute(query)
+        }
 
     def measured_s(self, configuration_id: int) -> float | None:
         """The mean duration of the runs of a configuration; None if none was measured."""
@@ -66,8 +68,8 @@ class PlacingRepository(Repository):
             .where(Run.configuration_id == configuration_id)
             .where(MetricValue.metric_id == metric_id, MetricValue.protocol_id == MEASURED_PROTOCOL_ID)
         )
-        return self._session.scalar(query)
+        return self._connection.scalar(query)
 
     def recording_s(self, dataset: str) -> float:
         """The duration of a dataset's recording."""
-        return float(self._session.execute(select(Dataset.duration_s).where(Dataset.name == dataset)).scalar_one())
+        return float(self._connection.execute(select(Dataset.duration_s).where(Dataset.name == dataset)).scalar_one())

@@ -64,14 +64,16 @@ class RunQueue(LeaseQueue[int]):
         queued = and_(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only), *_not_on(away))
         queued = and_(queued, *self._allowed(machine))
         while (run_id := self._first(queued, near)) is not None:
-            other = None if machine is None else SameCpu(self._session).admits(run_id, machine)
+            other = None if machine is None else SameCpu(self._connection).admits(run_id, machine)
             if other is not None:
                 queued = and_(queued, *_not_of([other]))
             elif self._take(run_id, lease, queued, state=RunState.PREPARING):
                 event = {"from_state": RunState.QUEUED, "to_state": RunState.PREPARING}
                 why = f"claimed by {lease.owner}"
-                self._session.execute(insert(EventRow.__table__).values(run_id=run_id, at=lease.at, why=why, **event))
-                return RunRepository(self._session).get(run_id)
+                self._connection.execute(
+                    insert(EventRow.__table__).values(run_id=run_id, at=lease.at, why=why, **event)
+                )
+                return RunRepository(self._connection).get(run_id)
         return None
 
     def adopt(
@@ -87,9 +89,9 @@ class RunQueue(LeaseQueue[int]):
         begun = [or_(_RUNS.c.state != RunState.PREPARING, allowed) for allowed in self._allowed(machine)]
         orphaned = and_(_RUNS.c.id.in_(active), self._orphaned(lease.now), *_among(only), *begun)
         first = select(_RUNS.c.id).where(orphaned).order_by(_RUNS.c.priority.desc(), _RUNS.c.id).limit(1)
-        while (run_id := self._session.execute(first).scalar_one_or_none()) is not None:
+        while (run_id := self._connection.execute(first).scalar_one_or_none()) is not None:
             if self._take(run_id, lease, orphaned):
-                record = RunRepository(self._session).get(run_id)
+                record = RunRepository(self._connection).get(run_id)
                 logger.info("run %d (%s) is taken over by %s", run_id, record.state, lease.owner)
                 return record
         return None
@@ -97,7 +99,7 @@ class RunQueue(LeaseQueue[int]):
     def waits(self, only: Collection[int] | None = None) -> bool:
         """Whether a run is queued that may be claimed."""
         queued = select(_RUNS.c.id).where(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only))
-        return self._session.execute(queued.limit(1)).scalar_one_or_none() is not None
+        return self._connection.execute(queued.limit(1)).scalar_one_or_none() is not None
 
     def lately(self, limit: int) -> list[int]:
         """Active runs, and up to ``limit`` each of those that ended or were evaluated last."""
@@ -126,12 +128,12 @@ class RunQueue(LeaseQueue[int]):
 
     def _allowed(self, machine: Machine | None) -> list[ColumnElement[bool]]:
         """Excludes the experiments that do not let the machine measure their runs; empty if there is none."""
-        barred = [] if machine is None else SameCpu(self._session).barred(machine)
+        barred = [] if machine is None else SameCpu(self._connection).barred(machine)
         return _not_of([entry.experiment_id for entry in barred])
 
     def _first(self, queued: ColumnElement[bool], near: str) -> int | None:
         """The run to take next. Each question is one step through an index: the queue may hold 100,000 runs."""
-        highest = self._session.execute(select(func.max(_RUNS.c.priority)).where(queued)).scalar_one()
+        highest = self._connection.execute(select(func.max(_RUNS.c.priority)).where(queued)).scalar_one()
         if highest is None:
             return None
         first = select(func.min(_RUNS.c.id)).where(queued, _RUNS.c.priority == highest)
@@ -143,10 +145,10 @@ class RunQueue(LeaseQueue[int]):
             same = first.where(_RUNS.c.affinity == near)
             alike = first.where(_RUNS.c.affinity == on_same_data.scalar_subquery())
             for nearer in (same, alike):
-                found = self._session.execute(nearer).scalar_one()
+                found = self._connection.execute(nearer).scalar_one()
                 if found is not None:
                     return int(found)
-        oldest = self._session.execute(first).scalar_one()
+        oldest = self._connection.execute(first).scalar_one()
         return None if oldest is None else int(oldest)
 
     def cancel_requested(self, run_ids: Iterable[int]) -> set[int]:

@@ -23,7 +23,7 @@ from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, no
 from slamhive.domain.versions import version_label
 from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
-from slamhive.schema.submission import NEVER, Limits, StopWhen
+from slamhive.schema.limits import NEVER, Limits, StopWhen
 
 
 class LeaseLost(Conflict):

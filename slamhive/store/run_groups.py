@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, FromClause, Select, and_, case, func, not_, select
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, Connection, FromClause, Select, and_, case, func, not_, select
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput, unknown
@@ -37,26 +36,26 @@ MOST_REPEATS = 100
 
 
 def group_page(
-    session: Session, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]
+    connection: Connection, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]
 ) -> GroupPage:
     """One page; see :meth:`slamhive.store.searches.SearchRepository.groups`."""
     if not 1 <= limit <= LARGEST_PAGE:
         raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
     if sort.key not in SORT_KEYS and sort.key not in CATALOGUE:
         raise unknown("sort key of groups", sort.key, [*SORT_KEYS, *CATALOGUE])
-    names = look_up(session, search)
-    return _Groups(session, search, names, Sql(names), sort).page(after, limit, metrics)
+    names = look_up(connection, search)
+    return _Groups(connection, search, names, Sql(names), sort).page(after, limit, metrics)
 
 
-def group_repeats(session: Session, search: Search, ids: Sequence[int], metrics: Sequence[str]) -> Repeats:
+def group_repeats(connection: Connection, search: Search, ids: Sequence[int], metrics: Sequence[str]) -> Repeats:
     """See :meth:`slamhive.store.searches.SearchRepository.repeats`."""
-    names = look_up(session, search)
-    return _Groups(session, search, names, Sql(names), RunSort("configuration")).repeats(ids, metrics)
+    names = look_up(connection, search)
+    return _Groups(connection, search, names, Sql(names), RunSort("configuration")).repeats(ids, metrics)
 
 
 @dataclass(frozen=True)
 class _Groups:
-    session: Session
+    connection: Connection
     search: Search
     names: Names
     sql: Sql
@@ -65,9 +64,9 @@ class _Groups:
     def page(self, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         kind = str if self.sort.key in {"algorithm", "dataset"} else float
         key = None if after is None else decode(after, (int,) if self.sort.key == "configuration" else (kind, int))
-        runs, few = Matches(self.session, self.search, self.sql).survey()
+        runs, few = Matches(self.connection, self.search, self.sql).survey()
         chosen = self._many(key, limit + 1) if few is None else self._few(few, key, limit + 1)
-        rows = [tuple(row) for row in self.session.execute(chosen)]
+        rows = [tuple(row) for row in self.connection.execute(chosen)]
         shown = [row[-1] for row in rows[:limit]]
         next_key = encode(rows[limit - 1]) if len(rows) > limit else None
         return GroupPage(self._records(shown, metrics), runs, next_key)
@@ -155,15 +154,15 @@ class _Groups:
         disturbed = func.count(case((runs.c.disturbed_by > "", 1)))
         counted = select(runs.c.configuration_id, func.count(), failed, disturbed).where(*matching)
         counted = counted.group_by(runs.c.configuration_id)
-        numbers = {row[0]: (int(row[1]), int(row[2]), int(row[3])) for row in self.session.execute(counted)}
-        rows = self.session.execute(
+        numbers = {row[0]: (int(row[1]), int(row[2]), int(row[3])) for row in self.connection.execute(counted)}
+        rows = self.connection.execute(
             select(table.c.id, Algorithm.name, Dataset.name)
             .join(Algorithm, Algorithm.id == table.c.algorithm_id)
             .join(Dataset, Dataset.id == table.c.dataset_id)
             .where(table.c.id.in_(ids))
         ).all()
         described = {row[0]: row for row in rows}
-        parameters = ConfigurationRepository(self.session).parameters_of_all(ids)
+        parameters = ConfigurationRepository(self.connection).parameters_of_all(ids)
         spreads = self._spreads(matching, runs, metrics)
         return tuple(
             GroupRecord(
@@ -210,9 +209,9 @@ class _Groups:
             func.max(inner.c.value),
         ).group_by(*groups)
         metric_names = {number: key for key, number in self.names.metrics.items()}
-        labels = {row.id: ProtocolLabel(row.fingerprint, row.label) for row in self.session.execute(_protocols())}
+        labels = {row.id: ProtocolLabel(row.fingerprint, row.label) for row in self.connection.execute(_protocols())}
         found: dict[int, dict[ProtocolLabel | None, dict[str, Spread]]] = {}
-        for row in self.session.execute(query):
+        for row in self.connection.execute(query):
             configuration_id, metric_id, protocol_id, n, average, middle, squares, low, high = tuple(row)
             label = None if protocol_id == MEASURED_PROTOCOL_ID else labels[protocol_id]
             std = math.sqrt(squares / (n - 1)) if n > 1 else None
@@ -234,9 +233,9 @@ class _Groups:
         )
         query = select(inner).where(inner.c.place <= MOST_REPEATS).order_by(*inner.c[:3], inner.c.place)
         metric_names = {number: key for key, number in self.names.metrics.items()}
-        fingerprints = {row.id: row.fingerprint for row in self.session.execute(_protocols())}
+        fingerprints = {row.id: row.fingerprint for row in self.connection.execute(_protocols())}
         found: dict[tuple[int, str | None, str], list[float]] = {}
-        for configuration_id, metric_id, protocol_id, value, _ in map(tuple, self.session.execute(query)):
+        for configuration_id, metric_id, protocol_id, value, _ in map(tuple, self.connection.execute(query)):
             protocol = None if protocol_id == MEASURED_PROTOCOL_ID else fingerprints[protocol_id]
             found.setdefault((configuration_id, protocol, metric_names[metric_id]), []).append(float(value))
         return found

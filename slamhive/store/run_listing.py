@@ -8,8 +8,7 @@ from itertools import islice
 from random import Random
 from typing import Any
 
-from sqlalchemy import ColumnElement, FromClause, Select, bindparam, case, func, select
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, Connection, FromClause, Select, bindparam, case, func, select
 
 from slamhive.errors import InvalidInput
 from slamhive.search.binding import Condition, Search
@@ -32,23 +31,23 @@ _TRIED = 12
 
 
 def list_page(
-    session: Session, search: Search, sort: RunSort, after: str | None, limit: int, *, with_metrics: bool
+    connection: Connection, search: Search, sort: RunSort, after: str | None, limit: int, *, with_metrics: bool
 ) -> Page:
     """One page of the runs that match ``search``; see :meth:`RunRepository.page`."""
     if not 1 <= limit <= LARGEST_PAGE:
         raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
-    names = look_up(session, search, sorted_parameter(session, sort.key))
+    names = look_up(connection, search, sorted_parameter(connection, sort.key))
     sql = Sql(names)
-    order = Order(sort, sql, names_in_order(session, sort))
+    order = Order(sort, sql, names_in_order(connection, sort))
     key = None if after is None else decode(after, order.kinds)
-    matches = Matches(session, search, sql)
+    matches = Matches(connection, search, sql)
     total, rows = matches.page(order, key, limit + 1)
     shown = [row[-1] for row in rows[:limit]]
     records = {
         record.id: record
         for record in to_records(
-            session,
-            session.execute(run_query(names.protocol_id).where(Run.id.in_(shown))).all(),
+            connection,
+            connection.execute(run_query(names.protocol_id).where(Run.id.in_(shown))).all(),
             with_metrics=with_metrics,
             protocol_id=names.protocol_id,
         )
@@ -65,7 +64,7 @@ class Matches:
     of the list soon fills a page. Counting up to :data:`COUNTED` decides which of the two it is.
     """
 
-    session: Session
+    connection: Connection
     search: Search
     sql: Sql
 
@@ -77,7 +76,7 @@ class Matches:
         walked: list[tuple[Any, ...]] = []
         for query in order.walk(self.search.tree, after, limit):
             if len(walked) < limit:
-                walked += [tuple(row) for row in self.session.execute(query.limit(limit - len(walked)))]
+                walked += [tuple(row) for row in self.connection.execute(query.limit(limit - len(walked)))]
         return total, walked
 
     def survey(self) -> tuple[Count, Sequence[int] | None]:
@@ -85,7 +84,7 @@ class Matches:
         total = self.count_by_index()
         if self.search.tree is None or (total is not None and total.number > COUNTED):
             return total or Count(0), None
-        found = self.session.execute(self.ids(COUNTED + 1)).scalars().all()
+        found = self.connection.execute(self.ids(COUNTED + 1)).scalars().all()
         if len(found) > COUNTED:
             return Count(COUNTED, exact=False), None
         return Count(len(found)), found
@@ -99,7 +98,7 @@ class Matches:
         """The exact number if one index knows it: for all runs, and for a single comparison."""
         tree = self.search.tree
         if tree is None:
-            return Count(int(self.session.execute(select(func.count()).select_from(RUNS)).scalar_one()))
+            return Count(int(self.connection.execute(select(func.count()).select_from(RUNS)).scalar_one()))
         start = next(starts(tree), None) if isinstance(tree, Condition) else None
         if start is None or start.rest is not None or start.also is not None:
             return None
@@ -124,22 +123,22 @@ class Matches:
             query = query.where(behind(keys, after, descending=order.sort.descending))
         by_value = [keys[0].is_(None)] if len(keys) > 1 else []
         query = query.order_by(*by_value, *ordered(keys, descending=order.sort.descending)).limit(limit)
-        return [tuple(row) for row in self.session.execute(query)]
+        return [tuple(row) for row in self.connection.execute(query)]
 
     def _best_start(self) -> Start | None:
         """The cheapest start. A sample of runs shows how many runs each of them yields."""
         found = list(islice(starts(self.search.tree), _TRIED))
         if len(found) < 2:
             return found[0] if found else None
-        newest = self.session.execute(select(func.max(RUNS.c.id))).scalar_one() or 0
+        newest = self.connection.execute(select(func.max(RUNS.c.id))).scalar_one() or 0
         sample = Random(newest).sample(range(1, newest + 1), min(newest, _SAMPLE))  # noqa: S311 - no secret
         runs = RUNS.alias()
         fitting = [func.sum(case((self.sql.test(start.part, runs), 1), else_=0)) for start in found]
-        lengths = self.session.execute(select(*fitting).where(among(runs.c.id, sample))).one()
+        lengths = self.connection.execute(select(*fitting).where(among(runs.c.id, sample))).one()
         return min(zip(found, lengths, strict=True), key=lambda entry: entry[0].cost * (entry[1] or 0))[0]
 
     def _number(self, rows: FromClause) -> int:
-        return int(self.session.execute(select(func.count()).select_from(rows)).scalar_one())
+        return int(self.connection.execute(select(func.count()).select_from(rows)).scalar_one())
 
 
 def among(column: ColumnElement[int], ids: Sequence[int]) -> ColumnElement[bool]:

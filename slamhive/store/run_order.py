@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, FromClause, Select, Table, and_, literal, select
-from sqlalchemy.orm import Session
+from sqlalchemy import Column, ColumnElement, Connection, FromClause, Select, Table, and_, literal, select
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import FailureReason, RunState
@@ -55,21 +54,21 @@ SORT_KEYS = (*COLUMNS, *NAMED)
 """Sort keys, besides every metric of the catalogue and every parameter."""
 
 
-def names_in_order(session: Session, sort: RunSort) -> tuple[tuple[int, str], ...]:
+def names_in_order(connection: Connection, sort: RunSort) -> tuple[tuple[int, str], ...]:
     """Id and name of the algorithms, datasets or experiments, in order, if runs are sorted by them."""
     if sort.key not in NAMED:
         return ()
-    rows = session.execute(select(_TABLES[sort.key].c.id, _TABLES[sort.key].c.name))
+    rows = connection.execute(select(_TABLES[sort.key].c.id, _TABLES[sort.key].c.name))
     found = [(int(row.id), str(row.name)) for row in rows]
     return tuple(sorted(found, key=lambda entry: entry[1], reverse=sort.descending))
 
 
-def sorted_parameter(session: Session, key: str) -> tuple[str, ...]:
+def sorted_parameter(connection: Connection, key: str) -> tuple[str, ...]:
     """The parameter that ``key`` names; empty for another sort key. Raises NotFound for an unknown key."""
     if key in SORT_KEYS or key in CATALOGUE:
         return ()
     name = key.removeprefix(PARAMETER_PREFIX)
-    known = {entry.name for entry in stored_parameters(session)}
+    known = {entry.name for entry in stored_parameters(connection)}
     if name not in known:
         raise unknown("sort key", key, [*SORT_KEYS, *CATALOGUE, *known])
     return (name,)

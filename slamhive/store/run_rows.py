@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Integer, Row, Select, func, literal, select
-from sqlalchemy.orm import Session
+from sqlalchemy import Connection, Integer, Row, Select, func, literal, select
 
 from slamhive.domain.configuration import InputMap, Playback
 from slamhive.domain.disturbance import Disturbance
@@ -17,14 +16,14 @@ from slamhive.domain.protocol import protocol_from_content
 from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import VerdictKind
-from slamhive.schema.model import load
-from slamhive.schema.submission import StopWhen
+from slamhive.schema.limits import StopWhen
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.metrics import VERDICT, MetricRepository
 from slamhive.store.models import Algorithm, AlgorithmVersion, Configuration, Dataset, Experiment, Host, Protocol, Run
 from slamhive.store.notes import NoteRepository
 from slamhive.store.records import AlgorithmVersion as VersionRecord
 from slamhive.store.records import ProtocolLabel, RunRecord
+from slamhive.store.rows import from_json
 from slamhive.store.verdicts import kind_of
 
 _CONVERTED = {"protocol_override", "stop_when", "disturbance"}
@@ -74,15 +73,15 @@ def run_query(protocol_id: int | None = None) -> Select[Any]:
 
 
 def to_records(
-    session: Session, rows: Sequence[Row[Any]], *, with_metrics: bool = False, protocol_id: int | None = None
+    connection: Connection, rows: Sequence[Row[Any]], *, with_metrics: bool = False, protocol_id: int | None = None
 ) -> tuple[RunRecord, ...]:
     """The rows of :func:`run_query` as records, in the same order, with metrics of the same protocol."""
-    parameters = ConfigurationRepository(session).parameters_of_all(row.configuration_id for row in rows)
+    parameters = ConfigurationRepository(connection).parameters_of_all(row.configuration_id for row in rows)
     run_ids = [row.id for row in rows]
-    notes = NoteRepository(session).for_runs(run_ids)
+    notes = NoteRepository(connection).for_runs(run_ids)
     if not with_metrics:
         return tuple(_record(row, parameters[row.configuration_id], notes=notes.get(row.id, NO_NOTES)) for row in rows)
-    metrics = MetricRepository(session).for_runs(run_ids, protocol_id=protocol_id, verdicts=True)
+    metrics = MetricRepository(connection).for_runs(run_ids, protocol_id=protocol_id, verdicts=True)
     kinds = {run_id: kind_of(values.pop(VERDICT, None)) for run_id, values in metrics.items()}
     return tuple(
         _record(
@@ -112,10 +111,10 @@ def _record(
         dataset=row.dataset,
         parameters=parameters,
         playback=Playback(row.playback_mode, row.playback_rate),
-        variant=load(Variant, row.variant) if row.variant else (),
+        variant=from_json(Variant, row.variant) if row.variant else (),
         sensors=row.sensors or {},
         asked_version=row.asked_version,
-        input_map=None if row.input_map is None else load(InputMap, row.input_map),
+        input_map=None if row.input_map is None else from_json(InputMap, row.input_map),
         protocol_override=None if override is None else protocol_from_content(override),
         protocol=None
         if fingerprint is None

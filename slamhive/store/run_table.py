@@ -76,7 +76,7 @@ class RunTableRepository(Repository):
         """{key or general name: unit} of the parameters whose definitions agree on a unit."""
         query = select(Parameter.key, Parameter.general, Parameter.unit).distinct()
         found: dict[str, set[str]] = {}
-        for key, general, unit in self._session.execute(query):
+        for key, general, unit in self._connection.execute(query):
             for name in (key, general):
                 if name is not None:
                     found.setdefault(name, set()).add(unit)
@@ -84,7 +84,7 @@ class RunTableRepository(Repository):
 
     def metric(self, key: str, run_ids: Sequence[int], fingerprint: str | None = None) -> dict[int, float]:
         """The values of one metric: measured, or under each run's current protocol, or that of ``fingerprint``."""
-        metric_id = self._session.execute(select(Metric.id).where(Metric.key == key)).scalar_one_or_none()
+        metric_id = self._connection.execute(select(Metric.id).where(Metric.key == key)).scalar_one_or_none()
         if metric_id is None:
             return {}
         chosen: ColumnElement[bool]
@@ -136,7 +136,9 @@ class RunTableRepository(Repository):
     def protocol_id(self, fingerprint: str) -> int:
         """The row of a protocol; raises NotFound naming those that exist."""
         table = Protocol.__table__
-        rows = self._session.execute(select(table.c.id, table.c.fingerprint).where(table.c.id != MEASURED_PROTOCOL_ID))
+        rows = self._connection.execute(
+            select(table.c.id, table.c.fingerprint).where(table.c.id != MEASURED_PROTOCOL_ID)
+        )
         known: Mapping[str, int] = {row.fingerprint: row.id for row in rows}
         if fingerprint not in known:
             raise unknown("protocol", fingerprint, list(known))
@@ -145,7 +147,7 @@ class RunTableRepository(Repository):
     def protocol_label(self, fingerprint: str) -> str:
         """The label of a protocol; raises NotFound."""
         lookup = select(Protocol.label).where(Protocol.id == self.protocol_id(fingerprint))
-        return str(self._session.execute(lookup).scalar_one())
+        return str(self._connection.execute(lookup).scalar_one())
 
     def existing(self, run_ids: Sequence[int]) -> set[int]:
         """Those of these runs that exist."""
@@ -154,7 +156,7 @@ class RunTableRepository(Repository):
     def runs_of_experiment(self, name: str) -> list[int]:
         """The runs of an experiment; raises NotFound."""
         table = Experiment.__table__
-        found = self._session.execute(select(table.c.id).where(table.c.name == name)).scalar_one_or_none()
+        found = self._connection.execute(select(table.c.id).where(table.c.name == name)).scalar_one_or_none()
         if found is None:
             raise unknown("experiment", name, self._column(select(table.c.name)))
         return self._column(select(Run.id).where(Run.experiment_id == found))
@@ -162,14 +164,14 @@ class RunTableRepository(Repository):
     def experiment_names(self) -> dict[int, str]:
         """All experiments: {id: name}."""
         table = Experiment.__table__
-        return {row.id: row.name for row in self._session.execute(select(table.c.id, table.c.name))}
+        return {row.id: row.name for row in self._connection.execute(select(table.c.id, table.c.name))}
 
     def runs_of_group(self, name: str) -> list[int]:
         """The runs of the configurations of a group; raises NotFound."""
         table = ConfigurationGroup.__table__
         members = self._column(select(table.c.configuration_id).where(table.c.name == name))
         if not members:
-            known = self._session.execute(select(table.c.name).distinct()).scalars()
+            known = self._connection.execute(select(table.c.name).distinct()).scalars()
             raise unknown("group", name, list(known))
         return self.runs_of_configurations(members)
 
@@ -181,14 +183,13 @@ class RunTableRepository(Repository):
     def _rows(self, query: Any, key: Any, ids: Sequence[int]) -> Iterator[Any]:
         """The rows whose ``key`` is among ``ids``, by run or configuration."""
         wanted = sorted(set(ids))
-        connection = self._session.connection()  # plain rows: the session would look at each for objects
         if len(wanted) < SCANNED_FROM:
             for part in chunks(wanted):
-                yield from connection.execute(query.where(key.in_(part)).order_by(key))
+                yield from self._connection.execute(query.where(key.in_(part)).order_by(key))
             return
         chosen = set(wanted)
         scanned = query.add_columns(key.label("scanned")).where(and_(key >= wanted[0], key <= wanted[-1]))
-        for row in connection.execute(scanned.order_by(key), execution_options={"yield_per": 10_000}):
+        for row in self._connection.execute(scanned.order_by(key), execution_options={"yield_per": 10_000}):
             if row[-1] in chosen:
                 yield row[:-1]
 

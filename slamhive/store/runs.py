@@ -46,9 +46,9 @@ class RunRepository(Repository):
 
         ``deleted_too``: whether runs that were deleted are added again.
         """
-        deleted = DeletedRunRepository(self._session).among([request.uid for request in requests])
+        deleted = DeletedRunRepository(self._connection).among([request.uid for request in requests])
         if deleted and deleted_too:
-            DeletedRunRepository(self._session).forget(sorted(deleted))
+            DeletedRunRepository(self._connection).forget(sorted(deleted))
         elif deleted:
             requests = [request for request in requests if request.uid not in deleted]
         known = self.ids_by_uid([request.uid for request in requests])
@@ -56,21 +56,21 @@ class RunRepository(Repository):
         if new:
             owners = self._owners(new)
             rows = [{**_new_row(request, now), "owner": owners[request.uid]} for request in new]
-            self._session.execute(insert(_RUNS), rows)
+            self._connection.execute(insert(_RUNS), rows)
             known.update(self.ids_by_uid([request.uid for request in new]))
             events = [event_row(known[request.uid], queued_event(request, now)) for request in new]
-            self._session.execute(insert(_EVENTS), events)
-            changes_of(self._session).runs += [NewRow(known[request.uid], request, now) for request in new]
+            self._connection.execute(insert(_EVENTS), events)
+            changes_of(self._connection).runs += [NewRow(known[request.uid], request, now) for request in new]
         return [known[request.uid] for request in requests]
 
     def _owners(self, requests: Sequence[RunRequest]) -> dict[str, str | None]:
         """{uid: account} of new runs: who stores them; the owner of the run that is repeated if a worker does."""
-        stored_by = self._session.info.get(OWNER_KEY)
+        stored_by = self._connection.get_execution_options().get(OWNER_KEY)
         repeated = [] if stored_by else sorted({request.retry_of for request in requests if request.retry_of})
         of_run: dict[int | None, str | None] = {}
         for part in chunks(repeated):
             query = select(_RUNS.c.id, _RUNS.c.owner).where(_RUNS.c.id.in_(part))
-            of_run.update((row.id, row.owner) for row in self._session.execute(query))
+            of_run.update((row.id, row.owner) for row in self._connection.execute(query))
         return {request.uid: stored_by or of_run.get(request.retry_of) for request in requests}
 
     def get(self, run_id: int, *, with_metrics: bool = False) -> RunRecord:
@@ -82,8 +82,10 @@ class RunRepository(Repository):
         wanted = list(run_ids)
         found: dict[int, RunRecord] = {}
         for part in chunks(sorted(set(wanted))):
-            rows = self._session.execute(run_query().where(Run.id.in_(part))).all()
-            found.update((record.id, record) for record in to_records(self._session, rows, with_metrics=with_metrics))
+            rows = self._connection.execute(run_query().where(Run.id.in_(part))).all()
+            found.update(
+                (record.id, record) for record in to_records(self._connection, rows, with_metrics=with_metrics)
+            )
         for run_id in wanted:
             if run_id not in found:
                 raise NotFound(f"unknown run {run_id}", "slamhive runs lists them")
@@ -108,22 +110,22 @@ class RunRepository(Repository):
             with_metrics: Fill ``RunRecord.metrics``.
         """
         search = wanted or EVERYTHING
-        return list_page(self._session, search, sort or RunSort(), after, limit, with_metrics=with_metrics)
+        return list_page(self._connection, search, sort or RunSort(), after, limit, with_metrics=with_metrics)
 
     def active(self) -> tuple[RunRecord, ...]:
         """The runs that workers have claimed, in order; there are at most as many as slots."""
         states = tuple(state for state in RunState if state.active)
-        return self.get_many(self._session.scalars(select(Run.id).where(Run.state.in_(states)).order_by(Run.id)))
+        return self.get_many(self._connection.scalars(select(Run.id).where(Run.state.in_(states)).order_by(Run.id)))
 
     def counts_by_state(self) -> dict[RunState, int]:
         """How many runs are in each state, 0 included."""
-        rows = self._session.execute(select(_RUNS.c.state, func.count()).group_by(_RUNS.c.state))
+        rows = self._connection.execute(select(_RUNS.c.state, func.count()).group_by(_RUNS.c.state))
         found = {row[0]: row[1] for row in rows}
         return {state: found.get(state, 0) for state in RunState}
 
     def events(self, run_id: int) -> list[RunEvent]:
         """The moves of one run, oldest first."""
-        rows = self._session.execute(select(_EVENTS).where(_EVENTS.c.run_id == run_id).order_by(_EVENTS.c.id))
+        rows = self._connection.execute(select(_EVENTS).where(_EVENTS.c.run_id == run_id).order_by(_EVENTS.c.id))
         return [RunEvent(row.at, row.from_state, row.to_state, row.why) for row in rows]
 
     def move(
@@ -162,11 +164,11 @@ class RunRepository(Repository):
         condition = [_RUNS.c.id == run_id, _RUNS.c.state == row.state]
         if owner is not None:
             condition.append(_RUNS.c.lease_owner == owner)
-        if changed(self._session, update(_RUNS).where(*condition).values(values)) != 1:
+        if changed(self._connection, update(_RUNS).where(*condition).values(values)) != 1:
             raise LeaseLost(f"run {run_id} was changed by another process while it moved to {target}")
         self._write_event(run_id, RunEvent(now, row.state, target, why))
         if row.state is RunState.QUEUED and target is RunState.CANCELLED:
-            changes_of(self._session).cancelled.append(([run_id], now, why))
+            changes_of(self._connection).cancelled.append(([run_id], now, why))
         return RunState(row.state)
 
     def update(self, run_id: int, owner: str | None = None, **fields: Unpack[RunFields]) -> None:
@@ -174,7 +176,7 @@ class RunRepository(Repository):
         condition = [_RUNS.c.id == run_id]
         if owner is not None:
             condition.append(_RUNS.c.lease_owner == owner)
-        if changed(self._session, update(_RUNS).where(*condition).values(_checked(fields))) != 1:
+        if changed(self._connection, update(_RUNS).where(*condition).values(_checked(fields))) != 1:
             row = self._current(run_id)
             raise LeaseLost(f"run {run_id} is held by {row.lease_owner or 'nobody'}, not by {owner}")
 
@@ -191,8 +193,8 @@ class RunRepository(Repository):
                 raise Conflict(f"run {run_id} has ended already, it is {state}")
             if state.active:
                 flag = update(_RUNS).where(_RUNS.c.id == run_id, _RUNS.c.state == state).values(cancel_requested=True)
-                if changed(self._session, flag) == 1:
-                    changes_of(self._session).asked_to_end.add(run_id)
+                if changed(self._connection, flag) == 1:
+                    changes_of(self._connection).asked_to_end.add(run_id)
                     return state
                 continue
             try:
@@ -205,24 +207,24 @@ class RunRepository(Repository):
         """{uid: number} of those of these runs that are stored."""
         found: dict[str, int] = {}
         for part in chunks(uids):
-            for row in self._session.execute(select(_RUNS.c.uid, _RUNS.c.id).where(_RUNS.c.uid.in_(part))):
+            for row in self._connection.execute(select(_RUNS.c.uid, _RUNS.c.id).where(_RUNS.c.uid.in_(part))):
                 found[row.uid] = row.id
         return found
 
     def _current(self, run_id: int) -> Any:
         columns = (_RUNS.c.state, _RUNS.c.lease_owner, _RUNS.c.started_at, _RUNS.c.ended_at)
-        row = self._session.execute(select(*columns).where(_RUNS.c.id == run_id)).one_or_none()
+        row = self._connection.execute(select(*columns).where(_RUNS.c.id == run_id)).one_or_none()
         if row is None:
             raise NotFound(f"unknown run {run_id}", "slamhive runs lists them")
         return row
 
     def _is_repeated(self, run_id: int, target: RunState, now: datetime) -> bool:
         latest = select(_EVENTS).where(_EVENTS.c.run_id == run_id).order_by(_EVENTS.c.id.desc()).limit(1)
-        event = self._session.execute(latest).one_or_none()
+        event = self._connection.execute(latest).one_or_none()
         return event is not None and event.to_state is target and event.at == now
 
     def _write_event(self, run_id: int, event: RunEvent) -> None:
-        self._session.execute(insert(_EVENTS).values(event_row(run_id, event)))
+        self._connection.execute(insert(_EVENTS).values(event_row(run_id, event)))
 
 
 def queued_event(request: RunRequest, at: datetime) -> RunEvent:

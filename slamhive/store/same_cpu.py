@@ -61,7 +61,7 @@ class SameCpu(Repository):
         )
         return [
             Barred(row.id, row.name, row.cpu_model)
-            for row in self._session.execute(query)
+            for row in self._connection.execute(query)
             if not machine.elsewhere(row.executor)
         ]
 
@@ -78,17 +78,17 @@ class SameCpu(Repository):
         if row.cpu_model != NOT_KNOWN:
             return None if elsewhere or row.cpu_model == machine.cpu_model else int(row.id)
         # Workers of other machines ask the same now: one after the other gets the row.
-        self._session.execute(select(_EXPERIMENTS.c.id).where(_EXPERIMENTS.c.id == row.id).with_for_update())
+        self._connection.execute(select(_EXPERIMENTS.c.id).where(_EXPERIMENTS.c.id == row.id).with_for_update())
         known = self.known(row.id)
         if known is None and elsewhere:
             return int(row.id) if self._has_active_runs(row.id) else None
         wanted = known or machine.cpu_model
-        self._session.execute(update(_EXPERIMENTS).where(_EXPERIMENTS.c.id == row.id).values(cpu_model=wanted))
+        self._connection.execute(update(_EXPERIMENTS).where(_EXPERIMENTS.c.id == row.id).values(cpu_model=wanted))
         return None if elsewhere or wanted == machine.cpu_model else int(row.id)
 
     def known(self, experiment_id: int) -> str | None:
         """The CPU model that all runs of an experiment need; None if any will do, or none is known yet."""
-        stored = self._session.scalar(select(_EXPERIMENTS.c.cpu_model).where(_EXPERIMENTS.c.id == experiment_id))
+        stored = self._connection.scalar(select(_EXPERIMENTS.c.cpu_model).where(_EXPERIMENTS.c.id == experiment_id))
         return self._measured(experiment_id) if stored == NOT_KNOWN else stored
 
     def settle(self, experiment_id: int) -> None:
@@ -96,7 +96,7 @@ class SameCpu(Repository):
         measured = self._measured(experiment_id)
         if measured is not None:
             waits = (_EXPERIMENTS.c.id == experiment_id, _EXPERIMENTS.c.cpu_model == NOT_KNOWN)
-            self._session.execute(update(_EXPERIMENTS).where(*waits).values(cpu_model=measured))
+            self._connection.execute(update(_EXPERIMENTS).where(*waits).values(cpu_model=measured))
 
     def _measured(self, experiment_id: int) -> str | None:
         """The CPU model of the run that started first."""
@@ -107,12 +107,12 @@ class SameCpu(Repository):
             .order_by(Run.started_at, Run.id)
             .limit(1)
         )
-        return self._session.scalar(query)
+        return self._connection.scalar(query)
 
     def _experiment_of(self, run_id: int) -> Any:
         of = _EXPERIMENTS.c
         query = select(of.id, of.executor, of.cpu_model).join(_RUNS, _RUNS.c.experiment_id == of.id)
-        return self._session.execute(query.where(_RUNS.c.id == run_id)).one_or_none()
+        return self._connection.execute(query.where(_RUNS.c.id == run_id)).one_or_none()
 
     def _has_active_runs(self, experiment_id: int) -> bool:
         query = select(func.count()).where(_RUNS.c.experiment_id == experiment_id, _RUNS.c.state.in_(_ACTIVE))

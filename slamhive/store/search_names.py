@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from sqlalchemy import func, or_, select
-from sqlalchemy.orm import Session
+from sqlalchemy import Connection, func, or_, select
 
 from slamhive.domain.parameters import ParameterType
 from slamhive.errors import unknown
@@ -38,58 +37,58 @@ class Names:
     glob: bool
 
 
-def look_up(session: Session, search: Search, parameters: Iterable[str] = ()) -> Names:
+def look_up(connection: Connection, search: Search, parameters: Iterable[str] = ()) -> Names:
     """The ids behind ``search`` and further ``parameters``; raises NotFound for an unknown protocol."""
     wanted = set(parameters)
     if search.tree is not None:
         wanted |= {leaf.field.name for leaf in leaves(search.tree) if leaf.field.source is Source.PARAMETER}
     return Names(
-        metrics={row.key: row.id for row in session.execute(select(Metric.key, Metric.id))},
-        parameters=_parameter_ids(session, wanted),
-        protocol_id=None if search.protocol is None else _protocol_id(session, search.protocol),
-        glob=session.get_bind().dialect.name == "sqlite",
+        metrics={row.key: row.id for row in connection.execute(select(Metric.key, Metric.id))},
+        parameters=_parameter_ids(connection, wanted),
+        protocol_id=None if search.protocol is None else _protocol_id(connection, search.protocol),
+        glob=connection.dialect.name == "sqlite",
     )
 
 
-def stored_parameters(session: Session) -> list[ParameterKind]:
+def stored_parameters(connection: Connection) -> list[ParameterKind]:
     """Every parameter of any configuration, by key and by general name, and every option of variants.
 
     For matrices only ``has`` is useful: they are text that nothing equals.
     """
     found = []
-    for key, general, kind, unit in session.execute(
+    for key, general, kind, unit in connection.execute(
         select(Parameter.key, Parameter.general, Parameter.type, Parameter.unit).order_by(Parameter.id)
     ):
         meaning = _KINDS.get(ParameterType(kind), Kind.TEXT)
         found += [ParameterKind(name, meaning, unit) for name in dict.fromkeys((key, general)) if name is not None]
     options = select(VariantOption.name, func.count(VariantOption.number_value), func.count(VariantOption.text_value))
-    for name, numbers, texts in session.execute(options.group_by(VariantOption.name)):
+    for name, numbers, texts in connection.execute(options.group_by(VariantOption.name)):
         kinds = [Kind.NUMBER] * bool(numbers) + [Kind.TEXT] * bool(texts)
         found += [ParameterKind(VARIANT_PREFIX + name, kind) for kind in kinds]
     return found
 
 
-def stored_protocols(session: Session) -> dict[str, str]:
+def stored_protocols(connection: Connection) -> dict[str, str]:
     """{fingerprint: label} of all protocols."""
     query = select(Protocol.fingerprint, Protocol.label).where(Protocol.id != MEASURED_PROTOCOL_ID)
-    return {row.fingerprint: row.label for row in session.execute(query)}
+    return {row.fingerprint: row.label for row in connection.execute(query)}
 
 
-def _parameter_ids(session: Session, names: set[str]) -> dict[str, tuple[int, ...]]:
+def _parameter_ids(connection: Connection, names: set[str]) -> dict[str, tuple[int, ...]]:
     if not names:
         return {}
     table = Parameter.__table__
     found: dict[str, list[int]] = {name: [] for name in names}
     named = or_(table.c.key.in_(names), table.c.general.in_(names))
-    for row in session.execute(select(table.c.id, table.c.key, table.c.general).where(named)):
+    for row in connection.execute(select(table.c.id, table.c.key, table.c.general).where(named)):
         for name in {row.key, row.general} & names:
             found[name].append(row.id)
     return {name: tuple(ids) for name, ids in found.items()}
 
 
-def _protocol_id(session: Session, fingerprint: str) -> int:
+def _protocol_id(connection: Connection, fingerprint: str) -> int:
     table = Protocol.__table__
-    known = {row.fingerprint: row.id for row in session.execute(select(table.c.fingerprint, table.c.id))}
+    known = {row.fingerprint: row.id for row in connection.execute(select(table.c.fingerprint, table.c.id))}
     if fingerprint not in known:
         raise unknown("protocol", fingerprint, list(known))
     return int(known[fingerprint])

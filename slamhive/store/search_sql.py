@@ -37,7 +37,6 @@ from slamhive.store.metrics import VERDICT
 from slamhive.store.models import (
     Algorithm,
     AlgorithmVersion,
-    Base,
     Configuration,
     ConfigurationValue,
     Dataset,
@@ -50,6 +49,7 @@ from slamhive.store.search_names import Names
 from slamhive.store.search_notes import OPPOSITE, noted
 from slamhive.store.search_trust import trust_tree
 from slamhive.store.search_verdicts import STORED_FAILURE, verdict_tree
+from slamhive.store.tables import Base
 
 _RUN_COLUMNS = {
     "configuration": "configuration_id",

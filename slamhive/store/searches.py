@@ -30,11 +30,11 @@ class SearchRepository(Repository):
 
     def parameters(self) -> list[ParameterKind]:
         """Every parameter and variant option of any configuration."""
-        return stored_parameters(self._session)
+        return stored_parameters(self._connection)
 
     def protocols(self) -> dict[str, str]:
         """{fingerprint: label} of all protocols."""
-        return stored_protocols(self._session)
+        return stored_protocols(self._connection)
 
     def unevaluated(self) -> int:
         """How many runs succeeded and have neither metrics of a protocol nor a queued or running evaluation."""
@@ -66,7 +66,7 @@ class SearchRepository(Repository):
 
     def run_ids(self, search: Search) -> list[int]:
         """The ids of all matching runs, in order."""
-        return sorted(self._session.execute(self._matches(search).ids(None)).scalars())
+        return sorted(self._connection.execute(self._matches(search).ids(None)).scalars())
 
     def total(self) -> int:
         """How many runs there are."""
@@ -74,7 +74,7 @@ class SearchRepository(Repository):
 
     def with_metrics(self, search: Search) -> dict[str, int]:
         """{metric: number of runs that have it} for the metrics that ``search`` compares."""
-        sql = Sql(look_up(self._session, search))
+        sql = Sql(look_up(self._connection, search))
         found: dict[str, int] = {}
         for field in search.metrics:
             figures = sql.figures(field.name, by_value=True)
@@ -87,26 +87,26 @@ class SearchRepository(Repository):
 
     def groups(self, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         """One page of the configurations of matching runs, with mean and spread of ``metrics`` over the repeats."""
-        return group_page(self._session, search, sort, after, limit, metrics)
+        return group_page(self._connection, search, sort, after, limit, metrics)
 
     def repeats(self, search: Search, ids: Sequence[int], metrics: Sequence[str]) -> Repeats:
         """The first values of ``metrics`` of some configurations, of their matching runs that did not fail."""
-        return group_repeats(self._session, search, ids, metrics)
+        return group_repeats(self._connection, search, ids, metrics)
 
     # -- saved searches --------------------------------------------------------------------------------------------
 
     def save(self, record: SavedSearchRecord, now: datetime) -> bool:
         """Save under its name, replacing a search of that name; whether it is new."""
         values = saved_columns(record)
-        changes_of(self._session).searches = True
-        if changed(self._session, update(_SAVED).where(_SAVED.c.name == record.name).values(values)):
+        changes_of(self._connection).searches = True
+        if changed(self._connection, update(_SAVED).where(_SAVED.c.name == record.name).values(values)):
             return False
-        self._session.execute(insert(_SAVED).values(name=record.name, created_at=now, **values))
+        self._connection.execute(insert(_SAVED).values(name=record.name, created_at=now, **values))
         return True
 
     def saved(self) -> list[SavedSearchRecord]:
         """All of them by name."""
-        return [_saved(row) for row in self._session.execute(select(_SAVED).order_by(_SAVED.c.name))]
+        return [_saved(row) for row in self._connection.execute(select(_SAVED).order_by(_SAVED.c.name))]
 
     def saved_named(self, name: str) -> SavedSearchRecord:
         """The one of this name; raises NotFound."""
@@ -118,11 +118,11 @@ class SearchRepository(Repository):
     def delete_saved(self, name: str) -> None:
         """Delete it; raises NotFound."""
         self.saved_named(name)
-        self._session.execute(delete(_SAVED).where(_SAVED.c.name == name))
-        changes_of(self._session).searches = True
+        self._connection.execute(delete(_SAVED).where(_SAVED.c.name == name))
+        changes_of(self._connection).searches = True
 
     def _matches(self, search: Search) -> Matches:
-        return Matches(self._session, search, Sql(look_up(self._session, search)))
+        return Matches(self._connection, search, Sql(look_up(self._connection, search)))
 
 
 def _saved(row: Row[Any]) -> SavedSearchRecord:

@@ -10,7 +10,6 @@ from typing import TypeVar
 
 from sqlalchemy import Engine, create_engine
 from sqlalchemy.exc import DBAPIError
-from sqlalchemy.orm import Session
 
 from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.errors import NotFound, SlamHiveError
@@ -181,8 +180,8 @@ class Store:
     def _attempt(self, engine: Engine, work: Callable[[Transaction], T], changes: Changes | None = None) -> T:
         owner = getattr(self._of_thread, "owner", None)
         noted = {CHANGES_KEY: Changes() if changes is None else changes, OWNER_KEY: owner}
-        with Session(engine, expire_on_commit=False, info=noted) as session, session.begin():
-            return work(Transaction(session, self._clock))
+        with engine.connect().execution_options(**noted) as connection, connection.begin():
+            return work(Transaction(connection, self._clock))
 
     def retried(self, attempt: Callable[[], T]) -> T:
         """What ``attempt`` returns. It is called again while the database is locked or away."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from datetime import UTC, datetime
 from enum import StrEnum
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from sqlalchemy import DateTime, Dialect, Enum, Text
 from sqlalchemy.dialects.mysql import DATETIME, DOUBLE, MEDIUMTEXT
@@ -60,12 +60,13 @@ class JsonText(TypeDecorator[Any]):
         return None if value is None else json.loads(value)
 
 
-def enum_column(kind: type[E]) -> Enum:
+def enum_column(kind: type[E]) -> TypeEngine[E]:
     """A column that holds the values of ``kind`` as plain text, so that a new member needs no migration."""
-    return Enum(
+    made: Any = Enum(
         kind,
         native_enum=False,
         create_constraint=False,
         length=32,
         values_callable=lambda members: [member.value for member in members],
     )
+    return cast("TypeEngine[E]", made)

@@ -74,7 +74,7 @@ class VerdictRepository(Repository):
             )
             if protocol_id is not None:
                 query = query.where(_EVALUATIONS.c.protocol_id == protocol_id)
-            for protocol, configuration in self._session.execute(query):
+            for protocol, configuration in self._connection.execute(query):
                 places[protocol].add(configuration)
         for protocol, configurations in places.items():
             for chosen in chunks(sorted(configurations), _CONFIGURATIONS_AT_ONCE):
@@ -83,22 +83,22 @@ class VerdictRepository(Repository):
     def renew_all(self) -> None:
         """Renew the verdicts of all evaluated runs."""
         evaluated = select(_EVALUATIONS.c.run_id).where(_EVALUATIONS.c.open.is_(None)).distinct()
-        self.renew(self._session.execute(evaluated).scalars().all())
+        self.renew(self._connection.execute(evaluated).scalars().all())
 
     def _renew(self, protocol_id: int, configurations: Sequence[int]) -> None:
         table = Configuration.__table__
         locked = select(table.c.id).where(table.c.id.in_(configurations)).order_by(table.c.id).with_for_update()
-        self._session.execute(locked).all()
+        self._connection.execute(locked).all()
         groups = self._read(protocol_id, configurations)
         for runs in groups.values():
             self._write(protocol_id, runs, _derived(runs))
         without = [run for runs in groups.values() for run, found in runs.items() if not found.succeeded]
-        MetricRepository(self._session).follow_protocols(without)
+        MetricRepository(self._connection).follow_protocols(without)
 
     def _write(self, protocol_id: int, runs: Mapping[int, _Judged], derived: Mapping[int, Mapping[str, float]]) -> None:
         """Store what differs from what is stored."""
         known = [*derived.values(), *(found.stored for found in runs.values())]
-        metric_ids = MetricRepository(self._session).ids(
+        metric_ids = MetricRepository(self._connection).ids(
             key for key in _DERIVED if any(key in entry for entry in known)
         )
         outdated: list[tuple[int, int]] = []
@@ -116,9 +116,9 @@ class VerdictRepository(Repository):
         if outdated:
             same = _FIGURES.c.metric_id == bindparam("metric"), _FIGURES.c.run_id == bindparam("run")
             removal = delete(_FIGURES).where(*same, _FIGURES.c.protocol_id == protocol_id)
-            self._session.execute(removal, [{"metric": metric, "run": run} for metric, run in outdated])
+            self._connection.execute(removal, [{"metric": metric, "run": run} for metric, run in outdated])
         if rows:
-            self._session.execute(insert(_FIGURES), rows)
+            self._connection.execute(insert(_FIGURES), rows)
 
     def _read(self, protocol_id: int, configurations: Collection[int]) -> dict[int, dict[int, _Judged]]:
         """{configuration: {run: what its verdict depends on}} of runs with an ended evaluation under the protocol."""
@@ -132,7 +132,7 @@ class VerdictRepository(Repository):
                 _EVALUATIONS.c.open.is_(None),
             )
         )
-        for configuration, run_id, current, state in self._session.execute(query):
+        for configuration, run_id, current, state in self._connection.execute(query):
             entry = groups[configuration].setdefault(run_id, _Judged(current == protocol_id, succeeded=False))
             entry.succeeded |= state is EvaluationState.SUCCEEDED
         for configuration, run_id, key, value in self._stored(protocol_id, configurations):
@@ -143,7 +143,7 @@ class VerdictRepository(Repository):
     def _stored(self, protocol_id: int, configurations: Collection[int]) -> Iterator[tuple[int, int, str, float]]:
         """Configuration, run, key and value of the metrics behind verdicts, and of the verdicts."""
         wanted = select(Metric.id, Metric.key).where(Metric.key.in_((*EVIDENCE, VERDICT)))
-        names = {row.id: row.key for row in self._session.execute(wanted)}
+        names = {row.id: row.key for row in self._connection.execute(wanted)}
         query = (
             select(_RUNS.c.configuration_id, _RUNS.c.id, _FIGURES.c.metric_id, _FIGURES.c.value)
             .join(_FIGURES, _FIGURES.c.run_id == _RUNS.c.id)
@@ -153,7 +153,7 @@ class VerdictRepository(Repository):
                 _FIGURES.c.protocol_id == protocol_id,
             )
         )
-        for configuration, run_id, metric_id, value in self._session.execute(query):
+        for configuration, run_id, metric_id, value in self._connection.execute(query):
             yield configuration, run_id, names[metric_id], value
 
 

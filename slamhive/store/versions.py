@@ -54,22 +54,22 @@ class VersionRepository(Repository):
     def of_runs(self, run_ids: list[int]) -> dict[int, int]:
         """{run: number of the version that ran}, without runs that never started."""
         query = select(Run.id, _VERSIONS.c.number).join(_VERSIONS, _VERSIONS.c.id == Run.algorithm_version_id)
-        return {row.id: row.number for row in self._session.execute(query.where(Run.id.in_(run_ids)))}
+        return {row.id: row.number for row in self._connection.execute(query.where(Run.id.in_(run_ids)))}
 
     def mark_removed(self, package: str, number: int, at: datetime | None) -> None:
         """Note that a version was removed from the engine; None: it is there again."""
         here = (_VERSIONS.c.package == package, _VERSIONS.c.number == number)
-        self._session.execute(update(_VERSIONS).where(*here).values(removed_at=at))
-        changes_of(self._session).catalogue = True
+        self._connection.execute(update(_VERSIONS).where(*here).values(removed_at=at))
+        changes_of(self._connection).catalogue = True
 
     def _records(self, *conditions: ColumnElement[bool]) -> tuple[VersionRecord, ...]:
         runs = select(func.count()).select_from(Run).where(Run.algorithm_version_id == _VERSIONS.c.id)
         query = select(_VERSIONS, runs.scalar_subquery().label("runs")).where(*conditions)
-        rows = self._session.execute(query.order_by(_VERSIONS.c.package, _VERSIONS.c.number))
+        rows = self._connection.execute(query.order_by(_VERSIONS.c.package, _VERSIONS.c.number))
         return tuple(_record(row) for row in rows)
 
     def _find(self, *conditions: ColumnElement[bool]) -> Row[tuple[object, ...]] | None:
-        return self._session.execute(select(_VERSIONS).where(*conditions)).one_or_none()
+        return self._connection.execute(select(_VERSIONS).where(*conditions)).one_or_none()
 
     def _insert(self, package: str, version: NewVersion, now: datetime) -> None:
         """Insert the version, unless another transaction is faster: the caller looks again."""
@@ -86,10 +86,10 @@ class VersionRepository(Repository):
             "created_at": now,
         }
         try:
-            self._session.execute(insert(_VERSIONS).values(values))
+            self._connection.execute(insert(_VERSIONS).values(values))
         except IntegrityError:
             return
-        changes_of(self._session).catalogue = True
+        changes_of(self._connection).catalogue = True
 
 
 def _record(row: Row[tuple[object, ...]]) -> VersionRecord:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Alignment
-from slamhive.schema.submission import Limits, StopWhen
+from slamhive.schema.limits import Limits, StopWhen
 from slamhive.strict_yaml import Place
 from slamhive.sweep.condition import Condition
 

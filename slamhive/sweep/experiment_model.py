@@ -11,18 +11,16 @@ from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.names import NAME_PATTERN, check_name
 from slamhive.domain.parameters import Value
 from slamhive.errors import InvalidInput
+from slamhive.schema.limits import NEVER, Limits, StopWhen
 from slamhive.schema.submission import (
     MAX_REPEATS,
-    NEVER,
     OPTIONS,
     Executor,
-    Limits,
     Priority,
     RepeatDisturbed,
     RequestedAlignment,
     SameCpu,
     StartingMap,
-    StopWhen,
 )
 from slamhive.schema.validation import PLAIN, SECTION, explained
 from slamhive.sweep.condition import parse_condition
@@ -137,7 +135,7 @@ ValuesOrSection = Annotated[
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class StepModel(_Model):

@@ -12,8 +12,8 @@ from werkzeug.datastructures import MultiDict
 
 from slamhive import strict_yaml
 from slamhive.errors import InvalidInput
-from slamhive.schema.fields import options_of
-from slamhive.schema.submission import RULES, Limits
+from slamhive.schema.limits import RULES, Limits
+from slamhive.schema.options import options_of
 from slamhive.sweep.values import as_scalar, parse_values
 from slamhive.web.formatting import value_text
 

@@ -13,7 +13,7 @@ from slamhive.domain.matching import Match, match_of
 from slamhive.domain.parameters import ParameterType, Value
 from slamhive.domain.variant import Variant, parse_step, step_text
 from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.schema.fields import Option
+from slamhive.schema.options import Option
 from slamhive.schema.submission import CONTENT, OPTIONS, Submission, nested
 from slamhive.services.hive import Hive
 from slamhive.settings import Settings

@@ -28,7 +28,7 @@ def room(systems: Hive) -> str:
 
 def run(hive: Hive, *submissions: Submission, slots: int = 1) -> list[RunRecord]:
     run_ids = [entry.id for submission in submissions for entry in hive.runs.submit(submission)]
-    with mock.patch.object(hive, "settings", hive.settings.model_copy(update={"worker_slots": slots})):
+    with mock.patch.object(hive, "settings", hive.settings.with_values({"worker_slots": slots})):
         hive.worker(only=run_ids).run(until_idle=True)
     ended = [hive.runs.get(run_id) for run_id in run_ids]
     for entry in ended:

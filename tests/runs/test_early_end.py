@@ -5,7 +5,7 @@ import pytest
 from slamhive.domain.run import FailureReason
 from slamhive.runs.early_end import EarlyEnd, Observation, broken_rule, skipped
 from slamhive.runs.outcome import UNSEEN, Evidence, TrajectoryCheck, decide
-from slamhive.schema.submission import NEVER, StopWhen
+from slamhive.schema.limits import NEVER, StopWhen
 
 ALL = StopWhen(lost_tracking_s=5, memory_mb=100, time_s=60)
 VALID = TrajectoryCheck(poses=7)

@@ -10,7 +10,7 @@ import pytest
 from slamhive.domain.variant import VariantStep
 from slamhive.errors import InvalidInput
 from slamhive.schema.ledger import ConfigurationsLine, RunRow, RunsLine, SharedRequest
-from slamhive.schema.submission import NEVER
+from slamhive.schema.limits import NEVER
 from slamhive.store.records import RunRequest
 
 AT = "2026-01-02T03:04:05.000678+00:00"

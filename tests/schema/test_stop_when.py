@@ -6,7 +6,8 @@ from slamhive.domain.affinity import run_affinity, same_data
 from slamhive.domain.run import FailureReason
 from slamhive.domain.variant import VariantStep
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.schema.submission import NEVER, StopWhen, parse_stop_when
+from slamhive.schema.limits import NEVER, StopWhen
+from slamhive.schema.submission import parse_stop_when
 
 
 def test_rules_are_read_as_they_are_typed_and_survive_json():

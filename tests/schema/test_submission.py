@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 
 from slamhive.errors import InvalidInput
-from slamhive.schema.fields import Option
+from slamhive.schema.limits import StopWhen
 from slamhive.schema.model import parse
-from slamhive.schema.submission import OPTIONS, StopWhen, Submission
+from slamhive.schema.options import Option
+from slamhive.schema.submission import OPTIONS, Submission
 
 
 @pytest.mark.parametrize("option", OPTIONS.values(), ids=lambda option: option.name)

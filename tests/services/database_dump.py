@@ -7,12 +7,11 @@ from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import select
-from sqlalchemy.orm import Session
+from sqlalchemy import Connection, select
 
 from slamhive.domain.run import RunState
 from slamhive.store import Store
-from slamhive.store.models import Base
+from slamhive.store.schema import METADATA
 
 Row = dict[str, Any]
 Dump = dict[str, list[Row]]
@@ -43,7 +42,7 @@ NOT_COMPARED = {"lease_owner", "lease_expires_at", "owner"}
 
 def dump(store: Store) -> Dump:
     """Every row of every table, references and all."""
-    return store.read(lambda t: _dump(t.session))
+    return store.read(lambda t: _dump(t.database))
 
 
 def counts(found: Dump) -> dict[str, int]:
@@ -63,9 +62,9 @@ def differences(one: Dump, other: Dump) -> list[str]:
     return lines
 
 
-def _dump(session: Session) -> Dump:
-    tables = Base.metadata.sorted_tables
-    rows = {table.name: [dict(row._mapping) for row in session.execute(select(table))] for table in tables}
+def _dump(connection: Connection) -> Dump:
+    tables = METADATA.sorted_tables
+    rows = {table.name: [dict(row._mapping) for row in connection.execute(select(table))] for table in tables}
     known: dict[str, dict[int, Any]] = defaultdict(dict)
     found: Dump = {}
     for table in tables:

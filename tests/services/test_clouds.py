@@ -51,7 +51,7 @@ def time() -> FakeTime:
 def clouds_of(hive: Hive, data: Path, time: FakeTime, mode: Mode = Mode.WORKSTATION) -> Clouds:
     """The clouds of another data root, with the catalogue of ``hive``."""
     changes = {"data": data, "mode": mode, "cloud_join": "k3s agent", "cloud_endpoint": ENDPOINT}
-    settings = hive.settings.model_copy(update=changes)
+    settings = hive.settings.with_values(changes)
     return Clouds(settings, hive.catalogue, lambda: hive.experiments, KEYS, time.clock)
 
 

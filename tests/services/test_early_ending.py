@@ -14,7 +14,8 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Running
 from slamhive.runs.outcome import UNSEEN
-from slamhive.schema.submission import StopWhen, Submission
+from slamhive.schema.limits import StopWhen
+from slamhive.schema.submission import Submission
 from slamhive.services.configurations.submission import unwatchable
 from slamhive.services.worker.context import DriverContext
 from slamhive.services.worker.driver import RunDriver

@@ -116,7 +116,7 @@ def test_a_container_that_appears_after_the_start_of_the_next_worker_is_removed(
         late.append(engine.containers.create(base_image, ["true"], labels=labels, network_mode="none"))
 
     assert hive.runs  # made with the settings of before: runs have the other executor
-    monkeypatch.setattr(hive, "settings", hive.settings.model_copy(update={"executor": "docker"}))
+    monkeypatch.setattr(hive, "settings", hive.settings.with_values({"executor": "docker"}))
     finish(hive, FakeExecutor(on_start=one_appears))
     try:
         with pytest.raises(docker.errors.NotFound):

@@ -56,7 +56,7 @@ def test_all_are_queued_at_once_and_none_twice(hive, runs):
 def test_nothing_is_queued_if_one_run_cannot_be(hive, runs):
     with pytest.raises(NotFound, match="unknown run 999"):
         hive.evaluations.queue([*runs, 999])
-    hive.store.write(lambda t: t.session.connection().exec_driver_sql("update runs set state='failed' where id=1"))
+    hive.store.write(lambda t: t.database.exec_driver_sql("update runs set state='failed' where id=1"))
     with pytest.raises(Conflict, match="run 1 is failed"):
         hive.evaluations.queue(runs)
     assert states(hive) == {}

@@ -38,7 +38,7 @@ def test_the_cores_of_the_slot_reach_the_batch(hive, monkeypatch, slots):
     starter = Starter()
     executor = FakeExecutor(on_start=write_trajectory(30))
     monkeypatch.setattr(executor, "evaluation_starter", lambda: starter)
-    monkeypatch.setattr(hive, "settings", hive.settings.model_copy(update={"worker_slots": slots}))
+    monkeypatch.setattr(hive, "settings", hive.settings.with_values({"worker_slots": slots}))
     hive.executors.opened["process"] = executor
     hive.runs.submit(Submission("tiny", "track"))
     hive.worker().run(until_idle=True)

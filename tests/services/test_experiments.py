@@ -67,7 +67,7 @@ def counts(hive: Hive, name: str = "six") -> dict[str, int]:
 
 
 def rows(hive: Hive, table: str) -> int:
-    return int(hive.store.read(lambda t: t.session.execute(text(f"SELECT count(*) FROM {table}")).scalar_one()))
+    return int(hive.store.read(lambda t: t.database.execute(text(f"SELECT count(*) FROM {table}")).scalar_one()))
 
 
 def runs_of(hive: Hive) -> tuple[RunRecord, ...]:
@@ -384,7 +384,7 @@ def test_an_algorithm_that_changed_while_storing_was_interrupted_is_told(hive: H
 def test_view_only_refuses_every_change(hive: Hive) -> None:
     hive.experiments.start(source())
     before = everything(hive)
-    viewer = Hive(hive.settings.model_copy(update={"mode": Mode.VIEW_ONLY}), hive.store, hive.project_root)
+    viewer = Hive(hive.settings.with_values({"mode": Mode.VIEW_ONLY}), hive.store, hive.project_root)
     viewer.experiments.preview(source())
     for change in (
         lambda: viewer.experiments.start(source(SIX.replace("name: six", "name: seven"))),

@@ -226,7 +226,7 @@ def test_names_in_a_file_from_elsewhere_are_shown_as_text(hive: Hive, tmp_path: 
 
 
 def test_view_only_changes_nothing(hive: Hive):
-    viewer = Hive(hive.settings.model_copy(update={"mode": Mode.VIEW_ONLY}), hive.store, hive.project_root)
+    viewer = Hive(hive.settings.with_values({"mode": Mode.VIEW_ONLY}), hive.store, hive.project_root)
     with pytest.raises(Forbidden):
         viewer.gates.baselines.freeze("new", WHERE)
     with pytest.raises(Forbidden):

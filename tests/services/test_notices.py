@@ -92,7 +92,7 @@ class Clock:
 
 
 def notices(hive: Hive, inbox: Inbox, clock: Clock | None = None, **settings: Any) -> Notices:
-    wanted = hive.settings.model_copy(update={"notify_webhook": inbox.address, **settings})
+    wanted = hive.settings.with_values({"notify_webhook": inbox.address, **settings})
     return Notices(wanted, hive.store, channels_of(wanted), clock or utc_now)
 
 
@@ -183,7 +183,7 @@ def test_experiments_of_before_are_not_told(hive: Hive, inbox: Inbox) -> None:
 
 def test_the_worker_sends_beside_its_work(hive: Hive, inbox: Inbox, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(noticing, "EVERY_S", 0.05)
-    hive.settings = hive.settings.model_copy(update={"notify_webhook": inbox.address})
+    hive.settings = hive.settings.with_values({"notify_webhook": inbox.address})
     start(hive, GOOD)
     hive.worker().run(until_idle=True)
     assert [body["event"] for body in inbox.bodies] == ["finished"]
@@ -220,7 +220,7 @@ def test_e_mail_says_how_many_runs_are_good(hive: Hive, post: tuple[Post, int]) 
         "smtp_port": port,
         "smtp_security": MailSecurity.NONE,
     }
-    settings = hive.settings.model_copy(update=mail)
+    settings = hive.settings.with_values(mail)
     sending = Notices(settings, hive.store, channels_of(settings))
     sending.work_once()
     start(hive, GOOD)
@@ -231,7 +231,7 @@ def test_e_mail_says_how_many_runs_are_good(hive: Hive, post: tuple[Post, int]) 
     assert recipients == ["anna@lab.example", "ben@lab.example"]
     assert message["Subject"].replace("\n", "") == "SLAM Hive: experiment pair has finished: 2 of 2 runs good, 0 failed"
     assert "       2 good" in str(message.get_payload())
-    protected = settings.model_copy(update={"smtp_security": MailSecurity.STARTTLS})
+    protected = settings.with_values({"smtp_security": MailSecurity.STARTTLS})
     (channel,) = channels_of(protected)
     with pytest.raises(Exception, match="was not sent: SMTPNotSupportedError"):  # never in clear text instead
         channel.send(A_TEST)

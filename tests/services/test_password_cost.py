@@ -5,12 +5,12 @@ from __future__ import annotations
 from argon2.profiles import get_default_parameters
 
 from slamhive.services.accounts import passwords
-from slamhive.settings import Settings
+from slamhive.settings import SETTINGS
 
 
 def test_passwords_cost_what_the_library_recommends() -> None:
     assert get_default_parameters() == passwords.PARAMETERS
     assert passwords.PARAMETERS.memory_cost >= 64 * 1024
     assert passwords.PARAMETERS.time_cost >= 3
-    names = Settings.model_fields.keys() - {"smtp_password"}
+    names = SETTINGS.keys() - {"smtp_password"}
     assert not [name for name in names if "argon" in name or "hash" in name or "password" in name]

@@ -106,7 +106,7 @@ def test_files_are_counted_while_the_run_goes_on_and_at_its_end(hive):
         for number in range(101):
             (folder_of(spec).result / str(number)).touch()
 
-    hive.settings = hive.settings.model_copy(update={"run_files": 100})
+    hive.settings = hive.settings.with_values({"run_files": 100})
     for statuses in ([Running()], [Exited(0)]):
         executor = FakeExecutor(list(statuses), start)
         run = finish(hive, executor)
@@ -117,9 +117,9 @@ def test_files_are_counted_while_the_run_goes_on_and_at_its_end(hive):
 
 
 def test_half_of_the_free_space_that_is_wanted_stays(hive, tmp_path: Path):
-    settings = hive.settings.model_copy(update={"run_disk_mb": 1})
+    settings = hive.settings.with_values({"run_disk_mb": 1})
     assert disk_limit_bytes(settings) == 1_000_000
-    settings = settings.model_copy(update={"run_disk_mb": 10**9, "min_free_disk_mb": 10**9})
+    settings = settings.with_values({"run_disk_mb": 10**9, "min_free_disk_mb": 10**9})
     assert disk_limit_bytes(settings) == 0
 
 

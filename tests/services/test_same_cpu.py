@@ -87,7 +87,7 @@ def test_a_setting_lets_a_new_machine_go_on(hive: Hive, at: Any) -> None:
     at(FAST)
     work(hive, finished(), [runs_of(hive)[0].id])
     at(SLOW)
-    hive.settings = hive.settings.model_copy(update={"any_cpu": True})
+    hive.settings = hive.settings.with_values({"any_cpu": True})
     work(hive, finished())
     assert {run.host.cpu_model for run in runs_of(hive) if run.host} == {"Fast CPU", "Slow CPU"}
 

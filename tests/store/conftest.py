@@ -13,7 +13,7 @@ from sqlalchemy import text
 
 from slamhive.store import Store, Transaction, open_store
 from slamhive.store.experiment_records import ExperimentState
-from slamhive.store.models import Base
+from slamhive.store.schema import METADATA
 from tests.services.mariadb import DatabaseServer
 from tests.store.store_samples import Samples
 
@@ -60,17 +60,17 @@ def samples(store: Store) -> Samples:
 
 def empty(tx: Transaction) -> None:
     """Remove all rows but the one that migrations made; ids start at 1 again."""
-    mysql = tx.session.get_bind().dialect.name == "mysql"
-    tx.session.execute(text("SET foreign_key_checks=0" if mysql else "PRAGMA defer_foreign_keys=ON"))
-    for table in reversed(Base.metadata.sorted_tables):
+    mysql = tx.database.dialect.name == "mysql"
+    tx.database.execute(text("SET foreign_key_checks=0" if mysql else "PRAGMA defer_foreign_keys=ON"))
+    for table in reversed(METADATA.sorted_tables):
         kept = " WHERE id > 1" if table.name == "protocols" else ""
-        tx.session.execute(text(f"DELETE FROM {table.name}{kept}"))
+        tx.database.execute(text(f"DELETE FROM {table.name}{kept}"))
     if mysql:
-        tx.session.execute(text("SET foreign_key_checks=1"))
+        tx.database.execute(text("SET foreign_key_checks=1"))
         for name in ("runs", "configurations"):
-            tx.session.execute(text(f"ALTER TABLE {name} AUTO_INCREMENT=1"))
+            tx.database.execute(text(f"ALTER TABLE {name} AUTO_INCREMENT=1"))
     else:
-        tx.session.execute(text("DELETE FROM sqlite_sequence"))
+        tx.database.execute(text("DELETE FROM sqlite_sequence"))
 
 
 @pytest.fixture

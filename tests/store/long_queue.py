@@ -60,12 +60,12 @@ def claim_steps(store: Store, near: str) -> int:
     """What a claim costs the database whatever else goes on: instructions on SQLite, rows read on a server."""
 
     def work(tx: Transaction) -> int:
-        if tx.session.get_bind().dialect.name == "mysql":
+        if tx.database.dialect.name == "mysql":
             before = _rows_read(tx)
             assert tx.queue.claim(Lease("worker-1", NOW, 30.0), near=near) is not None
             return _rows_read(tx) - before
         steps: list[None] = []
-        connection: Any = tx.session.connection().connection.driver_connection
+        connection: Any = tx.database.connection.driver_connection
         connection.set_progress_handler(lambda: steps.append(None), 1)
         try:
             assert tx.queue.claim(Lease("worker-1", NOW, 30.0), near=near) is not None
@@ -77,7 +77,7 @@ def claim_steps(store: Store, near: str) -> int:
 
 
 def _rows_read(tx: Transaction) -> int:
-    rows = tx.session.execute(text("SHOW SESSION STATUS LIKE 'Handler_read%'"))
+    rows = tx.database.execute(text("SHOW SESSION STATUS LIKE 'Handler_read%'"))
     return sum(int(row[1]) for row in rows)
 
 
@@ -85,10 +85,10 @@ def analyse(store: Store) -> None:
     """Count values for the planner, as a server does by itself after a while."""
 
     def work(tx: Transaction) -> None:
-        tx.session.execute(text("ANALYZE TABLE runs" if tx.session.get_bind().dialect.name == "mysql" else "ANALYZE"))
+        tx.database.execute(text("ANALYZE TABLE runs" if tx.database.dialect.name == "mysql" else "ANALYZE"))
 
     store.write(work)
 
 
 def _add(store: Store, rows: list[dict[str, Any]]) -> None:
-    store.write(lambda tx: tx.session.execute(insert(Run.__table__), rows))
+    store.write(lambda tx: tx.database.execute(insert(Run.__table__), rows))

@@ -1,9 +1,8 @@
-"""What is behind the store's door stays there: its session, and the repositories that use it."""
+"""What is behind the store's door stays there: its connection, and the repositories that use it."""
 
 from __future__ import annotations
 
 import ast
-import inspect
 from pathlib import Path
 
 import pytest
@@ -12,18 +11,14 @@ import slamhive
 from slamhive.store import Transaction
 
 PACKAGE = Path(slamhive.__file__).parent
-REPOSITORIES = {
-    node.func.id
-    for node in ast.walk(ast.parse(inspect.getsource(inspect.getmodule(Transaction))))  # type: ignore[arg-type]
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and ast.unparse(node).endswith("(session)")
-}
+REPOSITORIES = set(Transaction.__annotations__.values())
 
 
 def trespasses(source: str) -> list[str]:
-    """Where code outside the store has a session or makes a repository."""
+    """Where code outside the store has a connection or makes a repository."""
     found = []
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Attribute) and node.attr == "session":
+        if isinstance(node, ast.Attribute) and node.attr == "database":
             found.append(f"line {node.lineno}: {ast.unparse(node)}")
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("slamhive.store"):
             found += [f"line {node.lineno}: {entry.name}" for entry in node.names if entry.name in REPOSITORIES]
@@ -31,7 +26,7 @@ def trespasses(source: str) -> list[str]:
 
 
 @pytest.mark.integration
-def test_nobody_else_has_a_session_or_makes_a_repository() -> None:
+def test_nobody_else_has_a_connection_or_makes_a_repository() -> None:
     assert len(REPOSITORIES) >= 15
     outside = [path for path in sorted(PACKAGE.rglob("*.py")) if path.relative_to(PACKAGE).parts[0] != "store"]
     found = {str(path): problems for path in outside if (problems := trespasses(path.read_text()))}
@@ -39,5 +34,5 @@ def test_nobody_else_has_a_session_or_makes_a_repository() -> None:
 
 
 def test_a_trespass_is_found() -> None:
-    source = "from slamhive.store.archives import ArchiveRepository\nstore.read(lambda t: t.session.execute(q))"
-    assert trespasses(source) == ["line 1: ArchiveRepository", "line 2: t.session"]
+    source = "from slamhive.store.archives import ArchiveRepository\nstore.read(lambda t: t.database.execute(q))"
+    assert trespasses(source) == ["line 1: ArchiveRepository", "line 2: t.database"]

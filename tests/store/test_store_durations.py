@@ -60,7 +60,7 @@ def ended_on(store: Store, samples: Samples, host: Host, disturbed_by: str | Non
     run_id = samples.run_in(state)
     host_id = store.write(lambda tx: tx.catalogue.put_host(host))
     store.write(lambda tx: tx.runs.update(run_id, host_id=host_id))
-    store.write(lambda tx: tx.session.execute(SET_DISTURBED, {"found": disturbed_by, "run_id": run_id}))
+    store.write(lambda tx: tx.database.execute(SET_DISTURBED, {"found": disturbed_by, "run_id": run_id}))
 
 
 def test_runs_are_counted_by_processor(store: Store, samples: Samples) -> None:

@@ -57,7 +57,7 @@ def sqlite_path(sqlite_template: Path, tmp_path: Path) -> Path:
 def impatient(path: Path, clock: ManualClock, retry_s: float = 60.0) -> Store:
     """A store whose SQLite waits for no lock itself."""
     store = Store(make_engine(f"sqlite:///{path}?timeout=0"), retry_s, clock.as_clock())
-    store.write(lambda tx: tx.session.execute(text("DELETE FROM metrics")))
+    store.write(lambda tx: tx.database.execute(text("DELETE FROM metrics")))
     return store
 
 
@@ -116,7 +116,7 @@ def test_sqlite_is_durable_and_checks_references(sqlite_path: Path) -> None:
         ]
     assert found == ["wal", 2, 1]
     with pytest.raises(IntegrityError):
-        store.write(lambda tx: tx.session.execute(text("INSERT INTO metric_values VALUES (1, 1, 1, 0.5, 1)")))
+        store.write(lambda tx: tx.database.execute(text("INSERT INTO metric_values VALUES (1, 1, 1, 0.5, 1)")))
     store.close()
 
 
@@ -171,8 +171,8 @@ def test_a_full_disk_is_one_line_and_loses_nothing(sqlite_path: Path, clock: Man
     store.write(lambda tx: tx.catalogue.put_algorithm_named("kept", "kept", "mono"))
 
     def fill(tx) -> None:
-        pages = tx.session.execute(text("PRAGMA page_count")).scalar()
-        tx.session.execute(text(f"PRAGMA max_page_count={pages}"))
+        pages = tx.database.execute(text("PRAGMA page_count")).scalar()
+        tx.database.execute(text(f"PRAGMA max_page_count={pages}"))
         for number in range(3000):
             tx.catalogue.put_algorithm_named(f"name-{number}" + "x" * 40, "package", "mono")
 
@@ -218,7 +218,7 @@ def test_files_that_are_no_database(sqlite_path: Path, content: bytes | None, me
 def test_a_bug_keeps_its_traceback(sqlite_path: Path, clock: ManualClock) -> None:
     store = impatient(sqlite_path, clock)
     with pytest.raises(OperationalError, match="no such table"):
-        store.read(lambda tx: tx.session.execute(text("SELECT * FROM absent")))
+        store.read(lambda tx: tx.database.execute(text("SELECT * FROM absent")))
     assert clock.pauses == []
     store.close()
 
@@ -293,5 +293,5 @@ def test_a_snapshot_outlives_a_mistake_and_a_broken_connection(store: Store) -> 
         with pytest.raises(NotFound):
             store.read(not_there)
         with pytest.raises(DBAPIError):
-            store.read(lambda tx: tx.session.execute(text("SELECT * FROM absent")))
+            store.read(lambda tx: tx.database.execute(text("SELECT * FROM absent")))
         assert store.read(lambda tx: tx.searches.total()) == 0

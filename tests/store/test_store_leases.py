@@ -91,7 +91,7 @@ def row(store: Store, kind: Kind, key: Any) -> Any:
     def read(t: Transaction) -> Any:
         queue = kind.queue(t)
         columns = queue.table.c
-        return t.session.execute(
+        return t.database.execute(
             select(columns.state, columns.attempt, columns.lease_owner, columns.lease_expires_at).where(
                 columns[queue.key] == key
             )
@@ -175,14 +175,14 @@ def test_the_clock_that_was_handed_in_decides_about_leases(store: Store) -> None
 @pytest.mark.mysql
 def test_the_clock_of_a_server_decides_about_leases_of_its_workers(mysql_store: Store) -> None:
     def read(t: Transaction) -> tuple[Lease, Lease]:
-        t.session.execute(text("SET SESSION timestamp = 1000000000.25"))
+        t.database.execute(text("SET SESSION timestamp = 1000000000.25"))
         try:
             return t.lease("a", LEASE_S), t.lease("b", 2 * LEASE_S)
         finally:
-            t.session.execute(text("SET SESSION timestamp = DEFAULT"))
+            t.database.execute(text("SET SESSION timestamp = DEFAULT"))
 
     lease, longer = mysql_store.read(read)
     assert lease.now == longer.now == datetime(2001, 9, 9, 1, 46, 40, 250000, tzinfo=UTC)
     assert lease.columns["lease_expires_at"] == lease.now + timedelta(seconds=LEASE_S)
     assert lease.at > lease.now, "the worker's own clock is what is recorded"
-    assert mysql_store.read(lambda t: t.session.execute(select(func.now())).scalar_one()).year > 2001
+    assert mysql_store.read(lambda t: t.database.execute(select(func.now())).scalar_one()).year > 2001

@@ -16,7 +16,8 @@ from sqlalchemy import Engine, inspect
 from slamhive.errors import Conflict, Unavailable
 from slamhive.store import migrate, open_store
 from slamhive.store.engine import make_engine
-from slamhive.store.models import MEASURED_PROTOCOL_ID, Base
+from slamhive.store.models import MEASURED_PROTOCOL_ID
+from slamhive.store.schema import METADATA
 
 pytestmark = pytest.mark.integration
 
@@ -47,7 +48,7 @@ def test_up_down_and_up_again(engine: Engine) -> None:
     for _ in range(2):
         migrate.upgrade(engine)
         assert migrate.current(engine) == migrate.head()
-        assert tables(engine) == set(Base.metadata.tables)
+        assert tables(engine) == set(METADATA.tables)
         migrate.downgrade(engine)
         assert migrate.current(engine) is None
         assert tables(engine) == set()
@@ -61,7 +62,7 @@ def test_the_migrations_make_what_the_models_say(engine: Engine) -> None:
     migrate.upgrade(engine)
     with engine.connect() as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": True, "compare_server_default": True})
-        assert compare_metadata(context, Base.metadata) == []
+        assert compare_metadata(context, METADATA) == []
 
 
 def test_the_comparison_would_see_a_difference(engine: Engine) -> None:
@@ -70,7 +71,7 @@ def test_the_comparison_would_see_a_difference(engine: Engine) -> None:
         connection.exec_driver_sql("ALTER TABLE hosts ADD COLUMN surprise INTEGER")
         connection.exec_driver_sql("DROP INDEX ix_runs_created_at" + _on(engine, "runs"))
     with engine.connect() as connection:
-        found = compare_metadata(MigrationContext.configure(connection), Base.metadata)
+        found = compare_metadata(MigrationContext.configure(connection), METADATA)
     assert {difference[0] for difference in found} >= {"remove_column", "add_index"}
 
 
@@ -268,7 +269,7 @@ def assert_whole_at(engine: Engine, refused: str) -> None:
     assert migrate.current(engine) == (migrate.head() if engine.dialect.name == "sqlite" else refused)
     migrate.upgrade(engine)
     with engine.connect() as connection:
-        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
+        assert compare_metadata(MigrationContext.configure(connection), METADATA) == []
 
 
 def _add_configuration(engine: Engine) -> None:
@@ -310,7 +311,7 @@ def test_several_processes_may_upgrade_at_once(engine: Engine) -> None:
 
     with ThreadPoolExecutor(4) as pool:
         assert set(pool.map(work, range(4))) == {migrate.head()}
-    assert tables(engine) == set(Base.metadata.tables)
+    assert tables(engine) == set(METADATA.tables)
 
 
 def test_tables_of_a_newer_software_are_left_alone(engine: Engine) -> None:
@@ -321,7 +322,7 @@ def test_tables_of_a_newer_software_are_left_alone(engine: Engine) -> None:
         newest = rf"is at schema 9999, which is newer than this software \({migrate.head()}\)"
         with pytest.raises(Unavailable, match=newest):
             work(engine)
-    assert tables(engine) == set(Base.metadata.tables)
+    assert tables(engine) == set(METADATA.tables)
 
 
 def test_a_reader_says_that_tables_are_missing(engine: Engine) -> None:

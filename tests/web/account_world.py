@@ -54,7 +54,7 @@ def token_of(client: FlaskClient, page: str) -> str:
 def account_web(folder: Path, compiled: Path) -> Iterator[AccountWeb]:
     """The application on the filled installation in ``folder``, with cheap passwords."""
     hive = world.make_hive(folder)
-    hive.settings = hive.settings.model_copy(update={"auth": Auth.ACCOUNTS})
+    hive.settings = hive.settings.with_values({"auth": Auth.ACCOUNTS})
     with cheap_passwords():
         for role, name in NAMES.items():
             hive.accounts.add(name, role, PASSWORD)

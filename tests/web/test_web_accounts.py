@@ -437,7 +437,7 @@ def test_no_name_of_the_host_is_wrong_where_callers_sign_in(site: AccountWeb) ->
 @pytest.mark.parametrize(("trusted", "secure"), [("", False), ("127.0.0.1", True), ("192.0.2.1", False)])
 def test_only_a_trusted_proxy_is_believed(site: AccountWeb, trusted: str, secure: bool) -> None:
     hive = site.web.hive
-    before, hive.settings = hive.settings, hive.settings.model_copy(update={"trusted_proxy": trusted})
+    before, hive.settings = hive.settings, hive.settings.with_values({"trusted_proxy": trusted})
     server = WebServer(hive, "127.0.0.1", 0)
     thread = threading.Thread(target=server.run)
     thread.start()
@@ -454,7 +454,7 @@ def test_only_a_trusted_proxy_is_believed(site: AccountWeb, trusted: str, secure
 def test_the_server_says_who_may_use_it(site: AccountWeb, empty: Web) -> None:
     def said(**settings: object) -> str:
         hive = empty.hive
-        hive.settings = hive.settings.model_copy(update=settings)
+        hive.settings = hive.settings.with_values(settings)
         return who_may_use(hive)
 
     assert said(host="127.0.0.1") == "users of this machine may do everything, without signing in"

@@ -330,7 +330,7 @@ def every_request(web: Web, token: str) -> list[tuple[str, str]]:
 def test_view_only_changes_nothing_whatever_is_asked(web: Web, tmp_path: Path, compiled: Path, taken: bool):
     token = create(web)
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
-    hive.settings = hive.settings.model_copy(update={"no_new_analysis": not taken})
+    hive.settings = hive.settings.with_values({"no_new_analysis": not taken})
     viewing = make_web(hive, compiled)
     viewing.app.extensions[COMPUTER_EXTENSION] = None
     viewing.app.config["WTF_CSRF_ENABLED"] = False  # the mode alone must hold
@@ -360,7 +360,7 @@ def test_view_only_changes_nothing_whatever_is_asked(web: Web, tmp_path: Path, c
 
 def test_visitors_have_limits(web: Web, tmp_path: Path, compiled: Path):
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
-    hive.settings = hive.settings.model_copy(update={"analyses_per_hour_per_address": 2})
+    hive.settings = hive.settings.with_values({"analyses_per_hour_per_address": 2})
     viewing = make_web(hive, compiled)
     viewing.app.extensions[COMPUTER_EXTENSION] = None
     tokens = [create(viewing) for _ in range(2)]

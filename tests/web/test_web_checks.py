@@ -63,7 +63,7 @@ def test_a_report_that_makes_no_sense_is_none(track: Web, content: str):
 def test_a_view_only_installation_stores_nothing(track: Web):
     dataset = track.hive.catalogue.dataset("track")
     checks = track.hive.dataset_checks
-    settings = track.hive.settings.model_copy(update={"mode": Mode.VIEW_ONLY})
+    settings = track.hive.settings.with_values({"mode": Mode.VIEW_ONLY})
     report = DatasetChecks(settings).check(dataset, lambda _fraction, _text: None)
     assert report.dataset == "track"
     assert checks.stored(dataset) is None

@@ -62,7 +62,7 @@ def use(site: AccountWeb, provider: Provider, **changes: Any) -> None:
         "oidc_client_secret": SECRET,
         "oidc_new_accounts": NewAccounts.NONE,
     }
-    hive.settings = hive.settings.model_copy(update={**update, **changes})
+    hive.settings = hive.settings.with_values({**update, **changes})
     site.web.app = create_app(hive)
 
 

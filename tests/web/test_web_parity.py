@@ -15,8 +15,9 @@ from slamhive.cli.run_options import submission_values
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.variant import VariantStep
+from slamhive.schema.limits import StopWhen
 from slamhive.schema.model import json_schema, parse
-from slamhive.schema.submission import OPTIONS, StopWhen, Submission
+from slamhive.schema.submission import OPTIONS, Submission
 from slamhive.services.executors import Executors
 from slamhive.sweep.experiment_file import experiment_schema
 from slamhive.web.run_form import read_form

@@ -50,7 +50,7 @@ def every_change(web: Web) -> list[tuple[str, str]]:
 @pytest.fixture
 def viewing(web: Web, tmp_path: Path, compiled: Path) -> Web:
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
-    hive.settings = hive.settings.model_copy(update={"no_new_analysis": True})
+    hive.settings = hive.settings.with_values({"no_new_analysis": True})
     return make_web(hive, compiled)
 
 

@@ -185,7 +185,7 @@ def test_promises_are_checked(empty: Web, changes: dict[str, Any], said: str) ->
 
 
 def test_uploads_have_a_limit_and_go_after_a_day(empty: Web) -> None:
-    settings = empty.hive.settings.model_copy(update={"uploads_max_bytes": 10})
+    settings = empty.hive.settings.with_values({"uploads_max_bytes": 10})
     uploads = Uploads(settings)
     first = uploads.create(UploadRequest(name="a.bag", size_bytes=8, sha256="0" * 64), "")
     answer = create(empty, b"")  # nothing is promised

@@ -19,7 +19,7 @@ import slamhive
 from slamhive.clock import monotonic_s, utc_now
 from slamhive.errors import Conflict, SlamHiveError
 from slamhive.services.analyses.folder import AnalysisFolder
-from slamhive.settings import Settings
+from slamhive.settings import SETTINGS, Settings
 from slamhive.store import Store
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.records import LeaseLost
@@ -134,7 +134,7 @@ class AnalysisJobs:
         )  # fmt: skip
         assert child.stdin is not None
         try:
-            child.stdin.write(json.dumps(self._asked()).encode() + b"\n")
+            child.stdin.write(json.dumps(self._asked(), default=str).encode() + b"\n")
             child.stdin.flush()
             yield child
         except BrokenPipeError:
@@ -147,7 +147,7 @@ class AnalysisJobs:
     def _asked(self) -> dict[str, Any]:
         settings = self._settings
         return {
-            "settings": settings.model_dump(mode="json"),
+            "settings": {name: getattr(settings, name) for name in SETTINGS},
             "project_root": str(self._project_root),
             "version": slamhive.__version__,
             "memory_bytes": settings.analysis_memory_mb * 1_000_000,

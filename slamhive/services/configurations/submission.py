@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from slamhive.domain.algorithm import Algorithm
-from slamhive.schema.submission import StopWhen
+from slamhive.schema.limits import StopWhen
 
 
 def unwatchable(rules: StopWhen, algorithms: Iterable[Algorithm]) -> str | None:

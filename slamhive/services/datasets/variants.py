@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slamhive.bags.staging import Progress
-from slamhive.bags.variants.build import build_variant
 from slamhive.bags.variants.cache import CacheLimits, VariantCache, VariantEntry
 from slamhive.bags.variants.manifest import VariantPlan
 from slamhive.bags.variants.plan import plan_variant
@@ -91,6 +90,8 @@ class Variants:
             return
 
         def build(folder: Path, on_progress: Progress) -> Dataset:
+            from slamhive.bags.variants.build import build_variant  # noqa: PLC0415 - loads OpenCV
+
             return build_variant(dataset, variant, folder, on_progress)
 
         with self._cache.hold(plan, build, progress) as made:

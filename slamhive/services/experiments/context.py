@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from slamhive.bags.variants.rules import RegisteredSteps
 from slamhive.errors import InvalidInput
-from slamhive.search.datasets import matching_datasets
-from slamhive.services.configurations import find_map
-from slamhive.services.datasets import Catalogue, Variants
-from slamhive.services.executors import Executors
 from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.settings import Settings
-from slamhive.store import Store
-from slamhive.sweep.binding import at
-from slamhive.sweep.dataset_choice import name_datasets
-from slamhive.sweep.expand import Expansion, expand
-from slamhive.sweep.experiment import Experiment
-from slamhive.sweep.view import CatalogueView
+
+# Lists and reports expand nothing. They need no steps of variants, and those load OpenCV.
+if TYPE_CHECKING:
+    from slamhive.services.datasets import Catalogue, Variants
+    from slamhive.services.executors import Executors
+    from slamhive.store import Store
+    from slamhive.sweep.expand import Expansion
+    from slamhive.sweep.experiment import Experiment
 
 Progress = Callable[[int, int], None]
 """Called with the number done and the total."""
@@ -48,6 +46,9 @@ class ExperimentContext:
 
         Only datasets with a recording are chosen. Raises InvalidInput naming file and line.
         """
+        from slamhive.search.datasets import matching_datasets  # noqa: PLC0415
+        from slamhive.sweep.dataset_choice import name_datasets  # noqa: PLC0415
+
         recorded = [dataset for dataset in self.catalogue.datasets() if dataset.bag]
 
         def choose(where: str) -> list[str]:
@@ -60,6 +61,11 @@ class ExperimentContext:
 
         Raises NotFound or InvalidInput naming file and line, with the reason if a folder cannot be read.
         """
+        from slamhive.bags.variants.rules import RegisteredSteps  # noqa: PLC0415
+        from slamhive.services.configurations import find_map  # noqa: PLC0415
+        from slamhive.sweep.expand import expand  # noqa: PLC0415
+        from slamhive.sweep.view import CatalogueView  # noqa: PLC0415
+
         self._explain_broken(experiment)
         view = CatalogueView(
             self.catalogue.versioned_algorithms(),
@@ -70,6 +76,8 @@ class ExperimentContext:
         return expand(experiment, view)
 
     def _explain_broken(self, experiment: Experiment) -> None:
+        from slamhive.sweep.binding import at  # noqa: PLC0415
+
         broken = {entry.name for entry in self.catalogue.broken()}
         for axis, look_up in (
             (experiment.algorithms, self.catalogue.algorithm),

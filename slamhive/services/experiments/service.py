@@ -4,19 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from slamhive.domain.parameters import Value
 from slamhive.errors import Conflict, SlamHiveError
-from slamhive.foreign.experiment import Converted
 from slamhive.services.datasets import check_writable
 from slamhive.services.experiments import status as statuses
 from slamhive.services.experiments.axis_table import AxisTables
-from slamhive.services.experiments.changing import put_state, retry_failed
 from slamhive.services.experiments.context import ExperimentContext, Progress, silent
-from slamhive.services.experiments.converting import convert_published
-from slamhive.services.experiments.previewing import preview
-from slamhive.services.experiments.restoring import Restored, restore_rows, restore_runs
-from slamhive.services.experiments.starting import add_repeats, check_same, start
 from slamhive.services.experiments.time_left import TimeLeft
 from slamhive.services.experiments.views import (
     Cell,
@@ -29,7 +24,10 @@ from slamhive.services.experiments.views import (
 )
 from slamhive.store import Transaction
 from slamhive.store.experiment_records import ExperimentState
-from slamhive.sweep.experiment_file import parse_experiment
+
+if TYPE_CHECKING:
+    from slamhive.foreign.experiment import Converted
+    from slamhive.services.experiments.restoring import Restored
 
 
 class Experiments:
@@ -61,6 +59,10 @@ class Experiments:
 
         Raises InvalidInput or NotFound, naming file and line, if the file is not valid.
         """
+        from slamhive.services.experiments.previewing import preview  # noqa: PLC0415 - lists and reports need neither
+        from slamhive.services.experiments.starting import check_same  # noqa: PLC0415
+        from slamhive.sweep.experiment_file import parse_experiment  # noqa: PLC0415
+
         context = self._context
         source = context.with_datasets(source)
         experiment = parse_experiment(source.text, source.name)
@@ -80,6 +82,8 @@ class Experiments:
 
     def convert(self, source: ExperimentSource, meanings: Mapping[str, str]) -> tuple[Converted, ...]:
         """Combinations of the published SLAM Hive as experiment files; raises as :func:`convert_published`."""
+        from slamhive.services.experiments.converting import convert_published  # noqa: PLC0415
+
         return convert_published(self._context.catalogue, source, meanings)
 
     def start(
@@ -96,6 +100,8 @@ class Experiments:
             Conflict: another experiment has this name, or it was cancelled.
             Unavailable: the disk space is not sufficient, or the executor does not answer.
         """
+        from slamhive.services.experiments.starting import start  # noqa: PLC0415
+
         check_writable(self._context.settings)
         return self.status(start(self._context, source, executor, progress))
 
@@ -150,11 +156,15 @@ class Experiments:
 
     def restore_rows(self) -> Iterator[Restored]:
         """First part of reindexing: a row for each experiment folder."""
+        from slamhive.services.experiments.restoring import restore_rows  # noqa: PLC0415
+
         check_writable(self._context.settings)
         return restore_rows(self._context)
 
     def restore_runs(self) -> Iterator[Restored]:
         """Second part of reindexing, after the run folders are filed: cells, and runs that no worker has started."""
+        from slamhive.services.experiments.restoring import restore_runs  # noqa: PLC0415
+
         check_writable(self._context.settings)
         return restore_runs(self._context)
 
@@ -175,6 +185,8 @@ class Experiments:
 
     def retry_failed(self, name: str) -> int:
         """Queue a new run for each failed one; returns their number. A second call finds none left to retry."""
+        from slamhive.services.experiments.changing import retry_failed  # noqa: PLC0415
+
         check_writable(self._context.settings)
         return retry_failed(self._context, name)
 
@@ -183,11 +195,15 @@ class Experiments:
 
         Raises InvalidInput for a count that is not allowed, Conflict if algorithms or datasets have changed.
         """
+        from slamhive.services.experiments.starting import add_repeats  # noqa: PLC0415
+
         check_writable(self._context.settings)
         add_repeats(self._context, name, count, progress)
         return self.status(name)
 
     def _put(self, name: str, state: ExperimentState) -> ExperimentStatus:
+        from slamhive.services.experiments.changing import put_state  # noqa: PLC0415
+
         check_writable(self._context.settings)
         put_state(self._context, name, state)
         return self.status(name)

@@ -14,7 +14,7 @@ from slamhive.runs.leftovers import Survey, removed_in_words
 from slamhive.runs.log_line import last_error_line, printable, read_tail
 from slamhive.runs.outcome import Evidence, TrajectoryCheck, inspect_trajectory, is_finished
 from slamhive.runs.untrusted import read_untrusted_json
-from slamhive.schema.submission import StopWhen
+from slamhive.schema.limits import StopWhen
 from slamhive.services.runs import untracked_s
 
 MAX_ABOUT_BYTES = 64_000

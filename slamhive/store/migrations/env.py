@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from alembic import context
 
-from slamhive.store.configuration_models import ConfigurationLabel
+from slamhive.store.schema import METADATA
 
 context.configure(
     connection=context.config.attributes["connection"],
-    target_metadata=ConfigurationLabel.metadata,
+    target_metadata=METADATA,
     render_as_batch=True,
 )
 with context.begin_transaction():

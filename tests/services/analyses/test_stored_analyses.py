@@ -73,12 +73,12 @@ def hive(filled: Path, tmp_path: Path) -> Iterator[Hive]:
 
 
 def work(hive: Hive, **limits: float) -> bool:
-    settings = hive.settings.model_copy(update=limits)
+    settings = hive.settings.with_values(limits)
     return AnalysisJobs(settings, hive.store, hive.catalogue.project_root).work_once(OWNER, threading.Event())
 
 
 def visiting(hive: Hive, **settings: object) -> StoredAnalyses:
-    changed = hive.settings.model_copy(update={"mode": Mode.VIEW_ONLY, **settings})
+    changed = hive.settings.with_values({"mode": Mode.VIEW_ONLY, **settings})
     return StoredAnalyses(changed, hive.store, lambda text: hive.analyses.read(text).name)
 
 

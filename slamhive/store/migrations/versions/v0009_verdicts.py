@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sqlalchemy as sa
 from alembic import op
-from sqlalchemy.orm import Session
 
 from slamhive.store.verdicts import VerdictRepository
 
@@ -18,9 +17,7 @@ DERIVED = ("verdict", "ate.over_repeats", "ate.repeats_limit")
 
 def upgrade() -> None:
     """Judge them by the metrics that they have."""
-    with Session(op.get_bind(), join_transaction_mode="create_savepoint") as session:
-        VerdictRepository(session).renew_all()
-        session.commit()
+    VerdictRepository(op.get_bind()).renew_all()
 
 
 def downgrade() -> None:
