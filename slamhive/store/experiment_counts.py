@@ -62,13 +62,16 @@ class ExperimentCounts(Repository):
 
     def _parted(self, place: ColumnElement[int], experiment_id: int | None) -> dict[int, list[StateCount]]:
         """The counts of each place, with retried runs counted separately."""
+        counts = self._counts(place, experiment_id)
+        if not counts:
+            return {}
         retried = self._all_retried(experiment_id)
         kinds = self._kinds([row.id for row in retried if row.state is RunState.SUCCEEDED])
         again: Counter[_Key] = Counter(
             (getattr(row, place.key or ""), row.state, row.reason, kinds.get(row.id)) for row in retried
         )
         found: dict[int, list[StateCount]] = defaultdict(list)
-        for key, count in self._counts(place, experiment_id).items():
+        for key, count in counts.items():
             number, state, reason, judged = key
             parts = ((False, count - again[key]), (True, again[key]))
             found[number] += [StateCount(state, reason, part, many, judged) for part, many in parts if many]
@@ -83,6 +86,8 @@ class ExperimentCounts(Repository):
             select(*keys, func.count()).where(_of(experiment_id)).group_by(*keys)
         ):
             counts[number, state, reason, VerdictKind.GOOD if is_evaluated else None] += count
+        if not counts:  # no run belongs to an experiment, so that the verdicts of all runs need not be read
+            return counts
         for number, judged, count in self._failed_by_verdict(place, experiment_id):
             before = None if judged is VerdictKind.NOT_EVALUABLE else VerdictKind.GOOD
             counts[number, RunState.SUCCEEDED, None, before] -= count

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import Connection, Integer, Row, Select, func, literal, select
@@ -31,10 +32,12 @@ _AS_STORED = sorted(set(RunRecord.__dataclass_fields__) & set(Run.__table__.c.ke
 """The fields of a record that are columns of ``runs`` as they are."""
 
 
+@lru_cache(maxsize=64)
 def run_query(protocol_id: int | None = None) -> Select[Any]:
     """All columns that a record needs; the caller adds conditions and order.
 
-    ``protocol_id``: the protocol whose metrics are shown, None for each run's current one.
+    ``protocol_id``: the protocol whose metrics are shown, None for each run's current one. The statement is kept:
+    making it takes longer than executing it for one run.
     """
     shown = func.coalesce(literal(protocol_id, Integer), Run.current_protocol_id)
     return (

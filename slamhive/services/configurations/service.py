@@ -134,7 +134,7 @@ class Configurations:
 
     def match(self, configuration_id: int) -> Match:
         """How algorithm and dataset of this configuration fit, as they are now; raises NotFound or InvalidInput."""
-        stored = self.get(configuration_id).configuration
+        stored = self._store.read(lambda t: t.configurations.get(configuration_id))
         algorithm, dataset = self._catalogue.algorithm(stored.algorithm_label), self._catalogue.dataset(stored.dataset)
         return match_of(algorithm, self._variants.planned(dataset, stored.variant), stored.parameters, stored.sensors)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from slamhive.domain.names import check_name
 from slamhive.domain.versions import split_version
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable, unknown
+from slamhive.services.datasets.folder_stamps import Stamp, stamp_of, stamped
 from slamhive.settings import Mode, Settings
 
 if TYPE_CHECKING:
@@ -79,7 +80,9 @@ class Catalogue:
     def __init__(self, settings: Settings, project_root: Path) -> None:
         self._settings = settings
         self.project_root = project_root
-        self._parsed: dict[Path, tuple[tuple[int, int, int], Any]] = {}
+        self._parsed: dict[Path, tuple[Stamp, Any]] = {}
+        self._scanned: dict[str, tuple[object, Sequence[Any]]] = {}
+        """What the last complete look at algorithms and datasets found, and the stamps of the files then."""
 
     def algorithms(self) -> tuple[Algorithm, ...]:
         """All runnable algorithms, sorted by name. A broken package hides only itself, see :meth:`broken`."""
@@ -219,11 +222,9 @@ class Catalogue:
 
     def _load(self, path: Path, load: Callable[[Path], Loaded]) -> Loaded:
         """Load the folder of ``path``, or return the cached result if the file has not changed."""
-        try:
-            status = path.stat()
-        except OSError:
+        stamp = stamp_of(path)
+        if stamp is None:
             return load(path.parent)
-        stamp = (status.st_mtime_ns, status.st_size, status.st_ino)
         known = self._parsed.get(path)
         if known is None or known[0] != stamp:
             known = (stamp, load(path.parent))
@@ -231,12 +232,21 @@ class Catalogue:
         loaded: Loaded = known[1]
         return loaded
 
-    def _scan_algorithms(self) -> tuple[list[Algorithm], list[BrokenEntry]]:
+    def _scan_algorithms(self) -> tuple[Sequence[Algorithm], list[BrokenEntry]]:
+        """What algorithms and broken folders there are. If no file has changed, the files are not looked into."""
         from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
+        from slamhive.catalogue.algorithm_folders import ALGORITHM_FOLDERS
 
+        folders = [(name, root / name) for root in self._algorithm_roots for name, _ in stamped(root, ALGORITHM_FILE)]
+        folders += ALGORITHM_FOLDERS
+        strange = list(self._foreign_folders())
+        stamps = [*((name, folder, stamp_of(folder / ALGORITHM_FILE)) for name, folder in folders), *strange]
+        known = self._scanned.get("algorithms")
+        if known is not None and known[0] == stamps:
+            return known[1], []
         found: list[Algorithm] = []
         broken: list[BrokenEntry] = []
-        for name, folder in self._algorithm_folders():
+        for name, folder in folders:
             path = folder / ALGORITHM_FILE
             try:
                 algorithms = self._load(path, load_algorithms)
@@ -244,50 +254,57 @@ class Catalogue:
                 found.extend(algorithms)
             except SlamHiveError as error:
                 broken.append(BrokenEntry(name, folder, str(error), is_algorithm=True))
-        known = {algorithm.package.name for algorithm in found}
-        return found, [*broken, *self._not_imported(known)]
+        packages = {algorithm.package.name for algorithm in found}
+        for folder in strange:
+            if folder.name not in packages:
+                problem = f"{folder} has no {ALGORITHM_FILE}; import it: slamhive algorithm import {folder}"
+                broken.append(BrokenEntry(folder.name, folder, problem, is_algorithm=True))
+        self._keep("algorithms", stamps, found, broken)
+        return found, broken
 
-    def _algorithm_folders(self) -> list[tuple[str, Path]]:
-        """Those of the project, imported ones, those of plug-ins; the name is what the package must be called."""
-        from slamhive.catalogue.algorithm_file import ALGORITHM_FILE
-        from slamhive.catalogue.algorithm_folders import ALGORITHM_FOLDERS
-
-        own = [path for root in self._algorithm_roots for path in sorted(root.glob(f"[!.]*/{ALGORITHM_FILE}"))]
-        return [*((path.parent.name, path.parent) for path in own), *ALGORITHM_FOLDERS]
+    def _keep(self, what: str, stamps: object, found: Sequence[Any], broken: Sequence[BrokenEntry]) -> None:
+        """Keep what was found. Why a folder is broken may lie in any of its files, so it is looked into each time."""
+        if broken:
+            self._scanned.pop(what, None)
+        else:
+            self._scanned[what] = (stamps, found)
 
     @property
     def _algorithm_roots(self) -> tuple[Path, Path]:
         return self.project_root / "algorithms", self._settings.algorithms_folder
 
-    def _not_imported(self, known: set[str]) -> Iterator[BrokenEntry]:
+    def _foreign_folders(self) -> Iterator[Path]:
         """Folders of algorithms without ``algorithm.yaml``, as the published SLAM Hive has them."""
         from slamhive.catalogue.algorithm_file import ALGORITHM_FILE
         from slamhive.foreign.folder import MAPPING, SCRIPTS
 
         for root in self._algorithm_roots:
-            for path in sorted(root.glob(f"[!.]*/{SCRIPTS}/{MAPPING}")):
-                folder = path.parent.parent
-                if folder.name not in known and not (folder / ALGORITHM_FILE).exists():
-                    problem = f"{folder} has no {ALGORITHM_FILE}; import it: slamhive algorithm import {folder}"
-                    yield BrokenEntry(folder.name, folder, problem, is_algorithm=True)
+            for name, _ in stamped(root, f"{SCRIPTS}/{MAPPING}"):
+                if stamp_of(root / name / ALGORITHM_FILE) is None:
+                    yield root / name
 
-    def _scan_datasets(self) -> tuple[list[Dataset], list[BrokenEntry]]:
+    def _scan_datasets(self) -> tuple[Sequence[Dataset], list[BrokenEntry]]:
+        """As :meth:`_scan_algorithms`, of datasets."""
         from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 
+        stamps = stamped(self._settings.datasets_folder, DATASET_FILE)
+        known = self._scanned.get("datasets")
+        if known is not None and known[0] == stamps:
+            return known[1], []
         found: list[Dataset] = []
         broken: list[BrokenEntry] = []
-        for path in sorted(self._settings.datasets_folder.glob(f"*/{DATASET_FILE}")):
-            if path.parent.name.startswith("."):
-                continue
+        for name, _ in stamps:
+            path = self._settings.datasets_folder / name / DATASET_FILE
             try:
                 dataset = self._load(path, load_dataset)
-                if dataset.name != path.parent.name:
+                if dataset.name != name:
                     raise InvalidInput(
                         f"{path}: name {dataset.name!r} differs from its folder's", "rename the one or the other"
                     )
                 found.append(dataset)
             except SlamHiveError as error:
-                broken.append(BrokenEntry(path.parent.name, path.parent, str(error), is_algorithm=False))
+                broken.append(BrokenEntry(name, path.parent, str(error), is_algorithm=False))
+        self._keep("datasets", stamps, found, broken)
         return found, broken
 
 

@@ -69,11 +69,13 @@ class Comparisons:
 
     def of(self, run_id: int) -> list[ToolFigures]:
         """The metrics of every tool, as far as they have been evaluated."""
-        run = self._store.read(lambda t: t.runs.get(run_id))
-        done = self._store.read(lambda t: t.metrics.by_protocol(run_id))
-        latest = {
-            entry.protocol.fingerprint: entry for entry in self._store.read(lambda t: t.evaluations.for_run(run_id))
-        }
+        return self.of_run(self._store.read(lambda t: t.runs.get(run_id)))
+
+    def of_run(self, run: RunRecord) -> list[ToolFigures]:
+        """As :meth:`of`, of a run that was just read."""
+        done = self._store.read(lambda t: t.metrics.by_protocol(run.id))
+        evaluations = self._store.read(lambda t: t.evaluations.for_run(run.id))
+        latest = {entry.protocol.fingerprint: entry for entry in evaluations}
         return [self._row(run, name, preset, done, latest) for name, preset in PRESETS]
 
     def _row(

@@ -63,15 +63,11 @@ class RunComparisons:
             unmarked=unmarked,
         )
 
-    def repeats(self, run_id: int, most: int) -> tuple[int, ...]:
-        """A run and the newest other runs of its configuration, at most ``most``; raises NotFound."""
-
-        def work(t: Transaction) -> tuple[int, ...]:
-            configuration = t.runs.get(run_id).configuration_id
-            others = [other for other in t.configuration_book.latest_runs(configuration, most) if other != run_id]
-            return tuple(sorted([run_id, *others[: most - 1]]))
-
-        return self._store.read(work)
+    def repeats(self, run: RunRecord, most: int) -> tuple[int, ...]:
+        """A run and the newest other runs of its configuration, at most ``most``."""
+        latest = self._store.read(lambda t: t.configuration_book.latest_runs(run.configuration_id, most))
+        others = [other for other in latest if other != run.id]
+        return tuple(sorted([run.id, *others[: most - 1]]))
 
     def _settings_of(self, run: RunRecord) -> dict[str, str]:
         folder = RunFolder(self._runs_folder / str(run.id))

@@ -124,8 +124,11 @@ class Runs(StoredRuns):
 
     def log(self, run_id: int, max_bytes: int = LOG_TAIL_BYTES) -> str:
         """The last ``max_bytes`` of the run's output so far."""
-        run = self.get(run_id)
-        folder = self.folder(run_id)
+        return self.log_of(self.get(run_id), max_bytes)
+
+    def log_of(self, run: RunRecord, max_bytes: int = LOG_TAIL_BYTES) -> str:
+        """As :meth:`log`, of a run that was just read."""
+        folder = self.folder(run.id)
         if run.state is not RunState.RUNNING or run.handle is None:
             return read_tail(folder.log, max_bytes)
         # Fetched into another folder: the worker may store the complete log in the run's folder at the same time.

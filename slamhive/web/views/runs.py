@@ -175,7 +175,7 @@ def show(run_id: int) -> str:
         accuracy=protocols.accuracy_rows(run, choices, services.current_protocols.figures(run_id)),
         hints=notes.hints,
         missing=protocols.missing_by_reason(notes.missing),
-        repeats=services.run_comparisons.repeats(run_id, MOST_RUNS),
+        repeats=services.run_comparisons.repeats(run, MOST_RUNS),
         tools=protocols.tool_rows(tools),
         tools_waiting=protocols.waiting(tools),
         measured=presenter.metric_rows(run, needs_protocol=False),
@@ -187,7 +187,7 @@ def show(run_id: int) -> str:
         evaluations=evaluations,
         with_trajectory=with_trajectory,
         evaluating=any(entry.state in (EvaluationState.QUEUED, EvaluationState.RUNNING) for entry in evaluations),
-        log=services.runs.log(run_id, max_bytes=LOG_TAIL_BYTES),
+        log=services.runs.log_of(run, LOG_TAIL_BYTES),
         downloads=downloads,
         stills=presenter.stills(
             {file.key for file in downloads}, None if run.protocol is None else run.protocol.fingerprint
@@ -276,7 +276,7 @@ def _tools(services: Hive, run: RunRecord) -> list[ToolFigures]:
     if run.state is not RunState.SUCCEEDED:
         return []
     try:
-        return services.comparisons.of(run.id)
+        return services.comparisons.of_run(run)
     except NotFound:
         return []
 
