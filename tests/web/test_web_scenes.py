@@ -14,6 +14,7 @@ import pytest
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.runs.point_cloud import MOST_POINTS
 from slamhive.runtime.pcd import format_pcd, write_pcd
+from slamhive.services.runs.series import read_whole_track
 from slamhive.settings import Mode
 from tests.web import web_world as world
 from tests.web.web_world import PROTOCOL, RUNS, Web, make_web
@@ -193,6 +194,27 @@ def test_a_changed_map_is_read_again(web: Web):
     for count in (3, 5):
         write_pcd(path, np.arange(3.0 * count).reshape(-1, 3))
         assert len(points(web, f"/runs/{BARE}/map.bin")[1]) == count
+
+
+def test_points_of_a_map_read_the_trajectories_once(web: Web, monkeypatch: pytest.MonkeyPatch):
+    write_pcd(web.hive.runs.folder(DONE).map, in_frame_of_algorithm(web, DONE))
+    read: list[str] = []
+
+    def counted(path: Path, *more: Any) -> Any:
+        read.append(path.name)
+        return read_whole_track(path, *more)
+
+    monkeypatch.setattr("slamhive.services.runs.scene.read_whole_track", counted)
+    address = f"/runs/{DONE}/map.bin"
+    _, first_m, _ = points(web, f"{address}?detail=sample")
+    _, then_m, _ = points(web, address)
+    assert sorted(read) == ["traj.tum", "traj.txt"]
+    assert np.allclose(first_m, then_m)
+    in_frame = np.loadtxt(web.hive.runs.folder(DONE).trajectory)
+    in_frame[:, 1:4] *= 2
+    np.savetxt(web.hive.runs.folder(DONE).trajectory, in_frame)
+    assert not np.allclose(points(web, address)[1], then_m)
+    assert len(read) == 4
 
 
 def test_a_comparison_shows_what_is_evaluated(web: Web):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.input_bounds import read_record
 from slamhive.runs.folder import RunFolder
 from slamhive.services.evaluations import PROTOCOL_FILE
+from slamhive.services.kept_views import KeptViews
 from slamhive.services.runs.series import MAX_POINTS, Array, Track, gap_of, read_errors, read_whole_track
 from slamhive.store.records import RunRecord
 from slamhive.trajectory.alignment import IDENTITY, Similarity, align_umeyama
@@ -21,6 +23,8 @@ from slamhive.trajectory.model import Poses
 from slamhive.trajectory.motion import motion_of
 
 TIME_OFFSET = "alignment.time_offset"
+_ALIGNED = "traj.tum"
+_MOST_FRAMES = 1000
 _SAME_TIME_S = 1e-3
 _FAR_S = 1.0
 """The speed at a pose that is further from any known speed is not known."""
@@ -69,7 +73,7 @@ def run_scene(run: RunRecord, folder: RunFolder, fingerprint: str | None) -> Run
     files = _files(run, folder)
     evaluation = None if fingerprint is None else folder.evaluation(fingerprint)
     gap_s = math.inf if evaluation is None else gap_of(evaluation)
-    aligned = None if evaluation is None else read_whole_track(evaluation / "traj.tum", gap_s)
+    aligned = None if evaluation is None else read_whole_track(evaluation / _ALIGNED, gap_s)
     if evaluation is None or aligned is None:
         paths = [_path(kind, track) for kind, track in _read(files, gap_s).items()]
         reasons = () if paths else ("The run has left no trajectory that can be read.",)
@@ -89,6 +93,50 @@ def run_scene(run: RunRecord, folder: RunFolder, fingerprint: str | None) -> Run
         to_scene=to_scene,
         reasons=(problem,) if problem else (),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class SceneFrame:
+    """Where the map of a run lies in its 3D view: ``aligned`` and ``to_scene`` as in :class:`RunScene`."""
+
+    aligned: bool
+    to_scene: Similarity | None
+
+
+_OWN_FRAME = SceneFrame(aligned=False, to_scene=IDENTITY)
+
+
+class SceneFrames:
+    """The frames of the 3D views of runs. Those asked for last are kept: a fit reads two whole trajectories."""
+
+    def __init__(self) -> None:
+        self._kept: KeptViews[object, SceneFrame] = KeptViews(_MOST_FRAMES, lambda _: 1)
+
+    def get(self, run: RunRecord, folder: RunFolder, fingerprint: str | None) -> SceneFrame:
+        """As :func:`run_scene` finds it, from the two trajectories that it rests on alone."""
+        if fingerprint is None:
+            return _OWN_FRAME
+        evaluation = folder.evaluation(fingerprint)
+        raw_path = _files(run, folder).get(_judged_kind(evaluation, run))
+        offset_s = (run.metrics or {}).get(TIME_OFFSET, 0.0)
+
+        def read() -> SceneFrame:
+            aligned = read_whole_track(evaluation / _ALIGNED)
+            if aligned is None:
+                return _OWN_FRAME
+            raw = None if raw_path is None else read_whole_track(raw_path)
+            return SceneFrame(aligned=True, to_scene=_transform(raw, aligned, offset_s)[0])
+
+        return self._kept.get((_stamp(evaluation / _ALIGNED), _stamp(raw_path), offset_s), read)
+
+
+def _stamp(path: Path | None) -> object:
+    """What changes with the file at ``path``."""
+    try:
+        status = None if path is None else os.lstat(path)
+    except OSError:
+        status = None
+    return path, None if status is None else (status.st_mtime_ns, status.st_size, status.st_ino)
 
 
 def path_of(kind: str, path: Path) -> ScenePath | None:

@@ -26,7 +26,7 @@ from slamhive.services.runs.moments import Moment, moment_at
 from slamhive.services.runs.progress import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json
 from slamhive.services.runs.retrying import check_retriable, retry_request
-from slamhive.services.runs.scene import RunScene, run_scene
+from slamhive.services.runs.scene import RunScene, SceneFrame, SceneFrames, run_scene
 from slamhive.services.runs.series import RunSeries, Samples, error_over_time, gap_of, run_series
 from slamhive.services.runs.specification import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
 from slamhive.services.runs.stored import StoredRuns
@@ -54,6 +54,7 @@ class Runs(StoredRuns):
         super().__init__(settings, store)
         self._configurations = configurations
         self._executors = executors
+        self._frames = SceneFrames()
 
     def submit(self, submission: Submission, evaluated_under: Protocol | None = None) -> tuple[RunRecord, ...]:
         """Check everything that can be checked before a run starts, then queue ``repeat`` runs.
@@ -160,6 +161,10 @@ class Runs(StoredRuns):
         run = self.get(run_id)
         current = None if run.protocol is None else run.protocol.fingerprint
         return run_scene(run, self.folder(run_id), fingerprint or current)
+
+    def map_frame(self, run: RunRecord) -> SceneFrame:
+        """Where the map of a run lies in :meth:`scene`, without reading what else is shown there."""
+        return self._frames.get(run, self.folder(run.id), None if run.protocol is None else run.protocol.fingerprint)
 
     def moment(self, run_id: int, timestamp_s: float) -> Moment:
         """The error and the frame of a run at a header timestamp."""

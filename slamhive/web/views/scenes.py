@@ -47,11 +47,12 @@ def run(run_id: int) -> Response:
 def run_map(run_id: int) -> Response:
     """At most 100,000 points of the map of a run, in the frame of its 3D view."""
     services = hive()
-    record, scene = services.runs.get(run_id), services.runs.scene(run_id)
-    if scene.to_scene is None:
+    record = services.runs.get(run_id)
+    frame = services.runs.map_frame(record)
+    if frame.to_scene is None:
         raise NotFound(f"what moves the map of run {run_id} to the ground truth is not known", "download the file")
-    reference = _reference(_dataset_of(services, record)) if scene.aligned else None
-    return _points(services.map_views, services.runs.folder(run_id).map, reference, scene.to_scene)
+    reference = _reference(_dataset_of(services, record)) if frame.aligned else None
+    return _points(services.map_views, services.runs.folder(run_id).map, reference, frame.to_scene)
 
 
 @blueprint.get("/compare/scene.json")
