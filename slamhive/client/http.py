@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -185,8 +186,13 @@ class HttpBackend:
             yield page
 
     def _send(self, request: Request[T]) -> T:
-        try:
-            response = self._client.request(**message_of(request))
-        except self._failures as error:
-            raise silent(self.label, error) from None
+        message = message_of(request)
+        with io.BytesIO(request.data or b"") as body:
+            if request.data is not None:
+                # httpx keeps a request until cycles are collected: many parts of 8 MB. A closed stream holds nothing.
+                message["content"] = body
+            try:
+                response = self._client.request(**message)
+            except self._failures as error:
+                raise silent(self.label, error) from None
         return answer_of(request, response)

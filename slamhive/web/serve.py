@@ -27,6 +27,9 @@ from slamhive.web.live import LiveHub
 THREADS = MOST_STREAMS + 8
 """Each live stream occupies a thread; eight stay free for pages."""
 MOST_CONNECTIONS = 200
+RECEIVED_BYTES = 65_536
+"""Taken from a connection at a time. With the 8 KiB of waitress, a part of an upload takes a thousand turns."""
+
 WAKE_S = 1.0
 
 logger = logging.getLogger(__name__)
@@ -70,6 +73,7 @@ class WebServer:
             sockets=[listener],
             threads=THREADS,
             connection_limit=MOST_CONNECTIONS,
+            recv_bytes=RECEIVED_BYTES,
             max_request_body_size=max(BODY_LIMITS.values()) + MOST_UPLOAD_BYTES,
             ident="slamhive",
             **_proxy_options(hive.settings.trusted_proxy),

@@ -137,6 +137,19 @@ def test_a_part_that_is_too_large_is_refused(empty: Web) -> None:
     assert look(empty, token)["received_bytes"] == 0
 
 
+def test_the_largest_part_is_taken_by_the_server(empty: Web) -> None:
+    """Our server says that bodies end by themselves, which test clients do not: all parts but the last are so large."""
+    data = os.urandom(PART_BYTES)
+    token = create(empty, data + b"more").get_json()["token"]
+    address = f"{PREFIX}/uploads/{token}/parts?offset=0"
+    ends = {"wsgi.input_terminated": True}
+    answer = empty.client.post(
+        address, data=data, content_type=OCTETS, headers={API_HEADER: "1"}, environ_overrides=ends
+    )
+    assert answer.status_code == 201, answer.text
+    assert answer.get_json()["received_bytes"] == PART_BYTES
+
+
 def test_a_connection_that_breaks_keeps_what_arrived(empty: Web) -> None:
     data = os.urandom(1_000_000)
     token = create(empty, data, "walk.bag").get_json()["token"]

@@ -8,9 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import wraps
-from typing import IO, Any, ParamSpec, TypeAlias
+from typing import IO, Any, ParamSpec, TypeAlias, cast
 
 from flask import Blueprint, Response, request
+from werkzeug.wsgi import LimitedStream
 
 from slamhive.errors import InvalidInput
 from slamhive.schema.model import Document
@@ -79,10 +80,16 @@ class Bytes:
     most_bytes: int
 
     def stream(self) -> IO[bytes]:
-        """The body of this request; raises InvalidInput for another media type."""
+        """The body of this request; raises InvalidInput for another media type.
+
+        It ends after the stated length. The stream of the request itself refuses to be read once as much has been read
+        as is allowed, also if the body ends there.
+        """
         if request.mimetype != OCTETS:
             raise InvalidInput("the body is not bytes", f"send it with Content-Type: {OCTETS}")
-        return request.stream
+        if request.content_length is None:
+            return request.stream
+        return cast("IO[bytes]", LimitedStream(request.stream, request.content_length))
 
 
 @dataclass(frozen=True, slots=True)
