@@ -157,7 +157,7 @@ def _counted(done: int, total: int, text: str) -> str:
 
 
 def _bar(share: str, *, tells_left: bool) -> Progress:
-    """A bar with what it is about, how much is done in the form ``share``, and times."""
+    """A bar with what it is about, how much is done, as ``share`` says it, and times."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # noqa: PLC0415
 
     left = (TextColumn("left"), TimeRemainingColumn()) if tells_left else ()

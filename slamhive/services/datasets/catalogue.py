@@ -82,7 +82,7 @@ class Catalogue:
         self.project_root = project_root
         self._parsed: dict[Path, tuple[Stamp, Any]] = {}
         self._scanned: dict[str, tuple[object, Sequence[Any]]] = {}
-        """What the last complete look at algorithms and datasets found, and the stamps of the files then."""
+        """What the last complete look at algorithms and datasets found, and the states of the files then."""
 
     def algorithms(self) -> tuple[Algorithm, ...]:
         """All runnable algorithms, sorted by name. A broken package hides only itself, see :meth:`broken`."""

@@ -14,7 +14,7 @@ Stamp = tuple[int, int, int]
 
 
 def stamp_of(path: Path | str) -> Stamp | None:
-    """The stamp of a file; None if there is none, or if it cannot be reached."""
+    """What changes with a file; None if there is none, or if it cannot be reached."""
     try:
         status = os.stat(path)  # noqa: PTH116 - a Path for each would take longer than the call
     except OSError:
@@ -32,6 +32,6 @@ def folders_in(root: Path) -> list[str]:
 
 
 def stamped(root: Path, file: str) -> list[tuple[str, Stamp]]:
-    """The folders in ``root`` that hold ``file``, in order of their names, with its stamp."""
+    """The folders in ``root`` that hold ``file``, in order of their names, with what changes with it."""
     found = ((name, stamp_of(f"{root}/{name}/{file}")) for name in folders_in(root))
     return [(name, stamp) for name, stamp in found if stamp is not None]
