@@ -46,6 +46,13 @@ class NewAccounts(StrEnum):
     MEMBER = "member"
 
 
+class NewRuns(StrEnum):
+    """Who sees what accounts make until its owner says otherwise. Nothing is public unasked."""
+
+    PRIVATE = "private"
+    TEAM = "team"
+
+
 class MailSecurity(StrEnum):
     """How the connection to a mail server is protected."""
 
@@ -133,6 +140,10 @@ class Settings:
     oidc_new_accounts: NewAccounts = setting(
         NewAccounts.NONE,
         "Role of new accounts for unknown users of the provider: none (makes no account), reader or member",
+    )
+    new_runs: NewRuns = setting(
+        NewRuns.TEAM,
+        "Who sees new runs, experiments and analyses of accounts: private (owner and admins) or team (who signs in)",
     )
     trusted_proxy: str = setting(
         "", "Address of a reverse proxy whose X-Forwarded-For, -Host and -Proto headers are believed; empty for none"

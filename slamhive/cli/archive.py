@@ -22,6 +22,7 @@ from slamhive.services.archive import (
 )
 from slamhive.services.hive import Hive
 
+_UNPUBLISHED = "Also what is not public; without accounts, that makes no difference."
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
@@ -38,6 +39,7 @@ def archive() -> None:
 @click.option("--without", type=choice(Part), multiple=True, help="Leave out files of this kind; may be repeated.")
 @click.option("--with", "extra", type=choice(Extra), multiple=True, help="Add what a replay needs; may be repeated.")
 @click.option("--replace", is_flag=True, help="Replace an existing file.")
+@click.option("--unpublished", is_flag=True, help=_UNPUBLISHED)
 @json_option
 @pass_cli
 def export(cli: CliContext, /, file: Path, as_json: bool, **options: object) -> None:
@@ -53,6 +55,7 @@ def export(cli: CliContext, /, file: Path, as_json: bool, **options: object) -> 
         without=tuple(Part(str(name)) for name in options["without"]),  # type: ignore[attr-defined]
         replace=bool(options["replace"]),
         extra=tuple(Extra(str(name)) for name in options["extra"]),  # type: ignore[attr-defined]
+        unpublished=bool(options["unpublished"]),
     )
     with progress_bar("exporting") as show:
 
@@ -125,8 +128,11 @@ def import_archive(cli: CliContext, file: Path, as_json: bool) -> None:
 @click.option("--where", metavar="FILTER", help="Only runs that match this filter; default: all.")
 @click.option("--experiment", metavar="NAME", help="Only the runs of this experiment.")
 @click.option("--title", default="SLAM Hive", show_default=True, help="Title of the pages.")
+@click.option("--unpublished", is_flag=True, help=_UNPUBLISHED)
 @pass_cli
-def site(cli: CliContext, folder: Path, where: str | None, experiment: str | None, title: str) -> None:
+def site(
+    cli: CliContext, folder: Path, where: str | None, experiment: str | None, title: str, unpublished: bool
+) -> None:
     """Write static pages of runs into FOLDER; they need no server and no network."""
     from slamhive.web.static_site import SiteRequest, StaticSite  # noqa: PLC0415 - Plotly takes a second
 
@@ -134,7 +140,7 @@ def site(cli: CliContext, folder: Path, where: str | None, experiment: str | Non
     run_ids = _chosen(hive, where is None and experiment is None, where, experiment)
     query = where or (f"experiment = {experiment}" if experiment else "")
     with progress_bar("writing") as show:
-        written = StaticSite(hive, SiteRequest(folder, run_ids, title, query)).write(
+        written = StaticSite(hive, SiteRequest(folder, run_ids, title, query, unpublished)).write(
             lambda done, total: show(done / total, f"{done}/{total} runs")
         )
     click.echo(f"{written} runs published in {folder}; open {folder / 'index.html'}")

@@ -13,6 +13,7 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.experiment_tables import print_preview, print_report, print_status, print_statuses
 from slamhive.cli.meanings import id_option
 from slamhive.cli.output import messages, print_json, progress_bar, tell
+from slamhive.cli.sharing import share_experiment
 from slamhive.cli.waiting import experiment_to_end
 from slamhive.errors import InvalidInput
 from slamhive.files import write_aside
@@ -253,4 +254,5 @@ def _counting(title: str) -> Iterator[Progress]:
         yield lambda done, total: show(done / total if total else 1.0, f"{done:,} of {total:,} runs")
 
 
+experiment.add_command(share_experiment)
 COMMANDS = (experiment,)

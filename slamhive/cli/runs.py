@@ -13,9 +13,11 @@ from slamhive.cli.groups import LazyGroup
 from slamhive.cli.hints import hint_in_words
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.searching import Listing, print_export, print_groups, search_of, split_columns, write_parquet
+from slamhive.cli.sharing import in_words
 from slamhive.domain.metrics import described
 from slamhive.domain.numbers import plural
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.visibility import Visibility
 from slamhive.errors import InvalidInput
 from slamhive.services.exports import disturbed_text, trust_text
 from slamhive.store import RunRecord, RunSort
@@ -44,6 +46,7 @@ LISTS = ("states", "reasons", "experiments", "algorithms", "datasets")
 _ELSEWHERE = {
     "import": "imports",
     **dict.fromkeys(("note", "tag"), "run_notes"),
+    "share": "sharing",
     **dict.fromkeys(("delete", "restore", "trash"), "run_trash"),
 }
 NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
@@ -151,6 +154,8 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
         return
     click.echo(f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {entry.state}")
     _print_outcome(entry)
+    if entry.owner is not None or entry.seen_by is not Visibility.TEAM:
+        click.echo(in_words(entry.owner, entry.seen_by))
     click.echo(f"folder {content['folder']}")
     print_table(("parameter", "value"), [(key, value) for key, value in content["parameters"].items()])
     if recorded.get("match"):

@@ -13,6 +13,7 @@ from typing import Any
 
 from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.visibility import Sharing
 from slamhive.errors import NotFound, Unavailable
 from slamhive.files import write_aside
 from slamhive.input_bounds import read_record
@@ -37,6 +38,11 @@ class RunFolder:
     def notes(self) -> Path:
         """``notes.json``: note and tags that people gave the run."""
         return self.root / "notes.json"
+
+    @property
+    def sharing(self) -> Path:
+        """``sharing.json``: owner and visibility. What it does not state, the experiment of the run does."""
+        return self.root / "sharing.json"
 
     @property
     def config(self) -> Path:
@@ -197,6 +203,14 @@ class RunFolder:
     def read_notes(self) -> RunNotes:
         """Note and tags; empty without the file. Raises InvalidInput for a file that cannot be used."""
         return RunNotes.of(read_record(self.notes)) if self.notes.exists() else NO_NOTES
+
+    def write_sharing(self, sharing: Sharing) -> None:
+        """Replace ``sharing.json`` in one step."""
+        write_aside(self.sharing, json.dumps(sharing.content, indent=1) + "\n")
+
+    def read_sharing(self) -> Sharing | None:
+        """Owner and visibility; None without the file. Raises InvalidInput for a file that cannot be used."""
+        return Sharing.of(read_record(self.sharing)) if self.sharing.exists() else None
 
     def write_current_protocol(self, fingerprint: str) -> None:
         """Replace ``evaluations/current`` in one step."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from slamhive.domain.visibility import Visibility
 from slamhive.schema.fields import described
 from slamhive.schema.model import Document
 from slamhive.schema.types import Moment, cut
@@ -21,3 +22,5 @@ class StoredAnalysis(Document):
     ended_at: Moment | None
     content_hash: Annotated[str | None, described("Identifies its file, runs and metrics; null until known.")]
     reason: Annotated[str | None, described("Why it failed.")]
+    owner: Annotated[str | None, described("The account that it belongs to; null for nobody.")] = None
+    visibility: Annotated[Visibility | None, described("Who sees it; null for everybody who is signed in.")] = None

@@ -10,6 +10,7 @@ from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.notes import LONGEST_NOTE, LONGEST_TAG, MOST_TAGS
 from slamhive.domain.parameters import Value
 from slamhive.domain.variant import Variant
+from slamhive.domain.visibility import Visibility
 from slamhive.schema.fields import described
 from slamhive.schema.submission import MAX_REPEATS, Submission
 
@@ -48,6 +49,18 @@ class TagsRequest(Request):
     runs: RunIds
     add: Tags = ()
     remove: Tags = ()
+
+
+class VisibilityRequest(Request):
+    """Who may see something from now on."""
+
+    visibility: Visibility
+
+
+class SharingRequest(VisibilityRequest):
+    """Who may see some runs from now on."""
+
+    runs: RunIds
 
 
 class NotesRequest(Request):

@@ -11,6 +11,7 @@ from pydantic import StrictInt as Whole
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.names import check_name
 from slamhive.domain.parameters import Parameter
+from slamhive.domain.visibility import Visibility
 from slamhive.schema.fields import described
 from slamhive.schema.model import Document
 from slamhive.schema.protocol import StatedProtocol
@@ -71,6 +72,7 @@ class RunLine(Document):
     current_protocol: Annotated[str | None, described("Fingerprint of the protocol whose metrics are shown.")]
     record: Annotated[dict[str, Any] | None, described("Stands for the run.json of a run without a folder.")]
     evaluations: tuple[EvaluationLine, ...]
+    visibility: Annotated[Visibility | None, described("Who may see it; null for everybody who is signed in.")] = None
 
 
 class ConfigurationLine(Document):
@@ -118,6 +120,7 @@ class ExperimentLine(Document):
     runs: RowNumber
     complete: Annotated[Flag, described("All cells and runs are stored.")]
     created_at: Moment
+    visibility: Annotated[Visibility | None, described("Who may see it; null for everybody who is signed in.")] = None
 
 
 class CellLine(Document):
@@ -173,3 +176,4 @@ class AnalysisLine(Document):
     name: Annotated[str, cut(200)]
     created_at: Moment
     source: Annotated[str, described("The analysis file.")]
+    visibility: Annotated[Visibility | None, described("Who may see it; null for everybody who is signed in.")] = None

@@ -12,6 +12,7 @@ from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import DEFAULT_RULE, VerdictKind
+from slamhive.domain.visibility import Visibility
 from slamhive.schema.fields import described
 from slamhive.schema.model import Document
 from slamhive.schema.types import Timestamp, Values
@@ -107,6 +108,8 @@ class ExperimentStatus(Document):
     phase: Annotated[str, described("What happens now, such as a build; empty if nothing is left.")] = ""
     same_cpu: Annotated[bool, described("All runs are measured on one CPU model.")] = False
     cpu_model: Annotated[str | None, described("That CPU model; null while it is not known.")] = None
+    owner: Annotated[str | None, described("The account that it belongs to; null for nobody.")] = None
+    visibility: Annotated[Visibility, described("Who may see it and its runs, besides admins.")] = Visibility.TEAM
 
 
 class CellRun(Document):

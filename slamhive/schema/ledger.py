@@ -9,6 +9,7 @@ from pydantic import StrictInt as Whole
 
 from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode
 from slamhive.domain.variant import Variant
+from slamhive.domain.visibility import Visibility
 from slamhive.schema.fields import described
 from slamhive.schema.limits import NEVER
 from slamhive.schema.model import Document
@@ -80,6 +81,8 @@ class SharedRequest(Document):
     experiment: Annotated[str | None, described("The uid of their experiment.")]
     protocol: StatedProtocol | None
     stop_when: Rules = NEVER
+    owner: str | None = None
+    visibility: Visibility | None = None
 
 
 class RunsLine(Document):

@@ -15,6 +15,7 @@ from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.trust import TrustLevel
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import VerdictKind
+from slamhive.domain.visibility import Visibility
 from slamhive.schema.fields import described
 from slamhive.schema.limits import Limits
 from slamhive.schema.model import Document
@@ -128,7 +129,10 @@ class Run(Document):
     stop_when: Rules
     repeat_disturbed: int
     disturbance: FoundDisturbance | None
-    owner: Annotated[str | None, described("The account that asked for the run; null if nobody had signed in.")] = None
+    owner: Annotated[str | None, described("The account that the run belongs to; null for nobody.")] = None
+    visibility: Annotated[Visibility, described("Who may see the run, besides admins.")] = Field(
+        default=Visibility.TEAM, validation_alias=AliasChoices("seen_by", "visibility")
+    )
     note: Annotated[str | None, described("What somebody wrote about the run.")] = None
     tags: Annotated[tuple[str, ...], described("Tags that somebody gave the run.")] = ()
     trust: Trust | None = None

@@ -19,6 +19,8 @@ from slamhive.search.units import moments, number, units_of
 from slamhive.search.versions import with_versions
 
 Value = int | float | str | bool | datetime
+ME = "me"
+"""As an owner: who asks."""
 LONGEST_TEXT = 190
 """The longest text value that the store can search for."""
 
@@ -174,7 +176,14 @@ class _Binder:
                 f"use at most {LONGEST_TEXT} characters",
                 word.place,
             )
+        if meaning.name == "owner" and word.text == ME:
+            return self._me(word)
         return word.text
+
+    def _me(self, word: Word) -> str:
+        if not self._vocabulary.me:
+            raise self._refusal("nobody has signed in here", "name the account: owner = NAME", word.place)
+        return self._vocabulary.me
 
     def _choice(self, meaning: Field, leaf: Comparison) -> Condition:
         """Resolve patterns to a list of known values."""

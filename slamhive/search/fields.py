@@ -16,6 +16,7 @@ from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.trust import TrustLevel
 from slamhive.domain.verdict import GROUPS as VERDICT_GROUPS
 from slamhive.domain.verdict import VerdictKind
+from slamhive.domain.visibility import Visibility
 from slamhive.errors import nearest
 
 
@@ -133,7 +134,8 @@ BUILT_IN: dict[str, Field] = {
         VERDICT,
         TRUST,
         _run("executor", "Executor", Kind.TEXT, "docker, process, ..."),
-        _run("owner", "Owner", Kind.TEXT, "account that asked for the run"),
+        _run("owner", "Owner", Kind.TEXT, "account that the run belongs to; me is your own"),
+        _run("visibility", "Visibility", Kind.CHOICE, "who may see the run", Visibility),
         _run("experiment", "Experiment", Kind.TEXT, "name of the experiment that asked for the run"),
         _run("configuration", "Configuration", Kind.NUMBER, "number shared by all repeats"),
         _run("trajectory", "Trajectory", Kind.CHOICE, "which trajectory the run gives as its main one", TrajectoryKind),
@@ -182,7 +184,8 @@ class Vocabulary:
 
     ``parameters`` by key and by general name, each with every way in which it is defined; ``own_keys`` are the keys
     behind each general name; ``sensors`` says which algorithms use which sensors, ``attributes`` which datasets have
-    which attribute. ``protocols`` are all that metrics were computed under, {fingerprint: label}.
+    which attribute. ``protocols`` are all that metrics were computed under, {fingerprint: label}. ``me`` is the account
+    that asks, empty for none.
     """
 
     parameters: Mapping[str, tuple[ParameterKind, ...]] = field(default_factory=dict)
@@ -190,6 +193,7 @@ class Vocabulary:
     protocols: Mapping[str, str] = field(default_factory=dict)
     own_keys: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     attributes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    me: str = ""
 
     def fields(self, name: str) -> tuple[Field, ...]:
         """All meanings of ``name`` (parameters may have several kinds); empty if it has none."""
@@ -228,7 +232,7 @@ def attribute_field(entry: Field, attributes: Mapping[str, tuple[str, ...]]) -> 
     return replace(entry, choices=choices, groups={value: attributes.get(value, ()) for value in choices})
 
 
-def vocabulary_of(kinds: Iterable[ParameterKind], **others: Mapping[str, object]) -> Vocabulary:
+def vocabulary_of(kinds: Iterable[ParameterKind], **others: Mapping[str, object] | str) -> Vocabulary:
     """A vocabulary of these parameters; definitions that are equal for searching are merged."""
     by_name: dict[str, dict[ParameterKind, None]] = {}
     for entry in kinds:

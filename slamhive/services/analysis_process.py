@@ -72,6 +72,7 @@ def _memory_is_used_up(memory_bytes: int) -> bool:
 
 
 def _compute(asked: dict[str, Any], root: Path) -> str:
+    from slamhive.domain.visibility import viewer_of  # noqa: PLC0415
     from slamhive.foreign.numbers import HERE  # noqa: PLC0415
     from slamhive.services.analyses import FIGURES, PAGE, REPORT, AnalysisFolder  # noqa: PLC0415
     from slamhive.services.datasets import Catalogue  # noqa: PLC0415
@@ -94,22 +95,25 @@ def _compute(asked: dict[str, Any], root: Path) -> str:
     tell(0.0, "reading the file")
     # Its numbers were checked when it was stored; analyses of older versions say nothing about them.
     analysis = analyses.read(folder.source, ids={HERE: HERE})
-    digest = hashlib.sha256(f"{asked['version']}\n{analyses.fingerprint(analysis)}\n".encode())
-    digest.update(analysis.source.encode())
-    content_hash = digest.hexdigest()
-    for token in store.read(lambda t: t.analyses.same(content_hash)):
-        other = AnalysisFolder(root.parent / token)
-        if token != root.name and other.whole:
-            folder.link_results(other)
-            return content_hash
-    limits = AnalysisLimits(settings.analysis_max_runs, settings.analysis_time_limit_s)
-    report = analyses.compute(analysis, limits, lambda share, doing: tell(0.8 * share, doing))
-    tell(0.8, "drawing")
-    folder.write_result(FIGURES, figures_json(report))
-    tell(0.9, "storing")
-    folder.write_result(PAGE, page_of(report).content)
-    folder.write_result(REPORT, report.content)
-    return content_hash
+    # It shows what each of its readers may see.
+    audience = asked["audience"]
+    with store.seen_by(None if audience is None else viewer_of(audience), asked["owner"]):
+        digest = hashlib.sha256(f"{asked['version']}\n{analyses.fingerprint(analysis)}\n".encode())
+        digest.update(analysis.source.encode())
+        content_hash = digest.hexdigest()
+        for token in store.read(lambda t: t.analyses.same(content_hash)):
+            other = AnalysisFolder(root.parent / token)
+            if token != root.name and other.whole:
+                folder.link_results(other)
+                return content_hash
+        limits = AnalysisLimits(settings.analysis_max_runs, settings.analysis_time_limit_s)
+        report = analyses.compute(analysis, limits, lambda share, doing: tell(0.8 * share, doing))
+        tell(0.8, "drawing")
+        folder.write_result(FIGURES, figures_json(report))
+        tell(0.9, "storing")
+        folder.write_result(PAGE, page_of(report).content)
+        folder.write_result(REPORT, report.content)
+        return content_hash
 
 
 class _Teller:

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from slamhive.services.run_comparison import RunComparisons
     from slamhive.services.runs import MapViews, Notes, Runs, StoredRuns
     from slamhive.services.searches import Searches
+    from slamhive.services.sharing import Sharings
     from slamhive.services.trash import Trash
     from slamhive.services.uploads import UploadImports, Uploads
     from slamhive.services.versions import Versions
@@ -156,6 +157,13 @@ class Hive:
         from slamhive.services.runs import Runs
 
         return Runs(self.settings, self.store, self.configurations, self.executors)
+
+    @cached_property
+    def sharings(self) -> Sharings:
+        """Who owns runs, experiments and analyses, and who may see them."""
+        from slamhive.services.sharing import Sharings
+
+        return Sharings(self.settings, self.store)
 
     @cached_property
     def notes(self) -> Notes:

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from slamhive.domain.visibility import NOT_SHARED
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.runs.folder import RunFolder
 from slamhive.services.experiments import Restored
 from slamhive.services.hive import Hive
 from slamhive.services.ledger import LedgerRestore
-from slamhive.services.runs import FolderRun, current_protocol, file_runs, found_evaluations, found_notes, read_filed
+from slamhive.services.runs import (
+    FolderRun,
+    current_protocol,
+    file_runs,
+    found_evaluations,
+    found_notes,
+    found_sharing,
+    read_filed,
+)
 from slamhive.services.trash import deleted_folders
 
 BATCH = 100
@@ -62,11 +71,12 @@ def _reindexed(hive: Hive, progress: Callable[[int, int], None]) -> ReindexRepor
     for restored in hive.experiments.restore_rows():
         report.experiments += restored.problem is None
         _note(report, restored)
+    damaged = {path.name for path, _ in report.skipped}
     ledger.restore_before_runs()
     ledger.restore_cells()
     for start in range(0, len(folders), BATCH):
         part = folders[start : start + BATCH]
-        report.skipped += _file_folders(hive, part, report, ledger)
+        report.skipped += _file_folders(hive, part, report, ledger, damaged)
         progress(start + len(part), len(folders))
     report.waiting = ledger.restore_after_runs()
     for restored in hive.experiments.restore_runs():
@@ -87,13 +97,18 @@ def _note(report: ReindexReport, restored: Restored) -> None:
 
 
 def _file_folders(
-    hive: Hive, folders: Sequence[RunFolder], report: ReindexReport, ledger: LedgerRestore
+    hive: Hive, folders: Sequence[RunFolder], report: ReindexReport, ledger: LedgerRestore, damaged: Collection[str]
 ) -> list[tuple[Path, str]]:
-    """File folders in one transaction, or one by one if that fails; return those left out, with the reason."""
+    """File folders in one transaction, or one by one if that fails; return those left out, with the reason.
+
+    ``damaged``: experiments that could not be restored. Only admins see their runs: the experiment may be private.
+    """
     runs, left_out = [], []
     for folder in folders:
         try:
-            runs.append(_read(hive, folder, ledger))
+            run = _read(hive, folder, ledger)
+            hidden = run.filed.file.request.experiment in damaged
+            runs.append(replace(run, sharing=NOT_SHARED) if hidden else run)
         except SlamHiveError as error:
             left_out.append((folder.root, str(error)))
     try:
@@ -101,7 +116,7 @@ def _file_folders(
             ledger.repeat_later(hive.store.write(lambda t: file_runs(t, hive.catalogue, runs)))
     except (SlamHiveError, OverflowError) as error:
         if len(folders) > 1:
-            return [entry for folder in folders for entry in _file_folders(hive, [folder], report, ledger)]
+            return [entry for folder in folders for entry in _file_folders(hive, [folder], report, ledger, damaged)]
         too_large = f"{folders[0].record} holds a number that no database can hold"
         return [(folders[0].root, str(error) if isinstance(error, SlamHiveError) else too_large)]
     report.runs += len(runs)
@@ -117,7 +132,7 @@ def _read(hive: Hive, folder: RunFolder, ledger: LedgerRestore) -> FolderRun:
     found = found_evaluations(folder)
     history = ledger.evaluations.of(int(record["id"]))
     current, attempt = current_protocol(folder, found), int(record.get("attempt", 1))
-    return FolderRun(filed, found, current, history, attempt, found_notes(folder))
+    return FolderRun(filed, found, current, history, attempt, found_notes(folder), found_sharing(folder))
 
 
 def _number(path: Path) -> int:

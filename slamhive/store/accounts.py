@@ -41,6 +41,10 @@ class AccountRepository(Repository):
         query = select(_ACCOUNTS.c.id).where(_ACCOUNTS.c.disabled_at.is_(None)).limit(1)
         return self._connection.execute(query).first() is not None
 
+    def in_use(self) -> bool:
+        """Whether there is any account, even if all are disabled."""
+        return self._connection.execute(select(_ACCOUNTS.c.id).limit(1)).first() is not None
+
     def named(self, name: str) -> Account:
         """The account of that name; raises NotFound."""
         return self.credentials(name).account

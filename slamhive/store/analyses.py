@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, delete, func, insert, select, update
+from sqlalchemy import ColumnElement, Row, delete, func, insert, select, true, update
 
 from slamhive.errors import NotFound
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
@@ -15,6 +15,7 @@ from slamhive.store.leases import NO_LEASE, Lease, LeaseQueue
 from slamhive.store.models import Analysis, Evaluation, Run
 from slamhive.store.records import LeaseLost
 from slamhive.store.rows import changed, chunks, cut
+from slamhive.store.sharing import sharing_columns
 
 REASON_LENGTH = 10_000
 _TABLE = Analysis.__table__
@@ -41,6 +42,7 @@ class AnalysisRepository(LeaseQueue[str]):
             **_ending(record),
             "attempt": 0,
             **NO_LEASE,
+            **sharing_columns(record.sharing),
         }
         if not changed(self._connection, update(_TABLE).where(_TABLE.c.token == record.token).values(values)):
             self._connection.execute(insert(_TABLE).values(token=record.token, **values))
@@ -56,6 +58,10 @@ class AnalysisRepository(LeaseQueue[str]):
         """The analyses that the list shows, newest first."""
         query = select(_TABLE).where(_TABLE.c.listed == True).order_by(_TABLE.c.id.desc()).limit(limit)  # noqa: E712
         return [_record(row) for row in self._connection.execute(query)]
+
+    def all(self) -> list[AnalysisRecord]:
+        """All analyses, oldest first."""
+        return self._records(true())
 
     def visitors(self) -> list[AnalysisRecord]:
         """The analyses that visitors made in view-only mode, oldest first."""

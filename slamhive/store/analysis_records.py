@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 
+from slamhive.domain.visibility import Sharing, Visibility
+
 
 class AnalysisState(StrEnum):
     """Where an analysis is in its life."""
@@ -28,6 +30,7 @@ class AnalysisRecord:
     ``token`` (32 hex digits) is its permanent address and cannot be guessed. A ``visitor`` made it in view-only mode.
     ``content_hash`` identifies what it shows (the text of its file, its runs and their metrics); None until that is
     known. ``reason``: why it failed. ``size_bytes``: the stored report, None while there is none.
+    ``owner`` and ``visibility``: see :class:`slamhive.domain.visibility.Sharing`.
     """
 
     token: str
@@ -42,3 +45,15 @@ class AnalysisRecord:
     ended_at: datetime | None = None
     attempt: int = 0
     lease_owner: str | None = None
+    owner: str | None = None
+    visibility: Visibility | None = None
+
+    @property
+    def sharing(self) -> Sharing:
+        """Owner and visibility."""
+        return Sharing(self.owner, self.visibility)
+
+    @property
+    def seen_by(self) -> Visibility:
+        """Who sees the analysis besides admins."""
+        return self.visibility or Visibility.TEAM

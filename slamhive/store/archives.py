@@ -12,6 +12,7 @@ from sqlalchemy import ColumnElement, select, update
 
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunEvent, RunState
+from slamhive.domain.visibility import Sharing
 from slamhive.store.changes import changes_of
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.experiment_records import NewCell, NewConfiguration
@@ -32,6 +33,7 @@ from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.records import SavedSearchRecord
 from slamhive.store.rows import Repository, chunks, get_or_insert
 from slamhive.store.searches import SearchRepository, saved_columns
+from slamhive.store.sharing import sharing_columns
 
 _RUNS = Run.__table__
 _CELLS = ExperimentCell.__table__
@@ -139,7 +141,8 @@ class ArchiveRepository(Repository):
 
     def put_experiment(self, uid: str, name: str, values: Mapping[str, Any]) -> int:
         """The id of the experiment with this uid, stored if there is none; the caller chooses a free ``name``."""
-        return get_or_insert(self._connection, Experiment, {"uid": uid}, {"name": name, **values})[0]
+        shared = sharing_columns(Sharing(values.get("owner"), values.get("visibility")))
+        return get_or_insert(self._connection, Experiment, {"uid": uid}, {"name": name, **values, **shared})[0]
 
     def add_cells(self, experiment_id: int, cells: Sequence[NewCell]) -> None:
         """Store the cells that are not stored yet."""

@@ -13,6 +13,7 @@ from typing import Generic, TypeVar
 from sqlalchemy import Connection
 
 from slamhive.domain.protocol import Protocol
+from slamhive.domain.visibility import NO_SHARING, Sharing
 from slamhive.evaluation.job import Artefacts
 from slamhive.store.experiment_records import NewCell, NewConfiguration
 from slamhive.store.records import RunRequest
@@ -20,8 +21,8 @@ from slamhive.store.records import RunRequest
 T = TypeVar("T")
 
 CHANGES_KEY = "slamhive.changes"
-OWNER_KEY = "slamhive.owner"
-"""The account for which a connection stores runs; None for nobody."""
+MAKER_KEY = "slamhive.maker"
+"""What belongs to the account for which a connection stores runs, experiments and analyses: a :class:`Sharing`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +75,12 @@ class Changes:
 
 
 Listener = Callable[[Changes], None]
+
+
+def maker_of(connection: Connection) -> Sharing:
+    """Owner and visibility of what is stored; nobody owns what is made without accounts."""
+    found = connection.get_execution_options().get(MAKER_KEY)
+    return found if isinstance(found, Sharing) else NO_SHARING
 
 
 def changes_of(connection: Connection) -> Changes:

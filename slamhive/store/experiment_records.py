@@ -11,6 +11,7 @@ from slamhive.domain.configuration import Configuration
 from slamhive.domain.parameters import Parameter, Value
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import VerdictKind
+from slamhive.domain.visibility import Sharing, Visibility
 
 
 class ExperimentState(StrEnum):
@@ -28,6 +29,7 @@ class ExperimentRecord:
     The uids of its runs follow from ``uid`` (32 hex digits). ``repeats`` is for each seed and may have grown since.
     ``cells`` and ``runs`` (without retries) are upper bounds until all are stored, that is, until it is ``complete``.
     ``cpu_model``: that of all its runs, empty while none has been measured, None if any will do.
+    ``owner`` and ``visibility``: see :class:`slamhive.domain.visibility.Sharing`; they are those of its runs, too.
     """
 
     id: int
@@ -45,6 +47,18 @@ class ExperimentRecord:
     complete: bool
     created_at: datetime
     cpu_model: str | None = None
+    owner: str | None = None
+    visibility: Visibility | None = None
+
+    @property
+    def sharing(self) -> Sharing:
+        """Owner and visibility."""
+        return Sharing(self.owner, self.visibility)
+
+    @property
+    def seen_by(self) -> Visibility:
+        """Who sees the experiment besides admins."""
+        return self.visibility or Visibility.TEAM
 
 
 @dataclass(frozen=True, slots=True)

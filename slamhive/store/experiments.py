@@ -9,7 +9,8 @@ from typing import Any
 from sqlalchemy import ColumnElement, and_, func, insert, or_, select, update
 
 from slamhive.domain.run import RunState
-from slamhive.errors import unknown
+from slamhive.domain.visibility import Sharing
+from slamhive.errors import Conflict, unknown
 from slamhive.store.changes import changes_of
 from slamhive.store.experiment_counts import DISTURBED, REPLACEABLE
 from slamhive.store.experiment_records import (
@@ -22,6 +23,8 @@ from slamhive.store.metrics import VERDICT, MetricRepository
 from slamhive.store.models import Configuration, Evaluation, Experiment, ExperimentCell, Protocol, Run
 from slamhive.store.models import RunEvent as EventRow
 from slamhive.store.rows import Repository, chunks, get_or_insert
+from slamhive.store.sharing import sharing_columns
+from slamhive.store.sight import seeing_all
 from slamhive.store.verdicts import kind_of
 
 _EXPERIMENTS = Experiment.__table__
@@ -36,6 +39,7 @@ class ExperimentRepository(Repository):
 
     def get_or_create(self, uid: str, name: str, **values: Any) -> ExperimentRecord:
         """The experiment called ``name``; stored with ``uid`` and ``values`` (its other fields) if there is none."""
+        values.update(sharing_columns(Sharing(values.get("owner"), values.get("visibility"))))
         get_or_insert(self._connection, Experiment, {"name": name}, {"uid": uid, **values})
         changes_of(self._connection).started.add(f"experiment {name}")
         return self.get(name)
@@ -52,6 +56,13 @@ class ExperimentRepository(Repository):
             names = self._column(select(_EXPERIMENTS.c.name))
             raise unknown("experiment", name, names, "slamhive experiment list shows all")
         return found
+
+    def check_free(self, name: str) -> None:
+        """Raise Conflict if an experiment has this name that the viewer may not see: names are unique for all."""
+        query = select(_EXPERIMENTS.c.id).where(_EXPERIMENTS.c.name == name)
+        taken = self._connection.scalar(seeing_all(query)) is not None
+        if taken and self.find(name) is None:
+            raise Conflict(f"the name {name} is taken", "choose another name")
 
     def mention(self, name: str) -> bool:
         """Whether the file of some experiment contains every part of a dotted name."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import groupby
 from typing import Any
@@ -25,6 +25,7 @@ from slamhive.store.notes import NoteRepository
 from slamhive.store.records import EvaluationState, RunSnapshot
 from slamhive.store.rows import Repository, cut
 from slamhive.store.runs import event_row, snapshot_row
+from slamhive.store.sharing import SharingRepository
 from slamhive.store.verdicts import VerdictRepository
 
 _RUNS = Run.__table__
@@ -32,6 +33,7 @@ _EVENTS = EventRow.__table__
 _EVALUATIONS = Evaluation.__table__
 _FIGURES = MetricValue.__table__
 _ENGINE_LENGTH = 190
+_SHARED = ("owner", "visibility", "audience")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,8 @@ class FiledRun:
 
     ``measured``: {metric key: value}. ``evaluations``: oldest first. ``figures``: {fingerprint of one of their
     protocols: {metric key: value}}. ``current``: the protocol whose metrics are shown, None to leave that as it is.
-    ``notes``: what the folder says that somebody wrote.
+    ``notes``: what the folder says that somebody wrote. ``shared``: whether the request states owner and visibility; if
+    not, those of a row that exists stay as they are.
     """
 
     snapshot: RunSnapshot
@@ -67,6 +70,7 @@ class FiledRun:
     figures: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     current: str | None = None
     notes: RunNotes = NO_NOTES
+    shared: bool = True
 
 
 class FiledRunRepository(Repository):
@@ -114,9 +118,14 @@ class FiledRunRepository(Repository):
 
     def _put_rows(self, runs: Sequence[FiledRun], here: set[int], protocols: Mapping[str, int]) -> dict[int, int]:
         rows, left = [], self._repeating_others(runs)
-        for run in runs:
+        requests = SharingRepository(self._connection).of_experiments([run.snapshot.request for run in runs])
+        audiences = SharingRepository(self._connection).audiences(requests)
+        for run, request in zip(runs, requests, strict=True):
             current = {} if run.current is None else {"current_protocol_id": protocols[run.current]}
-            row = {"id": run.snapshot.id, **snapshot_row(run.snapshot), **current}
+            row = {"id": run.snapshot.id, **snapshot_row(replace(run.snapshot, request=request)), **current}
+            row["audience"] = audiences[request.uid]
+            if run.snapshot.id in here and not run.shared:
+                row = {name: value for name, value in row.items() if name not in _SHARED}
             rows.append({**row, "retry_of": None} if run.snapshot.id in left else row)
         new = [row for row in rows if row["id"] not in here]
         if new:

@@ -7,6 +7,7 @@ from sqlalchemy import BigInteger, Boolean, ForeignKey, Index, Integer, SmallInt
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.visibility import Visibility
 from slamhive.evaluation.job import Artefacts
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.store.experiment_records import ExperimentState
@@ -18,6 +19,7 @@ MEASURED_PROTOCOL_ID = 1
 """The row of ``protocols`` for metrics that need no protocol (CPU, memory, poses)."""
 
 NAME_LENGTH = 64
+AUDIENCE_LENGTH = 80
 TEXT_VALUE_LENGTH = 190
 WHY_LENGTH = 500
 
@@ -168,6 +170,10 @@ class Experiment(Base):
     complete = column(Boolean)
     created_at = column(UtcDateTime)
     cpu_model = optional(String(190))
+    owner = optional(String(NAME_LENGTH))
+    visibility = optional(enum_column(Visibility))
+    audience = column(String(AUDIENCE_LENGTH), server_default=text("'team'"), index=True)
+    """See :meth:`slamhive.domain.visibility.Sharing.audience`."""
 
 
 class ExperimentCell(Base):
@@ -192,6 +198,7 @@ class Run(Base):
         Index("ix_runs_experiment_cells", "experiment_id", "cell", "state", "reason", "current_protocol_id"),
         Index("ix_runs_experiment_states", "experiment_id", "state", "reason", "current_protocol_id"),
         Index("ix_runs_current_protocol_id_state", "current_protocol_id", "state"),
+        Index("ix_runs_audience_state", "audience", "state"),
         {**TABLE_OPTIONS, "sqlite_autoincrement": True},
     )
     id = column(Integer, primary_key=True)
@@ -233,6 +240,9 @@ class Run(Base):
     repeat_disturbed = column(Integer, server_default=text("0"))
     trajectory = optional(enum_column(TrajectoryKind))
     owner = optional(String(NAME_LENGTH), index=True)
+    visibility = optional(enum_column(Visibility))
+    audience = column(String(AUDIENCE_LENGTH), server_default=text("'team'"))
+    """See :meth:`slamhive.domain.visibility.Sharing.audience`."""
 
 
 class RunNote(Base):
@@ -380,3 +390,7 @@ class Analysis(Base):
     attempt = column(Integer)
     lease_owner = optional(String(190))
     lease_expires_at = optional(UtcDateTime)
+    owner = optional(String(NAME_LENGTH))
+    visibility = optional(enum_column(Visibility))
+    audience = column(String(AUDIENCE_LENGTH), server_default=text("'team'"), index=True)
+    """See :meth:`slamhive.domain.visibility.Sharing.audience`."""

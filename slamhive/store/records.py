@@ -21,6 +21,7 @@ from slamhive.domain.trust import Trust, judge_trust
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, not_evaluable
 from slamhive.domain.versions import version_label
+from slamhive.domain.visibility import TEAM_SEES, Visibility, visibility_of
 from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
 from slamhive.schema.limits import NEVER, Limits, StopWhen
@@ -103,6 +104,7 @@ class RunRequest:
     ``cpu_cores``, ``memory_mb``, ``timeout_s``: limits asked for, None for the installation's. ``priority``: higher
     goes first. ``evaluate``: evaluate it when it has succeeded, under ``protocol`` or the default of its sensors.
     ``cell``: number of the configuration in the experiment ``experiment_id``, the same for its repeats and retries.
+    ``owner`` and ``visibility``: see :class:`slamhive.domain.visibility.Sharing`; who stores it fills them in.
     ``held``: queued, but no worker may claim it. ``affinity``: see :mod:`slamhive.domain.affinity`.
     ``repeat_disturbed``: how often it is repeated at most if the machine was disturbed.
     """
@@ -124,6 +126,8 @@ class RunRequest:
     affinity: str = ""
     stop_when: StopWhen = NEVER
     repeat_disturbed: int = 0
+    owner: str | None = None
+    visibility: Visibility | None = None
 
 
 class RunFields(TypedDict, total=False):
@@ -165,6 +169,7 @@ class RunRecord:
     known once the run has started. ``disturbance`` is None where nothing was recorded of the machine.
     ``asked_version`` is the version that its configuration names, ``input_map`` the map that it starts with.
     ``notes`` are its note and tags. ``owner`` is the account that asked for it, None if nobody had signed in.
+    ``visibility`` is that of the run itself, None if it follows its experiment; ``audience`` is who sees it.
     ``experiment`` is the name of the one that it belongs to, ``cell`` its place there; for the rest see
     :class:`RunRequest`.
     """
@@ -220,6 +225,13 @@ class RunRecord:
     judged: VerdictKind | None = None
     notes: RunNotes = NO_NOTES
     owner: str | None = None
+    visibility: Visibility | None = None
+    audience: str = TEAM_SEES
+
+    @property
+    def seen_by(self) -> Visibility:
+        """Who sees the run besides admins."""
+        return visibility_of(self.audience)
 
     @property
     def note(self) -> str | None:

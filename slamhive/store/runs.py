@@ -13,7 +13,7 @@ from slamhive.domain.disturbance import Disturbance
 from slamhive.domain.run import RunEvent, RunState, check_move
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.search.binding import EVERYTHING, Search
-from slamhive.store.changes import OWNER_KEY, NewRow, changes_of
+from slamhive.store.changes import NewRow, changes_of
 from slamhive.store.deleted_runs import DeletedRunRepository
 from slamhive.store.leases import NO_LEASE
 from slamhive.store.models import WHY_LENGTH, Run
@@ -30,6 +30,7 @@ from slamhive.store.records import (
 from slamhive.store.rows import Repository, changed, chunks, cut
 from slamhive.store.run_listing import list_page
 from slamhive.store.run_rows import run_query, to_records
+from slamhive.store.sharing import SharingRepository
 
 DETAIL_LENGTH = 10_000
 _RUNS = Run.__table__
@@ -54,24 +55,16 @@ class RunRepository(Repository):
         known = self.ids_by_uid([request.uid for request in requests])
         new = [request for request in requests if request.uid not in known]
         if new:
-            owners = self._owners(new)
-            rows = [{**_new_row(request, now), "owner": owners[request.uid]} for request in new]
+            shared = SharingRepository(self._connection)
+            new = shared.of_new_runs(new)
+            audiences = shared.audiences(new)
+            rows = [{**_new_row(request, now), "audience": audiences[request.uid]} for request in new]
             self._connection.execute(insert(_RUNS), rows)
             known.update(self.ids_by_uid([request.uid for request in new]))
             events = [event_row(known[request.uid], queued_event(request, now)) for request in new]
             self._connection.execute(insert(_EVENTS), events)
             changes_of(self._connection).runs += [NewRow(known[request.uid], request, now) for request in new]
         return [known[request.uid] for request in requests]
-
-    def _owners(self, requests: Sequence[RunRequest]) -> dict[str, str | None]:
-        """{uid: account} of new runs: who stores them; the owner of the run that is repeated if a worker does."""
-        stored_by = self._connection.get_execution_options().get(OWNER_KEY)
-        repeated = [] if stored_by else sorted({request.retry_of for request in requests if request.retry_of})
-        of_run: dict[int | None, str | None] = {}
-        for part in chunks(repeated):
-            query = select(_RUNS.c.id, _RUNS.c.owner).where(_RUNS.c.id.in_(part))
-            of_run.update((row.id, row.owner) for row in self._connection.execute(query))
-        return {request.uid: stored_by or of_run.get(request.retry_of) for request in requests}
 
     def get(self, run_id: int, *, with_metrics: bool = False) -> RunRecord:
         """The run with this id; raises NotFound."""

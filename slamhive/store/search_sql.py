@@ -16,6 +16,7 @@ from sqlalchemy import (
     Select,
     TableClause,
     and_,
+    case,
     column,
     false,
     func,
@@ -29,6 +30,7 @@ from sqlalchemy import (
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import RunState
+from slamhive.domain.visibility import Visibility
 from slamhive.search.binding import Bound, Condition, Value, members_of
 from slamhive.search.fields import VARIANT_PREFIX, Kind, Source
 from slamhive.search.grammar import Junction
@@ -57,11 +59,12 @@ _RUN_COLUMNS = {
     "evaluated": "current_protocol_id",
     "disturbed": "disturbed_by",
     "version": "algorithm_version_id",
+    "visibility": "audience",
 }
 SEARCHED = (
     *("id", "configuration_id", "experiment_id", "current_protocol_id", "executor", "state", "reason", "seed"),
     *("priority", "exit_code", "created_at", "started_at", "ended_at", "disturbed_by", "trajectory"),
-    *("algorithm_version_id", "owner"),
+    *("algorithm_version_id", "owner", "audience"),
 )
 
 
@@ -155,6 +158,8 @@ class Sql:
             return func.coalesce(_disturbed_by(value, leaf), false())
         if leaf.sign is Sign.HAS:
             return value.is_not(None)
+        if leaf.field.name == "visibility":
+            return self.compare(_visibility(runs.c.audience), leaf)
         if leaf.field.name == "disturbed":
             disturbed = leaf.values[0] is (leaf.sign is Sign.EQUAL)
             known = value > "" if disturbed else value == ""
@@ -296,6 +301,12 @@ class Sql:
         escaped = "".join(f"|{c}" if c in "|%_" else {"*": "%", "?": "_"}.get(c, c) for c in pattern)
         like: ColumnElement[bool] = column.like(escaped, escape="|")
         return like
+
+
+def _visibility(audience: ColumnElement[Any]) -> ColumnElement[Any]:
+    """The visibility in an audience; the other audiences name an owner."""
+    others = [kind.value for kind in Visibility if kind is not Visibility.PRIVATE]
+    return case((audience.in_(others), audience), else_=Visibility.PRIVATE.value)
 
 
 def _disturbed_by(column: ColumnElement[Any], leaf: Condition) -> ColumnElement[bool]:

@@ -12,12 +12,14 @@ from sqlalchemy import Engine, create_engine
 from sqlalchemy.exc import DBAPIError
 
 from slamhive.clock import SYSTEM_CLOCK, Clock
+from slamhive.domain.visibility import NO_SHARING, Sharing, Viewer, Visibility
 from slamhive.errors import NotFound, SlamHiveError
 from slamhive.store import migrate, statistics
 from slamhive.store.account_records import Act
-from slamhive.store.changes import CHANGES_KEY, OWNER_KEY, Changes, Listener
+from slamhive.store.changes import CHANGES_KEY, MAKER_KEY, Changes, Listener
 from slamhive.store.engine import database_label, make_engine, writing
 from slamhive.store.failures import explained, gave_up, is_transient, short
+from slamhive.store.sight import restrict
 from slamhive.store.transaction import Snapshot, Transaction
 
 T = TypeVar("T")
@@ -59,7 +61,7 @@ class Store:
     def read(self, work: Callable[[Transaction], T]) -> T:
         """What ``work`` returns, from one consistent view of the database. On SQLite it never waits for a writer."""
         snapshot = self._snapshot
-        if snapshot is not None:
+        if snapshot is not None and snapshot.viewer == self.viewer:
             return self.retried(lambda: snapshot.read(work))
         return self.retried(lambda: self._attempt(self.engine, work))
 
@@ -73,7 +75,7 @@ class Store:
         if self._snapshot is not None:
             yield
             return
-        self._of_thread.snapshot = snapshot = Snapshot(self.engine, self._clock)
+        self._of_thread.snapshot = snapshot = Snapshot(self.engine, self._clock, self.viewer)
         try:
             yield
         finally:
@@ -105,16 +107,44 @@ class Store:
         return result
 
     @contextmanager
-    def acting(self, act: Act) -> Iterator[None]:
+    def acting(self, act: Act, visibility: Visibility | None = None) -> Iterator[None]:
         """The first transaction of this thread in the block also stores the line of ``act`` in the audit log.
 
-        Runs that any of its transactions stores belong to the account of ``act``.
+        What any of its transactions stores belongs to the account of ``act``, with this ``visibility``.
         """
-        self._of_thread.act, self._of_thread.owner = act, act.account
+        self._of_thread.act, self._of_thread.maker = act, Sharing(act.account, visibility)
         try:
             yield
         finally:
-            self._of_thread.act = self._of_thread.owner = None
+            self._of_thread.act = self._of_thread.maker = None
+
+    @contextmanager
+    def seen_by(self, viewer: Viewer | None, account: str = "") -> Iterator[None]:
+        """All accesses of this thread in the block find only what ``viewer`` may see; None sees everything.
+
+        ``account``: who that is, also if they see everything.
+        """
+        before, self._of_thread.viewer = self.viewer, viewer
+        named, self._of_thread.account = self.account, account
+        try:
+            yield
+        finally:
+            self._of_thread.viewer, self._of_thread.account = before, named
+
+    @property
+    def account(self) -> str:
+        """Who asks in this thread; empty for somebody without an account."""
+        return getattr(self._of_thread, "account", "")
+
+    @property
+    def maker(self) -> Sharing:
+        """Owner and visibility of what this thread stores; nobody owns what is made without accounts."""
+        return getattr(self._of_thread, "maker", None) or NO_SHARING
+
+    @property
+    def viewer(self) -> Viewer | None:
+        """For whom this thread reads; None sees everything."""
+        return getattr(self._of_thread, "viewer", None)
 
     def note_act(self) -> None:
         """Store the line of the act in the audit log, if there is one: what it asks for changes files only."""
@@ -175,12 +205,13 @@ class Store:
         changes = attempts[-1]
         changes.uncertain = len(attempts) > 1 and any(attempts)
         if self.listener is not None and changes:
-            self.listener(changes)
+            with self.seen_by(None):  # what it keeps is for everybody
+                self.listener(changes)
 
     def _attempt(self, engine: Engine, work: Callable[[Transaction], T], changes: Changes | None = None) -> T:
-        owner = getattr(self._of_thread, "owner", None)
-        noted = {CHANGES_KEY: Changes() if changes is None else changes, OWNER_KEY: owner}
+        noted = {CHANGES_KEY: Changes() if changes is None else changes, MAKER_KEY: self.maker}
         with engine.connect().execution_options(**noted) as connection, connection.begin():
+            restrict(connection, self.viewer)
             return work(Transaction(connection, self._clock))
 
     def retried(self, attempt: Callable[[], T]) -> T:

@@ -10,8 +10,10 @@ from sqlalchemy import Connection, Engine, text
 from sqlalchemy.exc import DBAPIError
 
 from slamhive.clock import SYSTEM_CLOCK, Clock
+from slamhive.domain.visibility import Viewer
 from slamhive.lazy import lazy_names
 from slamhive.store.leases import Lease
+from slamhive.store.sight import restrict
 
 if TYPE_CHECKING:
     from slamhive.store.accounts import AccountRepository
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from slamhive.store.runs import RunRepository
     from slamhive.store.same_cpu import SameCpu
     from slamhive.store.searches import SearchRepository
+    from slamhive.store.sharing import SharingRepository
     from slamhive.store.versions import VersionRepository
 
 T = TypeVar("T")
@@ -77,6 +80,7 @@ class Transaction:
     # Who may do what, and who did.
     accounts: AccountRepository
     audit: AuditRepository
+    sharing: SharingRepository
 
     def __init__(self, connection: Connection, clock: Clock = SYSTEM_CLOCK) -> None:
         self.database = connection
@@ -111,11 +115,13 @@ class Snapshot:
     Args:
         engine: The database.
         clock: For the transaction.
+        viewer: Who may see what is read.
     """
 
-    def __init__(self, engine: Engine, clock: Clock) -> None:
+    def __init__(self, engine: Engine, clock: Clock, viewer: Viewer | None = None) -> None:
         self._engine = engine
         self._clock = clock
+        self.viewer = viewer
         self._connection: Connection | None = None
         self._transaction: Transaction | None = None
 
@@ -124,6 +130,7 @@ class Snapshot:
         try:
             if self._transaction is None:
                 self._connection = self._engine.connect()
+                restrict(self._connection, self.viewer)
                 self._transaction = Transaction(self._connection, self._clock)
             return work(self._transaction)
         except DBAPIError:

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from slamhive import __version__
 from slamhive.analysis.colours import on_dark
 from slamhive.clock import utc_now
-from slamhive.domain.accounts import Action
+from slamhive.domain.accounts import Action, Caller, Role
 from slamhive.domain.run import RunState
 from slamhive.services.analyses import may_analyse
 from slamhive.services.hive import Hive
@@ -241,4 +241,11 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
     @app.context_processor
     def request_words() -> dict[str, Any]:
         caller = context.caller()
-        return {"now": utc_now(), "caller": caller, "view_only": Action.CHANGE not in caller.may}
+        words = {"now": utc_now(), "caller": caller, "view_only": Action.CHANGE not in caller.may}
+        return {**words, "may_share": lambda owner: _may_share(caller, owner)}
+
+
+def _may_share(caller: Caller, owner: str | None) -> bool:
+    """Whether pages offer to share what belongs to ``owner``: only where there are accounts."""
+    changes = caller.role is not None and Action.CHANGE in caller.may
+    return changes and (caller.role is Role.ADMIN or owner == caller.account)

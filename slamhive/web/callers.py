@@ -8,7 +8,8 @@ from typing import cast
 from flask import Flask, request, session
 from flask_login import LoginManager, UserMixin, current_user, login_user, logout_user
 
-from slamhive.domain.accounts import EVERYTHING, NOBODY_MAY, VISITOR_MAY, Action, Caller
+from slamhive.domain.accounts import EVERYTHING, NOBODY_MAY, VISITOR_MAY, Action, Caller, Role
+from slamhive.domain.visibility import ANYBODY, Viewer
 from slamhive.errors import SlamHiveError
 from slamhive.services.accounts import Session
 from slamhive.services.analyses import may_analyse
@@ -66,6 +67,16 @@ class Callers:
         if token is not None:
             return self._hive.accounts.by_token(token)
         return cast("Caller", current_user.caller) if current_user.is_authenticated else NOBODY
+
+    def viewer(self, caller: Caller) -> Viewer | None:
+        """What ``caller`` may see of runs, experiments and analyses; None for everything.
+
+        Visitors of a view-only server see what is public, if the installation has accounts.
+        """
+        if self.needed:
+            return None if caller.role is Role.ADMIN else Viewer(caller.account, signed_in=caller.role is not None)
+        visitors = self._hive.settings.mode is Mode.VIEW_ONLY and self._hive.accounts.in_use()
+        return ANYBODY if visitors else None
 
     def watch(self) -> Callable[[], bool]:
         """A function that says, also after this request, whether its caller would still be let in."""

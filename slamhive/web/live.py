@@ -6,10 +6,12 @@ import hashlib
 import json
 import logging
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
 from slamhive.clock import monotonic_s
+from slamhive.domain.visibility import Viewer
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.services.hive import Hive
 from slamhive.web.presenters.live import snapshot
@@ -36,7 +38,8 @@ class LiveHub:
         self._changed = threading.Condition()
         self._streams = 0
         self._tick = 0
-        self._message = ""
+        self._messages: dict[Viewer | None, str] = {}
+        self._viewers: Counter[Viewer | None] = Counter()
         self._poller: threading.Thread | None = None
         self._closed = False
 
@@ -50,10 +53,12 @@ class LiveHub:
             if self._closed or self._streams >= self._most_streams:
                 raise Unavailable("too many live pages are open", "this page polls instead")
             self._streams += 1
+            viewer = self._hive.store.viewer
+            self._viewers[viewer] += 1
             if self._poller is None:
                 self._poller = threading.Thread(target=self._poll, name="slamhive-live", daemon=True)
                 self._poller.start()
-        return LiveStream(self)
+        return LiveStream(self, viewer)
 
     def close(self) -> None:
         """End all streams and the polling thread; refuse new streams."""
@@ -66,16 +71,23 @@ class LiveHub:
         """Number of open streams."""
         return self._streams
 
-    def wait(self, seen: int) -> tuple[int, str] | None:
-        """Number and text of the latest snapshot when it differs from ``seen`` or after a timeout; None at the end."""
+    def wait(self, seen: int, viewer: Viewer | None = None) -> tuple[int, str] | None:
+        """Number and text of the latest snapshot for ``viewer``; None at the end.
+
+        It waits until the number differs from ``seen``, or for some seconds.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._ended or self._tick != seen, timeout=KEEPALIVE_S)
-            return None if self._ended else (self._tick, self._message)
+            if self._ended:
+                return None
+            message = self._messages.get(viewer)
+            return (seen, "") if message is None else (self._tick, message)
 
-    def leave(self) -> None:
+    def leave(self, viewer: Viewer | None = None) -> None:
         """Count one stream less."""
         with self._changed:
             self._streams -= 1
+            self._viewers[viewer] -= 1
 
     @property
     def _ended(self) -> bool:
@@ -94,22 +106,25 @@ class LiveHub:
     def _poll_while_needed(self) -> None:
         while True:
             began = monotonic_s()
-            message = self._look()
+            with self._changed:
+                viewers = [viewer for viewer, streams in self._viewers.items() if streams > 0]
+            messages = {viewer: self._look(viewer) for viewer in viewers}
             with self._changed:
                 if self._closed or self._streams == 0:
                     self._poller = None
                     return
-                if message is not None:
+                if None not in messages.values():
                     self._tick += 1
-                    self._message = message
+                    self._messages = {viewer: str(message) for viewer, message in messages.items()}
                     self._changed.notify_all()
                 left_s = max(0.05, self._interval_s - (monotonic_s() - began))
                 self._changed.wait_for(lambda: self._closed, timeout=left_s)
 
-    def _look(self) -> str | None:
-        """The snapshot as one line of JSON; None while the database is unavailable."""
+    def _look(self, viewer: Viewer | None) -> str | None:
+        """The snapshot for ``viewer`` as one line of JSON; None while the database is unavailable."""
         try:
-            return json.dumps(self.latest(), separators=(",", ":"))
+            with self._hive.store.seen_by(viewer):
+                return json.dumps(self.latest(), separators=(",", ":"))
         except SlamHiveError as error:
             logger.warning("no live update: %s", error)
             return None
@@ -118,8 +133,9 @@ class LiveHub:
 class LiveStream:
     """One reader of a hub. :meth:`close` may be called at any time."""
 
-    def __init__(self, hub: LiveHub) -> None:
+    def __init__(self, hub: LiveHub, viewer: Viewer | None = None) -> None:
         self._hub = hub
+        self._viewer = viewer
         self._open = True
 
     def events(self, welcome: Callable[[], bool] = lambda: True) -> Iterator[str]:
@@ -129,7 +145,7 @@ class LiveStream:
         """
         yield "retry: 3000\n\n"
         seen, asked_s = 0, monotonic_s()
-        while self._open and (news := self._hub.wait(seen)) is not None:
+        while self._open and (news := self._hub.wait(seen, self._viewer)) is not None:
             if monotonic_s() - asked_s >= KEEPALIVE_S:
                 if not welcome():
                     return
@@ -142,7 +158,7 @@ class LiveStream:
         """Leave the hub; safe to call twice."""
         if self._open:
             self._open = False
-            self._hub.leave()
+            self._hub.leave(self._viewer)
 
 
 def with_version(state: dict[str, Any]) -> dict[str, Any]:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import os
 import secrets
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from flask import Flask, Response, g, request
 from flask.sessions import SecureCookieSessionInterface
 
+from slamhive.domain.visibility import Viewer
 from slamhive.errors import Forbidden, InvalidInput, Unavailable
 from slamhive.services.accounts import LOOPBACK_HOSTS, accounts_needed
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode, Settings
+from slamhive.store import Store
 from slamhive.web import acts, context
 from slamhive.web.access import SAFE_METHODS, action_of, refusal
 from slamhive.web.callers import Callers
@@ -73,18 +76,28 @@ def protect(app: Flask, hive: Hive, host: str) -> Callers:
     def refuse() -> Response | None:
         _refuse_foreign_host(local_only=host in LOOPBACK_HOSTS and not callers.needed)
         g.caller = caller = callers.find()
+        g.sight = ExitStack()
+        g.sight.enter_context(hive.store.seen_by(callers.viewer(caller), caller.account))
         action = action_of(request.endpoint, request.method)
         refused = refusal(caller, action, view_only=settings.mode is Mode.VIEW_ONLY)
         if request.method not in SAFE_METHODS:
             _refuse_foreign_origin()
         if refused is None and caller.account and request.method not in SAFE_METHODS:
             g.act = ExitStack()
-            g.act.enter_context(acts.acting(hive.store, caller))
+            g.act.enter_context(acts.acting(hive.store, caller, settings.new_runs))
         return refused
 
     @app.teardown_request
     def end_act(_error: BaseException | None) -> None:
         g.pop("act", ExitStack()).close()
+        g.pop("sight", ExitStack()).close()
+
+    @app.after_request
+    def go_on_seeing(response: Response) -> Response:
+        viewer = hive.store.viewer
+        if viewer is not None and response.is_streamed and not response.direct_passthrough:
+            response.response = _seen_by(hive.store, viewer, response.iter_encoded())
+        return response
 
     bound_requests(app)
 
@@ -97,6 +110,21 @@ def protect(app: Flask, hive: Hive, host: str) -> Callers:
         return response
 
     return callers
+
+
+def _seen_by(store: Store, viewer: Viewer, pieces: Iterator[bytes]) -> Iterator[bytes]:
+    """The pieces of an answer that is made after its request has ended, read for the same viewer."""
+    try:
+        while True:
+            with store.seen_by(viewer):
+                piece = next(pieces, None)
+            if piece is None:
+                return
+            yield piece
+    finally:
+        close = getattr(pieces, "close", None)
+        if close is not None:
+            close()
 
 
 def _refuse_foreign_host(*, local_only: bool) -> None:

@@ -20,6 +20,7 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import Conflict, InvalidInput, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.matching import Match
+from slamhive.services.accounts import published
 from slamhive.services.analyses import REPORT, AnalysisFolder
 from slamhive.services.hive import Hive
 from slamhive.services.reports import report_content, report_environment, script_json
@@ -49,12 +50,16 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class SiteRequest:
-    """What to publish: finished runs with these numbers (None: all). ``query`` describes the selection."""
+    """What to publish: finished runs with these numbers (None: all). ``query`` describes the selection.
+
+    ``unpublished``: also what is not public, if the installation has accounts.
+    """
 
     folder: Path
     run_ids: Sequence[int] | None = None
     title: str = "SLAM Hive"
     query: str = ""
+    unpublished: bool = False
 
 
 class StaticSite:
@@ -74,9 +79,14 @@ class StaticSite:
         folder = self._request.folder.absolute()
         if folder.exists() and not (folder / MARK).is_file() and (not folder.is_dir() or any(folder.iterdir())):
             raise Conflict(f"{folder} is not empty and not a published site", "choose an empty or a new folder")
+        with published(self._hive.store, unpublished=self._request.unpublished):
+            return self._write_aside(folder, progress)
+
+    def _write_aside(self, folder: Path, progress: Progress) -> int:
         run_ids = self._run_ids()
         if not run_ids:
-            raise InvalidInput("there are no finished runs to publish", "list runs with: slamhive runs")
+            public = "" if self._hive.store.viewer is None else "public "
+            raise InvalidInput(f"there are no finished {public}runs to publish", "list runs with: slamhive runs")
         aside = folder.with_name(f".{folder.name}.partial")
         try:
             shutil.rmtree(aside, ignore_errors=True)

@@ -33,7 +33,7 @@ class UploadWork(Background):
         """Start an import whose uploads are complete; raises Conflict while another one is in progress."""
         self._hive.check_writable()
         self._hive.upload_imports.check(asked, owner)
-        act = acts.acting(self._hive.store, caller()) if owner else nullcontext()
+        act = acts.acting(self._hive.store, caller(), self._hive.settings.new_runs) if owner else nullcontext()
 
         def work(progress: Progress) -> None:
             with act:

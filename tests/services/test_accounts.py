@@ -264,7 +264,7 @@ def test_no_file_holds_accounts_and_reindexing_keeps_them(accounts: Accounts, hi
     reindex(hive, lambda _done, _total: None)
     assert (accounts.list(), accounts.tokens(), accounts.audit(10)) == before
     archive = tmp_path / "all.zip"
-    export_archive(hive.settings, hive.store, ExportRequest(archive), lambda _done, _total: None)
+    export_archive(hive.settings, hive.store, ExportRequest(archive, unpublished=True), lambda _done, _total: None)
     with zipfile.ZipFile(archive) as content:
         members = {name: content.read(name) for name in content.namelist()}
     files = [path for path in hive.settings.data.rglob("*") if path.is_file() and "slamhive.db" not in path.name]

@@ -9,6 +9,7 @@ from slamhive.lazy import lazy_names
 if TYPE_CHECKING:
     from slamhive.domain.accounts import LOOPBACK_HOSTS
     from slamhive.services.accounts.need import accounts_needed
+    from slamhive.services.accounts.publishing import published
     from slamhive.services.accounts.service import LONGEST_TOKEN_DAYS, Accounts, Session, TokenRequest
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "Session",
     "TokenRequest",
     "accounts_needed",
+    "published",
 ]
 
 if not TYPE_CHECKING:

@@ -83,6 +83,10 @@ class Accounts:
         """Whether anybody can sign in."""
         return self._store.read(lambda t: t.accounts.exist())
 
+    def in_use(self) -> bool:
+        """Whether there ever was an account: then not everybody may see everything."""
+        return self._store.read(lambda t: t.accounts.in_use())
+
     def set_role(self, name: str, role: Role) -> Account:
         """Give the account another role, at once for its sessions and tokens too."""
         return self._changed(name, lambda t, _account: t.accounts.set_role(name, role))

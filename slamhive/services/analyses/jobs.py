@@ -85,8 +85,9 @@ class AnalysisJobs:
             ended_at=utc_now(),
         )
         try:
-            # Whether it is listed may have changed since it was claimed; the folder has the current value.
-            folder.write_state(replace(ended, listed=folder.read_state().listed))
+            # Who finds it may have changed since it was claimed; the folder has the current value.
+            now = folder.read_state()
+            folder.write_state(replace(ended, listed=now.listed, owner=now.owner, visibility=now.visibility))
             self._store.write(lambda t: t.analyses.finish(ended, owner))
         except (LeaseLost, SlamHiveError) as error:
             logger.info("analysis %s: %s", record.token, error)
@@ -105,7 +106,7 @@ class AnalysisJobs:
         with (
             tempfile.TemporaryFile() as output,
             tempfile.TemporaryFile() as errors,
-            self._child(folder, output, errors) as child,
+            self._child(record, folder, output, errors) as child,
         ):
             while child.poll() is None:
                 if stopping.wait(LOOK_S):
@@ -123,7 +124,9 @@ class AnalysisJobs:
             raise LeaseLost(f"analysis {record.token} was deleted or queued again")
 
     @contextmanager
-    def _child(self, folder: AnalysisFolder, output: IO[bytes], errors: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
+    def _child(
+        self, record: AnalysisRecord, folder: AnalysisFolder, output: IO[bytes], errors: IO[bytes]
+    ) -> Iterator[subprocess.Popen[bytes]]:
         """Start the process and end it at the end of the block. It ends with this process, too."""
         package = Path(slamhive.__file__).parent.parent
         paths = os.pathsep.join(filter(None, (str(package), os.environ.get("PYTHONPATH"))))
@@ -134,7 +137,7 @@ class AnalysisJobs:
         )  # fmt: skip
         assert child.stdin is not None
         try:
-            child.stdin.write(json.dumps(self._asked(), default=str).encode() + b"\n")
+            child.stdin.write(json.dumps(self._asked(record), default=str).encode() + b"\n")
             child.stdin.flush()
             yield child
         except BrokenPipeError:
@@ -144,9 +147,12 @@ class AnalysisJobs:
             child.wait()
             child.stdin.close()
 
-    def _asked(self) -> dict[str, Any]:
+    def _asked(self, record: AnalysisRecord) -> dict[str, Any]:
         settings = self._settings
+        shared = self._store.read(lambda t: t.accounts.in_use())
         return {
+            "audience": record.sharing.audience() if shared else None,
+            "owner": record.owner or "",
             "settings": {name: getattr(settings, name) for name in SETTINGS},
             "project_root": str(self._project_root),
             "version": slamhive.__version__,

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from slamhive.clock import utc_now
+from slamhive.domain.visibility import Visibility
 from slamhive.errors import Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.services.analyses.folder import AnalysisFolder
 from slamhive.services.datasets import check_writable
@@ -57,7 +58,7 @@ class StoredAnalyses:
             raise Forbidden(
                 "this installation takes no new analyses", "NO_NEW_ANALYSIS is set; use an installation of your own"
             )
-        visitor = self._settings.mode is Mode.VIEW_ONLY
+        visitor, maker = self._settings.mode is Mode.VIEW_ONLY, self._store.maker
         name = self.check(text)
         if self._store.read(lambda t: t.analyses.waiting()) >= MOST_WAITING:
             raise Unavailable(f"{MOST_WAITING} analyses are waiting", "try again later")
@@ -68,6 +69,8 @@ class StoredAnalyses:
             listed=listed and not visitor,
             visitor=visitor,
             created_at=utc_now(),
+            owner=maker.owner,
+            visibility=Visibility.PUBLIC if visitor else maker.visibility,
         )
         if visitor:
             self._make_room()

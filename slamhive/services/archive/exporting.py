@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +25,13 @@ from slamhive.schema.archive import (
     Manifest,
     SearchLine,
 )
+from slamhive.services.accounts import published
 from slamhive.services.analyses import AnalysisFolder
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.extras import Extra, Packing, add_recording, add_versions
 from slamhive.services.archive.run_files import Part, files_of_run
 from slamhive.services.archive.writing import ArchiveWriter, archive_writer
-from slamhive.services.experiments import RECORD, SOURCE
+from slamhive.services.experiments import RECORD, SOURCE, StoredExperiment
 from slamhive.services.versions import Versions
 from slamhive.settings import Settings
 from slamhive.store import Store, Transaction
@@ -41,6 +42,7 @@ from slamhive.store.records import AlgorithmVersion, RunRecord
 BATCH = 200
 _MOST_ANALYSES = 100_000
 NOT_ENDED = "had not ended"
+NOT_PUBLIC = "are not public"
 
 Progress = Callable[[int, int], None]
 """Called with how many runs are done, and how many there are."""
@@ -48,13 +50,17 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class ExportRequest:
-    """What to export: all runs (``run_ids`` None) with everything else that is stored, or these with what they need."""
+    """What to export: all runs (``run_ids`` None) with everything else that is stored, or these with what they need.
+
+    ``unpublished``: also what is not public. It makes no difference where there are no accounts.
+    """
 
     path: Path
     run_ids: Sequence[int] | None = None
     without: tuple[Part, ...] = ()
     replace: bool = False
     extra: tuple[Extra, ...] = ()
+    unpublished: bool = False
 
 
 @dataclass
@@ -95,10 +101,18 @@ def export_archive(
         raise Conflict(f"{request.path} exists already", "choose another file, or say --replace")
     if not request.path.absolute().parent.is_dir():
         raise InvalidInput(f"the folder of {request.path} does not exist", "make it first")
+    with published(store, unpublished=request.unpublished):
+        return _export(settings, store, request, progress, versions)
+
+
+def _export(
+    settings: Settings, store: Store, request: ExportRequest, progress: Progress, versions: Versions | None
+) -> ExportReport:
     report = ExportReport()
     run_ids = _ended(store, request, report)
     if not run_ids:
-        raise InvalidInput("there is no run to export that has ended", "slamhive runs lists them")
+        public = " and is public" if store.viewer is not None else ""
+        raise InvalidInput(f"there is no run to export that has ended{public}", "slamhive runs lists them")
     with archive_writer(request.path.absolute()) as archive:
         export = _Export(settings, store, archive, request, report)
         for start in range(0, len(run_ids), BATCH):
@@ -131,10 +145,16 @@ def _ended(store: Store, request: ExportRequest, report: ExportReport) -> list[i
             return rows.ended(), t.searches.total()
         return rows.ended_among(request.run_ids), len(set(request.run_ids))
 
-    ended, asked = store.read(work)
+    with store.seen_by(None):
+        ended, asked = store.read(work)
     if asked > len(ended):
         report.left_out[NOT_ENDED] = asked - len(ended)
-    return ended
+    if store.viewer is None:
+        return ended
+    public, _ = store.read(work)
+    if len(ended) > len(public):
+        report.left_out[NOT_PUBLIC] = len(ended) - len(public)
+    return public
 
 
 class _Export:
@@ -246,10 +266,13 @@ class _Export:
 
     def _experiment(self, record: ExperimentRecord) -> None:
         self._line(layout.EXPERIMENTS, ExperimentLine.of(record).content)
-        for name in (SOURCE, RECORD):
-            self._archive.add_file(
-                f"experiments/{record.name}/{name}", self._settings.experiments_folder / record.name / name
-            )
+        folder, own = self._settings.experiments_folder / record.name, f"experiments/{record.name}/"
+        self._archive.add_file(f"{own}{SOURCE}", folder / SOURCE)
+        if record.owner is None:
+            self._archive.add_file(f"{own}{RECORD}", folder / RECORD)
+        else:
+            text = StoredExperiment.of(replace(record, owner=None)).text
+            self._archive.add_bytes(f"{own}{RECORD}", text.encode(), (folder / RECORD).stat().st_mtime)
         after = -1
         while cells := self._store.read(lambda t: t.experiments.cells(record.id, after, BATCH)):  # noqa: B023
             for cell in cells:

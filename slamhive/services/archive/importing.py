@@ -18,6 +18,7 @@ from typing import Any
 
 from slamhive.clock import utc_now
 from slamhive.domain.notes import NO_NOTES
+from slamhive.domain.visibility import Sharing
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.archive import RunLine
@@ -201,7 +202,8 @@ class ArchiveImport:
         record = {**record, "request": {**record["request"], "experiment": experiment}}
         filed = read_filed(self._catalogue, record, f"the record of run {line.id}")
         notes = NO_NOTES if folder is None else found_notes(folder)
-        run = FolderRun(filed, found, _current(line, folder, found), lines.evaluations_of(line), line.attempt, notes)
+        said = notes, None if line.visibility is None else Sharing(None, line.visibility)
+        run = FolderRun(filed, found, _current(line, folder, found), lines.evaluations_of(line), line.attempt, *said)
         return _Unpacked(line, run, folder, record)
 
     def _put_in_place(self, entry: _Unpacked, folder: RunFolder, numbers: dict[str, int]) -> None:
@@ -213,6 +215,8 @@ class ArchiveImport:
             if record != folder.read_record():
                 # Nobody sees the folder before it is renamed: no need to replace the file in one step.
                 folder.record.write_text(RunFolder.record_text(record), encoding="utf-8")
+            if entry.run.sharing is not None:
+                folder.write_sharing(entry.run.sharing)
             folder.root.rename(target)
         except OSError as error:
             raise Unavailable(f"{target} cannot be made: {error.strerror}", "check space and rights") from None

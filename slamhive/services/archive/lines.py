@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from slamhive.domain.names import check_name
 from slamhive.domain.run import RunEvent
+from slamhive.domain.visibility import Visibility
 from slamhive.errors import InvalidInput
 from slamhive.evaluation.job import Artefacts
 from slamhive.schema.archive import (
@@ -52,6 +53,7 @@ def run_to_line(
         current_protocol=None if run.protocol is None else run.protocol.fingerprint,
         record=record,
         evaluations=tuple(map(EvaluationLine.of, evaluations)),
+        visibility=None if run.seen_by is Visibility.TEAM else run.seen_by,
     )
     return line.content
 
@@ -140,6 +142,7 @@ def analysis_from_line(content: Mapping[str, Any]) -> tuple[AnalysisRecord, str]
         listed=True,
         visitor=False,
         created_at=line.created_at,
+        visibility=line.visibility,
     )
     return record, line.source
 

@@ -12,6 +12,8 @@ from slamhive.tree import Entry, walk
 
 ODD_NAMES = "files with names that no archive holds"
 _SCRATCH, _RESULT = "work", "result"
+_SHARING = "sharing.json"
+"""Accounts belong to an installation. Who may see a run is in its line of the archive."""
 
 
 class Part(StrEnum):
@@ -42,7 +44,7 @@ _LEFT_OUT: dict[Part, Callable[[str], bool]] = {
 
 
 def files_of_run(root: Path, without: Sequence[Part], left_out: Counter[str]) -> Iterator[tuple[str, Path]]:
-    """The files of a run folder by name, sorted; not what is scratch, or a write that was cut off.
+    """The files of a run folder by name, sorted; not its owner, what is scratch, or a write that was cut off.
 
     What an algorithm left that no archive can hold is counted in ``left_out``.
     """
@@ -53,7 +55,7 @@ def files_of_run(root: Path, without: Sequence[Part], left_out: Counter[str]) ->
 
 def _files(root: Path, left_out: Counter[str]) -> Iterator[tuple[str, Path]]:
     for top in sorted(root.iterdir()):
-        if top.name.startswith(".") or top.name == _SCRATCH:
+        if top.name.startswith(".") or top.name in (_SCRATCH, _SHARING):
             continue
         if top.is_file() and not top.is_symlink():
             yield top.name, top

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from slamhive import strict_yaml
+from slamhive.domain.visibility import Sharing, Visibility
 from slamhive.errors import Conflict, InvalidInput, Unavailable
 from slamhive.files import make_shared_folder, remedy_of, write_aside
 from slamhive.input_bounds import read_record
@@ -33,6 +34,18 @@ class StoredExperiment(Document):
     repeats: int
     created_at: Moment
     format: int = 1
+    owner: str | None = None
+    visibility: Visibility | None = None
+
+    @property
+    def sharing(self) -> Sharing:
+        """Owner and visibility."""
+        return Sharing(self.owner, self.visibility)
+
+    @property
+    def text(self) -> str:
+        """The content of the file."""
+        return json.dumps(self.content, indent=1) + "\n"
 
 
 class ExperimentFolder:
@@ -73,7 +86,7 @@ class ExperimentFolder:
         """Write ``stored``, and for a new experiment first its source, without which it is of no use."""
         if source is not None:
             write_aside(self.root / SOURCE, source)
-        write_aside(self.root / RECORD, json.dumps(stored.content, indent=1) + "\n")
+        write_aside(self.root / RECORD, stored.text)
 
     def read(self) -> StoredExperiment | None:
         """What :meth:`write` stored; None if there is nothing; raises InvalidInput if it cannot be read."""

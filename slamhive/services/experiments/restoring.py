@@ -39,6 +39,9 @@ def restore_rows(context: ExperimentContext) -> Iterator[Restored]:
             if (record.state, record.repeats) != (stored.state, stored.repeats):
                 values = {"state": stored.state, "repeats": stored.repeats, "complete": False}
                 context.store.write(lambda t, i=record.id, v=values: t.experiments.change(i, **v))  # type: ignore[misc]
+            if record.sharing != stored.sharing:
+                shared = (record.id, stored.sharing)
+                context.store.write(lambda t, shared=shared: t.sharing.share_experiment(*shared))  # type: ignore[misc]
         except SlamHiveError as error:
             yield Restored(folder, problem=str(error))
         else:

@@ -71,6 +71,7 @@ class Experiments:
         usable: str | None = None
         try:
             usable = context.executors.choose(executor or experiment.executor)
+            context.store.read(lambda t: t.experiments.check_free(experiment.name))
             record = context.store.read(lambda t: t.experiments.find(experiment.name))
             if record is not None:
                 check_same(context, record, experiment, executor)

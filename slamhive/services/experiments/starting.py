@@ -6,6 +6,7 @@ import uuid
 from dataclasses import replace
 
 from slamhive.clock import utc_now
+from slamhive.domain.visibility import Sharing
 from slamhive.errors import Conflict, InvalidInput
 from slamhive.schema.submission import MAX_REPEATS
 from slamhive.services.experiments.changing import changing, write_record
@@ -24,6 +25,7 @@ def start(context: ExperimentContext, source: ExperimentSource, executor: str | 
     """Store all runs of ``source`` that are not stored yet; returns the name of the experiment."""
     source = context.with_datasets(source)
     experiment = parse_experiment(source.text, source.name)
+    context.store.read(lambda t: t.experiments.check_free(experiment.name))
     record = context.store.read(lambda t: t.experiments.find(experiment.name))
     if record is not None:
         check_same(context, record, experiment, executor)
@@ -33,7 +35,7 @@ def start(context: ExperimentContext, source: ExperimentSource, executor: str | 
     known = folder.read() if record is None else StoredExperiment.of(record)
     if known is None:
         chosen = context.executors.choose(executor or experiment.executor)
-        known = _new(experiment, chosen)
+        known = _new(experiment, chosen, context.store.maker)
     elif not experiment.has_hash(known.content_hash):
         raise Conflict(
             f"{folder.root} holds another experiment of this name, which the database does not know",
@@ -96,7 +98,7 @@ def _checked(context: ExperimentContext, experiment: Experiment, executor: str) 
     return expansion
 
 
-def _new(experiment: Experiment, executor: str) -> StoredExperiment:
+def _new(experiment: Experiment, executor: str, maker: Sharing) -> StoredExperiment:
     return StoredExperiment(
         uid=uuid.uuid4().hex,
         name=experiment.name,
@@ -105,6 +107,8 @@ def _new(experiment: Experiment, executor: str) -> StoredExperiment:
         executor=executor,
         repeats=experiment.repeats,
         created_at=utc_now(),
+        owner=maker.owner,
+        visibility=maker.visibility,
     )
 
 

@@ -84,6 +84,8 @@ def status_of(
         phase="" if left is None else left.phase,
         same_cpu=record.cpu_model is not None,
         cpu_model=record.cpu_model or None,
+        owner=record.owner,
+        visibility=record.seen_by,
     )
 
 

@@ -47,6 +47,8 @@ def put_experiment(
         "complete": False,
         "created_at": stored.created_at,
         "cpu_model": NOT_KNOWN if experiment.same_cpu else None,
+        "owner": stored.owner,
+        "visibility": stored.visibility,
     }
     return context.store.write(lambda t: t.experiments.get_or_create(stored.uid, stored.name, **values))
 

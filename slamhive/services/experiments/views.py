@@ -14,6 +14,7 @@ from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import VerdictKind
+from slamhive.domain.visibility import Visibility
 from slamhive.store.experiment_records import CellRun
 
 MOST_LISTED = 200
@@ -194,6 +195,7 @@ class ExperimentStatus:
     ``failures``: {reason: runs}. ``left_s`` is the estimated time left with builds and evaluations, None if it was
     not asked for; ``phase`` says what happens now. ``missing`` runs are not stored, because the start was interrupted.
     With ``same_cpu`` all runs are measured on ``cpu_model``, which is None while it is not known.
+    ``owner``: the account that it belongs to, None for nobody; ``visibility``: who may see it besides admins.
     """
 
     id: int
@@ -215,6 +217,8 @@ class ExperimentStatus:
     phase: str = ""
     same_cpu: bool = False
     cpu_model: str | None = None
+    owner: str | None = None
+    visibility: Visibility = Visibility.TEAM
 
     @property
     def ended(self) -> int:

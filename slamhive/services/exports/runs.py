@@ -34,6 +34,7 @@ _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
     "trust": lambda run: trust_text(run.trust),
     "disturbed": lambda run: disturbed_text(run.disturbance),
     "owner": lambda run: run.owner,
+    "visibility": lambda run: run.seen_by.value,
     "tags": lambda run: ", ".join(run.tags) or None,
     "note": lambda run: run.note,
     "created_at": lambda run: timestamp(run.created_at),

@@ -19,6 +19,7 @@ from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Duplicates, Protocol
 from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.visibility import Sharing
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.imports import Origin
@@ -219,6 +220,8 @@ class Imports:
             aside.trajectory.write_bytes(entry.text)
             if entry.kitti_poses is not None:
                 aside.kitti_poses.write_bytes(entry.kitti_poses)
+            if run.owner is not None or run.visibility is not None:
+                aside.write_sharing(Sharing(run.owner, run.visibility))
             aside.write_record(record)
             aside.root.rename(self._folder(run.id).root)
         except OSError as error:

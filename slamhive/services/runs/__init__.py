@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         file_runs,
         found_evaluations,
         found_notes,
+        found_sharing,
         put_configurations,
         read_filed,
     )
@@ -99,6 +100,7 @@ __all__ = [
     "file_runs",
     "found_evaluations",
     "found_notes",
+    "found_sharing",
     "gap_of",
     "handle_from_json",
     "handle_to_json",

@@ -19,6 +19,7 @@ from slamhive.domain.host import Host
 from slamhive.domain.names import check_name
 from slamhive.domain.notes import NO_NOTES, RunNotes
 from slamhive.domain.protocol import Protocol, protocol_from_content
+from slamhive.domain.visibility import NO_SHARING, NOT_SHARED, Sharing
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.job import RESULT_FILE, Artefacts, EvaluationResult, result_from_json
 from slamhive.input_bounds import MOST_RECORD_BYTES, read_record, read_text
@@ -78,6 +79,7 @@ class FolderRun:
 
     ``found``: the evaluations in the folder, oldest first; ``history``: evaluations from the ledger or archive.
     ``current``: the protocol whose metrics are shown. ``notes``: what somebody wrote about it.
+    ``sharing``: its owner and visibility, None if the folder does not state them.
     """
 
     filed: Filed
@@ -86,6 +88,7 @@ class FolderRun:
     history: Sequence[EndedEvaluation] = ()
     attempt: int = 1
     notes: RunNotes = NO_NOTES
+    sharing: Sharing | None = None
 
 
 def read_filed(catalogue: Catalogue, record: dict[str, Any], source: str) -> Filed:
@@ -124,7 +127,8 @@ def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -
         if run.filed.host is not None:
             fields["host_id"] = hosts[run.filed.host]
         configuration = run.filed.configuration
-        request = snapshot.request
+        sharing = run.sharing or NO_SHARING
+        request = replace(snapshot.request, owner=sharing.owner, visibility=sharing.visibility)
         if request.executor != IMPORTED:
             affinity = run_affinity(configuration.dataset, configuration.variant, run.filed.package)
             request = replace(request, affinity=affinity)
@@ -178,6 +182,15 @@ def found_notes(folder: RunFolder) -> RunNotes:
         return NO_NOTES
 
 
+def found_sharing(folder: RunFolder) -> Sharing | None:
+    """Owner and visibility in the folder. Only admins see a run whose file cannot be used."""
+    try:
+        return folder.read_sharing()
+    except InvalidInput as error:
+        logger.warning("%s cannot be used, so only admins see the run: %s", folder.sharing, error)
+        return NOT_SHARED
+
+
 def _checked(result: EvaluationResult, protocol: Protocol) -> EvaluationResult:
     """Check that a result belongs to ``protocol`` and has finite metrics; raises ValueError or TypeError."""
     if result.fingerprint != protocol.fingerprint:
@@ -206,6 +219,7 @@ def _filed_run(run: FolderRun, snapshot: RunSnapshot) -> FiledRun:
         figures={result.fingerprint: result.metrics for _, result, _ in run.found if result.succeeded},
         current=run.current,
         notes=run.notes,
+        shared=run.sharing is not None,
     )
 
 

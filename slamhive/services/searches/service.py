@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from slamhive.clock import monotonic_s, utc_now
 from slamhive.domain.names import check_name
 from slamhive.domain.parameters import Parameter, ParameterType
+from slamhive.domain.visibility import Viewer
 from slamhive.search.binding import Search, read_search
 from slamhive.search.datasets import attributes_of
 from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_of
@@ -30,7 +31,7 @@ KEPT_FROM = 50_000
 """With more runs than this, counts of omitted runs are cached for some seconds."""
 
 KEPT_S = 10.0
-_Key = tuple[tuple[str, ...], str | None]
+_Key = tuple[tuple[str, ...], str | None, Viewer | None]
 _Having = tuple[int, dict[str, int]]
 
 
@@ -92,6 +93,7 @@ class Searches:
             protocols=protocols,
             own_keys=own_keys,
             attributes=attributes_of(self._catalogue.datasets()),
+            me=self._store.account,
         )
 
     def read(self, text: str) -> Search:
@@ -119,7 +121,7 @@ class Searches:
             return LeftOut(found.number, {})
         names = tuple(field.name for field in search.metrics)
         total, having = self._kept(
-            (names, search.protocol),
+            (names, search.protocol, self._store.viewer),
             lambda: self._store.read(lambda t: (t.searches.total(), t.searches.with_metrics(search))),
         )
         return LeftOut(total, {key: total - number for key, number in having.items() if number < total})

@@ -10,6 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from slamhive.domain.visibility import TEAM_SEES
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.files import write_aside
 from slamhive.input_bounds import read_record
@@ -21,13 +22,17 @@ _FIELDS = {"id": int, "algorithm": str, "dataset": str, "at": str, "repeated_by"
 
 @dataclass(frozen=True, slots=True)
 class DeletedRun:
-    """What a list shows of a deleted run. ``repeated_by``: runs that repeated it. ``kept``: its files are there."""
+    """What a list shows of a deleted run. ``repeated_by``: runs that repeated it. ``kept``: its files are there.
+
+    ``audience``: who saw it.
+    """
 
     deleted: Deleted
     algorithm: str
     dataset: str
     repeated_by: tuple[int, ...] = ()
     kept: bool = True
+    audience: str = TEAM_SEES
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +60,7 @@ class DeletedFolder:
             "at": run.deleted.at.isoformat(),
             "repeated_by": list(run.repeated_by),
             "kept": run.kept,
+            "audience": run.audience,
         }
         self.root.mkdir(parents=True, exist_ok=True)
         write_aside(self.description, json.dumps(content, indent=1) + "\n")
@@ -72,7 +78,8 @@ class DeletedFolder:
             raise InvalidInput(f"{self.description}: {error}") from None
         repeated_by = tuple(entry for entry in content["repeated_by"] if isinstance(entry, int))
         kept = bool(content.get("kept", True))
-        return DeletedRun(deleted, content["algorithm"], content["dataset"], repeated_by, kept)
+        audience = str(content.get("audience", TEAM_SEES))
+        return DeletedRun(deleted, content["algorithm"], content["dataset"], repeated_by, kept, audience)
 
 
 def deleted_folders(root: Path) -> Iterator[DeletedFolder]:

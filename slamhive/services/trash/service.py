@@ -12,7 +12,15 @@ from slamhive.files import remedy_of
 from slamhive.runs.folder import RunFolder
 from slamhive.services.datasets import Catalogue, check_writable
 from slamhive.services.ledger import Ledger, LedgerRestore
-from slamhive.services.runs import FolderRun, current_protocol, file_runs, found_evaluations, found_notes, read_filed
+from slamhive.services.runs import (
+    FolderRun,
+    current_protocol,
+    file_runs,
+    found_evaluations,
+    found_notes,
+    found_sharing,
+    read_filed,
+)
 from slamhive.services.trash.folder import DeletedFolder, DeletedRun, deleted_folders
 from slamhive.settings import Settings
 from slamhive.store import RunRecord, Store
@@ -49,7 +57,7 @@ class Trash:
         for run, entry in zip(runs, deleted, strict=True):
             repeated_by = self._store.read(lambda t: t.deleted_runs.repeated_by(run.id))  # noqa: B023
             folder = self._folder(run.uid)
-            folder.write(DeletedRun(entry, run.algorithm, run.dataset, tuple(repeated_by)))
+            folder.write(DeletedRun(entry, run.algorithm, run.dataset, tuple(repeated_by), audience=run.audience))
             if self._run_folder(run.id).exists():
                 shutil.rmtree(folder.run, ignore_errors=True)
                 _move(self._run_folder(run.id), folder.run)
@@ -73,9 +81,11 @@ class Trash:
         return list(dict.fromkeys(run_ids))
 
     def listed(self) -> list[DeletedRun]:
-        """The runs in the trash, the last deleted first."""
+        """The runs in the trash that the viewer could see before, the last deleted first."""
+        viewer = self._store.viewer
         found = [folder.read() for folder in deleted_folders(self._settings.trash_folder)]
-        return sorted((run for run in found if run.kept), key=lambda run: run.deleted.at, reverse=True)
+        seen = (run for run in found if run.kept and (viewer is None or viewer.sees(run.audience)))
+        return sorted(seen, key=lambda run: run.deleted.at, reverse=True)
 
     def empty(self) -> int:
         """Remove the files of all deleted runs for good; how many there were."""
@@ -85,7 +95,9 @@ class Trash:
         for run in runs:
             folder = self._folder(run.deleted.uid)
             # That it was deleted stays known: an experiment would queue it again.
-            folder.write(DeletedRun(run.deleted, run.algorithm, run.dataset, run.repeated_by, kept=False))
+            folder.write(
+                DeletedRun(run.deleted, run.algorithm, run.dataset, run.repeated_by, kept=False, audience=run.audience)
+            )
             shutil.rmtree(folder.run, ignore_errors=True)
         return len(runs)
 
@@ -116,7 +128,8 @@ class Trash:
         record, found = folder.read_record(), found_evaluations(folder)
         filed = read_filed(self._catalogue, record, str(folder.record))
         current, attempt = current_protocol(folder, found), int(record.get("attempt", 1))
-        return FolderRun(filed, found, current, ledger.evaluations.of(filed.file.id), attempt, found_notes(folder))
+        said = found_notes(folder), found_sharing(folder)
+        return FolderRun(filed, found, current, ledger.evaluations.of(filed.file.id), attempt, *said)
 
     def _check_unused(self, run: RunRecord) -> None:
         if not run.state.ended:

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any, Unpack
 
 from slamhive.domain.run import FailureReason, RunEvent, RunState
+from slamhive.domain.visibility import Sharing
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.executors.base import Executor
 from slamhive.executors.spec import RunSpec
@@ -73,7 +74,15 @@ class RunInHand:
 
     def begin(self) -> None:
         """Write the record of a run that is about to be prepared; raises LeaseLost."""
+        self._write_sharing()
         self._write_held(lambda events: self.keeper.begin(self.run, events))
+
+    def _write_sharing(self) -> None:
+        """Write who owns and sees the run, unless its experiment says it. A later attempt leaves what users changed."""
+        run = self.run
+        owner = run.owner if run.experiment_id is None else None
+        if (owner, run.visibility) != (None, None) and not self.folder.sharing.exists():
+            self.folder.write_sharing(Sharing(owner, run.visibility))
 
     def save(self, changes: dict[str, Any], *, without: str | None = None) -> None:
         """Add ``changes`` to the record and drop the key ``without``; raises LeaseLost."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from flask import Response
 
 from slamhive.schema.api_answers import Analyses, Analysis, AnalysisWithFile, CheckedFile, Removal
-from slamhive.schema.api_requests import AnalysisRequest, ListingRequest, YamlRequest
+from slamhive.schema.api_requests import AnalysisRequest, ListingRequest, VisibilityRequest, YamlRequest
 from slamhive.services.analyses import PAGE, REPORT, AnalysisFolder
+from slamhive.services.sharing import SharingChange
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.web import context
 from slamhive.web.analysis_files import ALWAYS, MEDIA_TYPES
@@ -81,6 +82,12 @@ def recompute_analysis(token: str) -> Analysis:
 def list_analysis(token: str, body: ListingRequest) -> Analysis:
     """Show one analysis in the list, or hide it; its address always works."""
     return Analysis.of(hive().stored_analyses.list_or_not(token, listed=body.listed))
+
+
+@TABLE.post(Section.ANALYSES, "/analyses/{token}/share", Analysis, body=VisibilityRequest, status=202)
+def share_analysis(token: str, body: VisibilityRequest) -> Analysis:
+    """Choose who may see one analysis. It is computed again, of the runs that each of its readers may see."""
+    return Analysis.of(hive().sharings.analysis(token, SharingChange(body.visibility)))
 
 
 @TABLE.post(Section.ANALYSES, "/analyses/{token}/delete", Removal)

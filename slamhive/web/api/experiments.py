@@ -5,9 +5,10 @@ from __future__ import annotations
 from flask import request, url_for
 
 from slamhive.schema.api_answers import CellPage, Experiments, ExperimentWithFile, GridAnswer
-from slamhive.schema.api_requests import ExperimentRequest, RepeatsRequest, YamlRequest
+from slamhive.schema.api_requests import ExperimentRequest, RepeatsRequest, VisibilityRequest, YamlRequest
 from slamhive.schema.experiment import Cell, ExperimentPreview, ExperimentStatus, Grid
 from slamhive.services.experiments import ExperimentSource
+from slamhive.services.sharing import SharingChange
 from slamhive.web.api.arguments import CELL_ARGUMENTS, GRID_ARGUMENTS
 from slamhive.web.api.operation import Section
 from slamhive.web.api.table import TABLE
@@ -72,6 +73,13 @@ def change_experiment(name: str, action: str) -> ExperimentStatus:
     }
     changes[action](name)
     return ExperimentStatus.of(services.status(name))
+
+
+@TABLE.post(Section.EXPERIMENTS, "/experiments/{name}/share", ExperimentStatus, body=VisibilityRequest)
+def share_experiment(name: str, body: VisibilityRequest) -> ExperimentStatus:
+    """Choose who may see one experiment and its runs; its owner may, and admins."""
+    hive().sharings.experiment(name, SharingChange(body.visibility))
+    return ExperimentStatus.of(hive().experiments.status(name))
 
 
 @TABLE.post(Section.EXPERIMENTS, "/experiments/{name}/repeats", ExperimentStatus, body=RepeatsRequest, status=201)

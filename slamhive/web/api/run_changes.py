@@ -9,12 +9,14 @@ from slamhive.schema.api_requests import (
     EvaluationRequest,
     NotesRequest,
     RunSelection,
+    SharingRequest,
     ShownProtocolRequest,
     TagsRequest,
 )
 from slamhive.schema.matching import Match
 from slamhive.schema.run import Run
 from slamhive.schema.submission import OPTIONS, Submission
+from slamhive.services.sharing import SharingChange
 from slamhive.web.api.operation import Section
 from slamhive.web.api.table import TABLE
 from slamhive.web.context import hive
@@ -86,6 +88,12 @@ def tag(body: TagsRequest) -> Runs:
     hive().notes.change(body.runs, NotesChange(add=body.add, remove=body.remove))
     records = hive().store.read(lambda t: t.runs.get_many(body.runs, with_metrics=True))
     return Runs(runs=tuple(map(Run.of, records)))
+
+
+@TABLE.post(Section.RUN_CHANGES, "/runs/share", Runs, body=SharingRequest)
+def share(body: SharingRequest) -> Runs:
+    """Choose who may see some runs; their owner may, and admins."""
+    return Runs(runs=tuple(map(Run.of, hive().sharings.runs(body.runs, SharingChange(body.visibility)))))
 
 
 @TABLE.post(Section.RUN_CHANGES, "/runs/delete", RunNumbers, body=RunSelection)

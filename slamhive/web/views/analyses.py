@@ -9,8 +9,10 @@ from flask import url_for as address
 
 from slamhive.analysis.report import ReportPage
 from slamhive.domain.bibliography import bibtex
+from slamhive.domain.visibility import Visibility
 from slamhive.errors import Forbidden, InvalidInput, SlamHiveError
 from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, PAGE, may_analyse
+from slamhive.services.sharing import SharingChange
 from slamhive.settings import Mode
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.web import context
@@ -148,6 +150,15 @@ def put_in_list(token: str) -> Response:
     listed = request.form.get("listed") == "yes"
     hive().stored_analyses.list_or_not(token, listed=listed)
     flash("The analysis is listed." if listed else "The analysis is unlisted; keep its address.", "success")
+    return _to_page(token)
+
+
+@blueprint.post("/<token>/share")
+def share(token: str) -> Response:
+    """Choose who may see the analysis."""
+    visibility = Visibility.named(request.form.get("visibility", ""))
+    hive().sharings.analysis(token, SharingChange(visibility))
+    flash(f"The analysis is {visibility} now, and is computed again.", "success")
     return _to_page(token)
 
 

@@ -10,9 +10,11 @@ from flask import url_for as address
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.verdict import DEFAULT_RULE
+from slamhive.domain.visibility import Visibility
 from slamhive.errors import NotFound
 from slamhive.search.build import matching
 from slamhive.services.experiments import METRICS, Cell, ExperimentStatus, Standing
+from slamhive.services.sharing import SharingChange
 from slamhive.store.records import RunSort
 from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.experiment_file import parse_experiment
@@ -140,6 +142,15 @@ def act(name: str, action: str) -> Response:
         count = repeats_count(request.form)
         experiments.add_repeats(name, count)
         flash(f"{plural(count, 'repeat')} of each configuration of {name} queued.", "success")
+    return make_response(redirect(address("experiments.show", name=name), 303))
+
+
+@blueprint.post("/<name>/share")
+def share(name: str) -> Response:
+    """Choose who may see the experiment and its runs."""
+    visibility = Visibility.named(request.form.get("visibility", ""))
+    hive().sharings.experiment(name, SharingChange(visibility))
+    flash(f"{name} is {visibility} now.", "success")
     return make_response(redirect(address("experiments.show", name=name), 303))
 
 

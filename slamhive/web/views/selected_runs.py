@@ -6,9 +6,11 @@ from flask import Blueprint, Response, flash, make_response, redirect, render_te
 from flask import url_for as address
 
 from slamhive.domain.notes import NotesChange, split_tags
+from slamhive.domain.visibility import Visibility
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import whole_number
 from slamhive.schema.api_requests import LARGEST_RUN_ID, MOST_RUNS
+from slamhive.services.sharing import SharingChange
 from slamhive.web.context import hive
 from slamhive.web.formatting import plural
 from slamhive.web.run_query import filled
@@ -82,6 +84,32 @@ def tag() -> Response:
     hive().notes.change(runs, change)
     flash(f"The tags of {plural(len(runs), 'run')} are stored.", "success")
     return make_response(redirect(address("runs.index", columns="id,algorithm,dataset,state,tags,note"), 303))
+
+
+@blueprint.get("/share")
+def sharing() -> Response:
+    """The web form that says who may see the selected runs."""
+    hive().check_writable()
+    runs = _selected(request.args.getlist("run"))
+    if not runs:
+        return _nothing_selected()
+    records = hive().store.read(lambda t: t.runs.get_many(runs))
+    return make_response(render_template("runs/share.html", runs=records))
+
+
+@blueprint.post("/share")
+def share() -> Response:
+    """Choose who may see the selected runs, and return to the one that it came from, or to the list."""
+    runs = _selected(request.form.getlist("run"))
+    if not runs:
+        return _nothing_selected()
+    visibility = Visibility.named(request.form.get("visibility", ""))
+    hive().sharings.runs(runs, SharingChange(visibility))
+    are = "is" if len(runs) == 1 else "are"
+    flash(f"{plural(len(runs), 'run')} {are} {visibility} now.", "success")
+    if request.form.get("back"):
+        return make_response(redirect(address("runs.show", run_id=runs[0]), 303))
+    return make_response(redirect(address("runs.index", columns="id,algorithm,dataset,state,owner,visibility"), 303))
 
 
 @blueprint.get("/delete")

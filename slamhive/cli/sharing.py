@@ -1,0 +1,73 @@
+"""``slamhive runs share`` and ``slamhive experiment share``: who owns runs, and who may see them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import click
+
+from slamhive.cli import offers
+from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
+from slamhive.cli.output import print_json
+from slamhive.domain.visibility import Sharing, Visibility, visibility_of
+from slamhive.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from slamhive.services.sharing import SharingChange
+
+_VISIBILITY = click.option(
+    "--visibility", type=choice(Visibility), help="private: owner and admins; team: who signs in; public: everybody."
+)
+_OWNER = click.option("--owner", metavar="ACCOUNT", help="Give them to this account.")
+
+
+def sharing_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The options of both commands."""
+    for option in (pass_cli, json_option, _OWNER, _VISIBILITY):
+        command = option(command)
+    return command
+
+
+@click.command("share")
+@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
+@sharing_options
+def share_runs(
+    cli: CliContext, run_ids: tuple[int, ...], visibility: str | None, owner: str | None, as_json: bool
+) -> None:
+    """Choose who may see runs where there are accounts. See docs/accounts.md."""
+    runs = cli.hive().sharings.runs(run_ids, _change(visibility, owner))
+    if as_json:
+        print_json([{"id": run.id, "owner": run.owner, "visibility": run.seen_by.value} for run in runs])
+        return
+    for run in runs:
+        click.echo(f"run {run.id}: {in_words(run.owner, run.seen_by)}")
+
+
+@click.command("share")
+@click.argument("name", shell_complete=offers.EXPERIMENT)
+@sharing_options
+def share_experiment(cli: CliContext, name: str, visibility: str | None, owner: str | None, as_json: bool) -> None:
+    """Choose who may see an experiment and its runs where there are accounts."""
+    sharing: Sharing = cli.hive().sharings.experiment(name, _change(visibility, owner))
+    seen_by = visibility_of(sharing.audience())
+    if as_json:
+        print_json({"name": name, "owner": sharing.owner, "visibility": seen_by.value})
+    else:
+        click.echo(f"experiment {name}: {in_words(sharing.owner, seen_by)}")
+
+
+def in_words(owner: str | None, seen_by: Visibility) -> str:
+    """``private, of anna``."""
+    return f"{seen_by}, of {owner}" if owner else f"{seen_by}, of nobody"
+
+
+def _change(visibility: str | None, owner: str | None) -> SharingChange:
+    from slamhive.services.sharing import SharingChange  # noqa: PLC0415 - other commands on experiments need none of it
+
+    if visibility is None and owner is None:
+        raise InvalidInput("nothing is to be changed", "use --visibility or --owner")
+    return SharingChange(None if visibility is None else Visibility(visibility), owner)
+
+
+COMMANDS = (share_runs,)

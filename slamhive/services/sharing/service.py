@@ -1,0 +1,157 @@
+"""Changes of owner and visibility: first in the folder, which is the truth, then in the database."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from slamhive.domain.visibility import Sharing, Visibility, viewer_of
+from slamhive.errors import Conflict, Forbidden, InvalidInput
+from slamhive.runs.folder import RunFolder
+from slamhive.services.analyses import AnalysisFolder
+from slamhive.services.datasets import check_writable
+from slamhive.services.experiments import ExperimentFolder
+from slamhive.settings import Settings
+from slamhive.store import RunRecord, Store, Transaction
+from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
+
+
+@dataclass(frozen=True, slots=True)
+class SharingChange:
+    """A new ``visibility`` and a new ``owner``; None keeps it."""
+
+    visibility: Visibility | None = None
+    owner: str | None = None
+
+    def applied(self, sharing: Sharing) -> Sharing:
+        """Owner and visibility after the change."""
+        return Sharing(self.owner or sharing.owner, self.visibility or sharing.visibility)
+
+
+class Sharings:
+    """Changes who owns and who sees what. The owner may, and admins, and whoever uses the command line.
+
+    Args:
+        settings: Mode, and where folders lie.
+        store: The database; its viewer is who asks.
+    """
+
+    def __init__(self, settings: Settings, store: Store) -> None:
+        self._settings = settings
+        self._store = store
+
+    def runs(self, run_ids: Sequence[int], change: SharingChange) -> tuple[RunRecord, ...]:
+        """Share runs; the runs afterwards.
+
+        A run of an experiment belongs to the owner of the experiment, and is seen by no more people.
+
+        Raises NotFound, Forbidden, Conflict for a run without a folder, InvalidInput for what its experiment rules
+        out; nothing is changed then.
+        """
+        runs = self._store.read(lambda t: t.runs.get_many(run_ids))
+        self._check(change, [(f"run {run.id}", run.owner) for run in runs])
+        within = self._experiments(runs)
+        shared = {run.id: _of_run(run, change, within.get(run.id)) for run in runs}
+        folders = {run.id: self._run_folder(run) for run in runs}
+        for run in runs:
+            sharing = shared[run.id]
+            folders[run.id].write_sharing(sharing if run.experiment_id is None else replace(sharing, owner=None))
+        narrowed = self._store.write(lambda t: _write_runs(t, shared))
+        self._renew_analyses(narrowed)
+        return self._store.read(lambda t: t.runs.get_many(run_ids, with_metrics=True))
+
+    def experiment(self, name: str, change: SharingChange) -> Sharing:
+        """Share an experiment; its runs follow. Raises NotFound and Forbidden; Conflict while it is being changed."""
+        record = self._store.read(lambda t: t.experiments.get(name))
+        self._check(change, [(f"experiment {name}", record.owner)])
+        folder = ExperimentFolder(self._settings.experiments_folder / name)
+        with folder.locked():
+            stored = folder.read()
+            if stored is None:
+                raise Conflict(f"experiment {name} has no folder", "slamhive doctor says what is missing")
+            sharing = change.applied(stored.sharing)
+            content = {"owner": sharing.owner, "visibility": sharing.visibility}
+            folder.write(stored.model_copy(update=content))
+            self._store.write(lambda t: t.sharing.share_experiment(record.id, sharing))
+        self._renew_analyses([sharing.audience()] if sharing != record.sharing else [])
+        return sharing
+
+    def analysis(self, token: str, change: SharingChange) -> AnalysisRecord:
+        """Share an analysis. It is computed again, of the runs that each of its readers may see."""
+        record = self._store.read(lambda t: t.analyses.get(token))
+        self._check(change, [("this analysis", record.owner)])
+        sharing = change.applied(record.sharing)
+        if sharing == record.sharing:
+            return record
+        return self._computed_again(replace(record, owner=sharing.owner, visibility=sharing.visibility))
+
+    def _check(self, change: SharingChange, owners: Iterable[tuple[str, str | None]]) -> None:
+        """Raise Forbidden unless the viewer may share all of this."""
+        check_writable(self._settings)
+        viewer = self._store.viewer
+        if change.owner is not None:
+            owner = change.owner
+            if viewer is not None:
+                raise Forbidden("only admins give things to another account", "ask an admin of this server")
+            self._store.read(lambda t: t.accounts.named(owner))
+        for what, named in owners:
+            if viewer is not None and named != viewer.account:
+                whose = f"belongs to {named}" if named else "has no owner"
+                raise Forbidden(f"{what} {whose}, so you cannot share it", "ask its owner or an admin")
+
+    def _experiments(self, runs: Sequence[RunRecord]) -> dict[int, tuple[str, Visibility]]:
+        """{run: name and visibility of its experiment} of those that have one."""
+        named = {run.experiment for run in runs if run.experiment is not None}
+        known = self._store.read(lambda t: {name: t.experiments.get(name).seen_by for name in named})
+        return {run.id: (run.experiment, known[run.experiment]) for run in runs if run.experiment is not None}
+
+    def _run_folder(self, run: RunRecord) -> RunFolder:
+        folder = RunFolder(self._settings.runs_folder / str(run.id))
+        if not folder.record.exists():
+            whole = "; share its experiment instead" if run.experiment else ""
+            raise Conflict(f"run {run.id} has no folder yet", f"wait until a worker has prepared it{whole}")
+        return folder
+
+    def _renew_analyses(self, audiences: Iterable[str]) -> None:
+        """Compute those analyses again that may show what only these audiences may see now."""
+        if not self._store.read(lambda t: t.accounts.in_use()):
+            return
+        hidden_now = set(audiences)
+        with self._store.seen_by(None):
+            for record in self._store.read(lambda t: t.analyses.all()) if hidden_now else ():
+                reader = viewer_of(record.sharing.audience())
+                if reader is not None and not all(reader.sees(audience) for audience in hidden_now):
+                    self._computed_again(record)
+
+    def _computed_again(self, record: AnalysisRecord) -> AnalysisRecord:
+        folder = AnalysisFolder(self._settings.analyses_folder / record.token)
+        queued = replace(
+            record, state=AnalysisState.QUEUED, content_hash=None, reason=None, ended_at=None, size_bytes=None
+        )
+        folder.write_state(queued)
+        self._store.write(lambda t: t.analyses.put(queued))
+        folder.clear_results()
+        return queued
+
+
+def _of_run(run: RunRecord, change: SharingChange, experiment: tuple[str, Visibility] | None) -> Sharing:
+    """Owner and visibility of a run after the change; raises InvalidInput for what its experiment rules out."""
+    if experiment is None:
+        return change.applied(Sharing(run.owner, run.visibility))
+    name, most = experiment
+    if change.owner is not None:
+        raise InvalidInput(f"run {run.id} belongs to the owner of {name}", "give the experiment to another account")
+    wanted = change.visibility
+    if wanted is not None and wanted.within(most) is not wanted:
+        raise InvalidInput(
+            f"run {run.id} cannot be {wanted}: its experiment {name} is {most}", f"share {name} with more people"
+        )
+    own = run.visibility if wanted is None else wanted
+    return Sharing(run.owner, None if own is most else own)
+
+
+def _write_runs(t: Transaction, shared: dict[int, Sharing]) -> list[str]:
+    """Store the change; the audiences that runs have now and did not have before."""
+    before = {run.id: run.audience for run in t.runs.get_many(shared)}
+    t.sharing.share_runs(shared)
+    return [run.audience for run in t.runs.get_many(shared) if run.audience != before[run.id]]

@@ -1,0 +1,259 @@
+"""Owner and visibility: who may change them, where they lie, and that nothing makes a private run seen by others."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from slamhive.domain.accounts import Role
+from slamhive.domain.visibility import ANYBODY, Viewer, Visibility
+from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound
+from slamhive.schema.submission import Submission
+from slamhive.services.archive import ArchiveImport, ExportRequest, export_archive
+from slamhive.services.experiments import ExperimentSource
+from slamhive.services.hive import Hive
+from slamhive.services.reindex import reindex
+from slamhive.services.runs.record import begin_record
+from slamhive.services.sharing import SharingChange
+from slamhive.settings import NewRuns
+from slamhive.store import Act, RunRecord, open_store
+from slamhive.store.analysis_records import AnalysisState
+from tests.cheap_passwords import cheap_passwords
+from tests.services.archive_world import make_runs
+from tests.web.web_world import NOW
+
+pytestmark = pytest.mark.integration
+
+ANALYSIS = "name: one\nselect: {all: {where: 'id >= 1'}}\nforms:\n- {form: distributions, metrics: [ate.rmse]}\n"
+PASSWORD = "correct horse battery"
+ANNA, BEN = Viewer("anna", signed_in=True), Viewer("ben", signed_in=True)
+PRIVATE, TEAM, PUBLIC = map(SharingChange, Visibility)
+
+
+@pytest.fixture
+def shared(hive: Hive) -> Hive:
+    """An installation with the accounts anna and ben."""
+    with cheap_passwords():
+        for name in ("anna", "ben"):
+            hive.accounts.add(name, Role.MEMBER, PASSWORD)
+    return hive
+
+
+def made_by(hive: Hive, name: str, visibility: Visibility | None = None) -> RunRecord:
+    """A run that ``name`` has submitted and a worker has prepared."""
+    with hive.store.acting(Act(name + str(visibility), NOW, name, "pages", "", "start.submit", ""), visibility):
+        (run,) = hive.runs.submit(Submission("tiny", "track"))
+    folder = hive.runs.folder(run.id)
+    folder.create()
+    folder.write_record({**begin_record(run), "state": "cancelled", "ended_at": NOW.isoformat(), "events": []})
+    hive.runs.cancel(run.id)
+    return hive.runs.get(run.id)
+
+
+def experiment(hive: Hive, name: str, account: str) -> None:
+    """An experiment of ``account`` with two runs."""
+    text = f"name: {name}\nalgorithms: [tiny]\ndatasets: [track]\nrepeats: 2\n"
+    with hive.store.acting(Act(name, NOW, account, "pages", "", "experiments.start", "")):
+        hive.experiments.start(ExperimentSource(text, "trial.yaml"))
+
+
+def rebuilt(hive: Hive) -> Hive:
+    """The same installation on a database that was lost and made again."""
+    hive.store.close()
+    (hive.settings.data / "slamhive.db").unlink()
+    again = Hive(hive.settings, open_store(hive.settings.effective_database_url), hive.project_root)
+    reindex(again, lambda _done, _total: None)
+    return again
+
+
+def seen(hive: Hive) -> dict[int, tuple[str | None, Visibility]]:
+    """{run: owner and visibility}."""
+    return {run.id: (run.owner, run.seen_by) for run in hive.runs.page(limit=100).records}
+
+
+def test_new_runs_belong_to_who_asks_and_are_seen_by_the_team_or_by_nobody(shared: Hive) -> None:
+    assert made_by(shared, "anna").seen_by is Visibility.TEAM
+    hidden = made_by(shared, "anna", Visibility.PRIVATE)
+    assert (hidden.owner, hidden.seen_by) == ("anna", Visibility.PRIVATE)
+    (own,) = shared.runs.submit(Submission("tiny", "track"))
+    assert (own.owner, own.seen_by) == (None, Visibility.TEAM)
+    assert [Visibility(kind) for kind in NewRuns] == [Visibility.PRIVATE, Visibility.TEAM]
+
+
+def test_only_the_owner_and_the_command_line_share_a_run(shared: Hive) -> None:
+    run = made_by(shared, "anna").id
+    with shared.store.seen_by(BEN), pytest.raises(Forbidden, match="belongs to anna"):
+        shared.sharings.runs([run], PRIVATE)
+    with shared.store.seen_by(ANNA):
+        assert shared.sharings.runs([run], PRIVATE)[0].seen_by is Visibility.PRIVATE
+    with shared.store.seen_by(BEN), pytest.raises(NotFound, match=f"unknown run {run}"):
+        shared.sharings.runs([run], PUBLIC)
+    with shared.store.seen_by(ANNA), pytest.raises(Forbidden, match="only admins"):
+        shared.sharings.runs([run], SharingChange(owner="ben"))
+    assert shared.sharings.runs([run], SharingChange(owner="ben"))[0].owner == "ben"
+    with shared.store.seen_by(ANNA), pytest.raises(NotFound):
+        shared.runs.get(run)
+    with pytest.raises(NotFound, match="'nobody'"):
+        shared.sharings.runs([run], SharingChange(owner="nobody"))
+
+
+def test_a_run_without_a_folder_waits(shared: Hive) -> None:
+    (run,) = shared.runs.submit(Submission("tiny", "track"))
+    with pytest.raises(Conflict, match="no folder yet"):
+        shared.sharings.runs([run.id], PRIVATE)
+
+
+def test_the_folder_is_the_truth(shared: Hive) -> None:
+    """A lost database is rebuilt from the folders and the ledger, with owners and visibilities."""
+    runs = [made_by(shared, "anna").id for _ in range(3)]
+    shared.sharings.runs(runs[:1], PRIVATE)
+    shared.sharings.runs(runs[1:2], PUBLIC)
+    experiment(shared, "trial", "anna")
+    shared.sharings.experiment("trial", PRIVATE)
+    with shared.store.acting(Act("w", NOW, "ben", "pages", "", "start.submit", ""), Visibility.PRIVATE):
+        (waiting,) = shared.runs.submit(Submission("tiny", "track"))
+    before = seen(shared)
+    assert before[runs[0]] == ("anna", Visibility.PRIVATE)
+    assert before[waiting.id] == ("ben", Visibility.PRIVATE)
+    assert [kind for _, kind in before.values()].count(Visibility.PRIVATE) == 4
+    again = rebuilt(shared)
+    after = seen(again)
+    assert after.pop(runs[2]) == (None, Visibility.TEAM)  # as it was made; a worker would have written its owner
+    assert after == {run: said for run, said in before.items() if run != runs[2]}
+    assert again.store.read(lambda t: t.experiments.get("trial")).sharing.audience() == "private:anna"
+    again.store.close()
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"owner": 1}', '{"visibility": "all"}', '{"owner": "A B"}'])
+def test_a_damaged_file_hides_the_run(shared: Hive, content: str) -> None:
+    run = made_by(shared, "anna").id
+    shared.runs.folder(run).sharing.write_text(content)
+    again = rebuilt(shared)
+    assert seen(again)[run] == (None, Visibility.PRIVATE)
+    again.store.close()
+
+
+def test_a_damaged_experiment_hides_its_runs(shared: Hive) -> None:
+    experiment(shared, "trial", "anna")
+    (first, _) = sorted(seen(shared))
+    run = shared.runs.get(first)
+    shared.runs.folder(first).create()
+    ended = {"state": "cancelled", "ended_at": NOW.isoformat(), "events": []}
+    shared.runs.folder(first).write_record({**begin_record(run), **ended})
+    shared.sharings.experiment("trial", PRIVATE)
+    (shared.settings.experiments_folder / "trial" / "experiment.json").write_text("{")
+    again = rebuilt(shared)
+    assert seen(again)[first] == (None, Visibility.PRIVATE)
+    again.store.close()
+
+
+def test_a_run_is_seen_by_no_more_people_than_its_experiment(shared: Hive) -> None:
+    experiment(shared, "trial", "anna")
+    first, second = sorted(seen(shared))
+    for run in (first, second):
+        shared.runs.folder(run).create()
+        shared.runs.folder(run).write_record(begin_record(shared.runs.get(run)))
+    with shared.store.seen_by(ANNA):
+        shared.sharings.runs([first], PRIVATE)
+        with pytest.raises(InvalidInput, match="its experiment trial is team"):
+            shared.sharings.runs([second], PUBLIC)
+        shared.sharings.experiment("trial", PUBLIC)
+        assert seen(shared) == {first: ("anna", Visibility.PRIVATE), second: ("anna", Visibility.PUBLIC)}
+        shared.sharings.runs([first], PUBLIC)
+        assert shared.runs.get(first).visibility is None  # it follows the experiment again
+        shared.sharings.experiment("trial", PRIVATE)
+    assert {kind for _, kind in seen(shared).values()} == {Visibility.PRIVATE}
+    with shared.store.seen_by(BEN):
+        assert shared.experiments.list() == ()
+        with pytest.raises(NotFound):
+            shared.experiments.status("trial")
+        with pytest.raises(Conflict, match="the name trial is taken"):
+            experiment(shared, "trial", "ben")
+
+
+def test_the_repetition_of_a_private_run_is_private(shared: Hive) -> None:
+    run = made_by(shared, "anna", Visibility.PRIVATE)
+    with shared.store.acting(Act("r", NOW, "ada", "pages", "", "runs.retry", ""), Visibility.TEAM):
+        again = shared.runs.retry(run.id)
+    assert (again.owner, again.seen_by) == ("ada", Visibility.PRIVATE)
+
+
+def test_the_trash_shows_what_its_viewer_saw(shared: Hive) -> None:
+    run = made_by(shared, "anna", Visibility.PRIVATE).id
+    shared.sharings.runs([run], PRIVATE)
+    shared.trash.delete([run])
+    with shared.store.seen_by(BEN):
+        assert shared.trash.listed() == []
+        with pytest.raises(NotFound, match="is not in the trash"):
+            shared.trash.restore([run])
+    with shared.store.seen_by(ANNA):
+        shared.trash.restore([run])
+    assert seen(shared)[run] == ("anna", Visibility.PRIVATE)
+
+
+@pytest.fixture
+def archived(shared: Hive, tmp_path: Path) -> Callable[..., dict[str, bytes]]:
+    """Makes an archive, and gives its members."""
+    make_runs(shared, 3)
+    reindex(shared, lambda _done, _total: None)
+    for run, kind in ((1, PRIVATE), (2, PUBLIC)):
+        shared.sharings.runs([run], SharingChange(kind.visibility, "anna"))
+
+    def make(*, unpublished: bool = False) -> dict[str, bytes]:
+        path = tmp_path / "runs.zip"
+        export_archive(
+            shared.settings,
+            shared.store,
+            ExportRequest(path, replace=True, unpublished=unpublished),
+            lambda _done, _total: None,
+        )
+        with zipfile.ZipFile(path) as content:
+            return {name: content.read(name) for name in content.namelist()}
+
+    return make
+
+
+def test_an_archive_holds_what_is_public(archived: Callable[..., dict[str, bytes]]) -> None:
+    members = archived()
+    folders = set(re.findall(r"/data/runs/(\d+)/", " ".join(members)))
+    assert folders == {"2"}
+    assert not any(b"anna" in content for content in members.values())
+
+
+def test_a_whole_archive_keeps_private_what_is_private(
+    shared: Hive, archived: Callable[..., dict[str, bytes]], tmp_path: Path
+) -> None:
+    members = archived(unpublished=True)
+    assert not any(b"anna" in content for content in members.values())
+    shutil.rmtree(shared.settings.runs_folder)
+    shared.settings.runs_folder.mkdir()
+    again = rebuilt(shared)
+    ArchiveImport(again.settings, again.store, again.catalogue).carry_out(tmp_path / "runs.zip", lambda *_: None)
+    expected = {1: (None, Visibility.PRIVATE), 2: (None, Visibility.PUBLIC), 3: (None, Visibility.TEAM)}
+    assert seen(again) == expected
+    assert json.loads(again.runs.folder(1).sharing.read_text()) == {"owner": None, "visibility": "private"}
+    with again.store.seen_by(ANYBODY):
+        assert list(seen(again)) == [2]
+    again.store.close()
+
+
+def test_analyses_are_computed_again_when_a_run_is_hidden(shared: Hive) -> None:
+    run = made_by(shared, "anna").id
+    with shared.store.acting(Act("a", NOW, "ben", "pages", "", "analyses.create", "")):
+        analysis = shared.stored_analyses.create(ANALYSIS)
+    folder = shared.stored_analyses.folder(analysis.token)
+    for name in ("report.json.gz", "figures.json.gz", "page.json.gz"):
+        folder.write_result(name, {})
+    shared.store.write(lambda t: t.database.exec_driver_sql("UPDATE analyses SET state = 'done'"))
+    shared.sharings.runs([run], PUBLIC)
+    assert shared.stored_analyses.get(analysis.token).state is AnalysisState.DONE
+    shared.sharings.runs([run], PRIVATE)
+    assert shared.stored_analyses.get(analysis.token).state is AnalysisState.QUEUED
+    assert not folder.whole
+    assert (analysis.owner, analysis.seen_by) == ("ben", Visibility.TEAM)

@@ -1,0 +1,111 @@
+"""Sharing through pages and the web API: who is offered it, what it does, and what the audit log says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from slamhive.domain.accounts import Role, Scope
+from slamhive.domain.visibility import Visibility
+from slamhive.services.accounts import TokenRequest
+from slamhive.services.sharing import SharingChange
+from slamhive.settings import Auth
+from slamhive.web.security import API_HEADER
+from tests.web.account_world import NAMES
+from tests.web.test_web_visibility import EXPERIMENT, NUMBER, TOKEN, Shared, shared_web
+from tests.web.web_world import make_web
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture
+def shared(filled: Path, compiled: Path, tmp_path: Path) -> Iterator[Shared]:
+    with shared_web(filled, tmp_path, compiled) as made:
+        yield made
+
+
+def token_in(page: str) -> str:
+    return page.partition('name="csrf_token" value="')[2].partition('"')[0]
+
+
+@pytest.mark.parametrize(
+    ("page", "action", "field"),
+    [
+        (f"/experiments/{EXPERIMENT}", f"/experiments/{EXPERIMENT}/share", {}),
+        (f"/analyses/{TOKEN}", f"/analyses/{TOKEN}/share", {}),
+        (f"/runs/{NUMBER}", "/runs/share", {"run": str(NUMBER), "back": "1"}),
+    ],
+)
+def test_the_owner_and_admins_share_on_the_page(shared: Shared, page: str, action: str, field: dict[str, str]) -> None:
+    owner, other = shared.client("max"), shared.client("ben")
+    if "run" in field:
+        shared.hive.sharings.experiment(EXPERIMENT, SharingChange(Visibility.TEAM))
+        owner.post(action, data={**field, "visibility": "private", "csrf_token": token_in(owner.get("/runs/1").text)})
+    shown = owner.get(page).text
+    assert f'action="{action}"' in shown
+    assert ">private</span>" in shown
+    assert other.get(page).status_code == 404
+    answer = owner.post(action, data={**field, "visibility": "team", "csrf_token": token_in(shown)})
+    assert (answer.status_code, answer.location) == (303, page)
+    seen = other.get(page)
+    assert seen.status_code == 200
+    assert f'action="{action}"' not in seen.text
+    assert ">private</span>" not in seen.text
+    refused = other.post(action, data={**field, "visibility": "private", "csrf_token": token_in(seen.text)})
+    assert refused.status_code == 403
+    assert "belongs to max" in refused.text
+    admin = shared.client(NAMES[Role.ADMIN])
+    assert f'action="{action}"' in admin.get(page).text
+    log = admin.get("/audit").text
+    assert "visibility team" in log
+    assert "visibility private" not in log or "run" in field
+
+
+def test_selected_runs_are_shared_together_or_not_at_all(shared: Shared) -> None:
+    shared.hive.sharings.experiment(EXPERIMENT, SharingChange(Visibility.TEAM))
+    client = shared.client("max")
+    form = client.get(f"/runs/share?run={NUMBER}").text
+    assert f"Run {NUMBER}" in form
+    data = {"csrf_token": token_in(form), "visibility": "private", "run": [str(NUMBER), "1"]}
+    assert client.post("/runs/share", data=data).status_code == 403  # run 1 has no owner
+    assert shared.hive.runs.get(NUMBER).seen_by is Visibility.TEAM
+    assert client.post("/runs/share", data={**data, "run": [str(NUMBER)]}).status_code == 303
+    assert shared.hive.runs.get(NUMBER).seen_by is Visibility.PRIVATE
+    unknown = client.post("/runs/share", data={**data, "run": [str(NUMBER)], "visibility": "all"})
+    assert unknown.status_code == 404
+    assert "private" in unknown.text
+
+
+def test_the_api_shares_and_filters(shared: Shared) -> None:
+    _, key = shared.hive.accounts.create_token("max", TokenRequest("all", [Scope.CHANGE]))
+    client = shared.accounts.web.app.test_client()
+    headers = {"Authorization": f"Bearer {key}", API_HEADER: "1"}
+    changed = client.post(f"/api/v1/experiments/{EXPERIMENT}/share", json={"visibility": "team"}, headers=headers)
+    assert (changed.status_code, changed.get_json()["visibility"], changed.get_json()["owner"]) == (200, "team", "max")
+    (run,) = client.post(
+        "/api/v1/runs/share", json={"runs": [NUMBER], "visibility": "private"}, headers=headers
+    ).get_json()["runs"]
+    assert (run["owner"], run["visibility"]) == ("max", "private")
+    for where, found in (
+        ("visibility = private", [NUMBER]),
+        ("owner = me", [NUMBER]),
+        ("owner = max and visibility != team", [NUMBER]),
+        ("visibility in (team, public) and owner = me", []),
+    ):
+        answer = client.get("/api/v1/runs", query_string={"where": where}, headers=headers).get_json()
+        assert [entry["id"] for entry in answer["runs"]] == found
+    wrong = client.post("/api/v1/runs/share", json={"runs": [NUMBER], "visibility": "all"}, headers=headers)
+    assert wrong.status_code == 400
+
+
+def test_without_accounts_nothing_is_offered(shared: Shared, compiled: Path) -> None:
+    hive = shared.hive
+    hive.settings = hive.settings.with_values({"auth": Auth.NONE})
+    client = make_web(hive, compiled).client
+    page = client.get(f"/runs/{NUMBER}")
+    assert page.status_code == 200
+    assert "/runs/share" not in page.text
+    assert "/runs/share" not in client.get("/runs").text
+    assert client.get("/api/v1/runs?where=owner+%3D+me").status_code == 400
