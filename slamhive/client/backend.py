@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
+    from slamhive.domain.visibility import Visibility
     from slamhive.schema import experiment as experiment_schema
     from slamhive.schema import run as run_schema
     from slamhive.schema.submission import Submission
@@ -76,6 +77,9 @@ class Backend(Protocol):
 
     def cancel(self, run_id: int) -> run_schema.Run:
         """Cancel a queued run, or ask for the end of an active one."""
+
+    def share(self, run_id: int, visibility: Visibility) -> run_schema.Run:
+        """Choose who may see a run. Raises Forbidden unless it is one's own."""
 
     def retry(self, run_id: int) -> run_schema.Run:
         """Queue the same again as a new run."""

@@ -18,6 +18,7 @@ from slamhive.schema.uploads import OCTETS
 if TYPE_CHECKING:
     import httpx
 
+    from slamhive.domain.visibility import Visibility
     from slamhive.schema.api_answers import CellPage, RunPage
     from slamhive.schema.experiment import Cell, ExperimentStatus
     from slamhive.schema.run import Run, RunWith
@@ -125,6 +126,10 @@ class HttpBackend:
     def cancel(self, run_id: int) -> Run:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.cancel(run_id))
+
+    def share(self, run_id: int, visibility: Visibility) -> Run:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.share(run_id, visibility)).runs[0]
 
     def retry(self, run_id: int) -> Run:
         """See :class:`~slamhive.client.backend.Backend`."""

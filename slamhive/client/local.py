@@ -20,6 +20,7 @@ from slamhive.settings import Mode
 from slamhive.store import RunRecord, RunSort
 
 if TYPE_CHECKING:
+    from slamhive.domain.visibility import Visibility
     from slamhive.schema.submission import Submission
 
 PAGE = 1000
@@ -115,6 +116,12 @@ class LocalBackend:
     def cancel(self, run_id: int) -> Run:
         """See :class:`~slamhive.client.backend.Backend`."""
         return Run.of(self._writing().runs.cancel(run_id))
+
+    def share(self, run_id: int, visibility: Visibility) -> Run:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.services.sharing import SharingChange  # noqa: PLC0415 - reading needs none of this
+
+        return Run.of(self._writing().sharings.runs([run_id], SharingChange(visibility))[0])
 
     def retry(self, run_id: int) -> Run:
         """See :class:`~slamhive.client.backend.Backend`."""

@@ -20,6 +20,7 @@ from slamhive.schema.uploads import Upload
 
 if TYPE_CHECKING:
     from slamhive.client.backend import Change, RunQuery
+    from slamhive.domain.visibility import Visibility
 
 T = TypeVar("T")
 D = TypeVar("D", bound=Document)
@@ -120,6 +121,11 @@ def submit(submission: Submission) -> Request[Runs]:
 def cancel(run_id: int) -> Request[Run]:
     """Cancel a run."""
     return _post(f"/runs/{run_id}/cancel", Run)
+
+
+def share(run_id: int, visibility: Visibility) -> Request[Runs]:
+    """Choose who may see a run."""
+    return _post("/runs/share", Runs, {"runs": [run_id], "visibility": visibility.value})
 
 
 def retry(run_id: int) -> Request[Run]:

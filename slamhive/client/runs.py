@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from slamhive.client.trajectory import RunTrajectory
     from slamhive.domain.parameters import Value
     from slamhive.domain.run import RunState
+    from slamhive.domain.visibility import Visibility
     from slamhive.schema import run as run_schema
     from slamhive.schema.submission import Submission
 
@@ -58,6 +59,16 @@ class Run:
         return self.document.state
 
     @property
+    def owner(self) -> str | None:
+        """The account that it belongs to; None for nobody."""
+        return self.document.owner
+
+    @property
+    def visibility(self) -> Visibility:
+        """Who may see it, besides admins."""
+        return self.document.visibility
+
+    @property
     def metrics(self) -> dict[str, float]:
         """The metrics in stored units (see docs/metrics.md); those that the run does not have are left out."""
         return {key: entry["value"] for key, entry in self.document.metrics.items()}
@@ -98,6 +109,12 @@ class Run:
     def cancel(self) -> Run:
         """Cancel a queued run, or ask for the end of an active one."""
         return Run(self._backend, self._backend.cancel(self.id))
+
+    def share(self, visibility: str) -> Run:
+        """Choose who may see it: ``private``, ``team`` or ``public``. Raises Forbidden unless it is one's own."""
+        from slamhive.domain.visibility import Visibility  # noqa: PLC0415 - reading needs none of this
+
+        return Run(self._backend, self._backend.share(self.id, Visibility.named(visibility)))
 
     def retry(self) -> Run:
         """Queue the same again; returns the new run."""

@@ -153,6 +153,11 @@ def change(hive: Hive) -> None:
     """What both backends do alike: changes of runs and experiments, and refusals that name the value."""
     (run,) = hive.runs.submit("tiny", "room")
     assert run.cancel().state == "cancelled"
+    assert (run.owner, run.visibility) == (None, "team")
+    with pytest.raises(Conflict, match="no folder yet"):
+        run.share("private")
+    with pytest.raises(NotFound, match="'all'"):
+        run.share("all")
     again = run.retry()
     assert (again.state, again.document.retry_of) == ("queued", run.id)
     experiment = hive.experiments.start("name: pair\nalgorithms: tiny\ndatasets: room\nseeds: [1, 2]\n")
