@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from slamhive.cli import offers
+from slamhive.cli.challenge_entries import ENTRY_COMMANDS, name_argument
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.domain.challenge import shown
@@ -17,10 +17,13 @@ from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from slamhive.schema.challenge import Challenge, ChallengePhase, ChallengeRanking, RankedTeam
-
-name_argument = click.argument("name", shell_complete=offers.CHALLENGE)
-phase_option = click.option("--phase", metavar="PHASE", help="The phase; needed if several are open.")
+    from slamhive.schema.challenge import (
+        Challenge,
+        ChallengePhase,
+        ChallengeRanking,
+        ImageRules,
+        RankedTeam,
+    )
 
 
 @click.group()
@@ -70,6 +73,8 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
         return
     click.echo(f"{found.name}: {found.title}")
     click.echo(f"{found.counts} Each sequence: {found.metric}, {found.protocol.label}.")
+    if found.images is not None:
+        click.echo(_image_rules(found.images))
     rows = [(entry.name, _extent(found, entry.name), entry.data or None) for entry in found.sequences]
     print_table(("sequence", "recording", "data"), rows, cut=("data",))
     click.echo()
@@ -80,78 +85,33 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
             _moment(entry.begins),
             _moment(entry.ends),
             len(entry.sequences),
+            " or ".join(entry.takes),
             entry.submissions_per_day,
             "yes" if entry.scores_shown else "when it has ended",
         )
         for entry in found.phases
     ]
-    heads = ("phase", "state", "begins (UTC)", "ends (UTC)", "sequences", "per day", "scores shown")
+    heads = ("phase", "state", "begins (UTC)", "ends (UTC)", "sequences", "takes", "per day", "scores shown")
     print_table(heads, phases, right=("sequences", "per day"))
-
-
-@challenge.command()
-@name_argument
-@click.argument("files", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
-@click.option("--team", required=True, help="Whose submission it is.")
-@phase_option
-@click.option("--dry-run", is_flag=True, help="Check the files only; nothing is sent, and nothing counts.")
-@json_option
-@pass_cli
-def submit(cli: CliContext, /, name: str, files: tuple[Path, ...], dry_run: bool, **options: Any) -> None:
-    """Submit trajectories to the challenge NAME.
-
-    FILES are named after their sequences, such as room-1.txt; a folder stands for the files in it.
-    """
-    from slamhive.services.challenges import Entrant, read_files  # noqa: PLC0415 - loads numpy
-
-    challenges = cli.hive().challenges
-    content = read_files(files)
-    if dry_run:
-        for line in challenges.check(name, content, options["phase"]):
-            click.echo(line)
-        return
-    made = challenges.submit(name, Entrant(options["team"]), content, options["phase"])
-    if options["as_json"]:
-        print_json(made.content)
-    else:
-        click.echo(f"submission {made.id} of team {made.team} to phase {made.phase} is queued")
-        tell("a worker evaluates it; `slamhive challenge evaluate` does so without one")
 
 
 @challenge.command()
 @pass_cli
 def evaluate(cli: CliContext) -> None:
-    """Evaluate all submissions that wait, as a worker does."""
+    """Evaluate all submissions that wait, as a worker does. Images run first, one after the other."""
     hive = cli.hive()
     hive.check_writable()
+    stopping = threading.Event()
+    while hive.challenge_images.work_once(stopping):
+        pass
     done = 0
-    while more := hive.challenge_judge.work_once(threading.Event()):
+    while more := hive.challenge_judge.work_once(stopping):
         done += more
     click.echo(f"{plural(done, 'submission')} evaluated")
     if done:
-        tell("results are shown from the next full minute")
-
-
-@challenge.command()
-@name_argument
-@click.option("--team", help="Only this team.")
-@json_option
-@pass_cli
-def status(cli: CliContext, name: str, team: str | None, as_json: bool) -> None:
-    """Show the submissions to the challenge NAME, the newest first."""
-    found = cli.hive().challenges.submissions(name)
-    found = [entry for entry in found if team is None or entry.team.casefold() == team.casefold()]
-    if as_json:
-        print_json([entry.content for entry in found])
-        return
-    if not found:
-        tell("no submissions")
-        return
-    rows = [
-        (entry.id, entry.team, entry.phase, f"{entry.at:%Y-%m-%d %H:%M}", entry.state.value, entry.score, entry.reason)
-        for entry in found
-    ]
-    print_table(("submission", "team", "phase", "sent (UTC)", "state", "score", "reason"), rows, right=("score",))
+        tell(
+            "results of trajectories are shown from the next full minute, those of images at the hours of the challenge"
+        )
 
 
 @challenge.command()
@@ -195,6 +155,20 @@ def close(cli: CliContext, name: str) -> None:
     click.echo(f"challenge {name}: {_phase_words(made)}")
 
 
+@challenge.command()
+@name_argument
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@pass_cli
+def remove(cli: CliContext, name: str, yes: bool) -> None:
+    """Remove the challenge NAME with its secrets, its submissions and their images."""
+    hive = cli.hive()
+    found = hive.challenges.get(name)
+    if not yes:
+        click.confirm(f"Remove {found.title} with all its submissions?", abort=True)
+    hive.challenge_images.remove(name)
+    click.echo(f"challenge {name} is removed")
+
+
 def _print_ranking(found: Challenge, ranked: ChallengeRanking) -> None:
     unit = f" [{found.score_unit}]" if found.score_unit else ""
     rows = [
@@ -228,8 +202,20 @@ def _state(entry: ChallengePhase) -> str:
     return f"opens {_moment(entry.begins)} UTC" if entry.state.value == "coming" else "ended"
 
 
+def _image_rules(rules: ImageRules) -> str:
+    runs = plural(rules.repeats, "run")
+    cores = "1 core" if rules.cpu_cores == 1 else f"{rules.cpu_cores:g} cores"
+    return (
+        f"Images: {runs} on each sequence with {cores}, {rules.memory_mb:,} MB and "
+        f"{rules.time_limit_s:g} s. Playback is {rules.playback.value} at {rules.rate:g}. Results are shown every "
+        f"{plural(rules.answers_every_h, 'hour')}."
+    )
+
+
 def _extent(found: Challenge, name: str) -> str:
     entry = next(entry for entry in found.sequences if entry.name == name)
+    if entry.secret:
+        return "secret"
     if entry.time_range_s is None:
         return f"{entry.poses:,} frames"
     return f"{entry.time_range_s[0]:.3f} to {entry.time_range_s[1]:.3f} s"
@@ -248,5 +234,8 @@ def _time(text: str) -> datetime:
         raise InvalidInput(f"{text} lacks its UTC offset", f"write {text}+00:00 for UTC")
     return found
 
+
+for _command in ENTRY_COMMANDS:
+    challenge.add_command(_command)
 
 COMMANDS = (challenge,)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from slamhive.domain.visibility import Visibility
     from slamhive.schema import experiment as experiment_schema
     from slamhive.schema import run as run_schema
+    from slamhive.schema.challenge import ChallengeSubmission
     from slamhive.schema.submission import Submission
     from slamhive.schema.uploads import Imported
 
@@ -107,6 +108,17 @@ class Backend(Protocol):
 
     def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
         """Import the trajectories in a folder on this machine. ``options`` are those of :class:`RunsUpload`."""
+
+    def submit_image(
+        self, challenge: str, path: Path | None, options: Mapping[str, Any], *, progress: bool
+    ) -> ChallengeSubmission:
+        """Submit an image on this machine, or the package that the options name, to a challenge.
+
+        ``options`` are those of :class:`ImageEntry`. Raises NotFound, InvalidInput, Conflict or TooManyRequests.
+        """
+
+    def challenge_submissions(self, challenge: str) -> tuple[ChallengeSubmission, ...]:
+        """The caller's submissions to a challenge, the newest first; raises NotFound."""
 
     def working(self, what: Sequence[int] | str) -> AbstractContextManager[Callable[[], None]]:
         """While somebody waits for runs, or for the experiment of a name: work on them if nobody else does.

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from slamhive.client.backend import Backend
     from slamhive.client.experiments import Experiments
     from slamhive.client.runs import Runs
+    from slamhive.schema.challenge import ChallengeSubmission
     from slamhive.schema.uploads import Imported
 
 
@@ -73,6 +74,21 @@ class Hive:
         ``options`` are the fields of :class:`~slamhive.schema.uploads.RunsUpload`.
         """
         return self._backend.import_runs(Path(path), options, progress=progress)
+
+    def submit_image(
+        self, challenge: str, path: Path | str | None = None, *, progress: bool = True, **options: Any
+    ) -> ChallengeSubmission:
+        """Submit the image at ``path`` to a challenge, or with ``package="NAME@2"`` a package of the installation.
+
+        The file is what ``slamhive algorithm export`` or ``docker save`` wrote. ``options`` are the fields of
+        :class:`~slamhive.schema.challenge_requests.ImageEntry`. Raises NotFound, InvalidInput, Conflict or
+        TooManyRequests.
+        """
+        return self._backend.submit_image(challenge, None if path is None else Path(path), options, progress=progress)
+
+    def challenge_submissions(self, challenge: str) -> tuple[ChallengeSubmission, ...]:
+        """One's own submissions to a challenge, the newest first; of a data root all. Raises NotFound."""
+        return self._backend.challenge_submissions(challenge)
 
     def close(self) -> None:
         """Close the database or the connection."""

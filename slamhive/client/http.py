@@ -12,6 +12,7 @@ from slamhive.client import requests
 from slamhive.client.backend import LOG_BYTES, Change, RunQuery
 from slamhive.client.requests import HEADERS, PREFIX, Request, raise_for
 from slamhive.client.uploading import import_from, send_file
+from slamhive.client.waiting import percent_bar
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.schema.uploads import OCTETS
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from slamhive.domain.visibility import Visibility
     from slamhive.schema.api_answers import CellPage, RunPage
+    from slamhive.schema.challenge import ChallengeSubmission
     from slamhive.schema.experiment import Cell, ExperimentStatus
     from slamhive.schema.run import Run, RunWith
     from slamhive.schema.submission import Submission
@@ -172,6 +174,20 @@ class HttpBackend:
         return import_from(
             self._send, path, lambda token: requests.import_upload("runs", token, options), progress=progress
         )
+
+    def submit_image(
+        self, challenge: str, path: Path | None, options: Mapping[str, Any], *, progress: bool
+    ) -> ChallengeSubmission:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        entry = dict(options)
+        if path is not None:
+            with percent_bar(path.name, progress=progress) as show:
+                entry["upload"] = send_file(self._send, path, lambda share: show(share, "sending")).token
+        return self._send(requests.submit_image(challenge, entry))
+
+    def challenge_submissions(self, challenge: str) -> tuple[ChallengeSubmission, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.challenge_submissions(challenge)).submissions
 
     @contextmanager
     def working(self, what: Sequence[int] | str) -> Iterator[Callable[[], None]]:  # noqa: ARG002 - servers have workers

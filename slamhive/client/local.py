@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.client.backend import LOG_BYTES, Change, RunQuery
 from slamhive.client.waiting import percent_bar
 from slamhive.errors import Forbidden
+from slamhive.schema.challenge_requests import ImageEntry
 from slamhive.schema.experiment import Cell, ExperimentStatus
 from slamhive.schema.model import parse
 from slamhive.schema.run import Run, RunWith
@@ -21,6 +22,7 @@ from slamhive.store import RunRecord, RunSort
 
 if TYPE_CHECKING:
     from slamhive.domain.visibility import Visibility
+    from slamhive.schema.challenge import ChallengeSubmission
     from slamhive.schema.submission import Submission
 
 PAGE = 1000
@@ -177,6 +179,30 @@ class LocalBackend:
         hive = self._writing()
         with percent_bar(path.name, progress=progress) as show:
             return import_runs(hive.imports, hive.evaluations, request, path, show)
+
+    def submit_image(
+        self,
+        challenge: str,
+        path: Path | None,
+        options: Mapping[str, Any],
+        *,
+        progress: bool,  # noqa: ARG002 - nothing is sent
+    ) -> ChallengeSubmission:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.services.challenges import Entrant  # noqa: PLC0415 - loads numpy
+
+        upload = None if path is None else _NO_UPLOAD
+        asked = parse(ImageEntry, {"upload": upload, **options})
+        asked.check()
+        hive, entrant = self._writing(), Entrant(asked.team, algorithm=asked.algorithm)
+        if path is not None:
+            return hive.challenges.submit_image(challenge, entrant, path, asked.phase or None)
+        version = hive.versions.find(str(asked.package))
+        return hive.challenges.submit_version(challenge, entrant, version, asked.phase or None)
+
+    def challenge_submissions(self, challenge: str) -> tuple[ChallengeSubmission, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return tuple(self._hive.challenges.submissions(challenge))
 
     @contextmanager
     def working(self, what: Sequence[int] | str) -> Iterator[Callable[[], None]]:

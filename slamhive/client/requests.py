@@ -11,6 +11,7 @@ from urllib.parse import parse_qs, quote, urlsplit
 
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.schema.api_answers import CellPage, Experiments, Problem, Progress, RunFiles, RunPage, Runs
+from slamhive.schema.challenge import ChallengeSubmission, ChallengeSubmissions
 from slamhive.schema.experiment import ExperimentStatus
 from slamhive.schema.model import Document, dump
 from slamhive.schema.problems import STATUS
@@ -173,6 +174,16 @@ def send_part(token: str, offset_bytes: int, data: bytes) -> Request[Upload]:
     """Add bytes to an upload."""
     arguments = {"offset": str(offset_bytes)}
     return Request(f"/uploads/{token}/parts", _document(Upload), arguments, data=data, changes=True)
+
+
+def submit_image(challenge: str, entry: Mapping[str, Any]) -> Request[ChallengeSubmission]:
+    """Submit an uploaded image, or a package of the server, to a challenge."""
+    return _post(f"/challenges/{quote(challenge, safe='')}/images", ChallengeSubmission, dict(entry))
+
+
+def challenge_submissions(challenge: str) -> Request[ChallengeSubmissions]:
+    """The caller's submissions to a challenge."""
+    return _get(f"/challenges/{quote(challenge, safe='')}/submissions", ChallengeSubmissions)
 
 
 def import_upload(kind: str, token: str, options: Mapping[str, Any]) -> Request[Upload]:

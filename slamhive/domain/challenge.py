@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 
+from slamhive.domain.run import FailureReason
+
 
 class Rule(StrEnum):
     """How the values of sequences become one score."""
@@ -51,8 +53,17 @@ class SubmissionState(StrEnum):
     """Where a submission is on its way."""
 
     QUEUED = "queued"
+    """It waits, runs or has been evaluated: which of these, only the organiser knows."""
     EVALUATED = "evaluated"
     FAILED = "failed"
+    CANCELLED = "cancelled"
+
+
+class Taken(StrEnum):
+    """What a phase takes."""
+
+    TRAJECTORIES = "trajectories"
+    IMAGES = "images"
 
 
 class Failure(StrEnum):
@@ -61,6 +72,43 @@ class Failure(StrEnum):
     NOT_COMPARABLE = "a trajectory could not be compared with the ground truth"
     TOO_LITTLE = "no trajectory covers as much of its sequence as the challenge asks for"
     NO_ANSWER = "the evaluation ended without an answer; ask the organiser"
+    CANCELLED = "it was cancelled"
+    NO_RUN = "no run of the image left a trajectory that counts"
+
+
+class RunFailure(StrEnum):
+    """All that is said of a run on a secret recording. An image chooses how it fails, so few words carry few bits."""
+
+    CRASHED = "the image ended with an error"
+    LIMIT = "it exceeded a limit of time, memory, disk or processes"
+    NO_TRAJECTORY = "it left no usable trajectory"
+    TOO_LITTLE = "its trajectory does not cover as much as the challenge asks for"
+    NOT_COMPARABLE = "its trajectory could not be compared with the ground truth"
+    NOT_FITTING = "the package does not fit the recording"
+    ORGANISER = "the run could not be done; ask the organiser"
+
+    @classmethod
+    def of(cls, reason: FailureReason | None) -> RunFailure:
+        """The words for the reason of a failed run."""
+        return _IN_FEW_WORDS.get(reason, cls.ORGANISER) if reason is not None else cls.ORGANISER
+
+
+_IN_FEW_WORDS = {
+    **dict.fromkeys((FailureReason.NONZERO_EXIT, FailureReason.PLAYER_FAILED), RunFailure.CRASHED),
+    **dict.fromkeys(
+        (
+            FailureReason.TIMEOUT,
+            FailureReason.OUT_OF_MEMORY,
+            FailureReason.DISK_LIMIT,
+            FailureReason.PROCESS_LIMIT,
+        ),
+        RunFailure.LIMIT,
+    ),
+    **dict.fromkeys(
+        (FailureReason.NO_TRAJECTORY, FailureReason.EMPTY_TRAJECTORY, FailureReason.MALFORMED_TRAJECTORY),
+        RunFailure.NO_TRAJECTORY,
+    ),
+}
 
 
 def phase_state(begins: datetime | None, ends: datetime | None, now: datetime) -> PhaseState:

@@ -42,8 +42,13 @@ class ImageTools(Protocol):
     def build(self, folder: Path, name: str, progress: ProgressCallback) -> str:
         """Build the Dockerfile of ``folder`` with that folder as its context; the digest."""
 
-    def complete(self, digest: str, modules: Collection[str], progress: ProgressCallback) -> CompletedImage:
-        """See that the image has python3 and PyYAML, or put them on top; look for ``modules`` too."""
+    def complete(
+        self, digest: str, modules: Collection[str], progress: ProgressCallback, *, builds: bool = True
+    ) -> CompletedImage:
+        """See that the image has python3 and PyYAML, or put them on top; look for ``modules`` too.
+
+        Without ``builds``, nothing is put on top: raises ImageMissing that says what the image lacks.
+        """
 
     def copy_scripts(self, digest: str, target: Path) -> bool:
         """Copy the plain files of ``/slamhive`` in the image to ``target``; False if it has none."""

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from slamhive.domain.challenge import Counted, Format, PhaseState, Reveal, Rule, SubmissionState
+from slamhive.domain.challenge import Counted, Format, PhaseState, Reveal, Rule, SubmissionState, Taken
+from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.metrics import Direction
 from slamhive.domain.names import NAME_PATTERN
 from slamhive.schema.fields import described
@@ -41,6 +42,29 @@ class SequenceEntry(_Part):
         None, description="First and last timestamp of the recording (s). Needed for TUM trajectories."
     )
     poses: int | None = Field(None, ge=2, le=10**8, description="Number of frames. Needed for KITTI trajectories.")
+    recording: str | None = Field(
+        None, max_length=1000, description="Folder of a dataset that images run on; relative to the file. Kept apart."
+    )
+    secret: bool = Field(False, description="Teams do not have the recording: nothing of its runs is shown to them.")
+
+
+class ImageRules(_Part):
+    """How images run. All of it is public, and the same for each sequence."""
+
+    time_limit_s: float = Field(ge=1, le=7 * 86_400, description="Wall-clock limit of a run (s).")
+    cpu_cores: float = Field(ge=0.1, le=1024, description="Cores of a run.")
+    memory_mb: int = Field(ge=16, le=10_000_000, description="Memory of a run (MB).")
+    repeats: int = Field(1, ge=1, le=20, description="Runs on each sequence. Their median counts.")
+    seed: int = Field(0, ge=0, le=2**30, description="Seed of the first run; repeats get the next ones.")
+    playback: PlaybackMode = Field(PlaybackMode.REALTIME, description="How recordings are played.")
+    rate: float = Field(1.0, ge=0.01, le=100, description="Playback speed.")
+    largest_mb: int = Field(10_000, ge=1, le=1_000_000, description="Most that an image may have, unpacked (MB).")
+    answers_every_h: Literal[1, 2, 3, 4, 6, 8, 12, 24] = Field(
+        6, description="Results are shown at multiples of so many hours (UTC), whenever runs end."
+    )
+    constant_time: bool = Field(
+        True, description="Each run takes its slot for the whole time limit, so that nobody learns how long it took."
+    )
 
 
 class PhaseEntry(_Part):
@@ -78,6 +102,7 @@ class ChallengeFile(_Part):
     digits: int = Field(3, ge=1, le=6, description="Significant digits of all values that are given out.")
     significance: float = Field(0.05, gt=0.0, lt=0.5, description="Level of the test that separates two ranks.")
     counted: Counted = Field(Counted.BEST, description="Which submission of a team is ranked.")
+    images: ImageRules | None = Field(None, description="Teams may submit images; how these run.")
     sequences: tuple[SequenceEntry, ...] = Field(min_length=1, max_length=MOST_SEQUENCES)
     phases: tuple[PhaseEntry, ...] = Field(min_length=1, max_length=50)
 
@@ -89,12 +114,28 @@ class ChallengeChanges(Document):
     ends: Annotated[dict[str, Moment], described("New ends of phases.")] = Field(default_factory=dict)
 
 
+class SecretTimes(Document):
+    """``secret/times.json``: what is not published of the recordings."""
+
+    format: Literal[1] = 1
+    time_ranges_s: Annotated[dict[str, tuple[float, float]], described("First and last timestamp, by sequence.")]
+
+
 class StoredFile(Document):
     """A trajectory of a submission, judged by public facts alone."""
 
     poses: int
     coverage: Annotated[float | None, described("Share of the public time range; null for KITTI trajectories.")]
     enough: Annotated[bool, described("Whether it covers as much as the challenge asks for.")]
+
+
+class StoredImage(Document):
+    """The image of a submission."""
+
+    package: Annotated[str | None, described("Null: the archive has no package, and one is drafted for it.")]
+    algorithm: Annotated[str | None, described("Which algorithm of the package; null: its only one.")]
+    version: Annotated[int | None, described("Of a package of the server; null: the image came as an archive.")] = None
+    identity: Annotated[str | None, described("Digest of the image of that version.")] = None
 
 
 class StoredSubmission(Document):
@@ -108,6 +149,22 @@ class StoredSubmission(Document):
     at: Moment
     digest: Annotated[str, described("SHA-256 of names and contents of its files.")]
     files: dict[str, StoredFile]
+    image: Annotated[StoredImage | None, described("Null: it consists of trajectories.")] = None
+
+
+class StoredRun(Document):
+    """A run of an image that has ended."""
+
+    sequence: str
+    run: Annotated[int | None, described("Its number in the installation of the submission; null: none was made.")]
+    failure: Annotated[str | None, described("Why there is no trajectory, in the words of submitters.")]
+
+
+class StoredRuns(Document):
+    """``runs.json``: all runs of an image. It is as secret as the recordings."""
+
+    format: Literal[1] = 1
+    runs: tuple[StoredRun, ...]
 
 
 class StoredResult(Document):
@@ -118,6 +175,9 @@ class StoredResult(Document):
     values: dict[str, float | None]
     weights: Annotated[dict[str, float], described("Segments of each sequence, for a pooled score.")]
     failure: str | None
+    reasons: Annotated[dict[str, str], described("Why sequences have no value; of images only.")] = Field(
+        default_factory=dict
+    )
 
 
 class ChallengeSequence(Document):
@@ -127,6 +187,7 @@ class ChallengeSequence(Document):
     data: str
     time_range_s: tuple[float, float] | None
     poses: int | None
+    secret: Annotated[bool, described("Whether teams do not have the recording.")]
 
 
 class ChallengePhase(Document):
@@ -137,6 +198,7 @@ class ChallengePhase(Document):
     begins: Timestamp | None
     ends: Timestamp | None
     sequences: tuple[str, ...]
+    takes: Annotated[tuple[Taken, ...], described("What may be submitted.")]
     submissions_per_day: int
     scores: Reveal
     scores_shown: Annotated[bool, described("Whether scores and ranking are shown now.")]
@@ -178,6 +240,7 @@ class Challenge(Document):
     digits: int
     significance: float
     counted: Counted
+    images: Annotated[ImageRules | None, described("How images run; null: none may be submitted.")]
     sequences: tuple[ChallengeSequence, ...]
     phases: tuple[ChallengePhase, ...]
 
@@ -191,7 +254,9 @@ class ChallengeSubmission(Document):
     at: Timestamp
     state: SubmissionState
     reason: Annotated[str | None, described("Why it failed.")]
+    image: Annotated[str | None, described("Its package; null for trajectories.")]
     log: tuple[str, ...]
+    run_logs: Annotated[dict[str, str], described("What an image printed, by run on a public recording.")]
     values: Annotated[dict[str, float | None] | None, described("By sequence; null while they are not shown.")]
     score: Annotated[float | None, described("Null while it is not shown.")]
 

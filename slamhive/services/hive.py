@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from slamhive.services.accounts import Accounts
     from slamhive.services.algorithms import AlgorithmImports
     from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
-    from slamhive.services.challenges import ChallengeJudge, Challenges
+    from slamhive.services.challenges import ChallengeJudge, Challenges, ImageWork
     from slamhive.services.citations import Citations
     from slamhive.services.clouds import Clouds
     from slamhive.services.configurations import Configurations
@@ -222,6 +222,19 @@ class Hive:
         return ChallengeJudge(self.settings, self.evaluations)
 
     @cached_property
+    def challenge_images(self) -> ImageWork:
+        """What runs images that were submitted to challenges."""
+        from slamhive.services.challenges import ImageWork
+
+        return ImageWork(self.settings, self._installation_below)
+
+    def _installation_below(self, data: Path) -> Hive:
+        """The installation of one submitted image, with the settings of this one. It sends no notices."""
+        alone = {"data": data, "database_url": "", "worker_slots": 1, "notify_webhook": "", "notify_mail_to": ""}
+        settings = self.settings.with_values(alone)
+        return Hive(settings, open_data_root(settings, DataRoot.MADE), self.project_root)
+
+    @cached_property
     def replays(self) -> Replays:
         """Runs of bundles, repeated and compared."""
         from slamhive.services.replay import Replays
@@ -337,10 +350,11 @@ class Hive:
 
     def worker(self, only: Sequence[int] | None = None) -> Worker:
         """A worker of this installation, for all runs or for ``only`` these; its ``run`` does the work."""
-        from slamhive.services.worker import Worker
+        from slamhive.services.worker import Chores, Worker
 
         self.check_writable()
-        return Worker(self.settings, self.store, self.catalogue, self.executors.get, self.evaluations, only)
+        work = Chores(self.analysis_jobs, self.challenge_images, self.challenge_judge) if only is None else only
+        return Worker(self.settings, self.store, self.catalogue, self.executors.get, self.evaluations, work)
 
     def worker_alive(self) -> bool:
         """Whether a worker of this data root is running on this machine."""

@@ -21,6 +21,8 @@ from slamhive.files import remedy_of, write_aside
 from slamhive.services.datasets import check_writable
 from slamhive.settings import Settings
 
+WEIGHTS = "weights"
+"""Their folder in a data root."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
@@ -43,7 +45,7 @@ class WeightsStore:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._folder = settings.data / "weights"
+        self._folder = settings.data / WEIGHTS
 
     def stored(self, package: AlgorithmPackage) -> tuple[StoredWeights, ...]:
         """All weights of the package, present or not."""

@@ -30,7 +30,18 @@ OPEN = frozenset({"static", "bootstrap.static", "assets.plotly_js", "dashboard.h
 """Endpoints for everybody: styles and scripts, which the page to sign in needs, and the health check."""
 RULES = {
     **dict.fromkeys(("algorithms", "analyses", "api", "api_docs", "compare"), STANDARD),
-    **dict.fromkeys(("challenges", "api.submit_to_challenge"), Rule(change=Action.SUBMIT)),
+    **dict.fromkeys(
+        (
+            "challenges",
+            "api.submit_to_challenge",
+            "api.submit_image_to_challenge",
+            "api.cancel_challenge_submission",
+            "api.create_upload",
+            "api.send_part",
+            "api.delete_upload",
+        ),
+        Rule(change=Action.SUBMIT),
+    ),
     **dict.fromkeys(("configurations", "dashboard", "datasets", "experiment_builder", "experiments", "help"), STANDARD),
     **dict.fromkeys(("finding", "public_datasets", "run_plots", "runs", "searches"), STANDARD),
     **dict.fromkeys(("scenes", "selected_runs", "start", "trash"), STANDARD),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import logging
@@ -17,8 +16,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from flask import Flask
-from flask.testing import FlaskClient
 
 import slamhive
 from slamhive.cli import main
@@ -29,12 +26,11 @@ from slamhive.services.challenges import ChallengeJudge, Entrant
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
-from slamhive.web.access import SAFE_METHODS
 from tests.services.challenge_world import Clock, World, entry_of, noisy, rooms, text, truth, write_challenge
 from tests.web import web_world as world
 from tests.web.account_world import AccountWeb, account_web
+from tests.web.challenge_walk import walk
 from tests.web.test_web_challenges import form
-from tests.web.test_web_security import VALUES
 from tests.web.web_world import make_web
 
 pytestmark = pytest.mark.integration
@@ -46,8 +42,6 @@ NUMBER = re.compile(rb"\d+\.\d{4,}")
 TIME_OF_DAY = re.compile(rb"\d\d:\d\d:\d\d[.]\d+")
 WORDS = (b"organiser", b"truth-0", b"data/challenges/")
 """Of paths to ground truths on this machine."""
-NAME, FILE = "rooms", "../challenges/rooms/secret/room-0.tum"
-"""A name and a path that could lead to the secret."""
 
 
 @dataclass
@@ -130,42 +124,6 @@ def hostile_entries() -> list[dict[str, bytes]]:
     return [{"room-0.txt": text(rows)} for rows in (exact, still, far, late, two)] + [entry_of(2, 0.01)]
 
 
-def addresses(app: Flask) -> Iterator[str]:
-    """Every address that can be looked at, with names that could lead to the secret."""
-    with app.test_request_context():
-        adapter = app.url_map.bind("localhost")
-        for rule in app.url_map.iter_rules():
-            if not (rule.methods or set()) & SAFE_METHODS or rule.endpoint.startswith(("static", "bootstrap")):
-                continue
-            own = {name: VALUES.get(name, 1) for name in rule.arguments}
-            yield adapter.build(rule.endpoint, own)
-            traps = {name: NAME if name == "name" else FILE for name, value in own.items() if isinstance(value, str)}
-            with contextlib.suppress(ValueError):  # the part takes certain words only
-                yield adapter.build(rule.endpoint, {**own, **traps})
-    for trap in (
-        "challenges/rooms/secret",
-        "challenges/rooms/secret/room-0.tum",
-        "data/challenges",
-        "challenges/rooms",
-    ):
-        yield from (f"/{trap}", f"/static/../{trap}", f"/api/v1/{trap}", f"/static/%2e%2e/data/{trap}")
-    yield from ("/challenges/rooms?phase=hidden", "/challenges/rooms?phase=public", "/find?q=room-0")
-    yield from ("/api/v1/challenges/rooms/ranking?phase=hidden", "/api/v1/challenges/rooms/submissions")
-
-
-def walk(client: FlaskClient, app: Flask) -> tuple[int, dict[str, list[str]]]:
-    """How many addresses answered with content, and what leaked where."""
-    seen, found = 0, {}
-    for address in sorted(set(addresses(app))):
-        if "events" in address:
-            continue  # a stream without end; it is about runs and experiments
-        with client.get(address) as answer:
-            seen += answer.status_code == 200
-            if leaked := leaks(answer.data + str(answer.headers).encode()):
-                found[address] = leaked
-    return seen, found
-
-
 def test_the_search_sees_a_leak():
     assert leaks(b"nothing but 12.3456 and 417.3") == []
     value = truth(0)[100, 1]
@@ -174,13 +132,13 @@ def test_the_search_sees_a_leak():
 
 
 def test_no_address_gives_the_ground_truth_to_a_submitter(site: Site):
-    seen, found = walk(site.web.of(Role.MEMBER), site.web.web.app)
+    seen, found = walk(site.web.of(Role.MEMBER), site.web.web.app, leaks)
     assert found == {}
     assert seen > 60
 
 
 def test_no_address_gives_it_to_strangers_or_visitors(site: Site, compiled: Path):
-    _, found = walk(site.web.web.app.test_client(), site.web.web.app)
+    _, found = walk(site.web.web.app.test_client(), site.web.web.app, leaks)
     assert found == {}
     viewing = make_web(world.make_hive(site.folder, Mode.VIEW_ONLY), compiled)
     for address in ("/challenges", "/challenges/rooms", "/api/v1/challenges/rooms/ranking", "/challenges/rooms/secret"):
@@ -202,7 +160,8 @@ def test_the_submitter_sees_values_reasons_and_logs_of_a_fixed_kind(site: Site):
     }
     for path in site.web.web.hive.settings.challenges_folder.glob("*/submissions/*/result.json"):
         result = json.loads(path.read_text())
-        assert set(result) == {"format", "shown_at", "values", "weights", "failure"}
+        assert set(result) == {"format", "shown_at", "values", "weights", "failure", "reasons"}
+        assert result["reasons"] == {}
         known = [value for value in result["values"].values() if value is not None]
         assert all(value == float(f"{value:.3g}") for value in known)
 

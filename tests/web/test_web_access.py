@@ -31,7 +31,12 @@ CHANGED_BY_ADMINS = {
     "nodes.undrain",
     *("api.drain_node", "api.undrain_node", "api.import_algorithm"),
 }
-SUBMITTED_BY_ALL = {"challenges.submit", "api.submit_to_challenge"}
+SUBMITTED_BY_ALL = {
+    *("challenges.submit", "challenges.submit_package", "challenges.cancel"),
+    *("api.submit_to_challenge", "api.submit_image_to_challenge", "api.cancel_challenge_submission"),
+    *("api.create_upload", "api.send_part", "api.delete_upload"),
+}
+"""What readers may change: images for challenges are uploaded first."""
 ONES_OWN = {
     *("accounts.sign_out", "accounts.show", "accounts.change_password", "accounts.create_token"),
     "accounts.revoke_token",

@@ -117,7 +117,7 @@ def places_of(operation: Operation, token: str, upload: str) -> dict[str, Any]:
         Section.SEARCHES: "slow-ones",
     }
     values = {"run_id": 1, "configuration_id": 1, "key": "traj.txt", "format": "ndjson", "action": "pause"}
-    values |= {"upload": upload, "plot": "error", "sensor": "cam0"}
+    values |= {"submission": "20260101-0123456789ab", "upload": upload, "plot": "error", "sensor": "cam0"}
     known = {**values, "name": names.get(operation.section, "room"), "token": token}
     if operation.section is Section.ANALYSES:
         known["key"] = "analysis.yaml"

@@ -5,23 +5,30 @@ from __future__ import annotations
 import http.client
 import io
 import shutil
+import tarfile
 import threading
 import zipfile
 from collections.abc import Iterator
+from datetime import UTC, datetime
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import pytest
 from flask.testing import FlaskClient
 
+from slamhive.catalogue.algorithm_file import package_hash
 from slamhive.domain.accounts import Role, Scope
 from slamhive.schema.uploads import OCTETS
 from slamhive.services.accounts import TokenRequest
+from slamhive.services.versions.exporting import export_version
 from slamhive.settings import Mode
+from slamhive.store import VersionRecord
 from slamhive.web.api.operation import PREFIX
 from slamhive.web.security import API_HEADER
 from slamhive.web.serve import WebServer
 from tests.services.challenge_world import START_S, World, entry_of, rooms, write_challenge
+from tests.services.image_world import image_challenge, write_package
 from tests.web import web_world as world
 from tests.web.account_world import NAMES, AccountWeb, account_web, token_of
 from tests.web.web_world import Web, make_web
@@ -30,6 +37,13 @@ pytestmark = pytest.mark.integration
 
 OPEN_PHASES = [{"name": "public"}, {"name": "final", "begins": "2126-01-01T00:00:00+00:00"}]
 HEADERS = {API_HEADER: "1"}
+DESCRIBED: dict[str, Any] = {
+    "package": "team-x",
+    "number": 1,
+    "version": "1",
+    "identity": f"sha256:{'1' * 64}",
+    "created_at": datetime(2026, 5, 4, tzinfo=UTC),
+}
 ADDRESS = f"{PREFIX}/challenges/rooms/submissions"
 
 
@@ -181,3 +195,87 @@ def test_a_large_submission_comes_through_the_socket_and_a_huge_one_does_not(own
     finally:
         server.close()
         thread.join()
+
+
+# -- images ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def images(tmp_path_factory: pytest.TempPathFactory, filled: Path, compiled: Path) -> Iterator[AccountWeb]:
+    """A server with accounts and a challenge that takes images."""
+    folder = tmp_path_factory.mktemp("images")
+    shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
+    World(folder).challenges.create(image_challenge(folder / "organiser"))
+    with account_web(folder, compiled) as made:
+        yield made
+
+
+def image_archive(folder: Path) -> bytes:
+    """An exported version, whose image no engine has."""
+    package = write_package(folder / "team-x", name="team-x")
+    record = VersionRecord(**{**DESCRIBED, "package_hash": package_hash(package)})
+    layer = io.BytesIO()
+    with tarfile.open(fileobj=layer, mode="w") as archive:
+        archive.addfile(tarfile.TarInfo("file"))
+    export_version(record, package, [layer.getvalue()], folder / "image.tar")
+    return (folder / "image.tar").read_bytes()
+
+
+def upload(client: FlaskClient, content: bytes) -> str:
+    """Send the bytes in two parts; the token."""
+    body = {"name": "image.tar", "size_bytes": len(content), "sha256": sha256(content).hexdigest()}
+    begun: Any = client.post(f"{PREFIX}/uploads", json=body, headers=HEADERS)
+    token = begun.json["token"]
+    for begin, end in ((0, 1000), (1000, len(content))):
+        part = f"{PREFIX}/uploads/{token}/parts?offset={begin}"
+        answer = client.post(part, data=content[begin:end], content_type=OCTETS, headers=HEADERS)
+        assert answer.status_code == 201, answer.text
+    return str(token)
+
+
+def test_a_reader_uploads_an_image_and_cancels_it(images: AccountWeb, tmp_path: Path):
+    reader, member = images.of(Role.READER), images.of(Role.MEMBER)
+    token = upload(reader, image_archive(tmp_path))
+    address = f"{PREFIX}/challenges/rooms/images"
+    stolen = member.post(address, json={"upload": token, "phase": "public"}, headers=HEADERS)
+    assert (stolen.status_code, "there is no upload" in stolen.text) == (404, True)
+    neither = reader.post(address, json={"phase": "public"}, headers=HEADERS)
+    assert (neither.status_code, "either a file or a package" in neither.text) == (400, True)
+    sent: Any = reader.post(address, json={"upload": token, "phase": "public"}, headers=HEADERS)
+    assert sent.status_code == 202, sent.text
+    assert (sent.json["state"], sent.json["team"]) == ("queued", NAMES[Role.READER])
+    assert reader.get(f"{PREFIX}/uploads").json == {"uploads": []}
+    cancel = f"{ADDRESS}/{sent.json['id']}/cancel"
+    assert member.post(cancel, headers=HEADERS).status_code == 404
+    page = reader.get("/challenges/rooms").text
+    assert f"/challenges/rooms/submissions/{sent.json['id']}/cancel" in page
+    cancelled: Any = reader.post(cancel, headers=HEADERS)
+    assert cancelled.json["state"] == "cancelled"
+    assert "It was cancelled" not in member.get("/challenges/rooms").text
+
+
+def test_a_file_that_is_no_image_keeps_its_upload(images: AccountWeb):
+    reader = images.of(Role.READER)
+    token = upload(reader, b"no archive" * 500)
+    answer = reader.post(f"{PREFIX}/challenges/rooms/images", json={"upload": token, "phase": "open"}, headers=HEADERS)
+    assert (answer.status_code, "cannot be read as an archive" in answer.text) == (400, True)
+    assert "/tmp" not in answer.text
+    assert reader.get(f"{PREFIX}/challenges/rooms/submissions").json == {"submissions": []}
+    kept: Any = reader.get(f"{PREFIX}/uploads")
+    assert len(kept.json["uploads"]) == 1
+
+
+def test_the_page_takes_a_package_by_name(images: AccountWeb):
+    reader = images.of(Role.READER)
+    page = reader.get("/challenges/rooms").text
+    assert "An image runs 1 time on each sequence with 1 core, 500 MB and at most 60 s." in page
+    assert ">secret<" in page
+    assert 'name="package"' in page
+    token = token_of(reader, "/challenges/rooms")
+    fields = {"csrf_token": token, "team": "a", "phase": "public", "package": "nothing@3"}
+    refused = reader.post("/challenges/rooms/submit-package", data=fields)
+    assert refused.status_code == 404
+    assert "nothing" in refused.text
+    long = reader.post("/challenges/rooms/submit-package", data={**fields, "team": "a" * 70})
+    assert long.status_code == 400
+    assert reader.post("/challenges/rooms/submit-package", data={**fields, "csrf_token": ""}).status_code in (400, 403)

@@ -32,6 +32,7 @@ VALUES = {
     "filename": "theme.js",
     "token": "0" * 32,
     "format": "csv",
+    "submission": "20260101-0123456789ab",
 }
 
 

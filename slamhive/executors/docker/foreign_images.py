@@ -101,11 +101,21 @@ class DockerImages:
         with packed_context(folder, [*exclude, *_NOT_IN_CONTEXT, "!Dockerfile"]) as context:
             return build_packed(self._client, name, context, progress)
 
-    def complete(self, digest: str, modules: Collection[str], progress: ProgressCallback) -> CompletedImage:
-        """See that the image has python3 and PyYAML, or put them on top; look for ``modules`` too."""
+    def complete(
+        self, digest: str, modules: Collection[str], progress: ProgressCallback, *, builds: bool = True
+    ) -> CompletedImage:
+        """See that the image has python3 and PyYAML, or put them on top; look for ``modules`` too.
+
+        Without ``builds``, raises ImageMissing: a build on top of an image executes what the image asks for (ONBUILD),
+        with the network.
+        """
         user = str(self._client.images.get(digest).attrs["Config"].get("User") or "")
         added: list[str] = []
         found = self._probe(digest, modules)
+        if not builds and (found is None or YAML in found["missing"]):
+            raise ImageMissing(
+                f"the image has no {'python3' if found is None else 'PyYAML'}", "install it in the image"
+            )
         if found is None:
             digest = self._with_python(digest, user, progress)
             added.append("python3")

@@ -33,16 +33,17 @@ def has_image(client: docker.DockerClient, digest: str) -> bool:
 
 def forget_image(client: docker.DockerClient, digest: str, name: str) -> None:
     """Remove the name ``name``, and the image if it has no other name. Does nothing if both are gone."""
-    if get_image(client, name) is None and not has_image(client, digest):
-        return
     for reference in (name, digest):
+        image = get_image(client, reference)
+        if image is None or (reference == digest and image.tags):  # by its digest, an image loses its only name, too
+            continue
         with engine_errors(f"removing {reference[:80]}", InvalidInput):
             try:
                 client.api.remove_image(reference)
             except docker.errors.ImageNotFound:
                 continue
             except docker.errors.APIError as error:
-                if error.status_code != 409:  # 409: the image has another name, or a container uses it
+                if error.status_code != 409:  # 409: a container uses the image
                     raise
 
 

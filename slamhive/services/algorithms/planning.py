@@ -28,6 +28,8 @@ class ImportRequest:
         image: The image to use with the folder, by name or as a saved file; None to build or find it.
         replace: Take the place of an imported package of that name.
         executor: The executor that gets the image; None for the one in force.
+        builds: Whether an image may be built, or completed by a build. A build executes the steps of others, with the
+            network.
     """
 
     name: str | None = None
@@ -35,6 +37,7 @@ class ImportRequest:
     image: str | None = None
     replace: bool = False
     executor: str | None = None
+    builds: bool = True
 
 
 class Way(StrEnum):

@@ -77,7 +77,7 @@ class AlgorithmImports:
             with temporary_folder(".import-", root) as aside:
                 folder, scripts = _scripts_of(planned, digest, tools, aside)
                 modules = find_facts(scripts).modules
-                image = tools.complete(digest, modules, progress)
+                image = tools.complete(digest, modules, progress, builds=planned.request.builds)
                 notes = _write_package(planned, scripts, image, checksum, folder)
                 load_algorithms(folder)
                 tools.give_name(image.digest, f"slam-hive-algorithm:{planned.name}")
@@ -126,6 +126,8 @@ class AlgorithmImports:
 def _get_image(planned: PlannedPackage, tools: ImageTools, progress: Progress) -> tuple[str, str | None]:
     """The digest of the image, and the checksum of its archive."""
     if planned.way is Way.BUILD:
+        if not planned.request.builds:
+            raise InvalidInput(f"{planned.name} has no image, and none is built of its Dockerfile", "save its image")
         return tools.build(Path(planned.image).parent, planned.name, progress), None
     if planned.way is Way.TAKE:
         return tools.find(planned.image) or tools.pull(planned.image, progress), None

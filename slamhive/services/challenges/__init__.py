@@ -8,12 +8,22 @@ from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
     from slamhive.services.challenges.folder import sweep_challenges
+    from slamhive.services.challenges.image_loading import Installation
+    from slamhive.services.challenges.image_work import ImageWork
     from slamhive.services.challenges.judging import ChallengeJudge
     from slamhive.services.challenges.reading import read_files
     from slamhive.services.challenges.service import Challenges
     from slamhive.services.challenges.submitting import Entrant
 
-__all__ = ["ChallengeJudge", "Challenges", "Entrant", "read_files", "sweep_challenges"]
+__all__ = [
+    "ChallengeJudge",
+    "Challenges",
+    "Entrant",
+    "ImageWork",
+    "Installation",
+    "read_files",
+    "sweep_challenges",
+]
 
 if not TYPE_CHECKING:
     __getattr__ = lazy_names(__name__)

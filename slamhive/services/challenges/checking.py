@@ -81,6 +81,11 @@ def _check_complete(definition: Definition, wanted: Sequence[str], found: Mappin
 def _checked(definition: Definition, entry: SequenceEntry, name: str, data: bytes) -> CheckedFile:
     if definition.preset.format is Format.KITTI:
         return _checked_frames(entry, name, data)
+    return CheckedFile(entry.name, check_trajectory(definition, entry, name, data), {f"{entry.name}.tum": data})
+
+
+def check_trajectory(definition: Definition, entry: SequenceEntry, name: str, data: bytes) -> StoredFile:
+    """What the time range of a sequence says of a TUM trajectory; raises InvalidInput if it is none of the sequence."""
     assert entry.time_range_s is not None  # the definition was checked
     first_s, last_s = entry.time_range_s
     stamps_s = parse_tum(data, name, definition.protocol.duplicates).stamps_s + definition.protocol.time_offset_s
@@ -93,8 +98,7 @@ def _checked(definition: Definition, entry: SequenceEntry, name: str, data: byte
         )
     gap_s = definition.protocol.gap_threshold_s
     coverage = measure_completeness(stamps_s, np.array(entry.time_range_s), gap_s).tracked_fraction
-    facts = StoredFile(poses=len(stamps_s), coverage=coverage, enough=coverage >= definition.file.least_coverage)
-    return CheckedFile(entry.name, facts, {f"{entry.name}.tum": data})
+    return StoredFile(poses=len(stamps_s), coverage=coverage, enough=coverage >= definition.file.least_coverage)
 
 
 def _checked_frames(entry: SequenceEntry, name: str, data: bytes) -> CheckedFile:

@@ -10,7 +10,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from slamhive import strict_yaml
-from slamhive.domain.challenge import Format, Scoring
+from slamhive.domain.challenge import Format, Scoring, Taken
 from slamhive.domain.metrics import Direction, Metric, metric
 from slamhive.domain.names import check_name
 from slamhive.domain.protocol import Association, Protocol, protocol_from_content
@@ -67,6 +67,13 @@ class Definition:
         """The sequences of a phase, in the order of the challenge."""
         return [entry for entry in self.file.sequences if phase.sequences is None or entry.name in phase.sequences]
 
+    def takes(self, phase: PhaseEntry) -> tuple[Taken, ...]:
+        """What a phase takes: trajectories unless a recording is secret, and images if all recordings are here."""
+        entries = self.sequences_of(phase)
+        found = () if any(entry.secret for entry in entries) else (Taken.TRAJECTORIES,)
+        images = self.file.images is not None and all(entry.recording is not None for entry in entries)
+        return (*found, Taken.IMAGES) if images else found
+
 
 def load_definition(path: Path) -> Definition:
     """Read the file of a challenge; raises InvalidInput that names file, line and what is wrong."""
@@ -91,6 +98,7 @@ def _problems(definition: Definition) -> Iterator[InvalidInput]:
     yield from _problems_of_names(definition)
     for entry in definition.file.sequences:
         yield from _problems_of_sequence(definition.preset.format, entry)
+    yield from _problems_of_images(definition)
     for phase in definition.file.phases:
         if phase.begins is not None and phase.ends is not None and phase.ends <= phase.begins:
             yield InvalidInput(f"phase {phase.name} ends before it begins", "correct begins or ends")
@@ -117,6 +125,27 @@ def _problems_of_scoring(definition: Definition) -> Iterator[InvalidInput]:
         yield InvalidInput("the protocol names a reference of a dataset", "leave out reference")
 
 
+def _problems_of_images(definition: Definition) -> Iterator[InvalidInput]:
+    file = definition.file
+    for entry in file.sequences:
+        if entry.secret and entry.recording is None:
+            yield InvalidInput(f"sequence {entry.name} is secret, and names no recording", "name the folder of one")
+        if entry.recording is not None and file.images is None:
+            yield InvalidInput(f"sequence {entry.name} has a recording for images", "say with images how these run")
+    if file.images is None:
+        return
+    if definition.preset.format is Format.KITTI:
+        yield InvalidInput("images leave trajectories with timestamps, kitti compares frames", "use the preset mean")
+    for phase in file.phases:
+        if not definition.takes(phase):
+            yield InvalidInput(
+                f"phase {phase.name} has a secret recording, and a sequence without a recording",
+                "give each of its sequences a recording, or split the phase",
+            )
+    if not any(Taken.IMAGES in definition.takes(phase) for phase in file.phases):
+        yield InvalidInput("no phase can take images", "give each sequence of a phase a recording")
+
+
 def _problems_of_names(definition: Definition) -> Iterator[InvalidInput]:
     file = definition.file
     for kind, names in (
@@ -140,6 +169,8 @@ def _problems_of_sequence(wanted: Format, entry: SequenceEntry) -> Iterator[Inva
         if entry.poses is None or entry.time_range_s is not None:
             yield InvalidInput(f"sequence {entry.name} needs poses, and no time_range_s", "give its number of frames")
         return
+    if entry.secret and entry.time_range_s is None and entry.poses is None:
+        return  # the published file of a challenge does not say when its secret recordings were made
     if entry.time_range_s is None or entry.poses is not None:
         yield InvalidInput(
             f"sequence {entry.name} needs time_range_s, and no poses", "give first and last timestamp of the recording"

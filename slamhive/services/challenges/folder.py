@@ -2,6 +2,9 @@
 
 ``<data>/challenges/NAME`` holds ``challenge.yaml``, ``state.json``, ``secret/`` (for its owner only) and
 ``submissions/ID/``. The folder is the truth; the database knows nothing of challenges.
+
+``secret/`` holds ground truths, ``times.json``, ``recordings/`` and ``runs/ID/``. The last is an installation of its
+own for the image of one submission.
 """
 
 from __future__ import annotations
@@ -17,12 +20,22 @@ from pathlib import Path
 from slamhive.errors import Unavailable, unknown
 from slamhive.files import remedy_of, sweep_folder
 from slamhive.input_bounds import read_record
-from slamhive.schema.challenge import ChallengeChanges, PhaseEntry, StoredResult, StoredSubmission
+from slamhive.schema.challenge import (
+    ChallengeChanges,
+    PhaseEntry,
+    SecretTimes,
+    StoredResult,
+    StoredRuns,
+    StoredSubmission,
+)
 from slamhive.services.challenges.definition import Definition, load_definition
 
 DEFINITION, CHANGES, SECRET, SUBMISSIONS = "challenge.yaml", "state.json", "secret", "submissions"
-SENT, RESULT = "submission.json", "result.json"
+SENT, RESULT, CANCELLED = "submission.json", "result.json", "cancelled"
+IMAGE, LOGS = "image.tar", "logs"
+TIMES, RECORDINGS, RUNS, ENDED_RUNS = "times.json", "recordings", "runs", "runs.json"
 _LOCK = ".lock"
+_RUNNING = ".running"
 
 
 @dataclass(frozen=True)
@@ -41,6 +54,24 @@ class SubmissionFolder:
         """What came of it; None while it is queued."""
         path = self.root / RESULT
         return StoredResult.read(read_record(path)) if path.exists() else None
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether its team, or the organiser, has cancelled it."""
+        return (self.root / CANCELLED).exists()
+
+    @property
+    def image(self) -> Path:
+        """The archive of its image."""
+        return self.root / IMAGE
+
+    @property
+    def logs(self) -> dict[str, str]:
+        """What its image printed, by run on a public recording."""
+        return {
+            path.stem: path.read_text(encoding="utf-8", errors="replace")
+            for path in sorted((self.root / LOGS).glob("*.txt"))
+        }
 
 
 @dataclass(frozen=True)
@@ -61,7 +92,7 @@ class ChallengeFolder:
 
     @cached_property
     def definition(self) -> Definition:
-        """The challenge, with the ends of phases that were changed later."""
+        """The challenge as it is published, with the ends of phases that were changed later."""
         definition = load_definition(self.root / DEFINITION)
         ends = self.changes.ends
         phases = [
@@ -69,6 +100,33 @@ class ChallengeFolder:
             for entry in definition.file.phases
         ]
         return Definition(definition.file.model_copy(update={"phases": tuple(phases)}))
+
+    @cached_property
+    def full_definition(self) -> Definition:
+        """As :attr:`definition`, with the times of secret recordings. Raises PermissionError for other users."""
+        path = self.secret / TIMES
+        if not path.exists():
+            return self.definition
+        ranges = SecretTimes.read(read_record(path)).time_ranges_s
+        file = self.definition.file
+        entries = [
+            entry.model_copy(update={"time_range_s": ranges[entry.name]}) if entry.name in ranges else entry
+            for entry in file.sequences
+        ]
+        return Definition(file.model_copy(update={"sequences": tuple(entries)}))
+
+    def recording(self, sequence: str) -> Path:
+        """The folder of the recording of a sequence, a dataset."""
+        return self.secret / RECORDINGS / sequence
+
+    def installation(self, submission_id: str) -> Path:
+        """The data root in which the image of a submission runs."""
+        return self.secret / RUNS / submission_id
+
+    def ended_runs(self, submission_id: str) -> StoredRuns | None:
+        """The runs of an image; None until all have ended."""
+        path = self.installation(submission_id) / ENDED_RUNS
+        return StoredRuns.read(read_record(path)) if path.exists() else None
 
     @property
     def changes(self) -> ChallengeChanges:
@@ -111,14 +169,29 @@ class ChallengeFolder:
     @contextmanager
     def judging(self) -> Iterator[bool]:
         """Whether no other process evaluates submissions of this challenge; none begins during the block."""
-        descriptor = os.open(self.secret, os.O_RDONLY | os.O_CLOEXEC)
+        with _held(os.open(self.secret, os.O_RDONLY | os.O_CLOEXEC)) as free:
+            yield free
+
+    @contextmanager
+    def running(self) -> Iterator[bool]:
+        """Whether no other process runs an image of this challenge; none begins during the block."""
+        path = self.secret / _RUNNING
+        with _held(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)) as free:
+            yield free
+
+
+@contextmanager
+def _held(descriptor: int) -> Iterator[bool]:
+    """Whether the lock on an open file is free; it is held for the block, and the file is closed."""
+    try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            yield True
         except BlockingIOError:
             yield False
-        finally:
-            os.close(descriptor)
+        else:
+            yield True
+    finally:
+        os.close(descriptor)
 
 
 def challenge_names(root: Path) -> list[str]:

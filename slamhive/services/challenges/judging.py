@@ -6,18 +6,20 @@ import json
 import logging
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import datetime
 from itertools import islice
 from pathlib import Path
 
 from slamhive.clock import monotonic_s, utc_now
-from slamhive.domain.challenge import Failure, Format, rounded
+from slamhive.domain.challenge import Failure, RunFailure, rounded
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.evaluators.base import KITTI_ESTIMATE, KITTI_REFERENCE
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask
 from slamhive.files import write_aside
 from slamhive.schema.challenge import StoredResult, StoredSubmission
+from slamhive.services.challenges.answering import shown_at
 from slamhive.services.challenges.definition import Definition
+from slamhive.services.challenges.estimates import Estimate, Estimates, estimates_of
 from slamhive.services.challenges.folder import (
     RESULT,
     ChallengeFolder,
@@ -33,8 +35,6 @@ logger = logging.getLogger(__name__)
 LOOK_S = 2.0
 """How often an idle worker looks for submissions."""
 BATCH_SIZE = 20
-ANSWERS_EVERY = timedelta(minutes=1)
-"""Results are shown at full minutes: how long an evaluation takes depends on both trajectories."""
 
 
 class ChallengeJudge:
@@ -72,10 +72,10 @@ class ChallengeJudge:
         if next(self._waiting(folder), None) is None:
             return 0
         try:
-            _ = folder.definition  # one that somebody has edited may be broken
+            _ = folder.full_definition  # one that somebody has edited may be broken
             with folder.judging() as free:
-                waiting = list(islice(self._waiting(folder), BATCH_SIZE)) if free else []
-                found = [entry for entry in waiting if self._readable(entry)]
+                ready = (entry for entry in self._waiting(folder) if self._ready(folder, entry))
+                found = list(islice(ready, BATCH_SIZE)) if free else []
                 return self._judge(folder, found, stopping, cores) if found else 0
         except (FileNotFoundError, PermissionError):
             self._tell_once(folder.root.name, "this user cannot read its ground truth; run the worker as its owner")
@@ -93,9 +93,11 @@ class ChallengeJudge:
             else:
                 yield found
 
-    def _readable(self, found: SubmissionFolder) -> bool:
-        """Whether its file can be read; a damaged one is left to the next worker, and holds up nobody."""
+    def _ready(self, folder: ChallengeFolder, found: SubmissionFolder) -> bool:
+        """Whether there are trajectories; a damaged one is left to the next worker, and holds up nobody."""
         try:
+            if found.sent.image is not None:
+                return folder.ended_runs(found.root.name) is not None
             return bool(found.sent.files)
         except SlamHiveError as error:
             self._done.add(found.root)
@@ -114,84 +116,102 @@ class ChallengeJudge:
         stopping: threading.Event,
         cores: tuple[int, ...] | None,
     ) -> int:
+        known = {found.root: estimates_of(folder, found) for found in submissions if not found.cancelled}
         with scratch_folder(self._settings.data) as scratch:
-            tasks = [task for found in submissions for task in _tasks(folder, found, scratch)]
+            tasks = [_task(folder, entry, scratch) for made in known.values() for entry in made.found]
             results = {result.id: result for result in self._evaluations.measure(tasks, scratch, stopping, cores)}
         done = 0
         for found in submissions:
-            sent = found.sent
-            own = {name: results.get(_task_id(sent, name)) for name, facts in sent.files.items() if facts.enough}
-            if None in own.values():
+            made = known.get(found.root, Estimates())
+            if any(entry.id not in results for entry in made.found):
                 continue  # the worker is stopping
-            known = {name: result for name, result in own.items() if result is not None}
-            result = _stored(folder.definition, sent, known, self._shown_at())
+            result = self._result(folder.full_definition, found, made, results)
             write_aside(found.root / RESULT, json.dumps(result.content), 0o640)
-            logger.info("challenge %s: submission %s is evaluated", folder.root.name, sent.id)
+            logger.info("challenge %s: submission %s is evaluated", folder.root.name, found.root.name)
             done += 1
         return done
 
-    def _shown_at(self) -> datetime:
-        return self._clock().replace(second=0, microsecond=0) + ANSWERS_EVERY
+    def _result(
+        self,
+        definition: Definition,
+        found: SubmissionFolder,
+        made: Estimates,
+        results: Mapping[str, EvaluationResult],
+    ) -> StoredResult:
+        rules = definition.file.images if found.sent.image is not None else None
+        at = shown_at(self._clock(), None if rules is None else rules.answers_every_h)
+        if found.cancelled:
+            return StoredResult(shown_at=at, values={}, weights={}, failure=Failure.CANCELLED.value)
+        return _stored(definition, found.sent, made, results, at)
 
 
-def _task_id(sent: StoredSubmission, sequence: str) -> str:
-    return f"{sent.id}/{sequence}"
-
-
-def _tasks(folder: ChallengeFolder, found: SubmissionFolder, scratch: Path) -> Iterator[EvaluationTask]:
-    for name, facts in found.sent.files.items():
-        if facts.enough:
-            output = scratch / "outputs" / found.sent.id / name
-            output.mkdir(parents=True)
-            yield _task(folder, found, name, output)
-
-
-def _task(folder: ChallengeFolder, found: SubmissionFolder, name: str, output: Path) -> EvaluationTask:
-    definition = folder.definition
-    kitti = definition.preset.format is Format.KITTI
+def _task(folder: ChallengeFolder, estimate: Estimate, scratch: Path) -> EvaluationTask:
+    output = scratch / "outputs" / estimate.id
+    output.mkdir(parents=True)
+    files = {}
+    if estimate.frames is not None:
+        files = {KITTI_REFERENCE: folder.secret / f"{estimate.sequence}.kitti", KITTI_ESTIMATE: estimate.frames}
     return EvaluationTask(
-        id=_task_id(found.sent, name),
-        estimate=found.root / f"{name}.tum",
-        reference=folder.secret / f"{name}.tum",
+        id=estimate.id,
+        estimate=estimate.path,
+        reference=folder.secret / f"{estimate.sequence}.tum",
         output=output,
-        protocol=definition.protocol,
+        protocol=folder.full_definition.protocol,
         artefacts=Artefacts.METRICS,
-        files={KITTI_REFERENCE: folder.secret / f"{name}.kitti", KITTI_ESTIMATE: found.root / f"{name}.kitti"}
-        if kitti
-        else {},
+        files=files,
     )
 
 
 def _stored(
-    definition: Definition, sent: StoredSubmission, results: Mapping[str, EvaluationResult], shown_at: datetime
+    definition: Definition,
+    sent: StoredSubmission,
+    made: Estimates,
+    results: Mapping[str, EvaluationResult],
+    at: datetime,
 ) -> StoredResult:
-    """What is kept: rounded values, and one of the fixed reasons."""
+    """What is kept: rounded values, and some of the fixed reasons."""
     values: dict[str, float | None] = {}
     weights: dict[str, float] = {}
+    reasons: dict[str, str] = {}
     for entry in definition.sequences_of(definition.phase(sent.phase)):
-        result = results.get(entry.name)
-        value = None if result is None else result.metrics.get(definition.metric.key)
+        own = [results[estimate.id] for estimate in made.found if estimate.sequence == entry.name]
+        failures = made.failures.get(entry.name, [])
+        found = [result.metrics.get(definition.metric.key) for result in own]
+        value = middle([*found, *(None for _ in failures)], higher_is_better=definition.scoring.higher_is_better)
         values[entry.name] = None if value is None else rounded(value, definition.file.digits)
-        if result is not None and WEIGHT in result.metrics:
-            weights[entry.name] = result.metrics[WEIGHT]
-    failure = _failure(definition, sent, values, results)
+        for result in own:
+            if WEIGHT in result.metrics:
+                weights[entry.name] = result.metrics[WEIGHT]
+        if value is None and sent.image is not None:
+            reasons[entry.name] = (*failures, RunFailure.NOT_COMPARABLE)[0].value
+    failure = _failure(definition, made, values, [results[entry.id] for entry in made.found])
+    if failure is not None and sent.image is not None and not made.found:
+        failure = Failure.NO_RUN
     return StoredResult(
-        shown_at=shown_at,
+        shown_at=at,
         values=values if failure is None else {},
         weights=weights,
         failure=None if failure is None else failure.value,
+        reasons=reasons,
     )
+
+
+def middle(values: Sequence[float | None], *, higher_is_better: bool) -> float | None:
+    """The median, where a missing value is worse than all others; of two in the middle, the worse one."""
+    known = sorted((value for value in values if value is not None), reverse=higher_is_better)
+    place = len(values) // 2
+    return known[place] if place < len(known) else None
 
 
 def _failure(
     definition: Definition,
-    sent: StoredSubmission,
+    made: Estimates,
     values: Mapping[str, float | None],
-    results: Mapping[str, EvaluationResult],
+    results: Sequence[EvaluationResult],
 ) -> Failure | None:
-    if not any(facts.enough for facts in sent.files.values()):
+    if not made.found:
         return Failure.TOO_LITTLE
-    if any(result.engine == NO_ENGINE for result in results.values()):
+    if any(result.engine == NO_ENGINE for result in results):
         return Failure.NO_ANSWER
     missing = [name for name, value in values.items() if value is None]
     if missing and (definition.scoring.worst is None or len(missing) == len(values)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -11,10 +12,11 @@ from slamhive import strict_yaml
 from slamhive.domain.challenge import Format
 from slamhive.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
 from slamhive.files import held_folder, make_shared_folder, remedy_of, write_aside
-from slamhive.schema.challenge import ChallengeFile, SequenceEntry
+from slamhive.schema.challenge import ChallengeFile, SecretTimes, SequenceEntry
 from slamhive.services.challenges.definition import Definition, load_definition
-from slamhive.services.challenges.folder import DEFINITION, SECRET, SUBMISSIONS, ChallengeFolder
+from slamhive.services.challenges.folder import DEFINITION, RECORDINGS, SECRET, SUBMISSIONS, TIMES, ChallengeFolder
 from slamhive.services.challenges.frames import frame_trajectory
+from slamhive.services.challenges.recordings import keep_recording
 from slamhive.trajectory.kitti import parse_kitti_matrices
 from slamhive.trajectory.table import read_bounded
 from slamhive.trajectory.tum import read_tum
@@ -40,7 +42,7 @@ def create_challenge(root: Path, path: Path) -> ChallengeFolder:
     try:
         make_shared_folder(root)
         with held_folder(aside):
-            _fill(aside, definition.file, truths)
+            _fill(aside, definition.file, truths, path.parent)
             aside.rename(final)
     except OSError as error:
         shutil.rmtree(aside, ignore_errors=True)
@@ -51,15 +53,27 @@ def create_challenge(root: Path, path: Path) -> ChallengeFolder:
     return ChallengeFolder(final)
 
 
-def _fill(folder: Path, file: ChallengeFile, truths: dict[str, bytes]) -> None:
+def _fill(folder: Path, file: ChallengeFile, truths: dict[str, bytes], source: Path) -> None:
     secret = folder / SECRET
     secret.mkdir(mode=_PRIVATE_FOLDER)
     secret.chmod(_PRIVATE_FOLDER)  # whatever the umask says
     for name, data in truths.items():
         write_aside(secret / name, data, _PRIVATE_FILE)
+    for entry in file.sequences:
+        if entry.recording is not None:
+            keep_recording(source / entry.recording, entry.name, secret / RECORDINGS / entry.name)
     make_shared_folder(folder / SUBMISSIONS)
-    content = file.model_dump(mode="json", exclude_none=True, exclude={"sequences": {"__all__": {"groundtruth"}}})
-    write_aside(folder / DEFINITION, strict_yaml.dump(content))
+    times = {entry.name: entry.time_range_s for entry in file.sequences if entry.secret and entry.time_range_s}
+    if times:
+        write_aside(secret / TIMES, json.dumps(SecretTimes(time_ranges_s=times).content), _PRIVATE_FILE)
+    published = file.model_copy(update={"sequences": tuple(map(_published, file.sequences))})
+    write_aside(folder / DEFINITION, strict_yaml.dump(published.model_dump(mode="json", exclude_none=True)))
+
+
+def _published(entry: SequenceEntry) -> SequenceEntry:
+    """What everybody may know: the times of a secret recording would tell when it was made, and how long it is."""
+    kept = {"groundtruth": None, "recording": None if entry.recording is None else entry.name}
+    return entry.model_copy(update={**kept, "time_range_s": None} if entry.secret else kept)
 
 
 def _truths(definition: Definition, folder: Path) -> dict[str, bytes]:
@@ -78,7 +92,10 @@ def _truths(definition: Definition, folder: Path) -> dict[str, bytes]:
 
 def _tum_truth(entry: SequenceEntry, path: Path, longest_step_s: float | None) -> bytes:
     stamps_s = read_tum(path).stamps_s
-    assert entry.time_range_s is not None  # the definition was checked
+    if entry.time_range_s is None:
+        raise InvalidInput(
+            f"sequence {entry.name} needs time_range_s", "give it; the times of a secret recording are not published"
+        )
     first_s, last_s = entry.time_range_s
     if len(stamps_s) < 3 or stamps_s[0] < first_s or stamps_s[-1] > last_s:
         raise InvalidInput(

@@ -45,7 +45,7 @@ def _counted(definition: Definition, submissions: Iterable[SubmissionFolder], no
     chosen: dict[str, Scored] = {}
     for found in submissions:
         result = found.result
-        if result is None or result.failure is not None or now < result.shown_at:
+        if result is None or result.failure is not None or now < result.shown_at or found.cancelled:
             continue
         scored = Scored(found.sent, result, score_of(definition, result))
         team = scored.sent.team.casefold()

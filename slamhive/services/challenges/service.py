@@ -8,19 +8,37 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 
+from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.catalogue.version_folders import version_folder
 from slamhive.clock import utc_now
-from slamhive.domain.challenge import PhaseState, Reveal, phase_state
-from slamhive.errors import Conflict, InvalidInput
+from slamhive.domain.challenge import PhaseState, Reveal, Taken, phase_state
+from slamhive.errors import Conflict, InvalidInput, unknown
 from slamhive.files import write_aside
-from slamhive.schema.challenge import Challenge, ChallengeBrief, ChallengeRanking, ChallengeSubmission, PhaseEntry
+from slamhive.schema.challenge import (
+    Challenge,
+    ChallengeBrief,
+    ChallengeRanking,
+    ChallengeSubmission,
+    PhaseEntry,
+    StoredImage,
+)
 from slamhive.services.challenges.checking import check_files
-from slamhive.services.challenges.folder import CHANGES, ChallengeFolder, challenge_folder, challenge_names
+from slamhive.services.challenges.folder import (
+    CANCELLED,
+    CHANGES,
+    ChallengeFolder,
+    SubmissionFolder,
+    challenge_folder,
+    challenge_names,
+)
 from slamhive.services.challenges.making import create_challenge
+from slamhive.services.challenges.packed_images import check_image, choose_algorithm
 from slamhive.services.challenges.ranking import ranking_of
-from slamhive.services.challenges.submitting import Entrant, enter, open_phase
+from slamhive.services.challenges.submitting import Entrant, check_taken, enter, enter_image, open_phase
 from slamhive.services.challenges.views import brief_of, challenge_of, submission_of
 from slamhive.services.datasets import check_writable
 from slamhive.settings import Settings
+from slamhive.store import VersionRecord
 
 logger = logging.getLogger(__name__)
 
@@ -64,7 +82,9 @@ class Challenges:
     def check(self, name: str, files: Mapping[str, bytes], phase: str | None = None) -> list[str]:
         """Lines about files that could be submitted; raises what :meth:`submit` would raise for them."""
         definition = self._folder(name).definition
-        checked = check_files(definition, open_phase(definition, phase, self._clock()), files)
+        wanted = open_phase(definition, phase, self._clock())
+        check_taken(definition, wanted, Taken.TRAJECTORIES)
+        checked = check_files(definition, wanted, files)
         return [f"{entry.sequence}: {entry.facts.poses:,} poses" for entry in checked]
 
     def submit(
@@ -84,6 +104,63 @@ class Challenges:
         folder, now = self._folder(name), self._clock()
         found = enter(folder, open_phase(folder.definition, phase, now), entrant, files, now)
         return submission_of(folder.definition, found, now)
+
+    def submit_image(self, name: str, entrant: Entrant, image: Path, phase: str | None = None) -> ChallengeSubmission:
+        """Keep the archive of an image, and queue its runs; raises as :meth:`submit`."""
+        return self._submit_image(name, entrant, image, phase)
+
+    def submit_version(
+        self, name: str, entrant: Entrant, version: VersionRecord, phase: str | None = None
+    ) -> ChallengeSubmission:
+        """Queue runs of a version of a package of this installation; raises as :meth:`submit`."""
+        folder = version_folder(self._settings.versions_folder, version.package, version.number)
+        if not folder.is_dir():
+            raise InvalidInput(f"the folder of {version.label} was not kept", "name a newer version")
+        chosen = choose_algorithm(load_algorithms(folder), entrant.algorithm)
+        image = StoredImage(
+            package=version.package, algorithm=chosen.name, version=version.number, identity=version.identity
+        )
+        return self._submit_image(name, entrant, image, phase)
+
+    def _submit_image(
+        self, name: str, entrant: Entrant, image: Path | StoredImage, phase: str | None
+    ) -> ChallengeSubmission:
+        check_writable(self._settings)
+        folder, now = self._folder(name), self._clock()
+        found = enter_image(folder, open_phase(folder.definition, phase, now), entrant, image, now)
+        return submission_of(folder.definition, found, now)
+
+    def check_image(self, name: str, image: Path, algorithm: str | None, phase: str | None = None) -> str:
+        """A line about an archive that could be submitted; raises what :meth:`submit_image` would raise for it."""
+        definition = self._folder(name).definition
+        check_taken(definition, open_phase(definition, phase, self._clock()), Taken.IMAGES)
+        assert definition.file.images is not None  # the phase takes images
+        found = check_image(image, algorithm, definition.file.images.largest_mb)
+        if found.package is None:
+            return "an image; its package is drafted when it is loaded"
+        return f"package {found.package}, algorithm {found.algorithm}"
+
+    def cancel(self, name: str, submission_id: str, account: str | None = None) -> ChallengeSubmission:
+        """Cancel a submission, which still counts for its day; with ``account``, only one of this account.
+
+        Whether it has been evaluated makes no difference while its result is not shown: nobody shall learn that.
+
+        Raises NotFound, and Conflict if its result is shown already.
+        """
+        check_writable(self._settings)
+        folder, now = self._folder(name), self._clock()
+        found = _found(folder, submission_id, account)
+        result = found.result
+        if not found.cancelled:
+            if result is not None and result.shown_at <= now:
+                raise Conflict(f"the result of submission {submission_id} is shown already", "submit another one")
+            write_aside(found.root / CANCELLED, f"{now.isoformat()}\n", 0o640)
+        return submission_of(folder.definition, found, now)
+
+    def submission(self, name: str, submission_id: str, account: str | None = None) -> ChallengeSubmission:
+        """One submission; with ``account``, only one of this account. Raises NotFound."""
+        folder = self._folder(name)
+        return submission_of(folder.definition, _found(folder, submission_id, account), self._clock())
 
     def submissions(self, name: str, account: str | None = None) -> list[ChallengeSubmission]:
         """The submissions of an account, with None those of all, the newest first; raises NotFound."""
@@ -133,6 +210,15 @@ class Challenges:
 
     def _folder(self, name: str) -> ChallengeFolder:
         return challenge_folder(self._settings.challenges_folder, name)
+
+
+def _found(folder: ChallengeFolder, submission_id: str, account: str | None) -> SubmissionFolder:
+    known = {
+        entry.root.name: entry for entry in folder.submissions() if account is None or entry.sent.account == account
+    }
+    if submission_id not in known:
+        raise unknown("submission", submission_id[:80], list(known))
+    return known[submission_id]
 
 
 def _latest(folder: ChallengeFolder, now: datetime) -> PhaseEntry:

@@ -9,21 +9,24 @@ import hashlib
 import json
 import secrets
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import Path
 
-from slamhive.domain.challenge import PhaseState, phase_state
+from slamhive.domain.challenge import PhaseState, Taken, phase_state
 from slamhive.domain.names import check_name
 from slamhive.domain.numbers import plural
 from slamhive.errors import Conflict, Forbidden, InvalidInput, SlamHiveError, TooManyRequests, Unavailable
 from slamhive.files import held_folder, remedy_of, share_with_group, write_aside
-from slamhive.schema.challenge import PhaseEntry, StoredSubmission
+from slamhive.schema.challenge import PhaseEntry, StoredImage, StoredSubmission
 from slamhive.services.challenges.checking import CheckedFile, check_files
 from slamhive.services.challenges.definition import Definition
-from slamhive.services.challenges.folder import SENT, ChallengeFolder, SubmissionFolder
+from slamhive.services.challenges.folder import IMAGE, SENT, ChallengeFolder, SubmissionFolder
+from slamhive.services.challenges.packed_images import check_image
 
 DAY = "%Y%m%d"
+_BLOCK_BYTES = 1 << 20
 _FOLDER_MODE, _FILE_MODE = 0o750, 0o640
 """Teams do not see each other's trajectories, and other users of the machine do not see any."""
 
@@ -34,6 +37,8 @@ class Entrant:
 
     team: str
     account: str = ""
+    algorithm: str | None = None
+    """Of the package of an image; None for its only one."""
 
 
 def open_phase(definition: Definition, asked: str | None, now: datetime) -> PhaseEntry:
@@ -56,6 +61,16 @@ def open_phase(definition: Definition, asked: str | None, now: datetime) -> Phas
     return found[0]
 
 
+@dataclass(frozen=True, slots=True)
+class Submitted:
+    """What is kept of a submission: an identity, facts, and what writes its files into a folder."""
+
+    digest: str
+    write: Callable[[Path], None]
+    checked: Sequence[CheckedFile] = ()
+    image: StoredImage | None = None
+
+
 def enter(
     folder: ChallengeFolder, phase: PhaseEntry, entrant: Entrant, files: Mapping[str, bytes], now: datetime
 ) -> SubmissionFolder:
@@ -67,15 +82,61 @@ def enter(
         TooManyRequests: The account or the team has sent as many as it may today.
         Unavailable: The disk refuses.
     """
-    check_name("team", entrant.team)
+    check_taken(folder.definition, phase, Taken.TRAJECTORIES)
+
+    def check() -> Submitted:
+        checked = check_files(folder.definition, phase, files)
+        return Submitted(digest, lambda aside: _write_files(aside, checked), checked)
+
     digest = _digest(files)
+    return _enter(folder, phase, entrant, digest, check, now)
+
+
+def enter_image(
+    folder: ChallengeFolder, phase: PhaseEntry, entrant: Entrant, image: Path | StoredImage, now: datetime
+) -> SubmissionFolder:
+    """Keep the archive of an image, or note a version that is here. It then waits for its runs.
+
+    ``image`` is the archive, or the version. The algorithm of an archive is that of the entrant. Raises as
+    :func:`enter`.
+    """
+    check_taken(folder.definition, phase, Taken.IMAGES)
+    rules = folder.definition.file.images
+    assert rules is not None  # a phase takes images only where the challenge says how these run
+
+    def check() -> Submitted:
+        if isinstance(image, StoredImage):
+            return Submitted(digest, lambda _aside: None, image=image)
+        found = check_image(image, entrant.algorithm, rules.largest_mb)
+        return Submitted(digest, lambda aside: _copy(image, aside / IMAGE), image=found)
+
+    digest = _digest_of_image(image, entrant.algorithm)
+    return _enter(folder, phase, entrant, digest, check, now)
+
+
+def check_taken(definition: Definition, phase: PhaseEntry, what: Taken) -> None:
+    """Raise Conflict unless the phase takes ``what``."""
+    taken = definition.takes(phase)
+    if what not in taken:
+        raise Conflict(f"phase {phase.name} takes no {what.value}", f"submit {' or '.join(taken)}")
+
+
+def _enter(
+    folder: ChallengeFolder,
+    phase: PhaseEntry,
+    entrant: Entrant,
+    digest: str,
+    check: Callable[[], Submitted],
+    now: datetime,
+) -> SubmissionFolder:
+    check_name("team", entrant.team)
     again = _admitted(folder, phase, entrant, digest, now)  # files of those who may not submit are not even parsed
     if again is not None:
         return again
-    checked = check_files(folder.definition, phase, files)
+    submitted = check()
     with folder.entering():
         again = _admitted(folder, phase, entrant, digest, now)
-        return _store(folder, phase, entrant, digest, checked, now) if again is None else again
+        return _store(folder, phase, entrant, submitted, now) if again is None else again
 
 
 def _admitted(
@@ -113,12 +174,7 @@ def _check_limit(definition: Definition, phase: PhaseEntry, entrant: Entrant, se
 
 
 def _store(
-    folder: ChallengeFolder,
-    phase: PhaseEntry,
-    entrant: Entrant,
-    digest: str,
-    checked: Sequence[CheckedFile],
-    now: datetime,
+    folder: ChallengeFolder, phase: PhaseEntry, entrant: Entrant, submitted: Submitted, now: datetime
 ) -> SubmissionFolder:
     submission_id = f"{now:{DAY}}-{secrets.token_hex(6)}"
     sent = StoredSubmission(
@@ -127,8 +183,9 @@ def _store(
         team=entrant.team,
         account=entrant.account,
         at=now,
-        digest=digest,
-        files={entry.sequence: entry.facts for entry in checked},
+        digest=submitted.digest,
+        files={entry.sequence: entry.facts for entry in submitted.checked},
+        image=submitted.image,
     )
     final = folder.submission(submission_id)
     aside = folder.submissions_root / f".{submission_id}"
@@ -136,9 +193,7 @@ def _store(
         with held_folder(aside):
             aside.chmod(_FOLDER_MODE)
             share_with_group(aside)
-            for entry in checked:
-                for name, data in entry.files.items():
-                    write_aside(aside / name, data, _FILE_MODE)
+            submitted.write(aside)
             write_aside(aside / SENT, json.dumps(sent.content), _FILE_MODE)
             aside.rename(final.root)
     except (OSError, SlamHiveError) as error:
@@ -149,9 +204,34 @@ def _store(
     return final
 
 
+def _write_files(aside: Path, checked: Sequence[CheckedFile]) -> None:
+    for entry in checked:
+        for name, data in entry.files.items():
+            write_aside(aside / name, data, _FILE_MODE)
+
+
+def _copy(source: Path, target: Path) -> None:
+    shutil.copyfile(source, target)
+    target.chmod(_FILE_MODE)
+
+
 def _digest(files: Mapping[str, bytes]) -> str:
     digest = hashlib.sha256()
     for name, data in sorted(files.items()):
         digest.update(f"{name}\0{len(data)}\0".encode())
         digest.update(data)
+    return digest.hexdigest()
+
+
+def _digest_of_image(image: Path | StoredImage, algorithm: str | None) -> str:
+    digest = hashlib.sha256(f"{algorithm}\0".encode())
+    if isinstance(image, StoredImage):
+        digest.update(json.dumps(image.content).encode())
+        return digest.hexdigest()
+    try:
+        with image.open("rb") as stream:
+            while block := stream.read(_BLOCK_BYTES):
+                digest.update(block)
+    except OSError as error:
+        raise InvalidInput(f"{image.name} cannot be read: {error.strerror}") from None
     return digest.hexdigest()

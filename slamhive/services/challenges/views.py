@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import datetime
 
 import numpy as np
 
-from slamhive.domain.challenge import PhaseState, Reveal, Rule, SubmissionState, phase_state, rounded
+from slamhive.domain.challenge import Failure, PhaseState, Reveal, Rule, SubmissionState, phase_state, rounded
+from slamhive.domain.numbers import plural
+from slamhive.domain.versions import version_label
 from slamhive.schema.challenge import (
     Challenge,
     ChallengeBrief,
@@ -16,7 +17,9 @@ from slamhive.schema.challenge import (
     ChallengeSubmission,
     PhaseEntry,
     StoredFile,
+    StoredImage,
     StoredResult,
+    StoredSubmission,
 )
 from slamhive.services.challenges.definition import Definition
 from slamhive.services.challenges.folder import SubmissionFolder
@@ -66,6 +69,7 @@ def phase_of(definition: Definition, phase: PhaseEntry, now: datetime) -> Challe
         phase,
         state=phase_state(phase.begins, phase.ends, now),
         sequences=tuple(entry.name for entry in definition.sequences_of(phase)),
+        takes=definition.takes(phase),
         submissions_per_day=phase.submissions_per_day or definition.file.submissions_per_day,
         scores_shown=scores_shown(phase, now),
     )
@@ -74,17 +78,28 @@ def phase_of(definition: Definition, phase: PhaseEntry, now: datetime) -> Challe
 def submission_of(definition: Definition, found: SubmissionFolder, now: datetime) -> ChallengeSubmission:
     """A submission as its team sees it."""
     sent, result = found.sent, found.result
+    cancelled = found.cancelled
     if result is not None and now < result.shown_at:
         result = None
-    shown = result is not None and result.failure is None and scores_shown(definition.phase(sent.phase), now)
+    done = result is not None and result.failure is None and not cancelled
+    shown = done and scores_shown(definition.phase(sent.phase), now)
     return ChallengeSubmission.of(
         sent,
-        state=_state(result),
-        reason=None if result is None else result.failure,
-        log=tuple(_log(definition, sent.files, result, shown=shown)),
+        state=SubmissionState.CANCELLED if cancelled else _state(result),
+        reason=None if result is None or cancelled else result.failure,
+        image=None if sent.image is None else _image_words(sent.image),
+        log=tuple(_log(definition, found, result, shown=shown)),
+        run_logs={} if result is None or cancelled else found.logs,
         values=dict(result.values) if result is not None and shown else None,
         score=score_of(definition, result) if result is not None and shown else None,
     )
+
+
+def _image_words(image: StoredImage) -> str:
+    if image.package is None:
+        return image.algorithm or "image"
+    name = image.algorithm or image.package
+    return name if image.version is None else version_label(name, image.version)
 
 
 def score_of(definition: Definition, result: StoredResult) -> float:
@@ -105,13 +120,16 @@ def _state(result: StoredResult | None) -> SubmissionState:
     return SubmissionState.EVALUATED if result.failure is None else SubmissionState.FAILED
 
 
-def _log(
-    definition: Definition, files: Mapping[str, StoredFile], result: StoredResult | None, *, shown: bool
-) -> list[str]:
+def _log(definition: Definition, found: SubmissionFolder, result: StoredResult | None, *, shown: bool) -> list[str]:
     """What was done with each trajectory: facts of the submission, of the public file, and of shown values."""
-    lines = [_line(name, facts, definition.file.least_coverage) for name, facts in files.items()]
+    sent = found.sent
+    lines = [_line(name, facts, definition.file.least_coverage) for name, facts in sent.files.items()]
+    if found.cancelled:
+        return [*lines, Failure.CANCELLED.value]
     if result is None:
-        return [*lines, "waiting for the evaluation"]
+        return [*lines, _waiting(definition, sent)]
+    if sent.image is not None:
+        lines += [f"{name}: {reason}" for name, reason in result.reasons.items()]
     if result.failure is not None:
         return [*lines, f"failed: {result.failure}"]
     if not shown:
@@ -119,6 +137,15 @@ def _log(
     missing = [name for name, value in result.values.items() if value is None]
     worst = definition.scoring.worst
     return [*lines, "evaluated", *(f"{name}: no value, counts as {worst:g}" for name in missing)]
+
+
+def _waiting(definition: Definition, sent: StoredSubmission) -> str:
+    if sent.image is None or definition.file.images is None:
+        return "waiting for the evaluation"
+    every_h = definition.file.images.answers_every_h
+    return (
+        f"waiting for its runs and their evaluation; results are shown every {plural(every_h, 'hour')} from 00:00 UTC"
+    )
 
 
 def _line(name: str, facts: StoredFile, least: float) -> str:

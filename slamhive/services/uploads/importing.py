@@ -67,9 +67,9 @@ class UploadImports:
         with ExitStack() as opened:
             source = opened.enter_context(self._unpacked(request.upload, owner, progress))
             truth = (
-                None if request.groundtruth is None else opened.enter_context(self._file(request.groundtruth, owner))
+                None if request.groundtruth is None else opened.enter_context(self.opened(request.groundtruth, owner))
             )
-            calibration = [opened.enter_context(self._file(token, owner)) for token in request.calibration]
+            calibration = [opened.enter_context(self.opened(token, owner)) for token in request.calibration]
             made = import_dataset(self.catalogue, request, source, truth, calibration, _part(progress, _UNPACKED, 1.0))
         return self._finish(request, owner, made)
 
@@ -85,7 +85,7 @@ class UploadImports:
         def show(line: str) -> None:
             progress(_UNPACKED, line)
 
-        with self._file(request.upload, owner, progress) as path:
+        with self.opened(request.upload, owner, progress) as path:
             if is_export(path):
                 executor = self.executors.get(self.executors.choose(request.executor))
                 version, record = self.versions.load(path, executor)
@@ -105,7 +105,7 @@ class UploadImports:
         return result
 
     @contextmanager
-    def _file(self, token: str, owner: str, progress: Progress = lambda _done, _text: None) -> Iterator[Path]:
+    def opened(self, token: str, owner: str, progress: Progress = lambda _done, _text: None) -> Iterator[Path]:
         """The checked file under its own name, for the block."""
         folder = self.uploads.folder(token, owner)
         with (
@@ -119,7 +119,7 @@ class UploadImports:
     @contextmanager
     def _unpacked(self, token: str, owner: str, progress: Progress) -> Iterator[Path]:
         """The checked file, or the folder that was in the archive, for the block."""
-        with self._file(token, owner, progress) as path:
+        with self.opened(token, owner, progress) as path:
             if kind_of(path.name) not in (FileKind.ZIP, FileKind.TAR):
                 yield path
                 return

@@ -67,6 +67,11 @@ class Versions:
         """The versions of a package, the oldest first, with their number of runs."""
         return self._store.read(lambda t: t.versions.of(package))
 
+    def labels(self) -> list[str]:
+        """How users name the versions that have not been removed."""
+        records = self._store.read(lambda t: t.versions.all())
+        return [record.label for record in records if record.removed_at is None]
+
     def reports(self, package: str) -> tuple[VersionReport, ...]:
         """The versions of a package with what is here of them. Executors that do not answer are left out.
 

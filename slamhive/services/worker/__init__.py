@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from slamhive.services.worker.chores import Chores
     from slamhive.services.worker.lock import WorkerLock
     from slamhive.services.worker.meanwhile import WORKED_ON, WorkingMeanwhile
     from slamhive.services.worker.process import WorkerProcess
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "WORKED_ON",
+    "Chores",
     "Worker",
     "WorkerLock",
     "WorkerProcess",

@@ -16,11 +16,10 @@ from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.base import EngineUnavailable, Executor
 from slamhive.executors.identity import owner_is_dead, worker_identity
 from slamhive.executors.registry import AUTO
-from slamhive.services.analyses import AnalysisJobs
-from slamhive.services.challenges import ChallengeJudge
 from slamhive.services.datasets import Catalogue, Variants
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.notices import notices_of
+from slamhive.services.worker.chores import Chores
 from slamhive.services.worker.context import DriverContext, WorkerStopping
 from slamhive.services.worker.cpu_type import CpuType
 from slamhive.services.worker.driver import RunDriver
@@ -54,7 +53,7 @@ class Worker:
         catalogue: Algorithms and datasets.
         executors: The executor for a name.
         evaluations: Evaluates successful runs.
-        only: The only runs to work on; None for all.
+        work: The only runs to work on, or what to do between all runs.
     """
 
     def __init__(
@@ -64,15 +63,14 @@ class Worker:
         catalogue: Catalogue,
         executors: Callable[[str], Executor],
         evaluations: Evaluations,
-        only: Iterable[int] | None = None,
+        work: Iterable[int] | Chores,
     ) -> None:
         self._settings = settings
         self._store = store
         self._catalogue = catalogue
         self._evaluations = evaluations
-        self._analyses = AnalysisJobs(settings, store, catalogue.project_root)
-        self._judge = ChallengeJudge(settings, evaluations)
-        self._only = None if only is None else frozenset(only)
+        self._chores = work if isinstance(work, Chores) else None
+        self._only = None if isinstance(work, Chores) else frozenset(work)
         self._held = HeldRuns()
         self._stopping = threading.Event()
         self._next_evaluation_s = 0.0
@@ -100,19 +98,21 @@ class Worker:
         """Stop the worker; active runs continue without it."""
         self._stopping.set()
 
-    def run(self, *, until_idle: bool = False) -> None:
+    def run(self, *, until_idle: bool = False, cores: tuple[int, ...] | None = None) -> None:
         """Work until :meth:`stop`, or, with ``until_idle``, until there is nothing left to do.
+
+        ``cores`` are those of its slot, where another worker has given them away; None for what the settings say.
 
         Raises Conflict if a worker of this data root is already running on this machine.
         """
         slots = self._settings.worker_slots
-        cores = share_cores(slots) if self._takes_cores_here() else [None] * slots
+        shared = share_cores(slots) if self._takes_cores_here() and cores is None else [cores] * slots
         with WorkerLock(self._settings.data), noticing(notices_of(self._settings, self._store)):
             self._take_over_from_the_dead()
             self._store.recheck()
             self._sweep()
             threads = [
-                threading.Thread(target=self._slot, args=(cores[slot], until_idle), name=f"slot-{slot}")
+                threading.Thread(target=self._slot, args=(shared[slot], until_idle), name=f"slot-{slot}")
                 for slot in range(slots)
             ]
             heartbeat_ends = threading.Event()
@@ -179,15 +179,8 @@ class Worker:
         # Evaluate between runs, not beside them, and not after each run: one engine start serves many runs.
         self._next_evaluation_s = monotonic_s() + EVALUATION_INTERVAL_S
         evaluated = self._evaluations.work_once(self.owner, self._stopping, self._only, cores=cores)
-        # Analyses, too, run in place of a run and on the cores of this slot, so that they disturb no other slot.
-        # Submissions to challenges wait for the same reason.
-        others = self._only is None and self._work_on_others(cores)
+        others = self._chores is not None and self._chores.work_once(self.owner, self._stopping, cores)
         return run is not None or evaluated > 0 or others
-
-    def _work_on_others(self, cores: tuple[int, ...] | None) -> bool:
-        """Compute one analysis and evaluate submissions to one challenge; returns whether there was any."""
-        analysed = self._analyses.work_once(self.owner, self._stopping)
-        return self._judge.work_once(self._stopping, cores) > 0 or analysed
 
     def _waits_for_engine(self, away: Collection[str]) -> bool:
         """Whether runs were skipped because their engine was ``away``; it may be back by now."""

@@ -38,6 +38,7 @@ PLACES = {
     "key": Place("string", TEXT, "The key, from the list."),
     "token": Place("string", {"type": "string", "pattern": "^[0-9a-f]{32}$"}, "The token of the analysis."),
     "upload": Place("string", {"type": "string", "pattern": f"^{HEXADECIMAL}$"}, "The token of the upload."),
+    "submission": Place("string", TEXT, "The id of the submission."),
     "plot": Place("string", _choice(*PLOTS_WITH_DATA), "The plot."),
     "sensor": Place("string", TEXT, "The name of the sensor."),
     "action": Place(f"any({', '.join(map(repr, _CHANGES))})", _choice(*_CHANGES), "What to do."),

@@ -13,6 +13,7 @@ from slamhive.schema.challenge import (
     ChallengeSubmission,
     ChallengeSubmissions,
 )
+from slamhive.schema.challenge_requests import ImageEntry
 from slamhive.web import challenge_files
 from slamhive.web.api.arguments import ENTRY_ARGUMENTS, PHASE_ARGUMENTS
 from slamhive.web.api.operation import Bytes, Section
@@ -60,3 +61,18 @@ def submit_to_challenge(name: str, body: IO[bytes]) -> ChallengeSubmission:
     """
     files = challenge_files.of_body(body)
     return challenge_files.send(name, request.args.get("team", ""), request.args.get("phase", ""), files)
+
+
+@TABLE.post(Section.CHALLENGES, "/challenges/{name}/images", ChallengeSubmission, body=ImageEntry, status=202)
+def submit_image_to_challenge(name: str, body: ImageEntry) -> ChallengeSubmission:
+    """Submit an image, which runs on the recordings of the challenge.
+
+    The answer comes when the upload has been checked. That takes about ten seconds for each GB.
+    """
+    return challenge_files.send_image(name, body)
+
+
+@TABLE.post(Section.CHALLENGES, "/challenges/{name}/submissions/{submission}/cancel", ChallengeSubmission)
+def cancel_challenge_submission(name: str, submission: str) -> ChallengeSubmission:
+    """Cancel a submission whose result is not shown yet. It still counts for its day."""
+    return challenge_files.cancel(name, submission)

@@ -6,6 +6,8 @@ from flask import Blueprint, Response, flash, make_response, redirect, render_te
 from flask import url_for as address
 
 from slamhive.domain.challenge import shown
+from slamhive.schema.challenge_requests import ImageEntry
+from slamhive.schema.model import parse
 from slamhive.web import challenge_files
 from slamhive.web.context import caller, hive
 
@@ -28,6 +30,7 @@ def show(name: str) -> str:
         ranking=challenges.ranking(name, request.args.get("phase") or None),
         submissions=challenge_files.own_submissions(name),
         may_submit=challenge_files.may_submit(),
+        versions=hive().versions.labels(),
         team=caller().account,
         shown=shown,
     )
@@ -39,4 +42,22 @@ def submit(name: str) -> Response:
     files = challenge_files.of_form(request.files.getlist("files"))
     made = challenge_files.send(name, request.form.get("team", "").strip(), request.form.get("phase", ""), files)
     flash(f"Submission {made.id} of team {made.team} waits for its evaluation.", "success")
+    return make_response(redirect(address("challenges.show", name=name, phase=made.phase), 303))
+
+
+@blueprint.post("/<name>/submit-package")
+def submit_package(name: str) -> Response:
+    """Take a version of a package, and queue its runs."""
+    fields = ("package", "algorithm", "team", "phase")
+    asked = parse(ImageEntry, {field: request.form.get(field, "").strip() for field in fields})
+    made = challenge_files.send_image(name, asked)
+    flash(f"Submission {made.id} of team {made.team} waits for its runs.", "success")
+    return make_response(redirect(address("challenges.show", name=name, phase=made.phase), 303))
+
+
+@blueprint.post("/<name>/submissions/<submission>/cancel")
+def cancel(name: str, submission: str) -> Response:
+    """Cancel a submission of the caller."""
+    made = challenge_files.cancel(name, submission)
+    flash(f"Submission {made.id} of team {made.team} is cancelled.", "success")
     return make_response(redirect(address("challenges.show", name=name, phase=made.phase), 303))
