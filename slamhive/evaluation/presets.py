@@ -9,6 +9,7 @@ from typing import Any
 from slamhive.domain.metrics.segments import LONG_LENGTHS_M, SEGMENT_PERCENTS, SHORT_LENGTHS_M, length_name
 from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol, RpePairs, SegmentRule
 from slamhive.errors import InvalidInput
+from slamhive.evaluation.evaluators.hilti import HILTI
 from slamhive.registry import Registry, instances_of
 
 
@@ -165,5 +166,18 @@ PRESETS.register(
         "quaternions. It uses the timestamps of the images instead (up to 2 % of the ATE, 17 % of a segment error), "
         "and does not normalise quaternions (at most 0.01 %).",
         source="Schops et al., BAD SLAM, CVPR 2019; https://github.com/ETH3D/slam-evaluation",
+    ),
+)
+PRESETS.register(
+    "hilti-2026",
+    Preset(
+        title="Hilti x Trimble SLAM Challenge 2026, SLAM task",
+        protocol=HILTI,
+        metrics=("hilti.score", "ate.rmse"),
+        differs="Each pose of the ground truth after its first 5 s takes the nearest of the estimate within 0.05 s. "
+        "SE(3) over these. A pose scores 100 exp(-0.4605 e) for an error of e metres; the score is the mean, or zero "
+        "below 99 % coverage. `ate.rmse` does not skip the first 5 s. Equal to the script of a participant; the "
+        "challenge publishes none, so this is unverified.",
+        source="https://hilti-trimble-challenge.com; https://github.com/Hilti-Research/hilti-trimble-slam-challenge-2026",
     ),
 )

@@ -87,7 +87,7 @@ class ChallengeFile(_Part):
     name: Name
     title: str = Field(min_length=1, max_length=200)
     description: str = Field("", max_length=LONGEST_TEXT, description="Markdown.")
-    preset: Literal["mean", "eth3d", "kitti"] = Field(description="How values become a score.")
+    preset: Literal["mean", "eth3d", "kitti", "hilti-2026"] = Field(description="How values become a score.")
     protocol: str | dict[str, Any] | None = Field(
         None, description="For mean: name of a protocol, or the fields of one, alignment among them."
     )

@@ -26,7 +26,7 @@ def evaluated(name: str, reference: Trajectory, estimate: Trajectory) -> tuple[M
 
 
 def test_presets_show_figures_of_the_catalogue_in_words() -> None:
-    assert PRESETS.names() == ["eth3d", "evo", "kitti", "ov", "rpg", "slam-hive", "tum"]
+    assert PRESETS.names() == ["eth3d", "evo", "hilti-2026", "kitti", "ov", "rpg", "slam-hive", "tum"]
     fingerprints = {preset.protocol.fingerprint for _, preset in PRESETS}
     assert len(fingerprints) == len(PRESETS.names())
     for _, preset in PRESETS:

@@ -85,7 +85,8 @@ def test_the_ground_truth_is_kept_apart_and_only_its_owner_can_read_it(world: Wo
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"preset": "hilti-2026"}, "preset: must be 'mean', 'eth3d' or 'kitti'"),
+        ({"preset": "hilti"}, "preset: must be 'mean', 'eth3d', 'kitti' or 'hilti-2026'"),
+        ({"preset": "hilti-2026", "protocol": None, "metric": None}, "counts a failed sequence as 0"),
         ({"worst": None}, "the preset mean needs worst"),
         ({"metric": "ate.rms"}, "did you mean 'ate.rmse'?"),
         ({"metric": "cpu.mean"}, "cpu.mean ranks nobody"),
@@ -474,3 +475,30 @@ def test_the_public_file_can_be_read_again(world: World):
     found = world.challenges.get("rooms")
     assert (found.metric, found.worst, found.score_unit) == ("ate.rmse", 1.0, "m")
     assert world.challenges.briefs()[0].open_phases == ("public",)
+
+
+def test_the_preset_of_hilti_counts_scores(tmp_path: Path):
+    world = World(tmp_path)
+    content = {
+        key: value for key, value in rooms(2, preset="hilti-2026").items() if key not in ("protocol", "metric", "worst")
+    }
+    stamps = {number: truth(number, rate_hz=20.0) for number in range(2)}
+    folder = tmp_path / "organiser"
+    folder.mkdir()
+    for number, rows in stamps.items():
+        (folder / f"truth-{number}.txt").write_bytes(text(rows))
+        content["sequences"][number]["time_range_s"] = [999, 1016]
+    world.challenges.create(write_challenge(folder, content))
+    for team, sigma_m in (("good", 0.01), ("bad", 2.0)):
+        files = {f"room-{number}.txt": text(noisy(rows, sigma_m, number)) for number, rows in stamps.items()}
+        world.challenges.submit("rooms", Entrant(team), files)
+    world.challenges.submit(
+        "rooms", Entrant("half"), {"room-0.txt": text(stamps[0]), "room-1.txt": text(stamps[1][:150])}
+    )
+    world.judge()
+    teams = world.challenges.ranking("rooms").teams
+    assert teams[0].team == "good"
+    scores = {team.team: team.score for team in teams}
+    assert 95 < scores["good"] <= 100
+    assert scores["half"] == 50.0
+    assert 0 < scores["bad"] < 50

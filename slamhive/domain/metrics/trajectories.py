@@ -39,6 +39,17 @@ def _absolute() -> list[Metric]:
         *statistics(_one("ate", "ATE", "m", Group.ABSOLUTE, where, _EVO), _ALL),
         *statistics(_one("ate_rot", "ATE rotation", "deg", Group.ABSOLUTE, turn, _EVO), _MAIN),
         *_relative_size(),
+        Metric(
+            "hilti.score",
+            "Hilti 2026 score",
+            "",
+            Direction.HIGHER,
+            "The mean of 100 exp(-0.4605 e) over the poses of the ground truth after its first 5 s, where e is the "
+            "distance in metres after SE(3) alignment. It is 0 if less than 99 % of these poses have one of the "
+            "estimate within 0.05 s. Only under the protocol hilti-2026.",
+            group=Group.ABSOLUTE,
+            source="Hilti x Trimble SLAM Challenge 2026",
+        ),
     ]
 
 

@@ -18,6 +18,7 @@ from slamhive.evaluation.evaluators.completeness import Coverage, Robustness
 from slamhive.evaluation.evaluators.consistency import Consistency
 from slamhive.evaluation.evaluators.drift import AppliedAlignment, ScaleErrors, StartEndDrift
 from slamhive.evaluation.evaluators.evo_errors import AbsoluteError, RelativeError
+from slamhive.evaluation.evaluators.hilti import HiltiScore
 from slamhive.evaluation.evaluators.kitti import KittiProtocol
 from slamhive.evaluation.evaluators.map_quality import MapQuality
 from slamhive.evaluation.evaluators.plugin import PluginEvaluator
@@ -48,6 +49,7 @@ EVALUATORS.register("rpe", RelativeError())
 EVALUATORS.register("rpe_by", RelativeErrors())
 EVALUATORS.register("kitti", KittiProtocol())
 EVALUATORS.register("segment", SegmentErrors())
+EVALUATORS.register("hilti", HiltiScore())
 EVALUATORS.register("drift", StartEndDrift())
 EVALUATORS.register("scale", ScaleErrors())
 EVALUATORS.register("coverage", Coverage())

@@ -18,7 +18,7 @@ from slamhive.errors import InvalidInput, NotFound, unknown
 from slamhive.evaluation.presets import PRESETS as PROTOCOLS
 from slamhive.schema.challenge import ChallengeFile, PhaseEntry, SequenceEntry
 from slamhive.schema.validation import first_problem_at
-from slamhive.services.challenges.presets import ETH3D, KITTI, MEAN, PRESETS, ChallengePreset
+from slamhive.services.challenges.presets import ETH3D, HILTI_2026, KITTI, MEAN, PRESETS, ChallengePreset
 
 
 @dataclass(frozen=True)
@@ -115,6 +115,8 @@ def _problems_of_scoring(definition: Definition) -> Iterator[InvalidInput]:
         yield InvalidInput("the preset mean needs worst", "give the value that a failed sequence has")
     if file.preset == ETH3D and definition.scoring.worst is not None and definition.scoring.worst <= 0:
         yield InvalidInput(f"worst {file.worst:g} is not above 0", "give the largest error that counts")
+    if file.preset == HILTI_2026 and file.worst is not None:
+        yield InvalidInput("the preset hilti-2026 counts a failed sequence as 0", "leave out worst")
     if file.preset == KITTI and (file.worst is not None or file.least_coverage > 0):
         yield InvalidInput("the preset kitti needs every frame", "leave out worst and least_coverage")
     if definition.metric.direction is Direction.NEUTRAL or not definition.metric.needs_protocol:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from slamhive.domain.challenge import Format, Rule
 
-MEAN, ETH3D, KITTI = "mean", "eth3d", "kitti"
+MEAN, ETH3D, KITTI, HILTI_2026 = "mean", "eth3d", "kitti", "hilti-2026"
 WEIGHT = "kitti.segments"
 """The metric that says how much a sequence weighs in a pooled score."""
 
@@ -48,5 +48,13 @@ PRESETS: Mapping[str, ChallengePreset] = {
         None,
         Format.KITTI,
         "The mean translation error over the segments of all sequences. Every frame of every sequence is needed.",
+    ),
+    HILTI_2026: ChallengePreset(
+        "hilti-2026",
+        "hilti.score",
+        Rule.MEAN,
+        0.0,
+        Format.TUM,
+        "The mean score over all sequences: 100 for each pose without an error, 1 for one that is off by 10 m.",
     ),
 }
