@@ -1,7 +1,8 @@
 """What a viewer may see: rows that are hidden from the viewer are in no answer of the database.
 
 A connection that reads for a viewer adds a condition to each SELECT, also to those inside others, while SQLAlchemy
-turns it into text. So no query has to think of viewers, and none can forget them. Where nothing is hidden, nothing is added.
+turns it into text. So no query has to think of viewers, and none can forget them. Where nothing is hidden, nothing is
+added.
 """
 
 from __future__ import annotations
