@@ -21,6 +21,7 @@ from _pytest.mark.expression import Expression
 
 from tests import durability
 from tests.sharing import SHARED_FOLDER
+from tests.workers import pytest_addoption, pytest_runtestloop  # noqa: F401 - pytest finds them here
 
 if TYPE_CHECKING:
     from slamhive.services.hive import Hive
@@ -31,6 +32,8 @@ TESTS = Path(__file__).parent
 NAMED_MARK = re.compile(r"(?:\bmark\.|\")(\w+)")
 IMPORTED = re.compile(r"^from tests\.([\w.]+) import", re.MULTILINE)
 PYTESTMARK = re.compile(r"^pytestmark = (\[[^\]]*\]|.*)", re.MULTILINE)
+MARKS_OF_MANY = re.compile(r"^([A-Z]+) = (\[\s+pytest\.mark\.[^\]]*\])", re.MULTILINE)
+"""Marks under a name that several files give to ``pytestmark``."""
 
 
 LONGEST = (
@@ -61,16 +64,11 @@ LATEST = ("end_to_end/test_variants_real.py",)
 """Files that need what another tier makes meanwhile."""
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """``--part 1/2``: for tiers of short tests, where workers that each collect everything would take twice as long."""
-    parser.addoption("--part", default="1/1", metavar="K/N", help="run the files of the K-th of N parts")
-
-
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Nothing is imported of a file of another part, or of which ``-m`` can select no test, nor of such a folder."""
+    """Nothing is imported of a file of which ``-m`` can select no test, nor of such a folder."""
     if not config.option.markexpr:
         return None
-    wanted = files_of_part(config.option.markexpr, config.getoption("part"))
+    wanted = files_with(config.option.markexpr)
     if collection_path.is_dir():
         files = list(collection_path.rglob("test_*.py"))
         return True if files and wanted.isdisjoint(files) else None
@@ -78,24 +76,30 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 @functools.cache
-def files_of_part(marks: str, part: str) -> frozenset[Path]:
-    """The files of a part, such as ``1/2``, of which marks can select tests. Each part gets long and short ones."""
+def files_with(marks: str) -> frozenset[Path]:
+    """The files of which marks can select tests."""
     wanted = Expression.compile(marks)
-    files = [path for path in TESTS.rglob("test_*.py") if may_be_selected(path, wanted)]
-    files.sort(key=lambda path: (-path.stat().st_size, path))
-    number, count = (int(figure) for figure in part.split("/"))
-    return frozenset(files[number - 1 :: count])
+    return frozenset(path for path in TESTS.rglob("test_*.py") if may_be_selected(path, wanted))
 
 
 def may_be_selected(path: Path, wanted: Expression) -> bool:
     """Whether tests of a file can be wanted, whatever marks that it names they add to those of the file."""
     found = PYTESTMARK.search(path.read_text(encoding="utf-8"))
-    own = set(re.findall(r"mark\.(\w+)", found[1])) if found else set()
+    own = set(re.findall(r"mark\.(\w+)", marks_of_many().get(found[1], found[1]))) if found else set()
     folders = itertools.takewhile(lambda folder: folder != TESTS, path.parents)
     conftests = [folder / "conftest.py" for folder in folders if (folder / "conftest.py").is_file()]
     named = sorted(named_marks((path, *conftests)))
     more = itertools.chain.from_iterable(itertools.combinations(named, count) for count in range(len(named) + 1))
     return any(wanted.evaluate(functools.partial(is_among, own.union(some))) for some in more)
+
+
+@functools.cache
+def marks_of_many() -> dict[str, str]:
+    """What files import for ``pytestmark``, by name."""
+    helpers = (path for path in TESTS.rglob("*.py") if not path.name.startswith("test_"))
+    return dict(
+        itertools.chain.from_iterable(MARKS_OF_MANY.findall(path.read_text(encoding="utf-8")) for path in helpers)
+    )
 
 
 def named_marks(files: Iterable[Path]) -> set[str]:
@@ -127,7 +131,7 @@ def is_among(marks: set[str], name: str, /, **_: object) -> bool:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """``LONGEST`` first, in its order, ``LATEST`` last. Workers get whole files in the order of their tests."""
+    """``LONGEST`` first, in its order, ``LATEST`` last. Workers take whole files in this order."""
     places = {TESTS / name: place - len(LONGEST) for place, name in enumerate(LONGEST)}
     places |= {TESTS / name: place + 1 for place, name in enumerate(LATEST)}
     items.sort(key=lambda item: places.get(item.path, 0))

@@ -87,8 +87,8 @@ class Outcome:
 class Tier:
     """One tier: what must be there first, the commands, or the pytest marks that select its tests.
 
-    Each of the ``workers`` takes the next file when it is free. ``parts`` are for short tests: each process imports
-    only the files that it runs. ``limit_s`` is the time that the tier may take if each process has a core.
+    Each of the ``workers`` takes the next file when it is free. ``limit_s`` is the time that the tier may take if each
+    process has a core.
     It fails if it uses more CPU time than that, and warns if it only takes longer.
     Tests of a tier without ``engine`` see no Docker engine, so that they behave the same on every machine.
     Tiers that follow each other in the list and name the same ``group`` run together.
@@ -99,7 +99,6 @@ class Tier:
     commands: tuple[tuple[str, ...], ...] = ()
     marks: str = ""
     workers: int = 1
-    parts: int = 1
     limit_s: float | None = None
     engine: bool = False
     prepare: Callable[[], str] = lambda: ""
@@ -147,8 +146,8 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         ),
         Tier("imports", ((str(BIN / "lint-imports"),),), group="static"),
         Tier("docs", (with_site,), group="static"),
-        Tier("unit", marks=f"not quick and {PLAIN}", parts=2, limit_s=UNIT_LIMIT_S),
-        Tier("quick", marks=f"quick and {PLAIN}", parts=2, limit_s=QUICK_LIMIT_S),
+        Tier("unit", marks=f"not quick and {PLAIN}", workers=2, limit_s=UNIT_LIMIT_S),
+        Tier("quick", marks=f"quick and {PLAIN}", workers=2, limit_s=QUICK_LIMIT_S),
         Tier(
             "integration",
             marks="integration and not docker and not mysql and not cluster and not browser",
@@ -247,7 +246,7 @@ def check_time(tier: Tier, outcome: Outcome, limit_s: float) -> None:
 
     A slow machine gets as much more time as it needs for work of which the reference is known.
     """
-    cpu_limit_s = limit_s * tier.workers * tier.parts
+    cpu_limit_s = limit_s * tier.workers
     if outcome.cpu_s > cpu_limit_s:
         if outcome.cpu_s > cpu_limit_s * outcome.slowness:
             outcome.state = "failed"
@@ -270,25 +269,13 @@ def run_commands(tier: Tier, output: IO[bytes] | None) -> Outcome:
 
 
 def run_pytest(tier: Tier, output: IO[bytes] | None) -> Outcome:
-    """Run the tests that carry the marks of a tier, all parts at once. The first prints as it goes."""
-    with contextlib.ExitStack() as stack:
-        later = [stack.enter_context(tempfile.TemporaryFile()) for _ in range(tier.parts - 1)]
-        with ThreadPoolExecutor(tier.parts) as pool:
-            outcomes = list(pool.map(run_part, itertools.repeat(tier), range(1, tier.parts + 1), [output, *later]))
-        for printed in later:
-            printed.seek(0)
-            _write(printed.read(), output)
-    return together(outcomes)
-
-
-def run_part(tier: Tier, part: int, output: IO[bytes] | None) -> Outcome:
-    """Run one part of a tier and read pytest's own report."""
+    """Run the tests that carry the marks of a tier and read pytest's own report."""
     with tempfile.TemporaryDirectory() as folder:
         report_path = Path(folder) / "report.xml"
         command = [sys.executable, "-m", "pytest", "-q", "--durations=8", "-m", tier.marks]
-        command += [f"--junitxml={report_path}", f"--part={part}/{tier.parts}"]
-        if tier.workers > 1 and (os.cpu_count() or 1) > 1:
-            command += ["-n", str(tier.workers), "--dist", "loadfile", "--no-loadscope-reorder"]
+        command += [f"--junitxml={report_path}"]
+        if (os.cpu_count() or 1) > 1:
+            command.append(f"--workers={tier.workers}")
         environment = os.environ if tier.engine else {**os.environ, "DOCKER_HOST": NO_ENGINE}
         code, cpu_s = run_measured(command, environment, output)
         outcome = read_report(report_path)
@@ -297,20 +284,6 @@ def run_part(tier: Tier, part: int, output: IO[bytes] | None) -> Outcome:
         outcome.state = "failed"
         outcome.note = "no test carries its marks" if code == NO_TESTS else f"pytest ended with {code}, see above"
     return outcome
-
-
-def together(parts: Sequence[Outcome]) -> Outcome:
-    """The outcome of a tier that ran in parts."""
-    whole = Outcome()
-    for part in parts:
-        if part.state != "passed":
-            whole.state, whole.note = part.state, part.note
-        whole.cpu_s += part.cpu_s
-        whole.passed += part.passed
-        whole.failed += part.failed
-        whole.skipped += part.skipped
-        whole.file_s |= part.file_s
-    return whole
 
 
 def read_report(path: Path) -> Outcome:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from _pytest.mark.expression import Expression
 
-from tests.conftest import LATEST, LONGEST, TESTS, files_of_part, may_be_selected
+from tests.conftest import LATEST, LONGEST, TESTS, may_be_selected
 
 
 @pytest.mark.parametrize(
@@ -18,6 +18,8 @@ from tests.conftest import LATEST, LONGEST, TESTS, files_of_part, may_be_selecte
         ("base/test_errors.py", "mysql", False),
         ("base/test_errors.py", "not docker", True),
         ("evaluation/test_hints.py", "not integration", False),
+        ("web/test_web_viewer.py", "browser", True),  # its marks have a name in another file
+        ("web/test_web_viewer.py", "not browser", False),
     ],
 )
 def test_files_are_read_for_the_marks_that_their_tests_may_have(file: str, marks: str, read: bool) -> None:
@@ -26,10 +28,3 @@ def test_files_are_read_for_the_marks_that_their_tests_may_have(file: str, marks
 
 def test_files_that_begin_first_exist() -> None:
     assert [name for name in (*LONGEST, *LATEST) if not (TESTS / name).is_file()] == []
-
-
-def test_each_file_is_in_one_part() -> None:
-    parts = [files_of_part("quick", f"{number}/3") for number in (1, 2, 3)]
-    assert frozenset().union(*parts) == files_of_part("quick", "1/1")
-    assert sum(map(len, parts)) == len(files_of_part("quick", "1/1"))
-    assert min(map(len, parts)) > 0

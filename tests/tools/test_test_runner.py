@@ -88,7 +88,7 @@ def test_a_busy_or_slow_machine_fails_no_tier_but_slow_tests_do(
 ):
     ended = runner.Outcome(passed=1, seconds=seconds, cpu_s=cpu_s, slowness=slowness)
     monkeypatch.setattr(runner, "run_timed", lambda tier: ended)
-    outcome = runner.run_group([runner.Tier("unit", marks="x", parts=2, limit_s=10.0)])["unit"]
+    outcome = runner.run_group([runner.Tier("unit", marks="x", workers=2, limit_s=10.0)])["unit"]
     assert (outcome.state, outcome.note) == (state, note)
 
 
@@ -118,17 +118,6 @@ def test_slowness_is_measured_while_a_tier_runs(runner, monkeypatch):
     with runner.speed.slowness_meanwhile(every_s=0.0) as slowness:
         assert seen.wait(10.0)
     assert slowness.factor() == pytest.approx(2.0)
-
-
-def test_a_tier_in_parts_has_one_outcome(runner, monkeypatch):
-    parts = {
-        1: runner.Outcome(passed=2, cpu_s=1.0, file_s={"a": 1.0}),
-        2: runner.Outcome("failed", "pytest ended with 1, see above", passed=1, failed=1, cpu_s=2.0, file_s={"b": 2.0}),
-    }
-    monkeypatch.setattr(runner, "run_part", lambda tier, part, output: parts[part])
-    whole = runner.run_pytest(runner.Tier("unit", marks="x", parts=2), None)
-    assert (whole.state, whole.note, whole.passed, whole.failed) == ("failed", parts[2].note, 3, 1)
-    assert (whole.cpu_s, whole.file_s) == (3.0, {"a": 1.0, "b": 2.0})
 
 
 def test_compiled_modules_are_kept(runner, monkeypatch):
