@@ -66,7 +66,8 @@ class Sampler:
         self._peak_bytes: int | None = None
         self.most_bytes: int | None = None
         """The most memory of the samples so far, None before the first."""
-        self._ends = threading.Event()
+        self.ends = threading.Event()
+        """Set when sampling is to end; between samples, it is waited for."""
         self._thread = threading.Thread(target=self._run, name=f"sampler {path.parent.name}", daemon=True)
 
     def start(self) -> None:
@@ -75,7 +76,7 @@ class Sampler:
 
     def stop(self) -> int | None:
         """End, and return the kernel's high-water mark of memory (bytes) as last read, None if there is none."""
-        self._ends.set()
+        self.ends.set()
         if self._thread.ident is not None:
             self._thread.join()
         return self._peak_bytes
@@ -110,7 +111,7 @@ class Sampler:
     def _sample(self, stream: IO[str]) -> None:
         before: tuple[float, float] | None = None
         due_s = self._clock()
-        while not self._ends.is_set():
+        while not self.ends.is_set():
             usage = self._source.read()
             now_s = self._clock()
             if usage is None:
@@ -132,4 +133,4 @@ class Sampler:
             due_s += self._interval_s
             if due_s - now_s < self._interval_s / 2:
                 due_s = now_s + self._interval_s  # Samples close together would tell of the counter's steps.
-            self._ends.wait(due_s - now_s)
+            self.ends.wait(due_s - now_s)

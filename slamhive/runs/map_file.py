@@ -29,7 +29,8 @@ from slamhive.evaluation.pcd import (
 )
 from slamhive.runs.untrusted import LONGEST_LINE_BYTES, FloatArray, open_regular_file
 
-_PIECE_BYTES = 8_000_000
+PIECE_BYTES = 8_000_000
+"""How much of a map is read at a time."""
 MOST_PACKED_BYTES = 32_000_000
 """A compressed map is unpacked whole; a larger one is refused."""
 _INTENSITIES = ("intensity", "reflectivity")
@@ -65,7 +66,7 @@ class MapFile:
 
     def _binary(self) -> Iterator[FloatArray]:
         size = self.header.point_bytes
-        at_once = max(1, _PIECE_BYTES // size)
+        at_once = max(1, PIECE_BYTES // size)
         for start in range(0, self.points, at_once):
             wanted = min(at_once, self.points - start) * size
             data = self.stream.read(wanted)
@@ -126,7 +127,7 @@ def finite(rows: FloatArray) -> FloatArray:
 def _blocks_of_lines(stream: BinaryIO, name: str) -> Iterator[Iterator[str]]:
     """The lines of a text that are not empty, those of some megabytes at a time."""
     rest = b""
-    while data := stream.read(_PIECE_BYTES):
+    while data := stream.read(PIECE_BYTES):
         whole, end, rest = (rest + data).rpartition(b"\n")
         if len(rest) > LONGEST_LINE_BYTES:
             raise malformed(name, f"it has a line of more than {LONGEST_LINE_BYTES} bytes")

@@ -171,7 +171,7 @@ def test_equal_builds_make_equal_bytes(source, tmp_path):
 
 
 def test_large_chunks_are_worked_on_in_parts(tmp_path, monkeypatch):
-    monkeypatch.setattr(ros1_rewrite, "_PIECE_BYTES", 20_000)
+    monkeypatch.setattr(ros1_rewrite, "PIECE_BYTES", 20_000)
     write_bag(tmp_path / "d.bag", stereo(), chunk=10**9)
     source = dataset(tmp_path)
     made = build(source, tmp_path / "v", THIRD, HALF)

@@ -270,6 +270,7 @@ class LateReadings:
         self.now_s = 0.0
         self._left = readings
         self._late = {readings - 2: late_s}
+        self.closed = threading.Event()
 
     def read(self) -> tuple[float, int] | None:
         self._left -= 1
@@ -280,7 +281,7 @@ class LateReadings:
         return None
 
     def close(self) -> None:
-        pass
+        self.closed.set()
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.05, 0.095, 0.15, 0.19, 3.0])
@@ -293,9 +294,9 @@ def test_a_late_sample_is_not_followed_by_one_at_once(tmp_path, monkeypatch, lat
             source.now_s += timeout or 0.0
             return False
 
-    monkeypatch.setattr(sampler, "_ends", Clockwork())
+    monkeypatch.setattr(sampler, "ends", Clockwork())
     sampler.start()
-    sampler._thread.join(5)
+    assert source.closed.wait(5)
     cores = [float(line.split(",")[1]) for line in (tmp_path / "profiling.csv").read_text().splitlines()[1:]]
     assert len(cores) == 19
     assert max(cores) <= 1.25

@@ -33,7 +33,7 @@ def plane(count: int) -> np.ndarray:
 @pytest.fixture
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files are read in so many pieces that every seam is crossed."""
-    monkeypatch.setattr(map_file, "_PIECE_BYTES", 1000)
+    monkeypatch.setattr(map_file, "PIECE_BYTES", 1000)
 
 
 def written(tmp_path: Path, content: bytes) -> Path:
@@ -147,7 +147,7 @@ def test_a_link_is_not_followed(tmp_path: Path):
 
 
 def test_memory_does_not_grow_with_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(map_file, "_PIECE_BYTES", 100_000)
+    monkeypatch.setattr(map_file, "PIECE_BYTES", 100_000)
     peaks = []
     for count in (30_000, 300_000):
         path = written(tmp_path, format_pcd(plane(count)))

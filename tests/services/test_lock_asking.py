@@ -30,7 +30,7 @@ def test_asking_makes_no_file(tmp_path):
 
 
 def test_a_worker_that_starts_while_somebody_asks_is_not_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(lock_module, "_PATIENCE_S", PATIENCE_S)
+    monkeypatch.setattr(lock_module, "PATIENCE_S", PATIENCE_S)
     lock = WorkerLock(tmp_path)
     with lock:
         pass

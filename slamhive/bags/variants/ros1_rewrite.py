@@ -33,7 +33,7 @@ from slamhive.bags.variants.ros1_index import (
 )
 from slamhive.runtime.recording import DAMAGE, damaged
 
-_PIECE_BYTES = 4 << 20
+PIECE_BYTES = 4 << 20
 """Of source data that one piece covers where the source can be cut anywhere (chunks without compression)."""
 
 
@@ -97,9 +97,9 @@ def _rewrites(
 ) -> Iterator[RewritePiece]:
     """One piece for a chunk, or several for a large one that is not compressed."""
     limits = [chunk.rows.start, chunk.rows.stop]
-    if chunk.compression == NO_COMPRESSION and chunk.size_bytes > 2 * _PIECE_BYTES:
+    if chunk.compression == NO_COMPRESSION and chunk.size_bytes > 2 * PIECE_BYTES:
         offsets = index.entries["offset"][chunk.rows.start : chunk.rows.stop]
-        cuts = np.searchsorted(offsets, np.arange(_PIECE_BYTES, chunk.size_bytes, _PIECE_BYTES)) + chunk.rows.start
+        cuts = np.searchsorted(offsets, np.arange(PIECE_BYTES, chunk.size_bytes, PIECE_BYTES)) + chunk.rows.start
         limits = sorted({*limits, *cuts.tolist()})
     for start, stop in pairwise(limits):
         if decisions.kept[start:stop].any():

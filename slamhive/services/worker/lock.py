@@ -13,7 +13,8 @@ from typing import Self
 from slamhive.clock import monotonic_s
 from slamhive.errors import Conflict, Unavailable
 
-_PATIENCE_S = 1.0
+PATIENCE_S = 1.0
+"""How long a worker waits for those who only ask whether there is one."""
 _STEP_S = 0.02
 
 
@@ -76,7 +77,7 @@ class WorkerLock:
 
 def _lock_patiently(descriptor: int) -> bool:
     """Try to take the lock for a short time: a process that only asks for it holds it for a moment."""
-    deadline_s = monotonic_s() + _PATIENCE_S
+    deadline_s = monotonic_s() + PATIENCE_S
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
