@@ -1,6 +1,6 @@
-"""Integration tests do not wait for the disk: fsync protects from power cuts, and none of them cuts the power.
+"""Tests do not wait for the disk: fsync protects from power cuts, and none of them cuts the power.
 
-It takes milliseconds, and these tests write ten thousands of times. A killed process loses nothing either, so what is
+It takes milliseconds, and tests write ten thousands of times. A killed process loses nothing either, so what is
 forked for tests goes without it, too; other processes wait as they always do.
 """
 

@@ -31,7 +31,7 @@ from slamhive.runtime.paths import weights_file
 from slamhive.runtime.trajectory import Poses, quaternions_xyzw
 from tests.runtime.runtime_samples import LEFT, START_NS
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 PACKAGES = project_root() / "algorithms"
 LIBRARIES = Path(__file__).parent / "gpu_libraries"
@@ -336,6 +336,7 @@ def test_the_weights_of_algorithm_yaml_are_those_that_the_program_opens() -> Non
     assert weights_file("mapping.py", {"SLAMHIVE_WEIGHTS": str(PACKAGES / "dpvo" / "slamhive")}).is_file()
 
 
+@pytest.mark.integration
 @pytest.mark.integration
 def test_a_run_writes_trajectory_and_latency(weights: Path, tmp_path: Path) -> None:
     """The whole program, as its container starts it."""

@@ -17,7 +17,7 @@ from slamhive.runtime.ros1.system import Ros1System
 from tests.algorithms.algorithm_runs import load_module
 from tests.algorithms.recorded_configs import SHARED, SHARED_DATA, config_of, sensors_of_dataset
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 KITTI = pytest.param("kitti00_velodyne_6", marks=SHARED_DATA)
 SWEEPS = {
@@ -147,6 +147,7 @@ IMU_NOISE = [0.028284271, 0.0023996376, 0.042426407, 0.00027425844]
 """EuRoC's 2.0e-3, 1.6968e-4, 3.0e-3 and 1.9393e-5, each times the root of 200 Hz."""
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("dataset", [EUROC])
 def test_vins_fusion_is_told_the_published_calibration_of_euroc(dataset: str, tmp_path: Path) -> None:
     path = tmp_path / "settings.yaml"
@@ -163,6 +164,7 @@ def test_vins_fusion_is_told_the_published_calibration_of_euroc(dataset: str, tm
     assert right.numbers("fx fy cx cy", "projection_parameters") == [457.587, 456.134, 379.999, 255.238]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("dataset", [EUROC])
 def test_vins_mono_is_told_the_published_calibration_of_euroc(dataset: str, tmp_path: Path) -> None:
     found = written("vins-mono", "vins_mono_settings", "vins-mono", dataset, tmp_path / "settings.yaml")

@@ -30,6 +30,7 @@ def entries(path: Path) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("golden", "dataset", "steps"),
     [

@@ -93,6 +93,7 @@ def test_what_cannot_group() -> None:
         build("by_algorithm", table(), by="dificulty")
 
 
+@pytest.mark.integration
 def test_kinds_of_trajectories_are_not_mixed_in_silence() -> None:
     labels = ["SE(3), association 0.01 s"] * 5
     for kinds, words in (

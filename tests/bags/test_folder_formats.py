@@ -20,6 +20,7 @@ def made(name: str, folder: Path) -> tuple[Path, dict[str, Any]]:
     return source, OPTIONS.get(name, lambda _source: {})(source)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("name", ALL)
 def test_a_folder_is_detected_and_becomes_the_same_dataset_twice(tmp_path, name):
     source, options = made(name, tmp_path / "source")

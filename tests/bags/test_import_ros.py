@@ -108,6 +108,7 @@ def truth_file(folder: Path, start_ns: int = START_NS, columns: int = 8) -> Path
     return path
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("storage", [ROS1, *STORAGES])
 def test_every_storage_is_kept_and_can_be_played(recording, tmp_path, storage):
     source = recording(storage)
@@ -164,6 +165,7 @@ def test_kalibr_files_win_over_camera_info(bag, tmp_path, second, model):
     }
 
 
+@pytest.mark.integration
 def test_a_dataset_file_is_a_calibration_too(bag, tmp_path):
     cameras = tmp_path / "camchain.yaml"
     cameras.write_text(CALIBRATION.format(**EQUIDISTANT))
@@ -486,6 +488,7 @@ def test_a_file_of_the_mcap_library_is_imported(tmp_path):
     assert dataset.duration_s == pytest.approx(0.55)
 
 
+@pytest.mark.integration
 @pytest.mark.shared_data
 @pytest.mark.skipif(not SHARED.is_dir(), reason="../shared/data is absent")
 def test_the_recorded_turtlebot(tmp_path):
@@ -501,6 +504,7 @@ def test_the_recorded_turtlebot(tmp_path):
         plan_import(source, ImportOptions(groundtruth_topic="/tf"))
 
 
+@pytest.mark.integration
 def test_a_type_without_definition_names_the_remedy(recording, tmp_path):
     """SQLite bags of ROS 2 before Iron hold no definitions."""
     source = tmp_path / "old.db3"

@@ -199,6 +199,7 @@ def test_an_unknown_importer_lists_the_known_ones():
         IMPORTERS.get("kitti-odometri")
 
 
+@pytest.mark.integration
 @pytest.mark.shared_data
 @pytest.mark.skipif(not SHARED.is_dir(), reason="../shared/data is absent")
 def test_kitti_06_as_recorded(tmp_path):

@@ -46,6 +46,7 @@ def test_mulran_scans_times_and_poses(tmp_path):
     np.testing.assert_allclose(T_body_lidar, theirs._get_calibration()[0], atol=1e-6)
 
 
+@pytest.mark.integration
 def test_nclt_scans_and_poses(tmp_path):
     source = make_nclt(tmp_path / "2012-01-08")
     dataset = convert(source, tmp_path / "made")

@@ -121,6 +121,7 @@ def test_broken_metadata_is_refused(tmp_path):
         inspect_bag(folder)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", ["bag", "mcap"])
 def test_damaged_bytes_never_escape_as_anything_else(bag, tmp_path, kind):
     whole = bag if kind == "bag" else next(write_ros2(tmp_path / "recording", StoragePlugin.MCAP).glob("*.mcap"))

@@ -164,6 +164,7 @@ KILLED = """
 """
 
 
+@pytest.mark.integration
 def test_a_killed_build_is_not_taken_for_good(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(KILLED), str(tmp_path)], stdout=subprocess.PIPE, text=True
@@ -310,6 +311,7 @@ def test_a_run_that_goes_on_keeps_its_variant(tmp_path):
         assert cache.entries() == ()
 
 
+@pytest.mark.integration
 def test_a_killed_process_uses_nothing_any_more(tmp_path):
     make(VariantCache(tmp_path, ROOMY), "aa11")
     script = """

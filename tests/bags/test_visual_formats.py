@@ -71,6 +71,7 @@ def test_eth3d_is_no_tum_rgbd_because_it_brings_its_calibration(tmp_path):
     assert len(seen["/cam0/camera_info"]) == len(seen["/depth0/image_raw"]) == 4
 
 
+@pytest.mark.integration
 def test_tartanair_turns_optical_frames_into_the_frame_of_its_poses(tmp_path):
     dataset, seen, truth = made("tartanair", tmp_path)
     left, right = (np.array(dataset.sensor(name).T_body_sensor).reshape(4, 4) for name in ("cam0", "cam1"))

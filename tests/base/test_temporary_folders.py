@@ -13,6 +13,7 @@ from slamhive.files import sweep_temporary, temporary_folder
 pytestmark = pytest.mark.quick
 
 
+@pytest.mark.integration
 def test_a_new_temporary_folder_is_never_swept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)

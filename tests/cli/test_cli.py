@@ -47,6 +47,7 @@ def test_a_queued_run_says_who_will_take_it(slamhive):
     assert "no worker is running here" in slamhive("run", "tiny", "track").stderr
 
 
+@pytest.mark.integration
 def test_lists_and_shows_speak_json(slamhive):
     slamhive("run", "tiny", "track")
     assert json.loads(slamhive("algorithm", "list", "--json").stdout)[0]["name"] == "tiny"
@@ -188,6 +189,7 @@ def test_a_package_without_requirements_hides_only_itself(slamhive, tmp_path):
     assert "use an executor of containers; slamhive doctor lists them" in refused.stderr
 
 
+@pytest.mark.integration
 def test_what_is_shown_and_left_out_is_said_in_words(slamhive):
     assert slamhive("runs").stderr == "No runs yet.\n"
     slamhive("run", "tiny", "track")
@@ -202,6 +204,7 @@ def test_what_is_shown_and_left_out_is_said_in_words(slamhive):
     )
 
 
+@pytest.mark.integration
 def test_configurations_are_exported_in_every_form(slamhive, tmp_path):
     slamhive("run", "tiny", "track", "--repeat", "2")
     slamhive("run", "tiny", "track", "--set", "seconds=1")

@@ -120,6 +120,7 @@ def test_what_needs_no_data_root_works_without_and_makes_none(project: Path, nam
     assert not (project / "wrong").exists()
 
 
+@pytest.mark.integration
 def test_doctor_tells_what_is_missing(project: Path):
     checks = {
         check["name"]: check for check in json.loads(call("--data", str(project / "wrong"), "doctor", "--json").stdout)
@@ -153,6 +154,7 @@ def test_running_makes_the_database_of_a_data_root_that_has_none(project: Path):
     assert "1 of 1 run" in call("runs").stderr
 
 
+@pytest.mark.integration
 def test_reindex_makes_the_database_again(project: Path):
     make_dataset(project / "data")
     assert call("run", "tiny", "track").exit_code == 0

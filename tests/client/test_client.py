@@ -13,9 +13,10 @@ from slamhive.errors import Forbidden, InvalidInput, NotFound
 from slamhive.services.hive import open_hive
 from tests.web.web_world import RUNS, loop_path
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 
+@pytest.mark.integration
 def test_runs_are_searched_and_sorted(client: Hive) -> None:
     assert [run.id for run in client.runs] == [5, 4, 3, 2, 1]
     assert [run.id for run in client.runs.sort("id")] == [1, 2, 3, 4, 5]
@@ -75,6 +76,7 @@ def test_a_data_frame_has_the_chosen_columns(client: Hive) -> None:
     assert frame["parameter.nFeatures"].tolist() == [2000, 2000]
 
 
+@pytest.mark.integration
 def test_no_runs_are_an_empty_data_frame(client: Hive) -> None:
     frame = client.runs.where("id > 99").to_pandas()
     assert len(frame) == 0

@@ -21,7 +21,7 @@ ESTIMATE, TRUTH = RUNS / "vislam_rp" / "V1_02" / "0.txt", RUNS / "V1_02" / "grou
 POSES = 798
 DOUBLED = (100, 250, 251, 600)
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 
 def rows(count: int = 200) -> list[str]:
@@ -70,6 +70,7 @@ def test_every_association_copes(tmp_path: Path, association: Association, how: 
     assert "occurs twice; write one pose for each timestamp" in (refused.reason or "")
 
 
+@pytest.mark.integration
 def test_plots_are_drawn_of_kept_duplicates(tmp_path: Path) -> None:
     text = "".join(doubled(rows(), (1, 50, 51, 199)))
     protocol = Protocol(Alignment.SE3, duplicates=Duplicates.KEEP)
@@ -79,6 +80,7 @@ def test_plots_are_drawn_of_kept_duplicates(tmp_path: Path) -> None:
     assert {*FILES, "traj_speeds.png", "ape_map.png"} <= names
 
 
+@pytest.mark.integration
 @pytest.mark.shared_data
 @pytest.mark.skipif(not RUNS.is_dir(), reason="the recorded data is not in ../shared/data")
 @pytest.mark.parametrize("which", ["estimate", "truth"])

@@ -19,7 +19,7 @@ from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import move_sensor, multiply_quats, rotations_from_quats
 from slamhive.trajectory.tum import write_tum
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 TRUTH_S = np.arange(0.0, 40.0, 0.01)
 ESTIMATE_S = np.arange(0.0, 40.0, 0.05)
@@ -82,6 +82,7 @@ def test_a_scale_is_zero_for_sim3_and_shows_as_scale_error() -> None:
     np.testing.assert_array_equal(only.transform.rotation, np.eye(3))
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("alignment", [Alignment.SE3, Alignment.SIM3, Alignment.NONE])
 @pytest.mark.parametrize("delay_s", [0.05, -0.05, 0.73])
 @pytest.mark.parametrize("rotations_known", [True, False])
@@ -121,6 +122,7 @@ def test_an_offset_that_cannot_be_found_is_an_error(estimate: Trajectory, messag
         pair(reference, estimate, Protocol(Alignment.NONE, offset_search_s=1.0))
 
 
+@pytest.mark.integration
 def test_the_missing_middle_half_shows_in_completeness_only() -> None:
     kept = (ESTIMATE_S < 10) | (ESTIMATE_S >= 30)
     estimate = Trajectory(ESTIMATE_S[kept], ESTIMATE.positions_m[kept], ESTIMATE.quats_xyzw[kept])
@@ -212,6 +214,7 @@ def test_positions_alone_give_ate_and_no_rotation_figure(folder: Path, columns: 
     assert result.missing["ate_rot.rmse"] == result.missing["rpe.rmse"] == "the ground truth holds positions only"
 
 
+@pytest.mark.integration
 def test_the_lever_arm_of_a_prism_moves_the_estimate(folder: Path) -> None:
     sensor = move_sensor(ESTIMATE, LEVER_ARM)
     write_tum(folder / "traj.txt", sensor.stamps_s, sensor.positions_m, sensor.quats_xyzw)

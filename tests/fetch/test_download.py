@@ -23,7 +23,7 @@ from slamhive.fetch.part_file import part_file
 from slamhive.fetch.web import MOST_REDIRECTS, Timeouts, Token
 from tests.fetch.file_server import FileServer, Request, without_ranges
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 CONTENT = random.Random(1).randbytes(1_000_000)
 QUICK = Pace(connections=3, span_bytes=150_000, attempts=4, first_pause_s=0.001, longest_pause_s=5.0)

@@ -18,7 +18,7 @@ from slamhive.errors import InvalidInput
 from slamhive.fetch.unpack import Choice, UnpackLimits, unpack
 from tests.fuzzing import mutated
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 FILES = {"top/image_0/000.png": b"pixels", "top/times.txt": b"0 1 2", "poses/00.txt": b"1 0 0", "other/x": b"?"}
 KINDS = {

@@ -57,6 +57,7 @@ def test_a_sample_is_spread_over_the_file_and_always_the_same(tmp_path: Path):
     assert map_size(path, "Map.pcd") == 1000
 
 
+@pytest.mark.integration
 @pytest.mark.usefixtures("small_pieces")
 def test_no_voxel_holds_two_points_and_sparse_places_are_kept(tmp_path: Path):
     points_m = np.vstack([plane(20_000), [[60.0, 60.0, 5.0]]]).astype(np.float32)

@@ -167,6 +167,7 @@ def test_a_password_that_changes_while_somebody_signs_in_wins(
         accounts.sign_in("anna", PASSWORD)
 
 
+@pytest.mark.integration
 def test_hashes_are_renewed_when_the_parameters_are(accounts: Accounts, hive: Hive) -> None:
     def memory() -> str:
         return hive.store.read(lambda t: t.accounts.credentials("anna")).password_hash.split("$")[3]

@@ -33,7 +33,7 @@ from slamhive.services.hive import Hive, open_hive
 from tests.services.archive_world import all_rows, make_runs
 from tests.services.tiny_project import environment, make_dataset, make_project
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 Members = dict[str, bytes]
 RECORD = "runs/1/run.json"
@@ -218,6 +218,7 @@ def test_what_was_cut_short_is_refused_wherever(hive: Hive, archive: Path, tmp_p
     assert "is not a file" in refused(hive, tmp_path / "pipe.zip")
 
 
+@pytest.mark.integration
 def test_what_was_damaged_is_refused_wherever(hive: Hive, archive: Path, tmp_path: Path) -> None:
     """Only times of members, which nothing depends on, may be others: all else is covered by a checksum."""
     data, path = archive.read_bytes(), tmp_path / "b.zip"
@@ -250,6 +251,7 @@ def test_only_files_are_members(archive: Path, tmp_path: Path, kind: int) -> Non
     assert "is a link or no file" in str(checked(path))
 
 
+@pytest.mark.integration
 def test_a_bomb_is_stopped_where_it_claims_to_end(archive: Path, tmp_path: Path) -> None:
     """Both headers say that a member is small, and its bytes go on for 200 MB."""
     name = "runs/1/log.txt"

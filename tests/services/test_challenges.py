@@ -35,7 +35,7 @@ from tests.services.challenge_world import (
 )
 from tests.web.web_world import make_hive
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 FEW = 2
 

@@ -25,7 +25,7 @@ from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.recorded_track import make_recorded_track
 from tests.services.tiny_project import ALGORITHM, environment, make_project
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 TYPED = """
 format: 1
@@ -94,6 +94,7 @@ def run(hive: Hive, submission: Submission) -> int:
 # -- made, found, described --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.integration
 def test_identical_configurations_are_one_and_the_user_is_told(hive: Hive):
     first = hive.configurations.create(typed(count="5"), Label("five", "first of all", "mine"))
     again = hive.configurations.create(typed(features=5.0), Label("cinque"))
@@ -107,6 +108,7 @@ def test_identical_configurations_are_one_and_the_user_is_told(hive: Hive):
     assert hive.configurations.same_as(typed(count=6)) is None
 
 
+@pytest.mark.integration
 def test_every_type_from_definition_to_store_to_config_yaml_to_search(hive: Hive):
     stored = hive.configurations.create(Submission("typed", "track", {**EVERY_TYPE, "K": "[1, 2]", "loud": "no"}))
     values = stored.record.configuration.parameters
@@ -166,6 +168,7 @@ def test_a_condition_that_is_none(text: str):
 # -- copied and changed ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.integration
 def test_a_copy_differs_where_it_was_told_to(hive: Hive):
     variant = (parse_step("rate every=2"),)
     original = hive.configurations.create(replace(typed(count=5), variant=variant, playback_rate=2.0), Label("old"))
@@ -323,6 +326,7 @@ OUTDATED = {
 }  # fmt: skip
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", [*EDITS, *OUTDATED])
 def test_no_edit_of_a_definition_changes_what_is_stored(hive: Hive, kind: str):
     run_id = run(hive, Submission("typed", "track", EVERY_TYPE))
@@ -340,6 +344,7 @@ def test_no_edit_of_a_definition_changes_what_is_stored(hive: Hive, kind: str):
     assert hive.runs.get(run_id).state is RunState.SUCCEEDED
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", EDITS)
 def test_what_still_fits_runs_again_with_what_is_stored(hive: Hive, kind: str):
     first = run(hive, Submission("typed", "track", EVERY_TYPE))
@@ -365,6 +370,7 @@ def test_what_no_longer_fits_is_named_before_it_is_queued(hive: Hive, kind: str)
     assert sum(hive.runs.counts().values()) == 1
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", OUTDATED)
 def test_what_no_longer_fits_fails_a_run_that_waited_in_the_same_words(hive: Hive, kind: str):
     waiting = run(hive, Submission("typed", "track", EVERY_TYPE))

@@ -24,7 +24,7 @@ from slamhive.sweep.experiment_file import parse_experiment
 from tests.services.disturbed_machine import BUSY, QUIET, beside, beside_each
 from tests.services.fake_executor import FakeExecutor
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 ONE = "name: one\nalgorithms: tiny\ndatasets: track\nevaluate: false\nrepeat_disturbed: 2\n"
@@ -47,6 +47,7 @@ def disturbed(hive: Hive) -> list[bool | None]:
     return [None if run.disturbance is None else run.disturbance.disturbed for run in runs_of(hive)]
 
 
+@pytest.mark.integration
 def test_a_disturbed_run_is_repeated_until_one_is_not(hive: Hive) -> None:
     hive.experiments.start(source())
     work(hive, beside_each(iter([BUSY, QUIET])))
@@ -65,6 +66,7 @@ def test_a_disturbed_run_is_repeated_until_one_is_not(hive: Hive) -> None:
     ]
 
 
+@pytest.mark.integration
 def test_it_is_repeated_so_often_at_most_and_the_last_counts_marked(hive: Hive) -> None:
     hive.experiments.start(source())
     work(hive, beside(*BUSY))
@@ -79,6 +81,7 @@ def test_it_is_repeated_so_often_at_most_and_the_last_counts_marked(hive: Hive) 
     assert [run["disturbed"] for run in schema.Cell.of(cell).content["runs"]] == [True, True, True]
 
 
+@pytest.mark.integration
 def test_without_the_field_nothing_is_repeated_but_all_is_marked(hive: Hive) -> None:
     hive.experiments.start(source(ONE.replace("repeat_disturbed: 2\n", "")))
     work(hive, beside(*BUSY))
@@ -86,6 +89,7 @@ def test_without_the_field_nothing_is_repeated_but_all_is_marked(hive: Hive) -> 
     assert hive.experiments.status("one").disturbed == 1
 
 
+@pytest.mark.integration
 def test_a_disturbed_failure_is_repeated_and_stays_among_the_failures_of_its_cell(hive: Hive) -> None:
     hive.experiments.start(source())
     hive.executors.opened["process"] = beside(*BUSY, exit_code=3)
@@ -98,12 +102,14 @@ def test_a_disturbed_failure_is_repeated_and_stays_among_the_failures_of_its_cel
     assert sum(cell.failures.values()) == 1
 
 
+@pytest.mark.integration
 def test_a_quiet_failure_is_not_repeated(hive: Hive) -> None:
     hive.experiments.start(source())
     work(hive, beside(*QUIET, exit_code=3))
     assert [run.state for run in runs_of(hive)] == [RunState.FAILED]
 
 
+@pytest.mark.integration
 def test_of_a_cancelled_experiment_nothing_is_repeated(hive: Hive) -> None:
     hive.experiments.start(source())
     executor = beside(*BUSY)
@@ -121,6 +127,7 @@ def test_of_a_cancelled_experiment_nothing_is_repeated(hive: Hive) -> None:
     assert disturbed(hive) == [True]
 
 
+@pytest.mark.integration
 def test_the_repetition_waits_while_the_experiment_is_paused(hive: Hive) -> None:
     hive.experiments.start(source())
     executor = beside(*BUSY)
@@ -136,6 +143,7 @@ def test_the_repetition_waits_while_the_experiment_is_paused(hive: Hive) -> None
     assert runs_of(hive)[1].state is RunState.QUEUED
 
 
+@pytest.mark.integration
 def test_a_cancelled_repetition_leaves_the_disturbed_run_in_its_place(hive: Hive) -> None:
     hive.experiments.start(source())
     hive.executors.opened["process"] = beside(*BUSY)
@@ -149,6 +157,7 @@ def test_a_cancelled_repetition_leaves_the_disturbed_run_in_its_place(hive: Hive
     assert (status.counts[Phase.CANCELLED], status.counts[Phase.UNJUDGED], status.disturbed) == (1, 1, 1)
 
 
+@pytest.mark.integration
 def test_what_dies_while_the_run_is_sealed_repeats_it_once(hive: Hive, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(worker_module, "TROUBLE_PAUSE_S", 0.01)
     died: list[int] = []
@@ -166,6 +175,7 @@ def test_what_dies_while_the_run_is_sealed_repeats_it_once(hive: Hive, monkeypat
     assert disturbed(hive) == [True, False]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("when", "stored"), [("inside", 1), ("after", 2)])
 def test_a_worker_that_is_killed_neither_loses_nor_doubles_a_repetition(hive: Hive, when: str, stored: int) -> None:
     hive.experiments.start(source())
@@ -183,6 +193,7 @@ def _worker(when: str) -> int:
     return subprocess.run(command, cwd=CHECKOUT, timeout=120, check=False, capture_output=True).returncode
 
 
+@pytest.mark.integration
 def test_reindexing_queues_the_repetition_that_had_not_begun(hive: Hive, tmp_path: Path) -> None:
     hive.experiments.start(source())
     hive.executors.opened["process"] = beside(*BUSY)

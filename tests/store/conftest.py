@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import text
 
 from slamhive.store import Store, Transaction, open_store
 from slamhive.store.experiment_records import ExperimentState
@@ -60,17 +59,18 @@ def samples(store: Store) -> Samples:
 
 def empty(tx: Transaction) -> None:
     """Remove all rows but the one that migrations made; ids start at 1 again."""
+    execute = tx.database.exec_driver_sql  # half the time of ``execute(text(...))``, for 30 tables each time
     mysql = tx.database.dialect.name == "mysql"
-    tx.database.execute(text("SET foreign_key_checks=0" if mysql else "PRAGMA defer_foreign_keys=ON"))
+    execute("SET foreign_key_checks=0" if mysql else "PRAGMA defer_foreign_keys=ON")
     for table in reversed(METADATA.sorted_tables):
         kept = " WHERE id > 1" if table.name == "protocols" else ""
-        tx.database.execute(text(f"DELETE FROM {table.name}{kept}"))
+        execute(f"DELETE FROM {table.name}{kept}")
     if mysql:
-        tx.database.execute(text("SET foreign_key_checks=1"))
+        execute("SET foreign_key_checks=1")
         for name in ("runs", "configurations"):
-            tx.database.execute(text(f"ALTER TABLE {name} AUTO_INCREMENT=1"))
+            execute(f"ALTER TABLE {name} AUTO_INCREMENT=1")
     else:
-        tx.database.execute(text("DELETE FROM sqlite_sequence"))
+        execute("DELETE FROM sqlite_sequence")
 
 
 @pytest.fixture

@@ -101,6 +101,7 @@ value_strategy = st.one_of(
 )
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("store", ["sqlite"], indirect=True)
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(parameters=st.dictionaries(st.text("abcXYZ.", min_size=1, max_size=20), value_strategy, max_size=5))

@@ -34,6 +34,7 @@ def test_what_is_known_comes_back(store: Store, samples: Samples, found: Disturb
     assert store.read(lambda tx: tx.runs.get(run_id)).disturbance == found
 
 
+@pytest.mark.integration
 def test_a_disturbed_run_is_replaced_unless_its_repetition_was_cancelled(
     store: Store, samples: Samples, experiment: int
 ) -> None:

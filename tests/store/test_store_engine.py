@@ -18,6 +18,7 @@ from slamhive.clock import Clock
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.store import Store, Transaction, open_store
 from slamhive.store.engine import database_label, make_engine
+from tests import durability
 from tests.store.store_samples import Samples
 
 pytestmark = pytest.mark.quick
@@ -108,6 +109,7 @@ def test_a_wrong_path_makes_no_folder(tmp_path: Path) -> None:
 
 
 def test_sqlite_is_durable_and_checks_references(sqlite_path: Path) -> None:
+    durability.leave_out(False)
     store = open_store(f"sqlite:///{sqlite_path}")
     with store.engine.connect() as connection:
         found = [
@@ -235,6 +237,7 @@ def test_errors_of_the_project_pass_through(sqlite_path: Path, clock: ManualCloc
     store.close()
 
 
+@pytest.mark.integration
 def test_a_server_that_is_not_there_is_one_line_without_the_password(clock: ManualClock) -> None:
     engine = make_engine(f"mysql+pymysql://u:{SECRET}@127.0.0.1:1/slamhive")
     store = Store(engine, 3.0, clock.as_clock())

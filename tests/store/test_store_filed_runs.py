@@ -102,6 +102,7 @@ def test_figures_that_a_folder_does_not_tell_of_stay(store: Store, samples: Samp
     assert found.metrics == {"cpu.mean": 1.5, "ram.max": 1.0, "ate.rmse": 0.07}
 
 
+@pytest.mark.integration
 def test_many_runs_take_as_many_statements_as_few(store: Store, samples: Samples) -> None:
     statements: list[str] = []
 

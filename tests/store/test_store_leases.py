@@ -18,7 +18,7 @@ from slamhive.store import AnalysisRecord, AnalysisState, EvaluationState, Lease
 from slamhive.store.leases import LeaseQueue
 from tests.store.store_samples import SE3, Samples
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 NOW = datetime(2026, 5, 4, 3, 2, 1, 123456, tzinfo=UTC)
 LEASE_S = 30.0
@@ -148,6 +148,7 @@ def test_all_that_a_dead_worker_holds_is_given_back(store: Store, samples: Sampl
     assert store.read(lambda t: kind.queue(t).owners()) == {"b"}
 
 
+@pytest.mark.integration
 def test_each_row_goes_to_one_of_many_workers(store: Store, database_url: str, samples: Samples, kind: Kind) -> None:
     wanted = kind.fill(samples, 12)
     start = threading.Barrier(3)

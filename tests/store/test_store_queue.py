@@ -160,6 +160,7 @@ def test_the_worker_sees_which_runs_shall_end(store: Store, samples: Samples) ->
     assert store.read(lambda tx: tx.queue.cancel_requested([run_id])) == {run_id}
 
 
+@pytest.mark.integration
 def test_many_workers_never_get_the_same_run(database_url: str, samples: Samples) -> None:
     wanted = set(samples.queued(24))
     start = threading.Barrier(4)

@@ -42,6 +42,7 @@ def test_a_request_comes_back_as_it_was_made(store: Store, samples: Samples) -> 
     assert missing == (None,) * 8
 
 
+@pytest.mark.integration
 def test_adding_the_same_uids_again_adds_nothing(store: Store, samples: Samples) -> None:
     requests = [samples.request() for _ in range(3)]
     first = store.write(lambda tx: tx.runs.add_runs(requests[:2], NOW))

@@ -25,7 +25,7 @@ from slamhive.web.views.accounts import is_own_address
 from tests.web.account_world import NAMES, PASSWORD, AccountWeb, account_web, token_of
 from tests.web.web_world import HOSTILE, RUNS, Web
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 NEW = "another long password"
 
@@ -62,6 +62,7 @@ def last_lines(site: AccountWeb, count: int) -> list[tuple[str, str, str]]:
     return [(line.account, line.action, line.subject) for line in lines]
 
 
+@pytest.mark.integration
 def test_whoever_is_unknown_is_sent_to_sign_in_and_comes_back(site: AccountWeb) -> None:
     client = site.web.app.test_client()
     answer = client.get("/runs?state=failed")
@@ -135,6 +136,7 @@ def test_signing_in_needs_the_token_of_the_page(site: AccountWeb) -> None:
     assert client.get("/runs").status_code == 302
 
 
+@pytest.mark.integration
 def test_the_header_names_the_caller(site: AccountWeb) -> None:
     client = site.of(Role.MEMBER)
     page = client.get("/").text
@@ -144,6 +146,7 @@ def test_the_header_names_the_caller(site: AccountWeb) -> None:
     assert 'href="/accounts"' in site.of(Role.ADMIN).get("/account").text
 
 
+@pytest.mark.integration
 def test_readers_see_no_buttons(site: AccountWeb) -> None:
     client = site.of(Role.READER)
     for path in ("/", "/runs", "/runs/1", "/algorithms", "/datasets", "/configurations/1", "/trash"):
@@ -345,6 +348,7 @@ def test_addresses_of_other_servers_are_not_followed(site: AccountWeb, target: s
     assert answer.status_code == 400 or (answer.status_code, answer.location) == (303, "/")
 
 
+@pytest.mark.integration
 def test_changes_are_in_the_audit_log_with_what_they_stored(site: AccountWeb) -> None:
     client = site.of(Role.MEMBER)
     csrf = {"csrf_token": token_of(client, "/account")}
@@ -434,6 +438,7 @@ def test_no_name_of_the_host_is_wrong_where_callers_sign_in(site: AccountWeb) ->
     assert site.web.app.test_client().get("/login", headers={"Host": "lab.example"}).status_code == 200
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("trusted", "secure"), [("", False), ("127.0.0.1", True), ("192.0.2.1", False)])
 def test_only_a_trusted_proxy_is_believed(site: AccountWeb, trusted: str, secure: bool) -> None:
     hive = site.web.hive
@@ -451,6 +456,7 @@ def test_only_a_trusted_proxy_is_believed(site: AccountWeb, trusted: str, secure
         hive.settings = before
 
 
+@pytest.mark.integration
 def test_the_server_says_who_may_use_it(site: AccountWeb, empty: Web) -> None:
     def said(**settings: object) -> str:
         hive = empty.hive
@@ -466,6 +472,7 @@ def test_the_server_says_who_may_use_it(site: AccountWeb, empty: Web) -> None:
     assert page.test_client().get("/").status_code == 200
 
 
+@pytest.mark.integration
 def test_the_first_page_says_how_the_first_account_is_made(empty: Web) -> None:
     client = create_app(empty.hive, host="0.0.0.0").test_client()
     assert client.get("/").location == "/login"

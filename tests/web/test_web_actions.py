@@ -131,6 +131,7 @@ def test_evaluating_the_ticked_needs_ticks(web: Web):
     assert send(web, "/runs/evaluate", run=str(web.runs["bare"])).status_code == 303
 
 
+@pytest.mark.integration
 def test_a_failed_evaluation_says_why(web: Web):
     world.evaluate_run(web.hive, web.runs["bare"], reason="no time overlap with the ground truth")
     assert "no time overlap with the ground truth" in web.client.get(f"/runs/{web.runs['bare']}").text

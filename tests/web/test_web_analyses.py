@@ -34,7 +34,7 @@ from tests.web import web_world as world
 from tests.web.test_web_security import VALUES
 from tests.web.web_world import HOSTILE, Web, make_web
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 TEXT = f"""name: "{HOSTILE}"
 text: "**bold** {HOSTILE} [x](javascript:alert(1))"
@@ -73,6 +73,7 @@ def computed(filled: Path, tmp_path_factory: pytest.TempPathFactory, compiled: P
     web.hive.close()
 
 
+@pytest.mark.integration
 def test_the_page_of_an_analysis(computed: tuple[Web, str]):
     web, token = computed
     page = web.client.get(f"/analyses/{token}").text
@@ -86,6 +87,7 @@ def test_the_page_of_an_analysis(computed: tuple[Web, str]):
     assert HOSTILE not in web.client.get("/analyses").text
 
 
+@pytest.mark.integration
 def test_only_the_page_with_figures_lets_plotly_make_functions(computed: tuple[Web, str]):
     web, token = computed
     policy = web.client.get(f"/analyses/{token}").headers["Content-Security-Policy"]
@@ -96,6 +98,7 @@ def test_only_the_page_with_figures_lets_plotly_make_functions(computed: tuple[W
         assert "unsafe" not in policy.replace(world.EMPTY_STYLE, "")
 
 
+@pytest.mark.integration
 def test_figures_are_a_resource_of_their_own_that_is_kept(computed: tuple[Web, str]):
     web, token = computed
     address = f"/analyses/{token}/figures.json"
@@ -105,6 +108,7 @@ def test_figures_are_a_resource_of_their_own_that_is_kept(computed: tuple[Web, s
     assert (again.status_code, again.data) == (304, b"")
 
 
+@pytest.mark.integration
 def test_every_file_of_the_page_comes(computed: tuple[Web, str]):
     web, token = computed
     folder = web.hive.stored_analyses.folder(token)
@@ -127,6 +131,7 @@ def test_every_file_of_the_page_comes(computed: tuple[Web, str]):
         assert {"analysis.yaml", "report.html", f"figures/{endings['pdf']}"} <= set(archive.namelist())
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "name", ["..%2fstate.json", "state.json", "report.json.gz", "01_nothing.pdf", "%2e%2e", "x" * 300]
 )
@@ -135,6 +140,7 @@ def test_only_known_files_come(computed: tuple[Web, str], name: str):
     assert web.client.get(f"/analyses/{token}/files/{name}").status_code == 404
 
 
+@pytest.mark.integration
 def test_few_wait_for_files_and_what_was_made_comes_at_once(computed: tuple[Web, str], monkeypatch: pytest.MonkeyPatch):
     web, token = computed
     files = AnalysisFiles(web.hive)
@@ -164,6 +170,7 @@ def test_unknown_addresses(shown: Web, token: str):
         assert shown.client.get(address).status_code == 404
 
 
+@pytest.mark.integration
 def test_waiting_then_failed_then_changed(web: Web):
     token = create(web, TEXT.replace("[1, 2]", "[999]"), unlisted="1")
     page = web.client.get(f"/analyses/{token}").text
@@ -213,6 +220,7 @@ def test_a_text_of_a_megabyte_is_refused_at_once(shown: Web):
     assert shown.client.post("/analyses/check", data=data).status_code == 413
 
 
+@pytest.mark.integration
 def test_a_file_can_be_uploaded(web: Web):
     data = {"csrf_token": token_of(web), "yaml": "", "file": (io.BytesIO(TEXT.encode()), "a.yaml")}
     answer = web.client.post("/analyses", data=data)
@@ -250,6 +258,7 @@ def test_the_selector_writes_an_analysis(shown: Web):
         assert "<b>" not in text
 
 
+@pytest.mark.integration
 def test_pages_and_assets_are_kept(shown: Web, web: Web, tmp_path: Path, compiled: Path):
     viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
     for address in ("/help/settings", "/algorithms", "/api/v1/algorithms"):
@@ -264,6 +273,7 @@ def test_pages_and_assets_are_kept(shown: Web, web: Web, tmp_path: Path, compile
     viewing.hive.close()
 
 
+@pytest.mark.integration
 def test_a_server_that_only_shows_keeps_pages_for_seconds(web: Web, tmp_path: Path, compiled: Path):
     viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
     before = viewing.client.get("/runs")
@@ -326,6 +336,7 @@ def every_request(web: Web, token: str) -> list[tuple[str, str]]:
     return found
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("taken", [True, False])
 def test_view_only_changes_nothing_whatever_is_asked(web: Web, tmp_path: Path, compiled: Path, taken: bool):
     token = create(web)
@@ -358,6 +369,7 @@ def test_view_only_changes_nothing_whatever_is_asked(web: Web, tmp_path: Path, c
     hive.close()
 
 
+@pytest.mark.integration
 def test_visitors_have_limits(web: Web, tmp_path: Path, compiled: Path):
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
     hive.settings = hive.settings.with_values({"analyses_per_hour_per_address": 2})
@@ -378,6 +390,7 @@ def test_visitors_have_limits(web: Web, tmp_path: Path, compiled: Path):
     hive.close()
 
 
+@pytest.mark.integration
 def test_in_view_only_mode_the_server_computes(web: Web, tmp_path: Path, compiled: Path):
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
     viewing = make_web(hive, compiled)
@@ -396,6 +409,7 @@ def test_in_view_only_mode_the_server_computes(web: Web, tmp_path: Path, compile
 # -- help ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.integration
 def test_every_page_links_help_that_exists(shown: Web):
     for part in ("", "runs", "experiments", "configurations", "algorithms", "datasets", "analyses", "runs/new"):
         page = shown.client.get(f"/{part}").text

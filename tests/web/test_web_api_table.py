@@ -23,7 +23,7 @@ from tests.web import web_world as world
 from tests.web.request_fuzz import ANALYSIS, CONFIGURATION, EXPERIMENT
 from tests.web.web_world import Web
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 SUBMISSION = {"algorithm": "eye-slam-mono", "dataset": "room", "parameters": {"nFeatures": 1500}}
 
@@ -117,6 +117,7 @@ def test_a_part_of_a_file(shown: Web):
     assert shown.client.get(f"{PREFIX}/runs/1/files/..%2f..%2fslamhive.db").status_code == 404
 
 
+@pytest.mark.integration
 def test_pages_neither_repeat_nor_hide_runs_while_others_are_added(web: Web):
     before = {run["id"] for run in get(web, "/runs")["runs"]}
     for sort in ("", "&sort=id&order=asc", "&sort=ate.rmse&order=asc", "&sort=created_at&order=desc"):
@@ -172,6 +173,7 @@ def test_a_change_that_failed_in_the_middle_is_not_repeated(web: Web, monkeypatc
     assert (answer.status_code, "was cut off" in answer.get_json()["detail"]) == (409, True)
 
 
+@pytest.mark.integration
 def test_the_commands_print_what_the_api_answers(web: Web, monkeypatch: pytest.MonkeyPatch):
     run_id = web.runs["done"]
     web.hive.experiments.start(ExperimentSource(EXPERIMENT.replace("NAME", "trial")))
@@ -215,6 +217,7 @@ def test_notes_tags_deletion_and_the_way_back(web: Web):
     assert get(web, "/trash") == {"runs": []}
 
 
+@pytest.mark.integration
 def test_a_saved_search(web: Web):
     wanted: dict[str, Any] = {"name": "best", "where": "id > 1", "columns": ["id", "ate.rmse"], "sort": "ate.rmse"}
     wanted |= {"descending": False, "group": False}
@@ -225,6 +228,7 @@ def test_a_saved_search(web: Web):
     assert "ate.rmse" in {field["name"] for field in get(web, "/fields")["fields"]}
 
 
+@pytest.mark.integration
 def test_configurations_are_stored_described_grouped_and_deleted(web: Web):
     made = post(web, "/configurations", {"submission": SUBMISSION, "name": "mine", "group": "g"})
     number = made.get_json()["id"]

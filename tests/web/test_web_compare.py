@@ -14,7 +14,7 @@ from slamhive.settings import Mode
 from tests.web import web_world as world
 from tests.web.web_world import PROTOCOL, Web, make_web
 
-pytestmark = pytest.mark.integration  # pandas and scipy draw the plots
+pytestmark = pytest.mark.quick
 
 
 @pytest.fixture
@@ -28,6 +28,7 @@ def compared(web: Web) -> Web:
     return web
 
 
+@pytest.mark.integration
 def test_the_better_value_is_marked_and_differing_parameters_come_first(compared: Web):
     text = compared.client.get("/compare?runs=1,6").text
     row = re.search(r"ATE RMSE.*?</tr>", text, re.DOTALL)
@@ -37,6 +38,7 @@ def test_the_better_value_is_marked_and_differing_parameters_come_first(compared
     assert text.index("<code>nFeatures</code>") < text.index("that are the same") < text.index("<code>scale</code>")
 
 
+@pytest.mark.integration
 def test_all_plots_come_with_the_figures(compared: Web):
     found = compared.client.get("/compare/figures.json?runs=1,6").json
     assert found is not None
@@ -48,6 +50,7 @@ def test_all_plots_come_with_the_figures(compared: Web):
     assert names == ["run 1, eye-slam-stereo", "run 6, eye-slam-stereo", "ground truth"]
 
 
+@pytest.mark.integration
 def test_usage_is_drawn_for_runs_of_another_protocol_too(compared: Web, monkeypatch: pytest.MonkeyPatch):
     (other,) = world.add_runs(compared.hive, nFeatures=300)
     world.finish_run(compared.hive, other)
@@ -61,6 +64,7 @@ def test_usage_is_drawn_for_runs_of_another_protocol_too(compared: Web, monkeypa
     assert len(names["cpu"]) == 3
 
 
+@pytest.mark.integration
 def test_colours_of_the_plots_are_those_of_the_columns(compared: Web):
     text = compared.client.get("/compare?runs=6,1").text
     colours = re.findall(r'class="on-light"[^>]*fill="(#\w+)"', text)[:2]
@@ -70,6 +74,7 @@ def test_colours_of_the_plots_are_those_of_the_columns(compared: Web):
     assert [drawn["run 6"], drawn["run 1"]] == colours
 
 
+@pytest.mark.integration
 def test_repeats_become_one_column_and_one_line_with_a_band(compared: Web):
     text = compared.client.get("/compare?runs=1,2,6,7&group=configuration").text
     row = re.search(r"ATE RMSE.*?</tr>", text, re.DOTALL)
@@ -82,6 +87,7 @@ def test_repeats_become_one_column_and_one_line_with_a_band(compared: Web):
     assert lines == ["configuration 1, eye-slam-stereo, 2 repeats", "configuration 2, eye-slam-stereo, 2 repeats"]
 
 
+@pytest.mark.integration
 def test_a_run_without_the_protocol_is_named_and_can_be_evaluated(web: Web):
     text = web.client.get("/compare?runs=1,2").text
     assert "Not evaluated under this protocol: run 2." in text
@@ -101,6 +107,7 @@ def test_a_view_only_server_only_says_what_is_missing(web: Web, tmp_path, compil
     assert 'method="post"' not in text
 
 
+@pytest.mark.integration
 def test_a_run_without_an_evaluation_does_not_hide_the_plots_of_others(shown: Web):
     answer = shown.client.get("/compare/figures.json?runs=1,2,3")
     assert answer.status_code == 200

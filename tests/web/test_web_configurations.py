@@ -98,6 +98,7 @@ def test_a_name_that_cannot_be_is_said_above_the_form(web: Web, name: str, statu
     assert web.hive.configurations.page().total == 1
 
 
+@pytest.mark.integration
 def test_markup_in_names_notes_and_groups_is_text(web: Web):
     web.hive.configurations.describe(1, Label(HOSTILE, HOSTILE, HOSTILE[:60]))
     for page in ("/configurations", "/configurations/1", "/configurations/1/edit", "/configurations/new?copy=1"):
@@ -115,6 +116,7 @@ def test_a_copy_starts_from_what_is_there(web: Web):
     assert web.client.get("/configurations/new?copy=99").status_code == 404
 
 
+@pytest.mark.integration
 def test_a_change_leaves_what_has_runs(web: Web):
     web.hive.configurations.describe(1, Label("first"))
     fields = {**FORM, "name": "first", "note": ""}
@@ -129,6 +131,7 @@ def test_a_change_leaves_what_has_runs(web: Web):
     assert web.hive.configurations.page().total == 2
 
 
+@pytest.mark.integration
 def test_what_has_runs_cannot_be_deleted(web: Web):
     assert 'action="/configurations/1/delete"' not in web.client.get("/configurations/1").text
     assert "no: it has 5 runs" in web.client.get("/configurations/1").text
@@ -141,6 +144,7 @@ def test_what_has_runs_cannot_be_deleted(web: Web):
     assert web.client.get(f"/configurations/{free}").status_code == 404
 
 
+@pytest.mark.integration
 def test_groups_names_and_notes(web: Web):
     assert send(web, "/configurations/1/group", group="night").status_code == 303
     assert send(web, "/configurations/1/describe", name="one", note="x").status_code == 303
@@ -151,6 +155,7 @@ def test_groups_names_and_notes(web: Web):
     assert "No configuration matches this filter." in web.client.get("/configurations?group=night").text
 
 
+@pytest.mark.integration
 def test_the_list_filters_and_pages(web: Web):
     for count in (300, 400, 500):
         web.hive.configurations.create(Submission("eye-slam-mono", "room", {"nFeatures": count}))
@@ -207,6 +212,7 @@ def test_an_upload_that_is_no_text_or_too_large(shown: Web):
     assert shown.client.post("/configurations/import", data=b"a" * 1_100_000, content_type=form).status_code == 413
 
 
+@pytest.mark.integration
 def test_the_run_form_takes_steps_and_the_run_tells_them(web: Web):
     answer = send(
         web, "/runs/new", algorithm="eye-slam-stereo", dataset="room", steps="resolution scale=0.5", evaluate="no"

@@ -25,7 +25,7 @@ from slamhive.web.sparks import MOST_POINTS, error_image
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 
 @pytest.fixture(scope="module")

@@ -90,6 +90,7 @@ def test_the_web_api_and_the_command_preview_the_same(bound: Web, monkeypatch: p
     assert bound.hive.runs.counts() == queued
 
 
+@pytest.mark.integration
 def test_a_copy_takes_its_values_from_its_own_dataset(bound: Web) -> None:
     configurations = bound.hive.configurations
     made = configurations.create(Submission("bound-slam", "room", {"fx": 500.0})).record

@@ -154,6 +154,7 @@ def test_the_wall_time_of_an_active_run_is_left_to_its_progress(shown: Web):
     assert "Wall time" in shown.client.get(f"/runs/{shown.runs['done']}").text
 
 
+@pytest.mark.integration
 def test_the_page_of_an_imported_run_claims_nothing_that_is_not_known(web: Web):
     def add(t: Transaction) -> list[int]:
         algorithm_id = t.catalogue.put_algorithm(external_algorithm("their-slam", SensorSetup.STEREO))
@@ -177,6 +178,7 @@ def test_the_page_of_an_imported_run_claims_nothing_that_is_not_known(web: Web):
         assert "/algorithms/eye-slam-stereo" in page or address.startswith(f"/runs/{run_id}")
 
 
+@pytest.mark.integration
 def test_figures_of_an_evaluated_run(shown: Web):
     content = shown.client.get(f"/runs/{shown.runs['done']}/figures.json").get_json()
     names = {"path_xy", "path_xz", "path_yz", "path_3d", "error", "cpu", "memory", "latency"}
@@ -280,6 +282,7 @@ def test_the_page_of_an_algorithm_lists_the_versions_of_its_package(web: Web):
     assert f"<code>{package}@{number}</code>: 7.5, since 2026-05-04, 0 runs" in page
 
 
+@pytest.mark.integration
 def test_help_shows_its_pictures(shown: Web):
     docs = shown.hive.catalogue.project_root / "docs"
     picture = re.search(r'<img src="(/help/images/runs\.png)" alt="[^"]+"', shown.client.get("/help/web").text)

@@ -92,6 +92,7 @@ def test_json_sets_every_option():
     assert set(OPTIONS) <= _keys(json.loads(json_schema(Submission)))
 
 
+@pytest.mark.integration
 def test_command_form_and_api_store_the_same_runs(web: Web, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
     parameters = {**_defaults(web), "nFeatures": 1234}

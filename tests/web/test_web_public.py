@@ -31,6 +31,7 @@ def test_the_page_of_datasets_shows_the_collections(public: Web) -> None:
     assert re.search(r"<span title=\"[^\"]+\">form</span>", text)
 
 
+@pytest.mark.integration
 def test_sequences_are_found_by_words(public: Web) -> None:
     text = public.client.get("/public-datasets?words=euroc+dark").text
     assert "Showing 2 sequences" in text
@@ -40,6 +41,7 @@ def test_sequences_are_found_by_words(public: Web) -> None:
     assert "MH_01_easy" not in text
 
 
+@pytest.mark.integration
 def test_words_that_fit_nothing(public: Web) -> None:
     assert (
         "no sequence fits &#39;indor&#39;; did you mean &#39;indoor&#39;?"

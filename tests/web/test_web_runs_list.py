@@ -61,6 +61,7 @@ def test_every_column_with_an_order_sorts(shown: Web, key: str):
     assert [sorted(order) for order in orders] == [sorted(shown.runs.values())] * 2
 
 
+@pytest.mark.integration
 def test_every_metric_is_a_column_with_its_unit(shown: Web):
     text = shown.client.get("/runs?columns=" + ",".join(CATALOGUE)).text
     for metric in CATALOGUE.values():

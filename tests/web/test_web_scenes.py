@@ -131,6 +131,7 @@ def test_runs_without_anything_say_so(shown: Web):
     assert shown.client.get("/runs/999/map.bin").status_code == 404
 
 
+@pytest.mark.integration
 def test_a_sample_comes_first_and_voxels_follow(web: Web):
     rng = np.random.default_rng(5)
     write_pcd(web.hive.runs.folder(BARE).map, rng.uniform(-50, 50, (150_000, 3)) * [1, 1, 0.01])

@@ -14,7 +14,7 @@ from slamhive.web.columns import all_columns
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
-pytestmark = pytest.mark.integration
+pytestmark = pytest.mark.quick
 
 
 def token(web: Web) -> str:
@@ -59,6 +59,7 @@ def test_groups_show_runs_and_failures(shown: Web):
     assert 'aria-sort="descending"' in text
 
 
+@pytest.mark.integration
 def test_searches_are_saved_shown_and_deleted(web: Web):
     form = {"csrf_token": token(web), "name": "best", "where": "ate.rmse < 0.1", "columns": "id,ate.rmse"}
     assert web.client.post("/searches", data=form).status_code == 303
@@ -119,6 +120,7 @@ def test_a_run_that_waits_is_not_unevaluated(web: Web):
     assert web.hive.searches.unevaluated() == before
 
 
+@pytest.mark.integration
 def test_the_server_does_not_load_what_computes_analyses():
     """They are computed by a process of their own; here they would be half of the memory."""
     code = "import sys, slamhive.web.app; print(*{'pandas', 'scipy', 'matplotlib', 'alembic'} & set(sys.modules))"

@@ -68,6 +68,7 @@ def test_view_only_refuses_every_change_in_the_whole_map(web: Web, viewing: Web)
     assert web.hive.runs.counts() == before
 
 
+@pytest.mark.integration
 def test_view_only_shows_all_pages_without_buttons(web: Web, viewing: Web):
     for page in ("/", "/runs", f"/runs/{web.runs['done']}", f"/runs/{web.runs['running']}", "/algorithms", "/datasets"):
         text = viewing.client.get(page).text
@@ -82,6 +83,7 @@ def test_changes_need_the_token_of_a_form(web: Web, action: str):
     assert "CSRF" in answer.text
 
 
+@pytest.mark.integration
 def test_changes_by_get_are_not_possible(web: Web):
     run_id = web.runs["queued"]
     assert web.client.get(f"/runs/{run_id}/cancel").status_code == 405

@@ -45,6 +45,7 @@ def drawn():
     return estimate, truth, matrices
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("frame", ["body", "world"])
 @pytest.mark.parametrize("alignment", [Alignment.SE3, Alignment.SIM3])
 def test_errors_drawn_from_the_covariances_are_consistent(drawn, tmp_path, frame, alignment):
@@ -85,6 +86,7 @@ def test_only_poses_with_a_covariance_count_on_whatever_clock(drawn, tmp_path):
     assert Consistency().evaluate(pair).values["nees.position"] == pytest.approx(3.0, abs=0.2)
 
 
+@pytest.mark.integration
 def test_without_covariances_or_orientations_the_figures_are_missing(drawn, tmp_path):
     estimate, truth, matrices = drawn
     pair = paired(truth["body"], estimate)
