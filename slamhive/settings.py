@@ -171,6 +171,16 @@ class Settings:
         "", "Shell command that makes a rented machine a node of the cluster, see cloud.md", secret=True
     )
     cloud_endpoint: str = setting("", "Server that speaks the API of EC2 or ECS; empty means the provider's own")
+    shared_storage: bool = setting(
+        True,
+        "Whether nodes of Slurm and Kubernetes see the data root: true, or false to give them data by HTTP",
+    )
+    node_address: str = setting("", "HOST:PORT at which the worker serves nodes without shared storage; empty for none")
+    node_url: str = setting("", "Address at which nodes reach NODE_ADDRESS, such as a proxy's; empty for the same")
+    node_cache: str = setting("/var/tmp/slamhive-cache", "Folder on each node for data of runs")  # noqa: S108 - it stays
+    node_cache_bytes: int = setting(
+        100_000_000_000, "Most that data of runs takes on each node; unused data goes", unit="bytes", minimum=0
+    )
     worker_slots: int = setting(1, "Runs at a time; more than 1 gives each slot cores of its own", minimum=1)
     any_cpu: bool = setting(
         False, "Runs may leave the CPU model on which their experiment began, such as on a new machine: true or false"

@@ -1,14 +1,16 @@
-"""Folders with whatever somebody has put into them: walked, measured and removed without trusting what is there."""
+"""Folders with whatever somebody has put into them: walked, measured and removed without trusting what is there.
+
+Nodes import this module, so it needs Python 3.7 and its standard library alone.
+"""
 
 from __future__ import annotations
 
 import os
 import stat
 import uuid
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Iterator, Tuple
 
 DEEPEST_FOLDERS = 64
 """How many folders inside each other are walked; nothing of ours, and no algorithm that means well, comes near."""
@@ -17,7 +19,7 @@ _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CL
 _OWNER_ONLY = 0o700
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Entry:
     """Something in a folder that is being walked.
 
@@ -74,7 +76,7 @@ def walk(root: Path) -> Iterator[Entry]:
             _close(level)
 
 
-_Level = tuple[str, int, Any]
+_Level = Tuple[str, int, Any]
 """A folder that is being walked: what the places in it begin with, descriptor, entries that are left."""
 
 
@@ -117,7 +119,8 @@ def remove_tree(path: Path) -> None:
 
 def _empty(top: int) -> None:
     """Remove all that is in the folder ``top``."""
-    while folders := _remove_files(top, None):
+    folders = _remove_files(top, None)
+    while folders:
         for name in folders:
             _unlock(name, top)
             inside = os.open(name, _FOLDER, dir_fd=top)
@@ -126,6 +129,7 @@ def _empty(top: int) -> None:
             finally:
                 os.close(inside)
             os.rmdir(name, dir_fd=top)
+        folders = _remove_files(top, None)
 
 
 def _remove_files(folder: int, move_to: int | None) -> list[str]:

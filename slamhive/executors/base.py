@@ -110,6 +110,21 @@ class Capabilities:
 
 
 @dataclass(frozen=True, slots=True)
+class NodeAccess:
+    """How data gets to nodes that share no file system with the controller.
+
+    Attributes:
+        url: Where they reach the controller; empty if it does not serve nodes.
+        cache: The folder on each node.
+        cache_bytes: Its limit.
+    """
+
+    url: str
+    cache: str
+    cache_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
 class ExecutorContext:
     """What every executor is made from.
 
@@ -119,6 +134,7 @@ class ExecutorContext:
         installation: Distinguishes the runs of this data root from those of another on the same engine.
         log_max_bytes: How much of a run's output is kept.
         source_archives: Folder with archives of sources, for images that are built without the internet.
+        nodes: How data gets to nodes; None if they see the data root.
         options: Values of the options that the executor declares, by name; those left out have their defaults.
     """
 
@@ -127,6 +143,7 @@ class ExecutorContext:
     installation: str
     log_max_bytes: int = 10_000_000
     source_archives: Path | None = None
+    nodes: NodeAccess | None = None
     options: Mapping[str, str] = field(default_factory=dict)
 
     def value(self, option: ExecutorOption) -> str:

@@ -6,23 +6,19 @@ output folder are taken over, up to the bounds of the output.
 
 from __future__ import annotations
 
-import io
-import os
 import shutil
 import tarfile
-from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
+from slamhive.executors.packing import MOST_LIVE_BYTES, PLAIN_FILE, Bounds
 from slamhive.executors.spec import RunOutput, RunSpec
 from slamhive.files import write_aside
-from slamhive.tree import DEEPEST_FOLDERS, Entry, remove_tree, walk
+from slamhive.tree import DEEPEST_FOLDERS, remove_tree
 
 _INPUTS, _OUTPUTS, _WORK, _PACKAGE = "inputs", "outputs", "work", "package"
-_PLAIN_FILE, _PLAIN_FOLDER = 0o644, 0o755
 _LONGEST_NAME_BYTES, _LONGEST_PATH_BYTES = 255, 2000
-_MOST_LIVE_BYTES = 100_000_000
 
 
 def pack_inputs(spec: RunSpec, stream: IO[bytes]) -> None:
@@ -54,50 +50,30 @@ def relocated(spec: RunSpec, root: Path) -> RunSpec:
     )
 
 
-def pack_folder(folder: Path, stream: IO[bytes], only: Collection[str] | None = None) -> None:
-    """Write an archive of the plain files and folders below ``folder``; no link is followed.
-
-    Files that cannot be read are left out. Wanted files may change meanwhile, so each is read as a whole.
-
-    Args:
-        folder: An output of a run on this machine.
-        stream: The archive.
-        only: The names of the files in ``folder`` that are wanted; None for all of it.
-    """
-    with tarfile.open(fileobj=stream, mode="w|") as archive:
-        for entry in walk(folder):
-            info = tarfile.TarInfo(entry.place)
-            info.mtime = int(entry.status.st_mtime)
-            if entry.is_folder and only is None:
-                info.type, info.mode = tarfile.DIRTYPE, _PLAIN_FOLDER
-                archive.addfile(info)
-            elif entry.is_file and (only is None or entry.place in only):
-                _add_file(archive, info, entry, as_a_whole=only is not None)
-
-
-def unpack_output(stream: IO[bytes], output: RunOutput, work: Path) -> None:
+def unpack_output(stream: IO[bytes], output: RunOutput, work: Path, below: str = "") -> None:
     """Replace the output's folder with the content of an archive. Can be done again after a crash.
 
     What would exceed the bounds of the output is left out, and so are names that no file system takes. Raises OSError,
     tarfile.TarError.
 
     Args:
-        stream: What :func:`pack_folder` wrote.
+        stream: What :func:`~slamhive.executors.packing.pack_folder` wrote.
         output: Where it belongs, and its bounds.
         work: A folder on the same file system for what is not complete yet.
+        below: The folder in the archive that is the output; empty for all of it.
     """
     fresh, old = work / f"incoming-{output.name}", work / f"replaced-{output.name}"
     for left in (fresh, old):
         remove_tree(left)
     fresh.mkdir(parents=True)
-    files, size_bytes = 0, 0
+    bounds = Bounds(output.max_bytes, output.max_files)
     with tarfile.open(fileobj=stream, mode="r|") as archive:
         for info in archive:
-            files, size_bytes = files + 1, size_bytes + info.size
-            if _fits(output, files, size_bytes) and _can_be_named(info.name):
+            if not info.name.startswith(below):
+                continue
+            info.name = info.name[len(below) :]
+            if _can_be_named(info.name) and bounds.take(info.size):
                 _take(archive, info, fresh)
-            else:
-                files, size_bytes = files - 1, size_bytes - info.size
     if output.destination.exists():
         output.destination.rename(old)
     fresh.rename(output.destination)
@@ -109,26 +85,8 @@ def unpack_live(stream: IO[bytes], output: RunOutput) -> None:
     with tarfile.open(fileobj=stream, mode="r|") as archive:
         for info in archive:
             content = archive.extractfile(info) if info.isreg() else None
-            if content is not None and info.name in output.live and info.size <= _MOST_LIVE_BYTES:
+            if content is not None and info.name in output.live and info.size <= MOST_LIVE_BYTES:
                 write_aside(output.destination / info.name, content.read())
-
-
-def _add_file(archive: tarfile.TarFile, info: tarfile.TarInfo, entry: Entry, *, as_a_whole: bool) -> None:
-    try:
-        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-        descriptor = os.open(entry.name, flags, dir_fd=entry.folder)
-    except OSError:
-        return
-    with os.fdopen(descriptor, "rb") as content:
-        source: IO[bytes] = io.BytesIO(content.read(_MOST_LIVE_BYTES)) if as_a_whole else content
-        info.size = source.seek(0, os.SEEK_END)
-        source.seek(0)
-        archive.addfile(info, source)
-
-
-def _fits(output: RunOutput, files: int, size_bytes: int) -> bool:
-    within_bytes = output.max_bytes is None or size_bytes <= output.max_bytes
-    return within_bytes and (output.max_files is None or files <= output.max_files)
 
 
 def _can_be_named(name: str) -> bool:
@@ -149,4 +107,4 @@ def _take(archive: tarfile.TarFile, info: tarfile.TarInfo, root: Path) -> None:
         place.parent.mkdir(parents=True, exist_ok=True)
         with place.open("wb") as stream:
             shutil.copyfileobj(content, stream)
-        place.chmod(_PLAIN_FILE)
+        place.chmod(PLAIN_FILE)

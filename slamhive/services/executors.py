@@ -7,6 +7,7 @@ from pathlib import Path
 
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.base import Executor, ExecutorContext
+from slamhive.executors.node_store.address import node_access
 from slamhive.executors.registry import (
     AUTO,
     candidates,
@@ -93,5 +94,6 @@ class Executors:
             installation=installation_id(data) if data.is_dir() else NO_INSTALLATION,
             log_max_bytes=self._settings.log_max_bytes,
             source_archives=Path(archives) if archives else None,
+            nodes=node_access(self._settings),
             options=given_options(name, self._settings.further),
         )

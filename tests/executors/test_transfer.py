@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.executors.packing import pack_folder
 from slamhive.executors.spec import RunOutput
-from slamhive.executors.transfer import pack_folder, unpack_live, unpack_output
+from slamhive.executors.transfer import unpack_live, unpack_output
 
 
 def packed(folder: Path, only: tuple[str, ...] | None = None) -> io.BytesIO:

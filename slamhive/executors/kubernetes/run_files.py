@@ -28,11 +28,12 @@ from slamhive.executors.kubernetes.supervisor import (
     STOP_FILE,
     USAGE_FILE,
 )
+from slamhive.executors.packing import pack_folder
 from slamhive.executors.process.capped_log import assemble
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.spec import RunOutput, RunSpec
 from slamhive.executors.status import Exited, Gone
-from slamhive.executors.transfer import pack_folder, unpack_live, unpack_output
+from slamhive.executors.transfer import unpack_live, unpack_output
 from slamhive.files import remedy_of, temporary_folder, write_aside
 from slamhive.tree import remove_tree
 

@@ -15,6 +15,7 @@ from slamhive.clock import monotonic_s
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.executors.base import EngineUnavailable, Executor
 from slamhive.executors.identity import owner_is_dead, worker_identity
+from slamhive.executors.node_store.server import serving_nodes
 from slamhive.executors.registry import AUTO
 from slamhive.services.datasets import Catalogue, Variants
 from slamhive.services.evaluations import Evaluations
@@ -107,7 +108,8 @@ class Worker:
         """
         slots = self._settings.worker_slots
         shared = share_cores(slots) if self._takes_cores_here() and cores is None else [cores] * slots
-        with WorkerLock(self._settings.data), noticing(notices_of(self._settings, self._store)):
+        notices = notices_of(self._settings, self._store)
+        with WorkerLock(self._settings.data), noticing(notices), serving_nodes(self._settings):
             self._take_over_from_the_dead()
             self._store.recheck()
             self._sweep()

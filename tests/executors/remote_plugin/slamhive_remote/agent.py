@@ -29,10 +29,11 @@ from pydantic import TypeAdapter
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.executors.base import ExecutorContext
+from slamhive.executors.packing import pack_folder
 from slamhive.executors.process.executor import ProcessExecutor
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Gone, RunHandle, Running, UsageSource
-from slamhive.executors.transfer import pack_folder, relocated, unpack_inputs
+from slamhive.executors.transfer import relocated, unpack_inputs
 from slamhive.files import temporary_folder, write_aside
 from slamhive.project import project_root
 from slamhive.tree import remove_tree, walk

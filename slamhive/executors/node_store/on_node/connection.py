@@ -1,0 +1,163 @@
+"""A node's connection to the controller. Everything that it asks can be asked again."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import random
+import time
+from typing import Any, Callable, Dict, Optional, TypeVar
+from urllib.parse import quote, urlsplit
+
+FROM_HEADER = "X-From"
+TOTAL_HEADER = "X-Total"
+SHA256_HEADER = "X-SHA256"
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 10.0
+_LONGEST_ERROR_BYTES = 10000
+
+T = TypeVar("T")
+
+
+class Refused(Exception):
+    """The controller said no, and would say it again. ``answer`` holds its words and what else it said."""
+
+    def __init__(self, status: int, answer: Dict[str, Any]) -> None:
+        self.status = status
+        self.answer = answer
+        super().__init__(str(answer.get("error", "the controller refuses with status " + str(status))))
+
+
+class Away(Exception):
+    """The controller does not answer now, or the connection was cut."""
+
+
+class Connection:
+    """Asks the controller about one run. Not safe to share between threads: give each its own :meth:`copy`.
+
+    Args:
+        url: The address of the controller, without a path or with the path of a proxy.
+        key: The run.
+        token: Proves that the caller works for this run.
+        timeout_s: After so long without a byte, the controller counts as away.
+    """
+
+    def __init__(self, url: str, key: str, token: str, timeout_s: float = 30.0) -> None:
+        self._url, self._key, self._token, self._timeout_s = url, key, token, timeout_s
+        parts = urlsplit(url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise ValueError("NODE_URL={!r} is no address such as http://HOST:PORT".format(url))
+        kind = http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
+        self._http = kind(parts.hostname, parts.port, timeout=timeout_s)
+        self._root = parts.path.rstrip("/") + "/v1/runs/" + quote(key, safe="") + "/"
+
+    def copy(self) -> Connection:
+        """The same for another thread."""
+        return Connection(self._url, self._key, self._token, self._timeout_s)
+
+    def ask(
+        self, method: str, place: str, body: bytes = b"", headers: Optional[Dict[str, str]] = None
+    ) -> Dict[str, Any]:
+        """The answer, which is JSON. Raises Refused, Away."""
+        answer = self.open(method, place, body, headers)
+        try:
+            return _content(answer.read())
+        except (OSError, http.client.HTTPException) as error:
+            self.close()
+            raise Away(_words(error)) from None
+        finally:
+            answer.close()
+
+    def open(
+        self, method: str, place: str, body: bytes = b"", headers: Optional[Dict[str, str]] = None
+    ) -> http.client.HTTPResponse:
+        """The answer, to be read to its end or closed with the connection. Raises Refused, Away."""
+        reused = self._http.sock is not None
+        try:
+            answer = self._send(method, place, body, headers or {})
+        except (OSError, http.client.HTTPException) as error:
+            self.close()
+            if not reused:
+                raise Away(_words(error)) from None
+            # The controller closes connections that nobody has used for a while.
+            try:
+                answer = self._send(method, place, body, headers or {})
+            except (OSError, http.client.HTTPException) as again:
+                self.close()
+                raise Away(_words(again)) from None
+        if answer.status < 400:
+            return answer
+        try:
+            content = _content(answer.read(_LONGEST_ERROR_BYTES))
+        except (OSError, http.client.HTTPException):
+            content = {}
+        answer.close()
+        self.close()
+        # 413 and the like are ours. What a proxy says while the controller is down is not about this run.
+        if answer.status >= 500 or (answer.status in (404, 408, 429) and "error" not in content):
+            raise Away(str(content.get("error", "status " + str(answer.status))))
+        raise Refused(answer.status, content)
+
+    def close(self) -> None:
+        """Close the connection; the next question opens it again."""
+        with contextlib.suppress(OSError):
+            self._http.close()
+
+    def _send(self, method: str, place: str, body: bytes, headers: Dict[str, str]) -> http.client.HTTPResponse:
+        sent = dict(headers)
+        sent["Authorization"] = "Bearer " + self._token
+        self._http.request(method, self._root + place, body=body or None, headers=sent)
+        return self._http.getresponse()
+
+
+def clock_offset(ask: Callable[[], Dict[str, Any]], clock: Callable[[], float] = time.time) -> float:
+    """How much to add to the clock of this node to have the controller's (s); 0 if that is within the uncertainty.
+
+    Args:
+        ask: Asks the controller; its answer holds its time as ``time_s``.
+        clock: Seconds since 1970 on this node.
+    """
+    before_s = clock()
+    answer = ask()
+    after_s = clock()
+    offset_s = float(answer["time_s"]) - (before_s + after_s) / 2
+    return offset_s if abs(offset_s) > max(0.05, (after_s - before_s) / 2) else 0.0
+
+
+def patiently(
+    call: Callable[[], T],
+    patience_s: Optional[float] = None,
+    given_up: Callable[[], bool] = lambda: False,
+    sleep: Callable[[float], None] = time.sleep,
+) -> T:
+    """The result of ``call``, repeated while the controller is away.
+
+    Args:
+        call: May raise Away.
+        patience_s: Raise Away after so long; None to wait for as long as it takes.
+        given_up: Whether to raise Away although there is time left.
+        sleep: Waits (s).
+    """
+    deadline_s = None if patience_s is None else time.monotonic() + patience_s
+    pause_s = _FIRST_PAUSE_S
+    while True:
+        try:
+            return call()
+        except Away:
+            if given_up() or (deadline_s is not None and time.monotonic() >= deadline_s):
+                raise
+        # Not all nodes at once when the controller is back.
+        sleep(pause_s * random.uniform(0.7, 1.3))  # noqa: S311 - no secret
+        pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
+
+
+def _content(text: bytes) -> Dict[str, Any]:
+    try:
+        found = json.loads(text.decode("utf-8")) if text else {}
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _words(error: Exception) -> str:
+    return str(error) or type(error).__name__

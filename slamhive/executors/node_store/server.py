@@ -1,0 +1,236 @@
+"""What nodes ask the controller over HTTP. Each request names a run and carries the token of that run.
+
+``POST claim``, ``GET items/<SHA-256>``, ``GET wanted``, ``PUT`` and ``DELETE state/<place>``, ``GET`` and ``PUT
+result``, all below ``/v1/runs/<key>/``. Pages are served elsewhere, by threads of their own.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+from slamhive.clock import utc_now
+from slamhive.errors import Unavailable
+from slamhive.executors.node_store.address import listening_address
+from slamhive.executors.node_store.arrivals import Arrivals, NotTaken, wanted
+from slamhive.executors.node_store.on_node.connection import FROM_HEADER, SHA256_HEADER, TOTAL_HEADER
+from slamhive.executors.node_store.on_node.mirror import MOST_BODY_BYTES
+from slamhive.executors.node_store.on_node.run import ARCHITECTURE
+from slamhive.executors.node_store.registrations import Registration, Registrations
+from slamhive.http_server import HttpServer, listen
+from slamhive.settings import Settings
+
+logger = logging.getLogger(__name__)
+
+THREADS = 8
+MOST_CONNECTIONS = 1000
+"""Each run keeps two or three open."""
+_ROOT = "/v1/runs/"
+_JSON = "application/json"
+_LONGEST_WORD = 200
+_PIECE_BYTES = 1 << 18
+
+StartResponse = Callable[[str, list[tuple[str, str]]], Any]
+
+
+class NodeService:
+    """The WSGI application.
+
+    Args:
+        data: The data root.
+    """
+
+    def __init__(self, data: Path) -> None:
+        self._registrations = Registrations(data)
+        self._arrivals = Arrivals()
+
+    def __call__(self, environ: dict[str, Any], start_response: StartResponse) -> Iterable[bytes]:
+        """Answer one request."""
+        try:
+            registration, place = self._authorised(environ)
+            if place.startswith("items/") and environ["REQUEST_METHOD"] == "GET":
+                return _send_item(registration, place.partition("/")[2], environ, start_response)
+            content = self._answer(registration, place, environ)
+            status = HTTPStatus.OK
+        except NotTaken as problem:
+            status, content = problem.status, {"error": problem.message, **problem.more}
+        except Unavailable as problem:
+            logger.warning("a node waits: %s", problem)
+            status, content = HTTPStatus.SERVICE_UNAVAILABLE, {"error": str(problem)}
+        body = json.dumps(content).encode()
+        headers = [("Content-Type", _JSON), ("Content-Length", str(len(body))), ("Cache-Control", "no-store")]
+        start_response(f"{status.value} {status.phrase}", headers)
+        return [body]
+
+    def _authorised(self, environ: dict[str, Any]) -> tuple[Registration, str]:
+        """The run of the request, and what of it is asked for. Raises NotTaken."""
+        path = environ.get("PATH_INFO", "").encode("latin-1").decode(errors="replace")
+        key, _, place = path.removeprefix(_ROOT).partition("/")
+        scheme, _, token = environ.get("HTTP_AUTHORIZATION", "").partition(" ")
+        found = None
+        if path.startswith(_ROOT) and scheme.lower() == "bearer":
+            found = self._registrations.find(key, token.strip())
+        if found is None:
+            raise NotTaken(HTTPStatus.UNAUTHORIZED, "no run that goes on has this name and token")
+        return found, place
+
+    def _answer(self, registration: Registration, place: str, environ: dict[str, Any]) -> dict[str, Any]:
+        method, (kind, _, rest) = environ["REQUEST_METHOD"], place.partition("/")
+        arrivals = self._arrivals
+        if (method, place) == ("POST", "claim"):
+            said = _json_body(environ)
+            holder = _word(said.get("holder"))
+            if not holder:
+                raise NotTaken(HTTPStatus.BAD_REQUEST, "a claim names its holder")
+            now_s = utc_now().timestamp()
+            noted = {name: _word(said.get(name)) for name in ("node", ARCHITECTURE, "node_time_s")}
+            arrivals.claim(registration, holder, {**noted, "received_s": now_s})
+            return {**registration.answer, "time_s": now_s}
+        if (method, place) == ("GET", "wanted"):
+            return {"wanted": wanted(registration), "time_s": utc_now().timestamp()}
+        if (method, place) == ("GET", "result"):
+            return arrivals.results(registration)
+        if (method, place) == ("PUT", "result"):
+            announced = _number(environ, TOTAL_HEADER), _header(environ, SHA256_HEADER)
+            return arrivals.put_results(registration, _number(environ, FROM_HEADER), announced, _body(environ))
+        if (method, kind) == ("PUT", "state"):
+            arrivals.put_copy(registration, rest, _number(environ, FROM_HEADER), _body(environ))
+            return {"wanted": wanted(registration)}
+        if (method, kind) == ("DELETE", "state"):
+            arrivals.remove_copy(registration, rest)
+            return {"wanted": wanted(registration)}
+        raise NotTaken(HTTPStatus.BAD_REQUEST, f"nothing answers to {method} {place[:80]!r}")
+
+
+class NodeServer:
+    """Serves nodes in threads of its own until it is closed. Raises Unavailable, InvalidInput, see ``listen``."""
+
+    def __init__(self, data: Path, host: str, port: int) -> None:
+        self._server = HttpServer(
+            NodeService(data),
+            listen(host, port, "port in NODE_ADDRESS"),
+            threads=THREADS,
+            connection_limit=MOST_CONNECTIONS,
+            max_request_body_size=2 * MOST_BODY_BYTES,
+            channel_timeout=300,
+        )
+        self.url = self._server.url
+        self._thread = threading.Thread(target=self._server.run, name="nodes", daemon=True)
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+        logger.info("nodes are served at %s", self.url)
+
+    def close(self) -> None:
+        """End it. Nodes try again until there is another one."""
+        self._server.close()
+        self._thread.join()
+
+
+@contextmanager
+def serving_nodes(settings: Settings) -> Iterator[None]:
+    """Serve nodes during the block, if the settings say where. Raises Unavailable, InvalidInput."""
+    address = listening_address(settings)
+    if address is None:
+        yield
+        return
+    server = NodeServer(settings.data.resolve(), *address)
+    server.start()
+    try:
+        yield
+    finally:
+        server.close()
+
+
+def _send_item(
+    registration: Registration, sha256: str, environ: dict[str, Any], start_response: StartResponse
+) -> Iterable[bytes]:
+    """A file, or the rest of it that ``Range`` asks for. Raises NotTaken."""
+    offered = registration.item(sha256)
+    if offered is None:
+        raise NotTaken(HTTPStatus.BAD_REQUEST, "the run needs no such item")
+    try:
+        stream = offered.path.open("rb")
+    except OSError as error:
+        raise Unavailable(f"{offered.path} cannot be read: {error.strerror}") from None
+    size_bytes = stream.seek(0, 2)
+    if size_bytes != offered.item.size_bytes:
+        stream.close()
+        recorded = offered.item.size_bytes
+        words = f"{offered.item.words} has {size_bytes} bytes on the controller, but {recorded} are recorded"
+        raise NotTaken(HTTPStatus.GONE, words)
+    begin = _begin_of_range(environ, sha256)
+    if begin > size_bytes or (begin == size_bytes and begin):
+        stream.close()
+        raise NotTaken(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, f"the item has {size_bytes} bytes")
+    stream.seek(begin)
+    headers = [
+        ("Content-Type", "application/octet-stream"),
+        ("Content-Length", str(size_bytes - begin)),
+        ("ETag", f'"{sha256}"'),
+        ("Accept-Ranges", "bytes"),
+    ]
+    if begin:
+        headers.append(("Content-Range", f"bytes {begin}-{size_bytes - 1}/{size_bytes}"))
+    start_response("206 Partial Content" if begin else "200 OK", headers)
+    answer: Iterable[bytes] = environ["wsgi.file_wrapper"](stream, _PIECE_BYTES)
+    return answer
+
+
+def _begin_of_range(environ: dict[str, Any], sha256: str) -> int:
+    """Where to begin: at 0 unless the request has ``bytes=N-``, and its first part is of this item."""
+    unit, _, asked = environ.get("HTTP_RANGE", "").partition("=")
+    begin, dash, end = asked.partition("-")
+    same = environ.get("HTTP_IF_RANGE", f'"{sha256}"') == f'"{sha256}"'
+    if unit.strip() != "bytes" or not dash or end or not same or not _is_number(begin):
+        return 0
+    return int(begin)
+
+
+def _body(environ: dict[str, Any]) -> bytes:
+    length = environ.get("CONTENT_LENGTH") or "0"
+    if not _is_number(length) or int(length) > MOST_BODY_BYTES:
+        raise NotTaken(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a piece has at most {MOST_BODY_BYTES} bytes")
+    content: bytes = environ["wsgi.input"].read(int(length))
+    if len(content) != int(length):
+        raise NotTaken(HTTPStatus.BAD_REQUEST, "the request was cut")
+    return content
+
+
+def _json_body(environ: dict[str, Any]) -> dict[str, Any]:
+    try:
+        content = json.loads(_body(environ))
+    except ValueError:
+        content = None
+    if not isinstance(content, dict):
+        raise NotTaken(HTTPStatus.BAD_REQUEST, "the request holds no JSON object")
+    return content
+
+
+def _header(environ: dict[str, Any], name: str) -> str:
+    found: str = environ.get("HTTP_" + name.upper().replace("-", "_"), "")
+    return found
+
+
+def _number(environ: dict[str, Any], name: str) -> int:
+    found = _header(environ, name) or "0"
+    if not _is_number(found):
+        raise NotTaken(HTTPStatus.BAD_REQUEST, f"{name} is no number: {found[:40]!r}")
+    return int(found)
+
+
+def _is_number(text: str) -> bool:
+    return text.isascii() and text.isdecimal() and len(text) <= 16
+
+
+def _word(found: object) -> str:
+    """Printable text of bounded length."""
+    text = "" if found is None else str(found)
+    return "".join(character for character in text if character.isprintable())[:_LONGEST_WORD]
