@@ -57,9 +57,15 @@ class RunHandle:
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """The run goes on. ``process_limit`` says that it was refused processes for so long that the worker must end it."""
+    """The run goes on.
+
+    Attributes:
+        process_limit: It was refused processes for so long that the worker must end it.
+        as_of: When that was known; None for now. A node that cannot be asked may have ended the run since.
+    """
 
     process_limit: bool = False
+    as_of: datetime | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -119,6 +119,15 @@ def test_a_stuck_algorithm_ends_by_its_timeout(hive):
     assert executor.stopped == 1
 
 
+def test_a_run_that_was_not_heard_of_since_is_not_late(hive):
+    """Its node may have ended it long ago, while the worker was away; its results are on their way."""
+    heard_at = utc_now()
+    executor = FakeExecutor([*[Running(as_of=heard_at)] * 150, Exited(0)], write_trajectory(3))
+    run = finish(hive, executor, timeout_s=1)
+    assert run.state is RunState.SUCCEEDED
+    assert executor.stopped == 0
+
+
 def test_a_dataset_that_vanishes_fails_the_run_with_a_reason(hive):
     run_id = submit(hive, FakeExecutor())
     hive.catalogue.remove_dataset("track")

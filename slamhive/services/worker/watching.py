@@ -93,7 +93,6 @@ class Watch:
         """Why the run has ended: ``exited``, ``gone``, ``cancelled``, or the value under :data:`STOPPED_BECAUSE`."""
         hand = self._hand
         saved = hand.saved()
-        timeout_s = hand.spec.timeout_s
         disk = DiskWatch(hand, disk_limits(saved))
         engine_was_away = ENGINE_AWAY in saved
         while True:
@@ -110,16 +109,16 @@ class Watch:
                 # A worker recorded why and died before it stopped the run; the cause may have passed by now.
                 return self._stop(saved[STOPPED_BECAUSE])
             hand.executor.refresh(hand.spec, hand.handle)
-            cause = {STOPPED_BECAUSE: "process_limit"} if status.process_limit else self._cause_to_stop(timeout_s, disk)
+            cause = {STOPPED_BECAUSE: "process_limit"} if status.process_limit else self._cause_to_stop(status, disk)
             if cause is not None:
                 return self._stop_because(cause)
             hand.check_still_ours()
             hand.context.stopping.wait(hand.context.settings.poll_interval_s)
 
-    def _cause_to_stop(self, timeout_s: float, disk: DiskWatch) -> dict[str, Any] | None:
+    def _cause_to_stop(self, status: Running, disk: DiskWatch) -> dict[str, Any] | None:
         """The record entries that say why the run must stop now; None if it may continue."""
         hand = self._hand
-        if hand.elapsed_s() > timeout_s:
+        if self._known_to_run_s(status) > hand.spec.timeout_s:
             return {STOPPED_BECAUSE: "timeout"}
         exceeded = disk.exceeded()
         if exceeded is not None:
@@ -134,6 +133,11 @@ class Watch:
         if broken is None:
             return None
         return {STOPPED_BECAUSE: "stop_when", STOP_RULE: {"reason": broken.reason.value, "detail": broken.detail}}
+
+    def _known_to_run_s(self, status: Running) -> float:
+        """How long the run took as of the last time that somebody heard of it."""
+        hand = self._hand
+        return hand.elapsed_s() if status.as_of is None else (status.as_of - hand.started_at).total_seconds()
 
     def _observation(self) -> Observation:
         watched = self._hand.run.stop_when.lost_tracking_s is not None
