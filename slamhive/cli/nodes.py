@@ -54,8 +54,8 @@ def undrain(cli: CliContext, node: str, executor: str | None) -> None:
 def _print(found: Overview) -> None:
     rows = [(engine.executor, *_row(node)) for engine in found.engines for node in engine.nodes]
     if rows:
-        headings = ("executor", "node", "state", "CPU", "cores", "GB", "runs/h", "left", "runs")
-        print_table(headings, rows, right=("cores", "GB", "runs/h", "left"))
+        headings = ("executor", "node", "state", "CPU", "cores", "GB", "cache", "runs/h", "left", "runs")
+        print_table(headings, rows, right=("cores", "GB", "cache", "runs/h", "left"))
     for engine in found.engines:
         if engine.problem is not None:
             tell(f"{engine.executor}: {engine.problem}", style="yellow")
@@ -74,8 +74,11 @@ def _print(found: Overview) -> None:
 def _row(node: NodeView) -> tuple[object, ...]:
     memory_gb = None if node.memory_bytes is None else f"{node.memory_bytes / 1e9:.1f}"
     left = None if node.left_s is None else f"{node.left_s / 60:.0f} min"
+    cache = None
+    if node.cache is not None:
+        cache = f"{node.cache.used_bytes / 1e9:.1f} of {node.cache.limit_bytes / 1e9:.1f} GB"
     rates = (f"{node.runs_per_hour:.1f}", left)
-    return (node.name, node.state, node.cpu_model, node.cpu_count, memory_gb, *rates, _runs(node.runs))
+    return (node.name, node.state, node.cpu_model, node.cpu_count, memory_gb, cache, *rates, _runs(node.runs))
 
 
 def _runs(runs: tuple[NodeRun, ...]) -> str | None:

@@ -9,6 +9,14 @@ from slamhive.executors.host import describe_host
 
 
 @dataclass(frozen=True, slots=True)
+class CacheUse:
+    """What data of runs takes on a node, as of the last run there, and the most that it may take."""
+
+    used_bytes: int
+    limit_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
 class Node:
     """One machine.
 
@@ -20,6 +28,7 @@ class Node:
         cpu_count: Logical cores that runs can have together; None if unknown.
         memory_bytes: The same for memory.
         cpu_model: None if the engine does not know it.
+        cache: None if it keeps no data of runs, or no run was there.
     """
 
     name: str
@@ -29,6 +38,7 @@ class Node:
     cpu_count: int | None
     memory_bytes: int | None
     cpu_model: str | None = None
+    cache: CacheUse | None = None
 
 
 def this_machine() -> Node:

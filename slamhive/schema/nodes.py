@@ -21,6 +21,13 @@ class NodeRun(Document):
     left_s: Annotated[float | None, described("By earlier runs of its configuration; null without.", unit="s")] = None
 
 
+class CacheUse(Document):
+    """What data of runs takes on a node, as of the last run there."""
+
+    used_bytes: Annotated[int, described("What it takes.", unit="bytes")]
+    limit_bytes: Annotated[int, described("The most that it may take.", unit="bytes")]
+
+
 class Node(Document):
     """One machine."""
 
@@ -36,6 +43,7 @@ class Node(Document):
     left_s: Annotated[
         float | None, described("Until its runs in progress should be over; null if not known.", unit="s")
     ] = None
+    cache: Annotated[CacheUse | None, described("Null if it keeps no data of runs, or no run was there.")] = None
 
 
 class Engine(Document):

@@ -31,9 +31,10 @@ from slamhive.executors.node_store.arrivals import (
     refused_results,
     results_archive,
 )
+from slamhive.executors.node_store.caches import NodeCaches
 from slamhive.executors.node_store.controller import NodeStore, Reports
 from slamhive.executors.node_store.offers import Offers
-from slamhive.executors.node_store.on_node.cache import FOLDER, Cache, CacheFull, Item
+from slamhive.executors.node_store.on_node.cache import FOLDER, Cache, CacheFull, Held, Item
 from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused, clock_offset
 from slamhive.executors.node_store.on_node.fetch import Fetcher, WrongContent
 from slamhive.executors.node_store.on_node.mirror import Mirror, Watched
@@ -45,9 +46,11 @@ from slamhive.executors.node_store.on_node.run import (
     architecture,
     claim,
     deliver,
+    hold_items,
     with_offset,
 )
 from slamhive.executors.node_store.registrations import Registrations, archive_bound
+from slamhive.executors.nodes import CacheUse
 from slamhive.executors.packing import Bounds
 from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.executors.transfer import unpack_output
@@ -276,8 +279,18 @@ def test_a_token_is_good_for_its_run_alone_and_until_the_run_is_over(data, recor
         with pytest.raises(Refused):
             mine.connection(server.url, first).ask("GET", "result")
         Registrations(data).remove("mine")
-        with pytest.raises(Refused):
+        with pytest.raises(Refused, match="the run is over") as over:
             mine.connection(server.url, second).ask("GET", "result")
+        assert over.value.over
+        with pytest.raises(Refused, match="no run that goes on") as superseded:
+            mine.connection(server.url, first).ask("GET", "result")
+        assert not superseded.value.over
+        Registrations(data).sweep()
+        assert len(list((data / "node-runs").iterdir())) == 2
+        for record in (data / "node-runs").iterdir():
+            os.utime(record, (0, 0))
+        Registrations(data).sweep()
+        assert len(list((data / "node-runs").iterdir())) == 1
     assert not (mine.work / "state.json").exists()
 
 
@@ -580,7 +593,7 @@ def test_an_executor_hands_a_run_out_and_takes_its_results(data, recording, tmp_
         claim(opened(first), "job 1", "one")
         ticket = store.hand_out(spec, {"a": 1}, Reports({"exit.json": spec.work / "exit.json"}), {})
         claimed = claim(opened(ticket), "job 2", "one")
-        assert sorted(claimed.items) == ["input recording", "package scripts"]
+        assert sorted(claimed.items) == ["input recording"]
         with pytest.raises(EngineUnavailable, match="results of run 7 are not here yet"):
             store.take_results(spec)
         (tmp_path / "out").mkdir()
@@ -595,6 +608,20 @@ def test_an_executor_hands_a_run_out_and_takes_its_results(data, recording, tmp_
         store.sweep(lambda: ())
         with pytest.raises(Refused):
             opened(ticket).ask("GET", "result")
+
+
+def test_nodes_say_what_their_caches_hold(data, recording, tmp_path):
+    run = register(data, inputs={"recording": recording})
+    with serving(data) as server:
+        connection = run.connection(server.url)
+        claim(connection, "job 1", "one")
+        ticket = Ticket(server.url, "run-1", run.token, str(tmp_path / "cache"), 10**7)
+        held: list[Held] = []
+        hold_items(ticket, connection, {"recording": item_of(run)}, held, lambda _item, _size: None)
+        for nonsense in (b'{"used_bytes": -1, "limit_bytes": 5}', b'{"used_bytes": "x"}', b"{}"):
+            connection.ask("PUT", "cache", nonsense)
+    assert NodeCaches(data).all() == {"one": CacheUse(LARGE, 10**7)}
+    held[0].release()
 
 
 def test_a_clock_that_differs_is_said(data):
@@ -637,14 +664,11 @@ def opened(ticket: Ticket) -> Connection:
 
 
 def _spec(data: Path, recording: Path) -> RunSpec:
-    scripts = data / "package" / "slamhive"
-    scripts.mkdir(parents=True)
-    (scripts / "mapping.py").write_text("print(1)\n")
     return RunSpec(
         key="run-7",
         run_id=7,
         package="sleeper",
-        package_folder=scripts.parent,
+        package_folder=data,
         image="",
         identity="",
         command=("true",),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import tarfile
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from slamhive.errors import Unavailable
-from slamhive.executors.base import EngineUnavailable, LiveKeys, NodeAccess
+from slamhive.executors.base import EngineUnavailable, Finding, LiveKeys, NodeAccess
 from slamhive.executors.node_store.arrivals import (
     arrived_bytes,
     claimed_by,
@@ -17,15 +17,15 @@ from slamhive.executors.node_store.arrivals import (
     refused_results,
     results_archive,
 )
+from slamhive.executors.node_store.caches import NodeCaches
 from slamhive.executors.node_store.offers import Offers
 from slamhive.executors.node_store.on_node.run import Ticket
 from slamhive.executors.node_store.registrations import Offered, Registration, Registrations, archive_bound
+from slamhive.executors.nodes import Node
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.transfer import unpack_output
 from slamhive.files import remedy_of
 
-PACKAGE_SCRIPTS = "package scripts"
-"""The name of the item with the scripts of the package, if it has any."""
 _INPUT = "input "
 _LARGEST_OFFSET_S = 2.0
 
@@ -65,6 +65,7 @@ class NodeStore:
         self._access = access
         self._registrations = Registrations(data.resolve())
         self.offers = Offers(data.resolve())
+        self._caches = NodeCaches(data.resolve())
 
     def unavailable_because(self) -> str | None:
         """Why no run can be handed out; None if it can."""
@@ -72,22 +73,30 @@ class NodeStore:
             return None
         return "nodes share no storage (SHARED_STORAGE=false), but are served nowhere; set NODE_ADDRESS to HOST:PORT"
 
+    def examine(self) -> Finding:
+        """How data gets to nodes, for ``slamhive doctor``."""
+        access = self._access
+        found = f"by HTTP from {access.url}, kept in {access.cache} ({access.cache_bytes / 1e9:.0f} GB)"
+        return Finding("data of nodes", found)
+
+    def with_caches(self, nodes: Iterable[Node]) -> list[Node]:
+        """The nodes, with what they have said of their caches."""
+        caches = self._caches.all()
+        return [replace(node, cache=caches.get(node.name)) for node in nodes]
+
     def hand_out(
         self, spec: RunSpec, orders: dict[str, Any], reports: Reports, further: Mapping[str, Offered]
     ) -> Ticket:
         """Let a node have the run; any other that had it has it no more. Raises Unavailable.
 
         Args:
-            spec: The run. Its inputs, and the scripts of its package, are offered.
+            spec: The run. Its inputs are offered.
             orders: What the node gets when it claims the run.
             reports: What it reports.
             further: More items that it can fetch, by name.
         """
         work = spec.work.resolve()
         offered = {item_name(entry.name): self.offers.input(entry) for entry in spec.inputs}
-        scripts = spec.package_folder / "slamhive"
-        if scripts.is_dir():
-            offered[PACKAGE_SCRIPTS] = self.offers.scripts(scripts)
         live = {
             live_place(output.name, name): output.destination.resolve() / name
             for output in spec.outputs
@@ -155,4 +164,5 @@ class NodeStore:
         live: Collection[str] = live_keys()
         for key in found - set(live):
             self.forget(key)
+        self._registrations.sweep()
         self.offers.sweep(self._registrations.offered_files())

@@ -44,11 +44,6 @@ class Offers:
             sha256 = _digits(entry.content) or self._sha256(source)
             return Offered(source, Item(sha256, source.stat().st_size, FILE, 0, words))
 
-    def scripts(self, folder: Path) -> Offered:
-        """The scripts of a package. Raises Unavailable."""
-        with _readable(folder):
-            return self.folder(folder.resolve(), hash_files(folder), "the scripts of the package")
-
     def folder(self, folder: Path, content: str, words: str) -> Offered:
         """A folder. Raises Unavailable.
 

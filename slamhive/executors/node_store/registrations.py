@@ -14,13 +14,16 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from slamhive.clock import utc_now
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.node_store.on_node.cache import Item
+from slamhive.executors.node_store.on_node.connection import OVER
 from slamhive.executors.spec import RunOutput
 from slamhive.files import write_aside
 
 _FOLDER = "node-runs"
 _NODE_FOLDER = "node"
+_KEPT_S = 7 * 86400.0
 _ROOM_FOR_NAMES_BYTES = 4096
 """In an archive: the head of a file, and names of any length."""
 _MOST_UNBOUNDED_BYTES = 2**50
@@ -112,23 +115,33 @@ class Registrations:
         if not self._folder.parent.is_dir():
             raise Unavailable(f"{self._folder.parent} is not there", "mount the data root")
         content = self._read(key)
-        known = "" if content is None else content.pop("token_sha256")
-        # Compared also without a run, so that the time shows nothing.
-        if not hmac.compare_digest(known or _hash(""), _hash(token)) or content is None:
+        if not _matches(content, token) or content is None or OVER in content:
             return None
+        del content["token_sha256"]
         return _registration(content)
 
-    def known(self, key: str) -> bool:
-        """Whether the run is registered."""
-        return self._path(key).exists()
+    def was_for(self, key: str, token: str) -> bool:
+        """Whether ``token`` was the last one of a run that is over, so that its node can remove what it has."""
+        content = self._read(key)
+        return content is not None and OVER in content and _matches(content, token)
 
     def remove(self, key: str) -> None:
         """The token is void from now on. Does nothing if the run is not registered."""
-        self._path(key).unlink(missing_ok=True)
+        content = self._read(key)
+        if content is not None and OVER not in content:
+            over = {"key": key, OVER: True, "token_sha256": content["token_sha256"]}
+            write_aside(self._path(key), json.dumps(over), 0o600)
+
+    def sweep(self) -> None:
+        """Remove the records of runs that have been over for a week."""
+        for path in self._folder.glob("*.json"):
+            if OVER in (_load(path) or {}) and utc_now().timestamp() - path.stat().st_mtime > _KEPT_S:
+                path.unlink(missing_ok=True)
 
     def keys(self) -> set[str]:
-        """The runs."""
-        return {str(content["key"]) for path in self._folder.glob("*.json") if (content := _load(path)) is not None}
+        """The runs that are not over."""
+        found = [content for path in self._folder.glob("*.json") if (content := _load(path)) is not None]
+        return {str(content["key"]) for content in found if OVER not in content}
 
     def offered_files(self) -> set[Path]:
         """The files that registered runs may still fetch."""
@@ -154,6 +167,12 @@ def copied_place(registration: Registration, place: str) -> Path:
     if folder in registration.logs and (name in ("head", "left-out") or (part != name and _is_number(part))):
         return registration.logs[folder] / name
     raise InvalidInput(f"the run has no file {place[:80]!r}")
+
+
+def _matches(content: dict[str, Any] | None, token: str) -> bool:
+    """Compared also without a run, so that the time shows nothing."""
+    known = _hash("") if content is None else str(content["token_sha256"])
+    return hmac.compare_digest(known, _hash(token)) and content is not None
 
 
 def _is_number(text: str) -> bool:

@@ -1,7 +1,7 @@
 """What nodes ask the controller over HTTP. Each request names a run and carries the token of that run.
 
-``POST claim``, ``GET items/<SHA-256>``, ``GET wanted``, ``PUT`` and ``DELETE state/<place>``, ``GET`` and ``PUT
-result``, all below ``/v1/runs/<key>/``. Pages are served elsewhere, by threads of their own.
+``POST claim``, ``GET items/<SHA-256>``, ``PUT cache``, ``GET wanted``, ``PUT`` and ``DELETE state/<place>``, and
+``GET`` and ``PUT result``, all below ``/v1/runs/<key>/``. Pages are served elsewhere, by threads of their own.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from typing import Any
 from slamhive.clock import utc_now
 from slamhive.errors import Unavailable
 from slamhive.executors.node_store.address import listening_address
-from slamhive.executors.node_store.arrivals import Arrivals, NotTaken, wanted
-from slamhive.executors.node_store.on_node.connection import FROM_HEADER, SHA256_HEADER, TOTAL_HEADER
+from slamhive.executors.node_store.arrivals import Arrivals, NotTaken, claimed_by, wanted
+from slamhive.executors.node_store.caches import NodeCaches
+from slamhive.executors.node_store.on_node.connection import FROM_HEADER, OVER, SHA256_HEADER, TOTAL_HEADER
 from slamhive.executors.node_store.on_node.mirror import MOST_BODY_BYTES
 from slamhive.executors.node_store.on_node.run import ARCHITECTURE
 from slamhive.executors.node_store.registrations import Registration, Registrations
@@ -49,6 +50,7 @@ class NodeService:
     def __init__(self, data: Path) -> None:
         self._registrations = Registrations(data)
         self._arrivals = Arrivals()
+        self._caches = NodeCaches(data)
 
     def __call__(self, environ: dict[str, Any], start_response: StartResponse) -> Iterable[bytes]:
         """Answer one request."""
@@ -76,36 +78,53 @@ class NodeService:
         found = None
         if path.startswith(_ROOT) and scheme.lower() == "bearer":
             found = self._registrations.find(key, token.strip())
+        if found is None and self._registrations.was_for(key, token.strip()):
+            raise NotTaken(HTTPStatus.GONE, "the run is over", **{OVER: True})
         if found is None:
             raise NotTaken(HTTPStatus.UNAUTHORIZED, "no run that goes on has this name and token")
         return found, place
 
     def _answer(self, registration: Registration, place: str, environ: dict[str, Any]) -> dict[str, Any]:
+        """What a request is answered with, except for an item. Raises NotTaken."""
         method, (kind, _, rest) = environ["REQUEST_METHOD"], place.partition("/")
-        arrivals = self._arrivals
-        if (method, place) == ("POST", "claim"):
-            said = _json_body(environ)
-            holder = _word(said.get("holder"))
-            if not holder:
-                raise NotTaken(HTTPStatus.BAD_REQUEST, "a claim names its holder")
-            now_s = utc_now().timestamp()
-            noted = {name: _word(said.get(name)) for name in ("node", ARCHITECTURE, "node_time_s")}
-            arrivals.claim(registration, holder, {**noted, "received_s": now_s})
-            return {**registration.answer, "time_s": now_s}
-        if (method, place) == ("GET", "wanted"):
-            return {"wanted": wanted(registration), "time_s": utc_now().timestamp()}
-        if (method, place) == ("GET", "result"):
-            return arrivals.results(registration)
-        if (method, place) == ("PUT", "result"):
-            announced = _number(environ, TOTAL_HEADER), _header(environ, SHA256_HEADER)
-            return arrivals.put_results(registration, _number(environ, FROM_HEADER), announced, _body(environ))
+        answers: dict[tuple[str, str], Callable[[], dict[str, Any]]] = {
+            ("POST", "claim"): lambda: self._claim(registration, environ),
+            ("PUT", "cache"): lambda: self._note_cache(registration, environ),
+            ("GET", "wanted"): lambda: self._heard(registration),
+            ("GET", "result"): lambda: self._arrivals.results(registration),
+            ("PUT", "result"): lambda: self._put_results(registration, environ),
+        }
+        if (method, place) in answers:
+            return answers[method, place]()
         if (method, kind) == ("PUT", "state"):
-            arrivals.put_copy(registration, rest, _number(environ, FROM_HEADER), _body(environ))
-            return {"wanted": wanted(registration)}
+            self._arrivals.put_copy(registration, rest, _number(environ, FROM_HEADER), _body(environ))
+            return self._heard(registration)
         if (method, kind) == ("DELETE", "state"):
-            arrivals.remove_copy(registration, rest)
-            return {"wanted": wanted(registration)}
+            self._arrivals.remove_copy(registration, rest)
+            return self._heard(registration)
         raise NotTaken(HTTPStatus.BAD_REQUEST, f"nothing answers to {method} {place[:80]!r}")
+
+    def _claim(self, registration: Registration, environ: dict[str, Any]) -> dict[str, Any]:
+        said, now_s = _json_body(environ), utc_now().timestamp()
+        holder = _word(said.get("holder"))
+        if not holder:
+            raise NotTaken(HTTPStatus.BAD_REQUEST, "a claim names its holder")
+        noted = {name: _word(said.get(name)) for name in ("node", ARCHITECTURE, "node_time_s")}
+        self._arrivals.claim(registration, holder, {**noted, "received_s": now_s})
+        return {**registration.answer, "time_s": now_s}
+
+    def _note_cache(self, registration: Registration, environ: dict[str, Any]) -> dict[str, Any]:
+        said, node = _json_body(environ), (claimed_by(registration.work) or {}).get("node")
+        self._caches.note(str(node or ""), said.get("used_bytes"), said.get("limit_bytes"))
+        return {}
+
+    def _put_results(self, registration: Registration, environ: dict[str, Any]) -> dict[str, Any]:
+        announced = _number(environ, TOTAL_HEADER), _header(environ, SHA256_HEADER)
+        return self._arrivals.put_results(registration, _number(environ, FROM_HEADER), announced, _body(environ))
+
+    @staticmethod
+    def _heard(registration: Registration) -> dict[str, Any]:
+        return {"wanted": wanted(registration)}
 
 
 class NodeServer:
@@ -165,7 +184,7 @@ def _send_item(
         stream.close()
         recorded = offered.item.size_bytes
         words = f"{offered.item.words} has {size_bytes} bytes on the controller, but {recorded} are recorded"
-        raise NotTaken(HTTPStatus.GONE, words)
+        raise NotTaken(HTTPStatus.CONFLICT, words)
     begin = _begin_of_range(environ, sha256)
     if begin > size_bytes or (begin == size_bytes and begin):
         stream.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from slamhive.executors.nodes import Node
+from slamhive.executors.nodes import CacheUse, Node
 from slamhive.store.durations import MachineRuns
 
 
@@ -44,6 +44,7 @@ class NodeView:
     runs: tuple[NodeRun, ...]
     runs_per_hour: float = 0.0
     left_s: float | None = None
+    cache: CacheUse | None = None
 
     @classmethod
     def of(cls, node: Node, runs: Iterable[NodeRun], runs_per_hour: float) -> NodeView:
@@ -60,6 +61,7 @@ class NodeView:
             runs=runs,
             runs_per_hour=runs_per_hour,
             left_s=max((run.left_s for run in runs if run.left_s is not None), default=None),
+            cache=node.cache,
         )
 
 

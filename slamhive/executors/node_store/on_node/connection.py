@@ -13,6 +13,7 @@ from urllib.parse import quote, urlsplit
 FROM_HEADER = "X-From"
 TOTAL_HEADER = "X-Total"
 SHA256_HEADER = "X-SHA256"
+OVER = "over"
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 10.0
 _LONGEST_ERROR_BYTES = 10000
 
@@ -20,10 +21,14 @@ T = TypeVar("T")
 
 
 class Refused(Exception):
-    """The controller said no, and would say it again. ``answer`` holds its words and what else it said."""
+    """The controller said no, and would say it again. ``answer`` holds its words and what else it said.
+
+    ``over`` says that the run is over for it: what the node has of it can go.
+    """
 
     def __init__(self, status: int, answer: Dict[str, Any]) -> None:
         self.status = status
+        self.over = bool(answer.get(OVER))
         self.answer = answer
         super().__init__(str(answer.get("error", "the controller refuses with status " + str(status))))
 

@@ -13,7 +13,7 @@ from slamhive.executors.node_store.on_node.cache import Item, sha256_of
 from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused, patiently
 
 _PIECE_BYTES = 1 << 20
-_CHANGED = 410
+_CHANGED = 409
 _CUT = (http.client.HTTPException, ConnectionError, socket.timeout, ssl.SSLError)
 
 Progress = Callable[[Item, int], None]

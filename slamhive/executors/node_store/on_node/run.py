@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
 import os
 import platform
@@ -9,16 +11,19 @@ import threading
 import time
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence
 
 from slamhive.executors.node_store.on_node.cache import Cache, Held, Item, hold_all
 from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused, clock_offset, patiently
 from slamhive.executors.node_store.on_node.fetch import Fetcher, Progress
 from slamhive.executors.node_store.on_node.mirror import Mirror, Watched
 from slamhive.executors.node_store.on_node.results import RESULT_FILE, Output, pack_results, send_results
+from slamhive.tree import remove_tree
 
 ARCHITECTURE = "architecture"
 _ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64", "armv7l": "arm", "i686": "386", "ppc64le": "ppc64le"}
+_LOCK_FILE = "run.lock"
+_KEPT_S = 7 * 86400.0
 _LOOK_S = 0.05
 _ASK_S = 1.0
 _TIMES_S, _TIMES_ISO = ("started_s", "ended_s"), ("started_at", "ended_at")
@@ -122,7 +127,11 @@ def hold_items(
     Raises Refused, WrongContent, CacheFull, OSError.
     """
     cache = Cache(Path(ticket.cache), ticket.cache_bytes)
-    return hold_all(cache, items, Fetcher(connection, progress=progress), held)
+    found = hold_all(cache, items, Fetcher(connection, progress=progress), held)
+    said = {"used_bytes": cache.used_bytes(), "limit_bytes": ticket.cache_bytes}
+    with contextlib.suppress(Away):
+        connection.ask("PUT", "cache", json.dumps(said).encode())
+    return found
 
 
 class Reporter:
@@ -218,6 +227,38 @@ def with_offset(offset_s: float) -> Optional[Callable[[bytes], bytes]]:
         return json.dumps(record).encode()
 
     return change
+
+
+@contextlib.contextmanager
+def holding(folder: Path) -> Iterator[None]:
+    """One process at a time has the run in ``folder``; the kernel frees the lock of a killed one. Raises OSError."""
+    descriptor = os.open(str(folder / _LOCK_FILE), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def remove_run(folder: Path) -> None:
+    """Remove what a run has left on this node. Raises OSError."""
+    remove_tree(folder)
+    with contextlib.suppress(OSError):
+        folder.parent.rmdir()  # unless another job of the run has left something
+
+
+def sweep_runs(ticket: Ticket) -> None:
+    """Remove what runs have left in ``<cache>/runs/<key>/<job>/`` that nobody has fetched for a week."""
+    for folder in ticket.run_folder.parent.glob("*/*"):
+        with contextlib.suppress(OSError):
+            if time.time() - folder.stat().st_mtime < _KEPT_S:
+                continue
+            descriptor = os.open(str(folder / _LOCK_FILE), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                remove_run(folder)
+            finally:
+                os.close(descriptor)
 
 
 def make_folders(*folders: Path) -> None:
