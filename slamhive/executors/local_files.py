@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import stat
 from pathlib import Path
 
 from slamhive.errors import Unavailable
@@ -22,6 +23,7 @@ def make_own_copies(spec: RunSpec) -> None:
             else:
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy(entry.source, copy)
+                copy.chmod(copy.stat().st_mode | stat.S_IWUSR)  # in a cache, files are read-only
         except OSError as error:
             raise Unavailable(f"{copy} cannot be written: {error}", remedy_of(error)) from None
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import stat
 import sys
+import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -13,7 +14,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.executors.base import Executor, ExecutorContext, PackageNeed
+from slamhive.executors.base import EngineUnavailable, Executor, ExecutorContext, NodeAccess, PackageNeed
+from slamhive.executors.node_store.server import NodeServer
 from slamhive.executors.process.containment import KINDS, choose_containment
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold
 from slamhive.executors.process.executor import ProcessExecutor
@@ -22,10 +24,11 @@ from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.runs.folder import RunFolder
 from tests.executors.kubernetes_cluster import KubernetesCluster
+from tests.executors.node_stores import serving
 from tests.executors.plugins import PLUGINS, Agent, distributions_in, install_plugins
 from tests.executors.slurm_cluster import Cluster, cannot_start_because
 from tests.sharing import made_once, share_environments
-from tests.waiting import eventually
+from tests.waiting import PATIENCE_S, eventually
 
 if TYPE_CHECKING:
     import docker
@@ -105,9 +108,19 @@ class Bench:
 
     def start(self, script: str, limits: Limits | None = None) -> tuple[RunSpec, RunHandle]:
         spec = self.spec(script, limits)
-        handle = self.executor.start(spec)
+        handle = self.start_spec(spec)
         self.handles.append(handle)
         return spec, handle
+
+    def start_spec(self, spec: RunSpec) -> RunHandle:
+        """Start it as a worker does: again, while its node fetches what it needs."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                return self.executor.start(spec)
+            except EngineUnavailable:
+                if self.executor.capabilities.shares_files or time.monotonic() > deadline_s:
+                    raise
 
     def sees(self, spec: RunSpec, handle: RunHandle, name: str) -> bool:
         """Whether the controller sees a live file of the result."""
@@ -215,6 +228,31 @@ def slurm_daemons(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]
         yield cluster
 
 
+@pytest.fixture(scope="session")
+def apart_daemons(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A Slurm whose nodes see no file of the tests, and have a cache each."""
+    reason = cannot_start_because()
+    if reason is not None:
+        pytest.skip(reason)  # as above
+    with Cluster(tmp_path_factory.mktemp("slurm"), tmp_path_factory.getbasetemp()) as cluster:
+        yield cluster
+
+
+@pytest.fixture
+def apart_cluster(apart_daemons: Cluster, monkeypatch: pytest.MonkeyPatch) -> Cluster:
+    """The Slurm of nodes apart, which the commands of this process find."""
+    for name, value in apart_daemons.variables.items():
+        monkeypatch.setenv(name, value)
+    return apart_daemons
+
+
+@pytest.fixture
+def node_server(environment_data: Path) -> Iterator[NodeServer]:
+    """What a worker serves to nodes that see no file of the tests."""
+    with serving(environment_data) as server:
+        yield server
+
+
 @pytest.fixture
 def slurm_cluster(slurm_daemons: Cluster, monkeypatch: pytest.MonkeyPatch) -> Cluster:
     """The Slurm of these tests, which the commands of this process find."""
@@ -238,10 +276,11 @@ REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
 
 _SLURM = pytest.param("slurm", marks=pytest.mark.cluster)
 _SLURM_ENVIRONMENT = pytest.param("slurm-none", marks=pytest.mark.cluster)
-ALL = ["process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, _KUBERNETES, "remote", "plain"]
+_SLURM_APART = pytest.param("slurm-apart", marks=pytest.mark.cluster)
+ALL = ["process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, _SLURM_APART, _KUBERNETES, "remote", "plain"]
 """The parameters of ``bench`` for every executor: those that ship, one on another machine, one of the documentation.
 
-Slurm has two, with containers and without.
+Slurm has three: with containers, without, and on nodes that see no file of the tests.
 """
 
 
@@ -260,6 +299,10 @@ def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
     if containment == "user":
         open_to_other_users(tmp_path, environment_data)
     context = ExecutorContext(environment_data, PROJECT_ROOT, uuid.uuid4().hex, 100_000)
+    if request.param == "slurm-apart":
+        cluster, server = request.getfixturevalue("apart_cluster"), request.getfixturevalue("node_server")
+        apart = replace(context, nodes=NodeAccess(server.url, str(cluster.cache), 2 * 10**9))
+        return Maker(name, apart, lambda: open_executor(name, apart))
     if name == "slurm":
         request.getfixturevalue("slurm_cluster")
         slurm = replace(context, options={"containers": containment or "auto"})

@@ -60,14 +60,35 @@ def cannot_start_because() -> str | None:
     return f"no {', '.join(missing)}; apt-get install slurm-wlm munge charliecloud" if missing else None
 
 
-class Cluster:
-    """The daemons, which can be killed and started again."""
+_HIDE = """
+set -e
+mount --make-rprivate /
+mount --bind {folder} {aside}
+mount -t tmpfs none {hidden}
+mkdir -p {folder} {cache}
+mount --bind {aside} {folder}
+mount --bind {folder}/cache-{node} {cache}
+umount {aside}
+exec slurmd -N {node}
+"""
+"""Starts a node that sees nothing in a folder but what belongs to Slurm, and a cache of its own there."""
 
-    def __init__(self, folder: Path) -> None:
+
+class Cluster:
+    """The daemons, which can be killed and started again.
+
+    Args:
+        folder: For configuration, state and logs.
+        hidden: A folder around it whose other content nodes do not see; None if they see everything.
+    """
+
+    def __init__(self, folder: Path, hidden: Path | None = None) -> None:
         self.folder = folder
+        self._hidden = hidden
+        self.cache = (hidden or folder) / "node-cache"
         for name in ("munge", "state", *(f"spool-{node}" for node in NODES)):
             (folder / name).mkdir(mode=0o700)
-        controller_port, first_port, second_port = _free_ports(3)
+        controller_port, first_port, second_port = free_ports(3)
         configuration = _CONFIGURATION.format(
             folder=folder,
             host=socket.gethostname().partition(".")[0],
@@ -97,7 +118,12 @@ class Cluster:
 
     def start_node(self, node: str) -> None:
         """Start a ``slurmd``, and wait until its node takes jobs."""
-        self.run("slurmd", "-N", node)
+        if self._hidden is None:
+            self.run("slurmd", "-N", node)
+        else:
+            (self.folder / f"cache-{node}").mkdir(exist_ok=True)
+            names = {"folder": self.folder, "aside": "/mnt", "hidden": self._hidden, "cache": self.cache, "node": node}
+            self.run("unshare", "-m", "sh", "-c", _HIDE.format(**names))
         self.forgive_duplicates()
         self.wait_for_node(node)
 
@@ -202,7 +228,8 @@ def _lives(pid: int) -> bool:
         return False
 
 
-def _free_ports(count: int) -> list[int]:
+def free_ports(count: int) -> list[int]:
+    """Ports of 127.0.0.1 that nobody uses now."""
     sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
     ports = [int(entry.getsockname()[1]) for entry in sockets]
     for entry in sockets:

@@ -48,7 +48,7 @@ def test_success_has_exit_code_times_and_log(bench):
 
 def test_start_is_idempotent_and_survives_the_executor(bench):
     spec = bench.spec(RESULT + "open(result / 'starts', 'a').write('x')\ntime.sleep(60)")
-    first = bench.executor.start(spec)
+    first = bench.start_spec(spec)
     bench.handles.append(first)
     assert bench.executor.start(spec) == first
     other = bench.again()
@@ -147,7 +147,7 @@ def test_limit_of_time(bench):
     if Limit.TIME not in bench.executor.capabilities.limits:
         return
     spec = replace(bench.spec(SLEEP), timeout_s=1.0)
-    handle = bench.executor.start(spec)
+    handle = bench.start_spec(spec)
     bench.handles.append(handle)
     status = wait_for_end(bench.executor, handle)
     assert status.timed_out
@@ -195,7 +195,7 @@ def test_own_copies_can_be_changed_and_sources_stay(bench):
     script = next(entry.source for entry in spec.inputs if entry.name == "script")
     script.write_text(script.read_text().replace(RESULT, RESULT + where))
     spec = replace(spec, inputs=(*spec.inputs, own), environment={"OWN": "/slamhive/own"})
-    handle = bench.executor.start(spec)
+    handle = bench.start_spec(spec)
     bench.handles.append(handle)
     assert wait_for_end(bench.executor, handle).exit_code == 0
     assert (source / "file").read_text() == "mine"
@@ -297,7 +297,7 @@ def test_discard_ends_a_run_whose_handle_was_lost(bench):
 def test_discard_of_what_was_never_started(bench):
     spec = bench.spec(SLEEP)
     bench.executor.discard(spec)
-    handle = bench.executor.start(spec)
+    handle = bench.start_spec(spec)
     bench.handles.append(handle)
     assert isinstance(bench.executor.poll(handle), Running)
 
@@ -361,4 +361,4 @@ def test_secrets_of_the_worker_and_the_ground_truth_stay_out(bench, monkeypatch)
 def test_missing_image(bench):
     spec = replace(bench.spec(SLEEP), identity="sha256:" + "0" * 64)
     with pytest.raises(ImageMissing):
-        bench.executor.start(spec)
+        bench.start_spec(spec)

@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 
 from slamhive.errors import InvalidInput
-from slamhive.executors.base import EngineUnavailable, StartFailed
+from slamhive.executors.base import EngineUnavailable, ExecutorContext, NodeAccess, StartFailed
+from slamhive.executors.node_store.on_node.run import Ticket
+from slamhive.executors.registry import open_executor
 from slamhive.executors.slurm import command
 from slamhive.executors.slurm.command import Job, parse_accounted, parse_jobs, read_options
 from slamhive.executors.slurm.executor import Queue
-from slamhive.executors.slurm.job import job_limits, job_options, job_script
+from slamhive.executors.slurm.job import delivery_options, job_limits, job_options, job_script, ticket_script
 from slamhive.executors.spec import Limits, Placing, RunSpec
 
 OUTPUTS = Path(__file__).parent / "slurm_outputs"
@@ -180,6 +182,31 @@ def test_script_of_a_job():
     assert lines[0] == "#!/bin/sh"
     assert lines[-1].startswith("exec ")
     assert lines[-1].endswith("supervise '/a folder'")
+
+
+def test_a_ticket_is_in_no_command_line():
+    ticket = Ticket("http://hive:5001", "k1", "secret", "/var/tmp/cache's", 10)
+    lines = ticket_script(ticket, "run", "/opt/hive/bin/python").splitlines()
+    assert lines[1] == "exec /opt/hive/bin/python -m slamhive.executors.slurm.agent run <<'TICKET'"
+    assert Ticket.loads(lines[2]) == ticket
+    assert lines[3] == "TICKET"
+    assert "PYTHONPATH=" in ticket_script(ticket, "run", "").splitlines()[1]
+
+
+def test_a_job_that_fetches_results_goes_to_their_node():
+    options = delivery_options("home", "k1", "n7", ["--partition=gpu", "--nodelist=n1", "--exclusive"])
+    assert [option for option in options if "n7" in option or "n1" in option] == ["--nodelist=n7"]
+    assert options[-1] == "--partition=gpu"
+    assert "--comment=slamhive:home:k1" in options
+    assert "--output=/dev/null" in options
+
+
+def test_packages_without_images_need_a_shared_file_system(tmp_path):
+    options = {"containers": "none"}
+    context = ExecutorContext(tmp_path, tmp_path, "home", nodes=NodeAccess("http://a:1", "/c", 1), options=options)
+    assert "needs a shared file system" in str(open_executor("slurm", context).unavailable_because())
+    nowhere = replace(context, nodes=NodeAccess("", "/c", 1), options={})
+    assert "set NODE_ADDRESS" in str(open_executor("slurm", nowhere).unavailable_because())
 
 
 def test_nodes_in_the_words_of_sinfo():

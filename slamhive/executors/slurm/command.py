@@ -63,7 +63,12 @@ class Job:
     @property
     def ended_by_slurm(self) -> bool:
         """It is over because its node or Slurm failed, or because Slurm took its node away."""
-        return self.over and (not _SLURM_ENDED.isdisjoint(self.states) or self.reason in _SLURM_FAILED)
+        return self.lost_its_node or (self.over and self.reason in _SLURM_FAILED)
+
+    @property
+    def lost_its_node(self) -> bool:
+        """It is over because its node failed, or because Slurm took it away."""
+        return self.over and not _SLURM_ENDED.isdisjoint(self.states)
 
     @property
     def never_starts(self) -> bool:

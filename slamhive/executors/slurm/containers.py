@@ -39,12 +39,14 @@ _SEPARATORS = ":,"
 def open_slurm(context: ExecutorContext) -> SlurmExecutor:
     """The executor ``slurm``, with or without containers. Raises InvalidInput for an unknown runtime."""
     asked = context.value(CONTAINERS)
-    if asked == NONE:
-        return SlurmExecutor(context)
-    if asked not in (AUTO, *RUNTIMES):
+    if asked not in (AUTO, *RUNTIMES, NONE):
         known = ", ".join((AUTO, *RUNTIMES, NONE))
         raise InvalidInput(f"SLURM_CONTAINERS={asked!r} is unknown", f"choose one of {known}")
-    return ContainerSlurmExecutor(context)
+    if context.nodes is not None:
+        from slamhive.executors.slurm.remote import RemoteSlurmExecutor  # noqa: PLC0415 - it builds on this module
+
+        return RemoteSlurmExecutor(context, context.nodes)
+    return SlurmExecutor(context) if asked == NONE else ContainerSlurmExecutor(context)
 
 
 class ContainerSlurmExecutor(SlurmExecutor):
@@ -111,16 +113,17 @@ class ContainerSlurmExecutor(SlurmExecutor):
         return super().sweep(live_keys)
 
     def _give_orders(self, spec: RunSpec, work: Path) -> None:
+        image = self._image_of(spec)
+        give_container_orders(spec, image, work, self._context)
+
+    def _image_of(self, spec: RunSpec) -> ImageFolder:
+        """The image of the run. Raises ImageMissing, StartFailed."""
         image = self._images.find(spec.identity)
         if image is None:
             raise ImageMissing(f"the image {spec.identity[:19]} of {spec.package} is gone", "build it again")
         if spec.user is not RunUser.WORKER:
             raise StartFailed(f"run {spec.run_id} cannot be {spec.user.in_words} in a job of Slurm")
-        orders = container_orders(spec, image, self._context.value(CONTAINERS))
-        make_own_copies(spec)
-        make_mount_points(orders)
-        container_shim_spec(spec, orders, self._context).save(work)
-        orders.save(work)
+        return image
 
     @contextlib.contextmanager
     def _docker(self) -> Iterator[Executor]:
@@ -128,6 +131,18 @@ class ContainerSlurmExecutor(SlurmExecutor):
 
         with contextlib.closing(DockerExecutor(self._context)) as docker:
             yield docker
+
+
+def give_container_orders(spec: RunSpec, image: ImageFolder, work: Path, context: ExecutorContext) -> None:
+    """Write into the work folder what the supervisor starts, and make what its container needs.
+
+    Raises StartFailed, Unavailable.
+    """
+    orders = container_orders(spec, image, context.value(CONTAINERS))
+    make_own_copies(spec)
+    make_mount_points(orders)
+    container_shim_spec(spec, orders, context).save(work)
+    orders.save(work)
 
 
 def container_orders(spec: RunSpec, image: ImageFolder, runtime: str) -> ContainerOrders:

@@ -35,12 +35,14 @@ class ArchivedImage:
         environment: The variables that it sets.
         labels: Its labels.
         layers: The names of its layers in the archive, the lowest first.
+        architecture: That of its programs, such as ``amd64``; empty if it does not say.
     """
 
     identity: str
     environment: dict[str, str]
     labels: dict[str, str]
     layers: tuple[str, ...]
+    architecture: str = ""
 
 
 def read_image(archive: tarfile.TarFile) -> ArchivedImage:
@@ -49,13 +51,15 @@ def read_image(archive: tarfile.TarFile) -> ArchivedImage:
         entries = json.loads(_read(archive, "manifest.json"))
         (entry,) = entries
         raw = _read(archive, entry["Config"])
-        config = json.loads(raw).get("config") or {}
+        description = json.loads(raw)
+        config = description.get("config") or {}
         variables = [text.partition("=") for text in config.get("Env") or ()]
         return ArchivedImage(
             "sha256:" + hashlib.sha256(raw).hexdigest(),
             {name: value for name, _, value in variables},
             dict(config.get("Labels") or {}),
             tuple(map(str, entry["Layers"])),
+            str(description.get("architecture") or ""),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InvalidInput(f"this is no archive of one image: {error}", "make it with docker save") from None

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
+from typing import ClassVar
 
 from slamhive.clock import monotonic_s
 from slamhive.errors import Unavailable
@@ -39,7 +40,7 @@ from slamhive.executors.slurm.gpu_readings import use_of
 from slamhive.executors.slurm.gres import offers, read_gpu
 from slamhive.executors.slurm.job import ERRORS_FILE, comment_of, job_limits, job_options, job_script
 from slamhive.executors.slurm.node import GPU_KEY, USAGE_FILE, Place
-from slamhive.executors.slurm.options import CONTAINERS, GPU, JOB_OPTIONS, OPTIONS
+from slamhive.executors.slurm.options import CONTAINERS, GPU, JOB_OPTIONS, OPTIONS, PYTHON
 from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
@@ -67,6 +68,9 @@ class SlurmExecutor(ProcessExecutor):
         evaluates_in=EvaluationPlace.PROCESS,
     )
 
+    _printed: ClassVar[Path | None] = None
+    """Where nodes write what jobs themselves print, see ``job_options``."""
+
     def __init__(self, context: ExecutorContext) -> None:
         super().__init__(context)
         self._options = command.read_options(context.value(JOB_OPTIONS))
@@ -89,7 +93,7 @@ class SlurmExecutor(ProcessExecutor):
 
     def examine_nodes(self) -> list[Finding]:
         """What each node is, which container runtime it has, and why not the others."""
-        return survey(self._options, self._context.value(CONTAINERS))
+        return survey(self._options, self._context.value(CONTAINERS), self._context.value(PYTHON))
 
     def nodes(self) -> list[Node]:
         """The nodes of the partition, or of all."""
@@ -132,10 +136,15 @@ class SlurmExecutor(ProcessExecutor):
             return exited
         jobs = self._jobs(handle.data["key"])
         if any(job.runs or job.waits for job in jobs):
-            return Running()
-        exited = _exit_of(handle)
-        if exited is not None:
-            return exited
+            return self._running(handle)
+        return _exit_of(handle) or self._without_end(handle, jobs)
+
+    def _running(self, handle: RunHandle) -> Running:  # noqa: ARG002 - not all know it better
+        """What is known of a run whose job goes on."""
+        return Running()
+
+    def _without_end(self, handle: RunHandle, jobs: list[command.Job]) -> RunStatus:
+        """The status of a run whose jobs are over, but did not record how it ended."""
         jobs = jobs or command.accounted_jobs(handle.data["job"])
         if any("OUT_OF_MEMORY" in job.states for job in jobs):
             return Exited(137, out_of_memory=True)
@@ -144,16 +153,8 @@ class SlurmExecutor(ProcessExecutor):
 
     def stop(self, handle: RunHandle, grace_s: float) -> None:
         """SIGTERM to all processes of the run, SIGKILL after ``grace_s``, and the end of the job."""
-        key, exit_file = handle.data["key"], Path(handle.data["work"]) / EXIT_FILE
-        self._queue.forget()  # another worker may have submitted the job just now
-        for name, patience_s in (("TERM", grace_s), ("USR1", KILL_WAIT_S)):
-            # A signal to a job that waits would never be answered.
-            jobs = [] if exit_file.exists() else [job for job in self._active(key) if job.runs]
-            for job in jobs:
-                command.send_signal(job, name)
-            if not jobs or wait_until(lambda: exit_file.exists() or not self._active(key), patience_s):
-                break
-        self._end_jobs(key)
+        self._ask_to_end(handle, grace_s)
+        self._end_jobs(handle.data["key"])
 
     def remove(self, handle: RunHandle) -> None:
         """End the job and delete the work folder."""
@@ -194,10 +195,15 @@ class SlurmExecutor(ProcessExecutor):
         if any(not job.over for job in self._jobs(spec.key, 0.0)):
             return
         self._check_nodes(spec)
-        self._give_orders(replace(spec, limits=job_limits(spec.limits)), work)
-        options = job_options(spec, self._context.installation, self._options, self._gpu)
-        command.submit(options, job_script(work, gpu=spec.asks_gpu))
+        script = self._script(replace(spec, limits=job_limits(spec.limits)), work)
+        options = job_options(spec, self._context.installation, self._options, self._gpu, self._printed)
+        command.submit(options, script)
         self._queue.forget()
+
+    def _script(self, spec: RunSpec, work: Path) -> str:
+        """The script of the job, which finds its orders in the work folder. Raises ImageMissing."""
+        self._give_orders(spec, work)
+        return job_script(work, gpu=spec.asks_gpu)
 
     def _check_nodes(self, spec: RunSpec) -> None:
         """Raise StartFailed if each node is known to have another CPU model than the run needs."""
@@ -225,11 +231,27 @@ class SlurmExecutor(ProcessExecutor):
             return StartFailed(f"no node meets what run {spec.run_id} asks for: {said}", "compare it with sinfo -Nl")
         if active:
             return EngineUnavailable(f"run {spec.run_id} waits in Slurm: {said}", "see squeue")
-        printed = _last_line(work)
+        printed = last_line(work)
         if not printed and len(jobs) < _MOST_JOBS and all(_is_blameless(job) for job in jobs):
             # A controller that is killed forgets the jobs of the last 5 s; a node may fail before the run begins.
             return EngineUnavailable(f"run {spec.run_id} did not start and is submitted again: {said}", "see squeue")
         return StartFailed(f"the job of run {spec.run_id} did not start: {said}{printed}")
+
+    def _ask_to_end(self, handle: RunHandle, grace_s: float) -> None:
+        """Signals to the supervisor on the node, until the algorithm has ended."""
+        key, work = handle.data["key"], Path(handle.data["work"])
+        self._queue.forget()  # another worker may have submitted the job just now
+        for name, patience_s in (("TERM", grace_s), ("USR1", KILL_WAIT_S)):
+            # A signal to a job that waits would never be answered.
+            jobs = [] if self._has_ended(work) else [job for job in self._active(key) if job.runs]
+            for job in jobs:
+                command.send_signal(job, name)
+            if not jobs or wait_until(lambda: self._has_ended(work) or not self._active(key), patience_s):
+                break
+
+    def _has_ended(self, work: Path) -> bool:
+        """Whether the algorithm is known to have ended."""
+        return (work / EXIT_FILE).exists()
 
     def _end_jobs(self, key: str) -> None:
         """End what is left of the jobs, and wait until they are over."""
@@ -319,7 +341,7 @@ def _is_blameless(job: command.Job) -> bool:
     return job.ended_by_slurm or "COMPLETED" in job.states
 
 
-def _last_line(work: Path) -> str:
+def last_line(work: Path) -> str:
     """What the job itself printed last, as the end of a message."""
     errors = work / ERRORS_FILE
     lines = errors.read_text(errors="replace").strip().splitlines() if errors.exists() else []

@@ -28,11 +28,15 @@ _PREFIX = "sha256:"
 
 @dataclass(frozen=True, slots=True)
 class ImageFolder:
-    """An image that has been unpacked, with the variables and labels that it sets."""
+    """An image that has been unpacked, with the variables and labels that it sets.
+
+    ``architecture`` is that of its programs, such as ``amd64``; empty if nobody knows.
+    """
 
     root: Path
     environment: dict[str, str]
     labels: dict[str, str]
+    architecture: str = ""
 
 
 class ImageFolders:
@@ -50,7 +54,8 @@ class ImageFolders:
             content = json.loads((folder / _DESCRIPTION).read_text(encoding="utf-8"))
         except FileNotFoundError:
             return None
-        return ImageFolder(folder / "root", content["environment"], content["labels"])
+        architecture = content.get("architecture", "")  # earlier versions did not record it
+        return ImageFolder(folder / "root", content["environment"], content["labels"], architecture)
 
     def with_label(self, label: str, value: str) -> str | None:
         """The digest of an image whose label has this value; None if there is none."""

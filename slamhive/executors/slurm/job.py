@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shlex
 import sys
@@ -10,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import slamhive
+from slamhive.executors.node_store.on_node.run import Ticket
 from slamhive.executors.slurm.gres import with_gpu
 from slamhive.executors.spec import Limits, Placing, RunSpec
 
@@ -18,6 +20,9 @@ _SUPERVISOR_BYTES = 200_000_000
 """Slurm counts the supervisor and the process that measures with the run."""
 _EXCLUDE = "--exclude="
 _MOST_NICE = 60
+_DELIVERY_S = 7200.0
+NOWHERE = Path("/dev/null")
+_KEPT_FOR_DELIVERY = ("--partition=", "--account=", "--qos=", "--reservation=")
 _LATEST_END_S = 120.0
 """The worker enforces the time limit. Slurm ends a run so much later if the worker is away."""
 
@@ -36,25 +41,48 @@ def job_limits(limits: Limits) -> Limits:
     return replace(limits, cpuset=None, cpu_cores=cores)
 
 
-def job_options(spec: RunSpec, installation: str, options: Sequence[str], gpu: str) -> list[str]:
-    """The arguments of ``sbatch``. ``options`` are those of the user; ``gpu`` is the resource that is a GPU."""
-    work, limits = spec.work.resolve(), job_limits(spec.limits)
+def job_options(
+    spec: RunSpec, installation: str, options: Sequence[str], gpu: str, printed: Path | None = None
+) -> list[str]:
+    """The arguments of ``sbatch``.
+
+    Args:
+        spec: The run.
+        installation: Whose run it is.
+        options: Those of the user.
+        gpu: The resource that is a GPU.
+        printed: Where the node writes what the job itself prints; None for a file in the work folder.
+    """
+    limits = job_limits(spec.limits)
     chosen = [
         f"--job-name=slamhive-{spec.run_id}",
-        f"--comment={comment_of(installation, spec.key)}",
-        f"--time={math.ceil((spec.timeout_s + _LATEST_END_S) / 60)}",
-        "--nodes=1",
-        "--ntasks=1",
-        "--no-requeue",
-        "--chdir=/",
-        f"--output={work / ERRORS_FILE}",
-        "--open-mode=append",
+        *_always(installation, spec.key, spec.timeout_s + _LATEST_END_S, printed or spec.work.resolve() / ERRORS_FILE),
     ]
     if limits.cpu_cores is not None:
         chosen.append(f"--cpus-per-task={math.ceil(limits.cpu_cores)}")
     if limits.memory_bytes is not None:
         chosen.append(f"--mem={math.ceil((limits.memory_bytes + _SUPERVISOR_BYTES) / 2**20)}M")
     return [*chosen, *place_options(spec.placing, with_gpu(options, gpu) if spec.asks_gpu else options)]
+
+
+def delivery_options(installation: str, key: str, node: str, options: Sequence[str]) -> list[str]:
+    """The arguments of ``sbatch`` for a job that brings what the run ``key`` has left on ``node``."""
+    kept = [option for option in options if option.startswith(_KEPT_FOR_DELIVERY)]
+    always = _always(installation, key, _DELIVERY_S, NOWHERE)
+    return ["--job-name=slamhive-results", *always, f"--nodelist={node}", f"--mem={_SUPERVISOR_BYTES >> 20}M", *kept]
+
+
+def _always(installation: str, key: str, limit_s: float, printed: Path) -> list[str]:
+    return [
+        f"--comment={comment_of(installation, key)}",
+        f"--time={math.ceil(limit_s / 60)}",
+        "--nodes=1",
+        "--ntasks=1",
+        "--no-requeue",
+        "--chdir=/",
+        f"--output={printed}",
+        "--open-mode=append",
+    ]
 
 
 def place_options(placing: Placing, options: Sequence[str]) -> list[str]:
@@ -89,7 +117,23 @@ def job_script(work: Path, *, gpu: bool = False) -> str:
     )
 
 
-def node_program(*arguments: str) -> list[str]:
-    """The command for :mod:`slamhive.executors.slurm.node` on a node."""
+def ticket_script(ticket: Ticket, purpose: str, python: str) -> str:
+    """The script of a job on a node that does not see our files. The ticket is secret: others see command lines.
+
+    Args:
+        ticket: What the node needs to begin.
+        purpose: ``run``, or ``deliver`` for what an earlier job has left.
+        python: The Python of the nodes; empty for the worker's own.
+    """
+    program = [*_python(python), "-m", "slamhive.executors.slurm.agent", purpose]
+    return f"#!/bin/sh\nexec {shlex.join(program)} <<'TICKET'\n{json.dumps(ticket._asdict())}\nTICKET\n"
+
+
+def node_program(*arguments: str, python: str = "") -> list[str]:
+    """The command for :mod:`slamhive.executors.slurm.node` on a node; ``python`` as for :func:`ticket_script`."""
+    return [*_python(python), "-m", "slamhive.executors.slurm.node", *arguments]
+
+
+def _python(python: str) -> list[str]:
     path = str(Path(slamhive.__file__).parent.parent)
-    return ["env", f"PYTHONPATH={path}", sys.executable, "-m", "slamhive.executors.slurm.node", *arguments]
+    return [python] if python else ["env", f"PYTHONPATH={path}", sys.executable]

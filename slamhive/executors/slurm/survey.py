@@ -17,12 +17,13 @@ _PATIENCE_S = 20
 _INSTALL = "install Charliecloud, Apptainer or Podman on the node"
 
 
-def survey(options: Sequence[str], asked: str) -> list[Finding]:
+def survey(options: Sequence[str], asked: str, python: str) -> list[Finding]:
     """One finding for each node. Each node is asked by a short job, the first :data:`MOST_NODES` of them.
 
     Args:
         options: The options of the user for each job.
         asked: The container runtime that runs will use, ``auto`` or ``none``.
+        python: The Python of the nodes; empty for the worker's own.
     """
     nodes = command.list_nodes(options)
     findings = [
@@ -32,16 +33,16 @@ def survey(options: Sequence[str], asked: str) -> list[Finding]:
     ]
     ready = [node for node in nodes if node.takes_jobs]
     with ThreadPoolExecutor(_AT_ONCE) as pool:
-        findings += pool.map(lambda node: _ask(node, options, asked), ready[:MOST_NODES])
+        findings += pool.map(lambda node: _ask(node, options, asked, python), ready[:MOST_NODES])
     if len(ready) > MOST_NODES:
         findings.append(Finding("more nodes", f"{len(ready) - MOST_NODES} were not asked"))
     return findings or [Finding("nodes", "none", "see sinfo")]
 
 
-def _ask(node: command.Node, options: Sequence[str], asked: str) -> Finding:
+def _ask(node: command.Node, options: Sequence[str], asked: str, python: str) -> Finding:
     name = f"node {node.name}"
     try:
-        said = command.run_on(node.name, options, node_program("report"), _PATIENCE_S)
+        said = command.run_on(node.name, options, node_program("report", python=python), _PATIENCE_S)
         return describe(name, NodeReport.loads(said), asked)
     except (StartFailed, EngineUnavailable) as error:
         return Finding(name, f"{node.state}, not asked: {error.message}", error.remedy or "see squeue")
