@@ -21,6 +21,8 @@ from slamhive.clock import monotonic_s
 
 MAX_FILE_BYTES = 1_000_000_000
 PROGRESS_INTERVAL_S = 0.3
+UNMAPPED = "failed to map segment"
+"""What the dynamic loader says of a library for which there is no memory. Much may be left: the library is large."""
 
 
 def main() -> int:
@@ -38,7 +40,7 @@ def main() -> int:
 
         if isinstance(error, SlamHiveError):
             outcome = {"error": str(error)}
-        elif _memory_is_used_up(asked["memory_bytes"]):
+        elif UNMAPPED in str(error) or _memory_is_used_up(asked["memory_bytes"]):
             outcome = {"error": too_large}
         else:
             raise
