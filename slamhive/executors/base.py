@@ -15,6 +15,7 @@ from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.evaluation.batch import BatchStarter
 from slamhive.evaluation.process_starter import ProcessStarter
 from slamhive.executors.gpu import GpuUse
+from slamhive.executors.host_counters import HostReading
 from slamhive.executors.spec import Limit, Limits, RunSpec
 from slamhive.executors.status import RunHandle, RunStatus, UsageSource
 from slamhive.settings import ExecutorOption
@@ -276,6 +277,13 @@ class Executor(ABC):
     def usage_source(self, handle: RunHandle) -> UsageSource | None:  # noqa: ARG002 - the signature of the seam
         """Measures the CPU and memory of the run; None if it has ended, or cannot be measured."""
         return None
+
+    def host_reading(self, handle: RunHandle) -> HostReading | None:  # noqa: ARG002 - as above
+        """What the machine of the run counted last, if that is another one; None if nothing has come yet.
+
+        Raises Unavailable, with the reason, if nothing will come.
+        """
+        raise Unavailable("the run was on another machine than the worker")
 
     def gpus(self) -> tuple[Gpu, ...]:
         """The GPUs that a run can get, at least one. Raises Unavailable with the reason if there is none."""

@@ -60,11 +60,11 @@ class EnergyLog:
 
     Args:
         path: ``energy.csv``.
-        powercap: Where the kernel shows the counters.
+        powercap: Where the kernel shows the counters; None where the run is not on this machine.
         interval_s: Samples closer together than this are left out.
     """
 
-    def __init__(self, path: Path, powercap: Path = POWERCAP, interval_s: float = 1.0) -> None:
+    def __init__(self, path: Path, powercap: Path | None = POWERCAP, interval_s: float = 1.0) -> None:
         self._path = path
         self._powercap = powercap
         self._interval_s = interval_s
@@ -77,13 +77,18 @@ class EnergyLog:
             return
         self._next_s = time_s + self._interval_s
         try:
-            readings = read_packages(self._powercap)
+            readings = self._read()
         except Unavailable as error:
             self._given_up = True
             self._append(f"{NOT_MEASURED}{error}\n")
             return
         rows = (f"{time_s:.4f},{entry.package},{entry.energy_uj},{entry.range_uj}\n" for entry in readings)
         self._append("".join(rows), HEADER)
+
+    def _read(self) -> list[PackageEnergy]:
+        if self._powercap is None:
+            raise Unavailable("the run was on another machine than the worker")
+        return read_packages(self._powercap)
 
     def _append(self, text: str, header: str = "") -> None:
         try:

@@ -1,24 +1,23 @@
-"""Counters of the machine beside a run, once a second into ``host.csv``: what others did, steal, pressure, throttling.
+"""Counters of the machine beside a run: what others did, steal, pressure, throttling.
 
-Each source may be missing: kernels without pressure information, virtual machines without frequencies. Then its column
-stays empty, and one line says why.
+They are read where the run is: by the worker, by the job of Slurm on its node, or by the supervisor in a pod. That one
+has the Python of the image, so this module needs no more than Python 3.7 and its standard library.
+
+Each source may be missing: kernels without pressure information, virtual machines without frequencies. Then there is no
+value, and the reason is kept.
 """
 
 from __future__ import annotations
 
-import logging
 import os
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from slamhive.runs.host_load import COLUMNS, NOT_MEASURED
+from slamhive.runs.host_columns import COLUMNS
 
-logger = logging.getLogger(__name__)
-
-HEADER = ",".join(COLUMNS) + "\n"
 _CPU_LINE = re.compile(r"cpu(\d+)")
 _STALL = re.compile(r"^some .*\btotal=(\d+)", re.MULTILINE)
 _US = 1e-6
@@ -26,7 +25,7 @@ _US = 1e-6
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class CpuTimes:
     """Of some cores since the machine was started: how many they are, their busy time and what was stolen (s)."""
 
@@ -97,7 +96,7 @@ class HostCounters:
         chosen = [
             folder
             for folder in sorted(self._devices.glob("cpu[0-9]*"))
-            if self._cores is None or int(folder.name.removeprefix("cpu")) in self._cores
+            if self._cores is None or int(folder.name[len("cpu") :]) in self._cores
         ]
         if not chosen:
             raise ValueError(f"{self._devices} shows none of the run's cores")
@@ -116,7 +115,7 @@ def read_or_why(source: Callable[[], T]) -> tuple[T | None, str]:
         return None, str(error)
 
 
-def sources(counters: HostCounters) -> dict[str, Callable[[], object]]:
+def sources(counters: HostCounters) -> dict[str, Callable[[], float]]:
     """What can be recorded of a machine, by its name in messages, in the order of the columns behind the CPU times."""
     return {
         "CPU pressure": lambda: counters.stalled_s("cpu"),
@@ -127,60 +126,59 @@ def sources(counters: HostCounters) -> dict[str, Callable[[], object]]:
     }
 
 
-class HostLog:
-    """Appends the counters to ``host.csv``.
+@dataclass(frozen=True)
+class HostReading:
+    """The counters at one instant.
 
-    Args:
-        path: ``host.csv``.
-        counters: Where they are read; None where the run is not on this machine.
-        interval_s: Samples closer together than this are left out.
+    Attributes:
+        values: In the order of ``COLUMNS``; None where the machine does not say.
+        missing: Why not, by the name of what is missing.
     """
 
-    def __init__(self, path: Path, counters: HostCounters | None, interval_s: float = 1.0) -> None:
-        self._path = path
+    values: tuple[float | None, ...]
+    missing: dict[str, str]
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """As JSON, for the worker of a run on another machine."""
+        return {"values": list(self.values), "missing": self.missing}
+
+
+class HostReader:
+    """Reads all counters at once. What failed once is not tried again.
+
+    Args:
+        counters: Where they are read.
+        interval_s: Readings closer together than this are not made.
+    """
+
+    def __init__(self, counters: HostCounters, interval_s: float = 1.0) -> None:
         self._counters = counters
         self._interval_s = interval_s
-        self._next_s: float | None = None
+        self._next_s = float("-inf")
+        self._newest = HostReading((None,) * len(COLUMNS), {})
         self._missing: dict[str, str] = {}
-        self._given_up = False
 
-    def sample(self, time_s: float, run_cpu_s: float) -> None:
-        """Append the counters at ``time_s`` since the run's start, if it is time; ``run_cpu_s``: what the run used."""
-        if self._given_up or (self._next_s is not None and time_s < self._next_s):
-            return
-        self._next_s = time_s + self._interval_s
-        if self._counters is None:
-            self._append(f"{NOT_MEASURED}the run was on another machine than the worker\n")
-            self._given_up = True
-            return
-        told = dict(self._missing)
-        row = self._row(self._counters, time_s, run_cpu_s)
-        news = [f"{NOT_MEASURED}{what}: {why}\n" for what, why in self._missing.items() if what not in told]
-        self._append(row + "".join(news))
+    def read(self, time_s: float, run_cpu_s: float | None) -> HostReading:
+        """The newest reading; a new one if it is time.
 
-    def _row(self, counters: HostCounters, time_s: float, run_cpu_s: float) -> str:
-        cpu = self._read("CPU time", counters.cpu)
-        values = [
-            *((None, None, None) if cpu is None else (cpu.cores, f"{cpu.busy_s:.3f}", f"{cpu.steal_s:.3f}")),
-            f"{run_cpu_s:.4f}",
-            *(self._read(what, source) for what, source in sources(counters).items()),
-        ]
-        return ",".join([f"{time_s:.4f}", *("" if value is None else str(value) for value in values)]) + "\n"
+        Args:
+            time_s: Since the run's start.
+            run_cpu_s: CPU time (s) that the run has used by now; None if nobody knows.
+        """
+        if time_s >= self._next_s:
+            self._next_s = time_s + self._interval_s
+            cpu = self._try("CPU time", self._counters.cpu)
+            times = (None, None, None) if cpu is None else (cpu.cores, cpu.busy_s, cpu.steal_s)
+            others = [self._try(what, source) for what, source in sources(self._counters).items()]
+            self._newest = HostReading((time_s, *times, run_cpu_s, *others), dict(self._missing))
+        return self._newest
 
-    def _read(self, what: str, source: Callable[[], T]) -> T | None:
-        """A value, None where there is none; what failed once is not tried again."""
+    def _try(self, what: str, source: Callable[[], T]) -> T | None:
+        """A value, None where there is none."""
         if what in self._missing:
             return None
         value, why = read_or_why(source)
         if why:
             self._missing[what] = why
         return value
-
-    def _append(self, text: str) -> None:
-        try:
-            new = not self._path.exists()
-            with self._path.open("a", encoding="utf-8") as stream:
-                stream.write(HEADER + text if new else text)
-        except OSError as error:
-            self._given_up = True
-            logger.warning("%s: the machine is not measured: %s", self._path, error.strerror)

@@ -17,7 +17,7 @@ from slamhive.clock import monotonic_s
 from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.energy import EnergyLog
 from slamhive.executors.gpu import GpuLog
-from slamhive.executors.host_counters import HostLog
+from slamhive.executors.host_log import HostLog
 from slamhive.executors.status import UsageSource
 
 logger = logging.getLogger(__name__)

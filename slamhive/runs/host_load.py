@@ -11,24 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from slamhive.domain.disturbance import HostInterval, HostLoad
+from slamhive.runs.host_columns import COLUMNS, NOT_MEASURED
 from slamhive.runs.untrusted import FloatArray, read_numeric_columns, read_untrusted_lines
-
-COLUMNS = (
-    "time",
-    "cores",
-    "busy",
-    "steal",
-    "run",
-    "cpu_pressure",
-    "io_pressure",
-    "memory_pressure",
-    "throttles",
-    "frequency",
-)
-"""Seconds since the run's start; cores that the run may use; CPU seconds of those cores, of the hypervisor, of the run;
-seconds in which some task waited for a core, the disk, memory; thermal events; Hz of the fastest core."""
-NOT_MEASURED = "# not measured: "
-"""Begins a line that says what is missing, and why."""
 
 _MAX_BYTES = 200_000_000
 _PRESSURES = ("cpu_pressure", "io_pressure", "memory_pressure")

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from slamhive.executors.energy import EnergyLog
-from slamhive.executors.host_counters import HostCounters, HostLog
+from slamhive.executors.host_counters import HostCounters, HostReader
+from slamhive.executors.host_log import HostLog
 from slamhive.executors.sampler import MachineLogs, Sampler
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.host_load import read_host_load
@@ -32,7 +33,9 @@ def test_load_of_others_is_told_from_that_of_the_run(bench: Bench, tmp_path: Pat
         source = bench.executor.usage_source(handle)
         assert source is not None
         assert source.on_this_machine
-        machine = MachineLogs(EnergyLog(folder.energy), HostLog(folder.host, HostCounters(), interval_s=0.5))
+        machine = MachineLogs(
+            EnergyLog(folder.energy), HostLog(folder.host, HostReader(HostCounters(), interval_s=0.5).read)
+        )
         sampler = Sampler(source, folder.profiling, machine=machine)
         sampler.start()
         eventually(lambda: len(read_host_load(folder.host).intervals) >= 6, "three seconds of load")

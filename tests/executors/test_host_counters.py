@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from slamhive.domain.disturbance import HostInterval
-from slamhive.executors.host_counters import CpuTimes, HostCounters, HostLog
+from slamhive.errors import Unavailable
+from slamhive.executors.base import EngineUnavailable
+from slamhive.executors.host_counters import CpuTimes, HostCounters, HostReader, HostReading
+from slamhive.executors.host_log import HostLog, handed_over
+from slamhive.runs.host_columns import COLUMNS
 from slamhive.runs.host_load import host_metrics, read_host_load
 
 
@@ -52,6 +57,10 @@ class Machine:
     def counters(self, cores: tuple[int, ...] | None = None) -> HostCounters:
         return HostCounters(cores, self.proc, self.devices, ticks_hz=100)
 
+    def log(self, path: Path, cores: tuple[int, ...] | None = None) -> HostLog:
+        """As the worker makes it for a run on its own machine."""
+        return HostLog(path, HostReader(self.counters(cores)).read)
+
     def pass_second(self, user: tuple[int, int], steal: int = 0, **stalls_s: float) -> None:
         """One second more: ticks of user time of both cores, steal of the first, seconds of waiting."""
         for cpu, ticks in enumerate(user):
@@ -91,7 +100,7 @@ def test_the_fastest_core_tells_the_frequency(machine: Machine) -> None:
 
 
 def test_what_was_logged_is_what_the_machine_did(machine: Machine, tmp_path: Path) -> None:
-    log = HostLog(tmp_path / "host.csv", machine.counters())
+    log = machine.log(tmp_path / "host.csv")
     log.sample(0.0, run_cpu_s=5.0)
     log.sample(0.5, run_cpu_s=5.4)  # Too early: the next line covers it.
     machine.pass_second((100, 60), steal=20, cpu=0.4, io=0.1)
@@ -117,7 +126,7 @@ def test_what_was_logged_is_what_the_machine_did(machine: Machine, tmp_path: Pat
 
 
 def test_a_run_on_its_own_cores_is_not_disturbed_by_the_others(machine: Machine, tmp_path: Path) -> None:
-    log = HostLog(tmp_path / "host.csv", machine.counters((1,)))
+    log = machine.log(tmp_path / "host.csv", (1,))
     log.sample(0.0, run_cpu_s=0.0)
     machine.pass_second((100, 30))
     log.sample(1.0, run_cpu_s=0.3)
@@ -126,9 +135,9 @@ def test_a_run_on_its_own_cores_is_not_disturbed_by_the_others(machine: Machine,
 
 
 def test_a_log_is_continued_and_its_gap_is_one_interval(machine: Machine, tmp_path: Path) -> None:
-    HostLog(tmp_path / "host.csv", machine.counters()).sample(0.0, run_cpu_s=0.0)
+    machine.log(tmp_path / "host.csv").sample(0.0, run_cpu_s=0.0)
     machine.pass_second((100, 100))
-    HostLog(tmp_path / "host.csv", machine.counters()).sample(10.0, run_cpu_s=1.0)
+    machine.log(tmp_path / "host.csv").sample(10.0, run_cpu_s=1.0)
     (interval,) = read_host_load(tmp_path / "host.csv").intervals
     assert (interval.duration_s, interval.others_cores) == pytest.approx((10.0, 0.1))
 
@@ -138,7 +147,7 @@ def test_what_the_kernel_does_not_show_is_none_and_said_once(machine: Machine, t
         (machine.proc / "pressure" / name).unlink()
     (machine.proc / "pressure" / "memory").write_text("nonsense\n")
     machine.devices.rename(tmp_path / "gone")
-    log = HostLog(tmp_path / "host.csv", machine.counters())
+    log = machine.log(tmp_path / "host.csv")
     for second in range(3):
         log.sample(float(second), run_cpu_s=0.0)
     load = read_host_load(tmp_path / "host.csv")
@@ -156,12 +165,116 @@ def test_what_the_kernel_does_not_show_is_none_and_said_once(machine: Machine, t
 
 
 def test_a_run_on_another_machine_is_not_measured_by_this_one(tmp_path: Path) -> None:
-    log = HostLog(tmp_path / "host.csv", None)
+    def read(_time_s: float, _run_cpu_s: float) -> HostReading:
+        raise Unavailable("the run was on another machine than the worker")
+
+    log = HostLog(tmp_path / "host.csv", read)
     for second in range(3):
         log.sample(float(second), run_cpu_s=0.0)
     load = read_host_load(tmp_path / "host.csv")
     assert load.intervals == ()
     assert load.not_measured == ("the run was on another machine than the worker",)
+
+
+class Node:
+    """The machine of a run, whose readings reach the worker as JSON."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        self._reader = HostReader(machine.counters())
+        self.sent: str | None = None
+
+    def send(self, time_s: float, run_cpu_s: float) -> None:
+        self.sent = json.dumps(self._reader.read(time_s, run_cpu_s).content)
+
+    def read(self, _time_s: float, _run_cpu_s: float) -> HostReading | None:
+        return handed_over(None if self.sent is None else json.loads(self.sent))
+
+
+def test_what_a_node_hands_over_is_what_the_worker_would_have_read_there(machine: Machine, tmp_path: Path) -> None:
+    (machine.proc / "pressure" / "io").unlink()
+    node, here = Node(machine), machine.log(tmp_path / "here.csv")
+    there = HostLog(tmp_path / "there.csv", node.read)
+    there.sample(0.0, run_cpu_s=0.0)  # nothing has come yet
+    for second in range(3):
+        for part_s in (0.0, 0.4):
+            node.send(second + part_s, run_cpu_s=0.5 * second)
+            here.sample(second + part_s, run_cpu_s=0.5 * second)
+            there.sample(second + part_s + 0.05, run_cpu_s=99.0)  # the node counts, and its clock
+        machine.pass_second((100, 60), steal=20, cpu=0.4)
+    assert read_host_load(tmp_path / "there.csv") == read_host_load(tmp_path / "here.csv")
+    assert [entry.others_cores for entry in read_host_load(tmp_path / "there.csv").intervals] == pytest.approx(
+        [1.1] * 2
+    )
+    assert "disk pressure" in read_host_load(tmp_path / "there.csv").not_measured[0]
+
+
+def test_throttling_that_a_pod_does_not_see_is_unknown(machine: Machine, tmp_path: Path) -> None:
+    """Container runtimes put an empty folder over ``thermal_throttle``."""
+    for path in machine.devices.glob("cpu*/thermal_throttle/*"):
+        path.unlink()
+    node = Node(machine)
+    log = HostLog(tmp_path / "host.csv", node.read)
+    for second in range(3):
+        node.send(float(second), run_cpu_s=0.0)
+        log.sample(float(second), run_cpu_s=0.0)
+    load = read_host_load(tmp_path / "host.csv")
+    assert (load.throttle_events, len(load.intervals)) == (None, 2)
+    (why,) = load.not_measured
+    assert why.startswith(f"throttling: there is no {machine.devices}/cpu0/thermal_throttle/")
+
+
+def test_the_cpu_time_of_a_run_that_nobody_knows_is_no_load_of_others(machine: Machine, tmp_path: Path) -> None:
+    reader = HostReader(machine.counters())
+    log = HostLog(tmp_path / "host.csv", lambda time_s, _: handed_over(reader.read(time_s, None).content))
+    log.sample(0.0, run_cpu_s=0.0)
+    machine.pass_second((100, 100), steal=20)
+    log.sample(1.0, run_cpu_s=0.0)
+    (interval,) = read_host_load(tmp_path / "host.csv").intervals
+    assert interval.others_cores is None
+    assert interval.steal_fraction == pytest.approx(0.1)
+
+
+NUMBERS = [0.0] * len(COLUMNS)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {},
+        [],
+        "words",
+        {"values": NUMBERS},
+        {"values": NUMBERS[1:], "missing": {}},
+        {"values": [None, *NUMBERS[1:]], "missing": {}},
+        {"values": [*NUMBERS[1:], "many"], "missing": {}},
+        {"values": [*NUMBERS[1:], float("nan")], "missing": {}},
+        {"values": [*NUMBERS[1:], 10**400], "missing": {}},
+        {"values": [*NUMBERS[1:], -1], "missing": {}},
+        {"values": NUMBERS, "missing": ["CPU"]},
+        {"values": NUMBERS, "missing": {str(number): "" for number in range(1000)}},
+    ],
+)
+def test_what_a_run_has_forged_is_refused(content: object, tmp_path: Path) -> None:
+    log = HostLog(tmp_path / "host.csv", lambda *_: handed_over(content))
+    log.sample(0.0, run_cpu_s=0.0)
+    load = read_host_load(tmp_path / "host.csv")
+    assert load.not_measured == ("the counters that the run's machine handed over make no sense",)
+
+
+def test_a_forged_reason_stays_on_its_line(tmp_path: Path) -> None:
+    content = {"values": NUMBERS, "missing": {"CPU\n5,5": "words\n1,2,3,4,5,6,7,8,9,10\x1b"}}
+    HostLog(tmp_path / "host.csv", lambda *_: handed_over(content)).sample(0.0, run_cpu_s=0.0)
+    assert len((tmp_path / "host.csv").read_text().splitlines()) == 3
+
+
+def test_an_engine_that_is_away_may_come_back(machine: Machine, tmp_path: Path) -> None:
+    def away(_time_s: float, _run_cpu_s: float) -> HostReading:
+        raise EngineUnavailable("away")
+
+    with pytest.raises(EngineUnavailable):
+        HostLog(tmp_path / "host.csv", away).sample(0.0, run_cpu_s=0.0)
+    assert not (tmp_path / "host.csv").exists()
 
 
 def test_an_old_run_has_no_counters(tmp_path: Path) -> None:

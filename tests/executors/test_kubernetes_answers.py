@@ -14,9 +14,9 @@ from slamhive.executors.host import describe_host
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.answers import Right
 from slamhive.executors.kubernetes.cluster import Expired, _events
+from slamhive.executors.kubernetes.pod_counters import about_node, used_cpu_s
 from slamhive.executors.kubernetes.pod_watch import RELIST_S, TRUSTED_S, PodBook, PodWatch
 from slamhive.executors.kubernetes.run_files import RunFiles, parse_usage
-from slamhive.executors.kubernetes.supervisor import about_node
 from slamhive.executors.nodes import Node
 from slamhive.executors.spec import RunOutput
 from slamhive.executors.status import Exited, Gone
@@ -311,6 +311,13 @@ V2 = {"cpu.stat": "usage_usec 2500000\n", "memory.current": "1000", "memory.stat
 def test_usage_without_the_share_of_the_supervisor(files, peak_bytes):
     content = {"own_cpu_s": 0.5, "own_bytes": 100, "files": files}
     assert parse_usage(content) == (2.0, 700, peak_bytes)
+
+
+@pytest.mark.parametrize("files", [V1, V2])
+def test_the_cpu_time_of_a_run_is_that_of_its_container_without_the_supervisor(files):
+    assert used_cpu_s(files, 0.5) == 2.0
+    assert used_cpu_s(files, 9.0) == 0.0
+    assert used_cpu_s({name: text for name, text in files.items() if "memory" in name}, 0.5) is None
 
 
 @pytest.mark.parametrize("content", [{}, {"own_cpu_s": 0, "own_bytes": 0, "files": {}}])

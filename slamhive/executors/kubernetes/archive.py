@@ -9,9 +9,12 @@ from pathlib import Path
 import slamhive
 
 MODULES = (
+    "executors/host_counters.py",
+    "executors/kubernetes/pod_counters.py",
+    "executors/kubernetes/supervisor.py",
     "executors/process/capped_log.py",
     "executors/process/exit_file.py",
-    "executors/kubernetes/supervisor.py",
+    "runs/host_columns.py",
 )
 _MAIN = """\
 import sys

@@ -23,6 +23,8 @@ from slamhive.executors.base import (
     PackageNeed,
     ProgressCallback,
 )
+from slamhive.executors.host_counters import HostReading
+from slamhive.executors.host_log import handed_over
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.answers import Document, Right
 from slamhive.executors.kubernetes.cluster import Cluster
@@ -31,6 +33,7 @@ from slamhive.executors.kubernetes.connection import why_no_connection
 from slamhive.executors.kubernetes.images import NodeImages
 from slamhive.executors.kubernetes.manifest import selector
 from slamhive.executors.kubernetes.options import read_options
+from slamhive.executors.kubernetes.pod_counters import HOST_KEY
 from slamhive.executors.kubernetes.pod_watch import PodWatch
 from slamhive.executors.kubernetes.run_files import PodUsage, RunFiles, Started
 from slamhive.executors.kubernetes.run_jobs import RunJobs
@@ -211,6 +214,10 @@ class KubernetesExecutor(Executor):
         files = _files(handle)
         wait_until(lambda: files.usage() is not None or not files.there or files.ended() is not None, _USAGE_WAIT_S)
         return PodUsage(files) if files.usage() is not None and files.ended() is None else None
+
+    def host_reading(self, handle: RunHandle) -> HostReading | None:
+        """What the supervisor reads of its node."""
+        return handed_over((_files(handle).usage() or {}).get(HOST_KEY))
 
     def sweep(self, live_keys: LiveKeys) -> list[str]:
         """Delete the Jobs of this installation whose runs are over."""

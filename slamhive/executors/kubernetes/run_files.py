@@ -20,6 +20,7 @@ from slamhive.errors import Unavailable
 from slamhive.executors.cgroup import file_cache_bytes, parse_flat
 from slamhive.executors.kubernetes.archive import supervisor_archive
 from slamhive.executors.kubernetes.manifest import SUPERVISOR_FILE
+from slamhive.executors.kubernetes.pod_counters import used_cpu_s
 from slamhive.executors.kubernetes.supervisor import (
     CLAIM_FILE,
     LOG_FOLDER,
@@ -42,6 +43,11 @@ _MOST_BYTES = 1_000_000
 _LONGEST_WORDS = 190
 _MOST = 2**62
 _UNKNOWN = "unknown"
+_MEMORY_FILES = (
+    ("memory/memory.usage_in_bytes", "memory/memory.stat", "memory/memory.max_usage_in_bytes"),
+    ("memory.current", "memory.stat", "memory.peak"),
+)
+"""Usage, statistics and peak under versions 1 and 2 of control groups."""
 _MAKES_NO_SENSE = (KeyError, TypeError, ValueError, OverflowError)
 
 
@@ -290,21 +296,15 @@ def parse_usage(content: dict[str, Any]) -> tuple[float, int, int | None] | None
     """CPU time (s), memory in use and peak (bytes) of what the supervisor wrote; None if a counter is missing."""
     if not content:
         return None
-    files, own_cpu_s, own_bytes = content["files"], content["own_cpu_s"], content["own_bytes"]
-    if "cpuacct/cpuacct.usage" in files:
-        names = ("memory/memory.usage_in_bytes", "memory/memory.stat", "memory/memory.max_usage_in_bytes")
-        cpu_s = int(files["cpuacct/cpuacct.usage"]) * 1e-9
-    elif "cpu.stat" in files:
-        names = ("memory.current", "memory.stat", "memory.peak")
-        cpu_s = parse_flat(files["cpu.stat"])["usage_usec"] * 1e-6
-    else:
-        return None
+    files, own_bytes = content["files"], content["own_bytes"]
+    cpu_s = used_cpu_s(files, content["own_cpu_s"])
+    names = next((names for names in _MEMORY_FILES if names[0] in files), _MEMORY_FILES[0])
     current, statistics, peak = (files.get(name) for name in names)
-    if current is None or statistics is None:
+    if cpu_s is None or current is None or statistics is None:
         return None
     in_use_bytes = int(current) - file_cache_bytes(parse_flat(statistics)) - own_bytes
     peak_bytes = None if peak is None else max(0, int(peak) - own_bytes)
-    return max(0.0, cpu_s - own_cpu_s), max(0, in_use_bytes), peak_bytes
+    return cpu_s, max(0, in_use_bytes), peak_bytes
 
 
 def _moment(seconds: float) -> datetime:

@@ -18,6 +18,16 @@ import time
 from pathlib import Path
 from typing import Any
 
+from slamhive.executors.host_counters import HostCounters, HostReader
+from slamhive.executors.kubernetes.pod_counters import (
+    HOST_KEY,
+    about_node,
+    count_oom_kills,
+    count_tasks,
+    count_usage,
+    read_text,
+    used_cpu_s,
+)
 from slamhive.executors.process.capped_log import CappedLog
 from slamhive.executors.process.exit_file import reap, reserve, write_exit
 
@@ -34,18 +44,6 @@ OUTSIDE_GRACE_S = 20.0
 """Who deletes a pod gives it 30 s: some of them are needed to record the end."""
 TIMEOUT_GRACE_S = 2.0
 SIGNALS = (signal.SIGCHLD, signal.SIGTERM, signal.SIGINT)
-USAGE_FILES = (
-    "cpuacct/cpuacct.usage",
-    "memory/memory.usage_in_bytes",
-    "memory/memory.max_usage_in_bytes",
-    "memory/memory.stat",
-    "cpu.stat",
-    "memory.current",
-    "memory.peak",
-    "memory.stat",
-)
-"""The files of both versions of control groups; those that are there are handed to the worker as they are."""
-CGROUP = Path("/sys/fs/cgroup")
 _REFUSED_EXIT = 75
 _NOT_STARTED_EXIT = 127
 
@@ -67,6 +65,8 @@ class Supervisor:
         self._kill_at_s: float | None = None
         self._deadline_s = 0.0
         self._look_at_s = 0.0
+        self._began_s = 0.0
+        self._host = HostReader(HostCounters(self._order["cores"] or os.sched_getaffinity(0)))
 
     def run(self) -> int:
         """Run the algorithm; its exit code."""
@@ -74,6 +74,7 @@ class Supervisor:
         kept = CappedLog(self._folder / LOG_FOLDER, self._order["log_max_bytes"])
         signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         started_s, error = time.time(), ""
+        self._began_s = time.monotonic()
         output, write_end = os.pipe()
         try:
             self._start(write_end)
@@ -83,7 +84,7 @@ class Supervisor:
             os.close(write_end)
         log = threading.Thread(target=keep_log, args=(output, kept), daemon=True)
         log.start()
-        self._deadline_s = time.monotonic() + self._order["timeout_s"]
+        self._deadline_s = self._began_s + self._order["timeout_s"]
         if self._exit_code is None:
             write_json(self._folder / STARTED_FILE, {"started_s": started_s, **about_node()})
         while self._exit_code is None:
@@ -151,18 +152,13 @@ class Supervisor:
         self._kill_at_s = kill_at_s if self._kill_at_s is None else min(self._kill_at_s, kill_at_s)
 
     def _measure(self) -> None:
-        """Hand over the counters of the kernel, and what of it this process used itself."""
-        files = {name: read_text(CGROUP / name) for name in USAGE_FILES}
-        pages = (read_text(Path("/proc/self/statm")) or "0 0 0").split()
-        content = {
-            "own_cpu_s": time.process_time(),
-            "own_bytes": (int(pages[1]) - int(pages[2])) * resource.getpagesize(),
-            "files": {name: text for name, text in files.items() if text is not None},
-        }
+        """Hand over what the run uses, and what else its node does."""
+        content, time_s = count_usage(), time.monotonic() - self._began_s
         try:
-            write_json(self._folder / USAGE_FILE, content)
-        except OSError:
-            return  # a full disk or absent storage costs samples, not the run
+            reading = self._host.read(time_s, used_cpu_s(content["files"], content["own_cpu_s"]))
+            write_json(self._folder / USAGE_FILE, {**content, HOST_KEY: reading.content})
+        except (OSError, ValueError):
+            return  # a full disk, absent storage or a strange counter costs samples, not the run
 
     def _record(self, started_s: float, error: str) -> None:
         write_exit(
@@ -193,14 +189,6 @@ def keep_log(output: int, log: CappedLog) -> None:
     log.close()
 
 
-def read_text(path: Path) -> str | None:
-    """The content of a small file; None if it cannot be read."""
-    try:
-        return path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return None
-
-
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Replace a file in one step."""
     aside = path.with_name("." + path.name)
@@ -224,39 +212,6 @@ def end_all_others() -> None:
             os.waitpid(-1, 0)
         except ChildProcessError:
             return
-
-
-def count_tasks() -> int:
-    """Processes and threads of the run; only processes where the kernel does not count threads for us."""
-    for name in ("pids/pids.current", "pids.current"):
-        text = read_text(CGROUP / name)
-        if text is not None:
-            return int(text) - threading.active_count()
-    return sum(entry.isdigit() for entry in os.listdir("/proc")) - 1
-
-
-def count_oom_kills() -> int:
-    """How often the kernel killed a process of the run because of its memory limit."""
-    for name in ("memory/memory.oom_control", "memory.events"):
-        for line in (read_text(CGROUP / name) or "").splitlines():
-            key, _, number = line.partition(" ")
-            if key == "oom_kill":
-                return int(number)
-    return 0
-
-
-def about_node() -> dict[str, Any]:
-    """The node, and what its processor, memory and kernel are."""
-    lines = (read_text(Path("/proc/cpuinfo")) or "").splitlines()
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return {
-        "node": os.environ.get("SLAMHIVE_NODE", ""),
-        "cpu": models[0] if models else "unknown",
-        "cores": os.cpu_count(),
-        "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
-        "kernel": os.uname().release,
-        "gpu": os.environ.get("NVIDIA_VISIBLE_DEVICES", ""),
-    }
 
 
 def main(folder: Path) -> int:

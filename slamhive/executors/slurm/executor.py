@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from slamhive.clock import monotonic_s
 from slamhive.errors import Unavailable
@@ -29,6 +29,8 @@ from slamhive.executors.base import (
     StartFailed,
 )
 from slamhive.executors.gpu import GpuUse
+from slamhive.executors.host_counters import HostReading
+from slamhive.executors.host_log import handed_over
 from slamhive.executors.nodes import Node
 from slamhive.executors.process.executor import ProcessExecutor, remove_work
 from slamhive.executors.process.exit_file import EXIT_FILE
@@ -39,7 +41,7 @@ from slamhive.executors.slurm import command
 from slamhive.executors.slurm.gpu_readings import use_of
 from slamhive.executors.slurm.gres import offers, read_gpu
 from slamhive.executors.slurm.job import ERRORS_FILE, comment_of, job_limits, job_options, job_script
-from slamhive.executors.slurm.node import GPU_KEY, USAGE_FILE, Place
+from slamhive.executors.slurm.node import GPU_KEY, HOST_KEY, USAGE_FILE, Place
 from slamhive.executors.slurm.options import CONTAINERS, GPU, JOB_OPTIONS, OPTIONS, PYTHON
 from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import Limit, RunSpec
@@ -185,10 +187,13 @@ class SlurmExecutor(ProcessExecutor):
         wait_until(lambda: (work / USAGE_FILE).exists() or (work / EXIT_FILE).exists(), START_WAIT_S)
         return NodeUsage(work) if not (work / EXIT_FILE).exists() else None
 
+    def host_reading(self, handle: RunHandle) -> HostReading | None:
+        """What the job reads of its node."""
+        return handed_over(_measured(handle).get(HOST_KEY))
+
     def gpu_use(self, handle: RunHandle, uuid: str | None) -> GpuUse:  # noqa: ARG002 - the node knows it
         """What the job measures on its node."""
-        content = read_json(Path(handle.data["work"]) / USAGE_FILE) or {}
-        return use_of(content.get(GPU_KEY))
+        return use_of(_measured(handle).get(GPU_KEY))
 
     def _submit(self, spec: RunSpec, work: Path) -> None:
         """Submit the job of the run unless Slurm has one. A second job would find the lock of the first and end."""
@@ -321,6 +326,10 @@ class NodeUsage:
 
     def close(self) -> None:
         """Nothing stays open."""
+
+
+def _measured(handle: RunHandle) -> dict[str, Any]:
+    return read_json(Path(handle.data["work"]) / USAGE_FILE) or {}
 
 
 def _begun(work: Path) -> bool:

@@ -5,7 +5,8 @@
 ``... node report`` prints what the node has to offer, see :class:`NodeReport`.
 
 The supervisor is the one of the process executor, in the foreground: the job lasts as long as it does. Beside it, and
-outside of what counts for the run, a second process writes the usage of the run to ``usage.json`` ten times a second.
+outside of what counts for the run, a second process writes to ``usage.json`` ten times a second. It holds the usage of
+the run, and the counters of the node.
 """
 
 from __future__ import annotations
@@ -17,11 +18,14 @@ import platform
 import sys
 import time
 from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
+from slamhive.clock import monotonic_s, utc_now
 from slamhive.domain.gpu import GivenGpu
 from slamhive.domain.host import Host
 from slamhive.executors.host import describe_host
+from slamhive.executors.host_counters import HostCounters, HostReader
 from slamhive.executors.process.shim import IDENTITY_FILE, supervise
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.supervisors import (
@@ -40,6 +44,7 @@ from slamhive.files import write_aside
 
 USAGE_FILE = "usage.json"
 GPU_KEY = "gpu"
+HOST_KEY = "host"
 PLACE_FILE = "place.json"
 _INTERVAL_S = 0.1
 
@@ -112,7 +117,7 @@ def _node() -> str:
 
 
 def measure(work: Path) -> None:
-    """Write CPU time (s), memory and peak (bytes) of the run, and its use of a GPU, until its supervisor ends."""
+    """Write what the run uses, and what else the node does, until the supervisor of the run ends."""
     if not wait_until((work / IDENTITY_FILE).exists, START_WAIT_S):
         return
     identity = read_json(work / IDENTITY_FILE) or {}
@@ -124,9 +129,10 @@ def measure(work: Path) -> None:
         return
     containment = containment_of(handle)
     source: UsageSource = (None if containment is None else containment.usage()) or ProcessTreeSource(supervisor)
-    gpu = GpuReadings.of_run(Place.load(work).gpu, supervisor)
+    started_at = datetime.fromisoformat(identity["started_at"])
+    meter = Meter(work, source, GpuReadings.of_run(Place.load(work).gpu, supervisor), started_at)
     try:
-        while supervisor_of(handle) is not None and _write(work, source, gpu):
+        while supervisor_of(handle) is not None and meter.write():
             time.sleep(_INTERVAL_S)
     except FileNotFoundError:
         return  # the run was removed
@@ -134,22 +140,37 @@ def measure(work: Path) -> None:
         source.close()
 
 
-def _write(work: Path, source: UsageSource, gpu: GpuReadings | None) -> bool:
-    """Write one reading; False once the run is gone. It is not flushed to disk, because only the newest one counts."""
-    usage = source.read()
-    if usage is None:
-        return False
-    aside = work / f".{USAGE_FILE}"
-    content: dict[str, object] = {
-        "cpu_s": usage[0],
-        "memory_bytes": usage[1],
-        "peak_bytes": source.peak_memory_bytes(),
-    }
-    if gpu is not None:
-        content[GPU_KEY] = gpu.read()
-    aside.write_text(json.dumps(content), encoding="ascii")
-    aside.replace(work / USAGE_FILE)
-    return True
+class Meter:
+    """Writes what a run uses, and what else its node does, into the work folder of the run.
+
+    The cores that count are those that Slurm gave the job.
+    """
+
+    def __init__(self, work: Path, source: UsageSource, gpu: GpuReadings | None, started_at: datetime) -> None:
+        self._path = work / USAGE_FILE
+        self._source = source
+        self._gpu = gpu
+        self._host = HostReader(HostCounters(os.sched_getaffinity(0)))
+        self._began_s = monotonic_s() - (utc_now() - started_at).total_seconds()
+
+    def write(self) -> bool:
+        """Write one reading; False once the run is gone. It is not flushed to disk: only the newest one counts."""
+        usage = self._source.read()
+        if usage is None:
+            return False
+        cpu_s, memory_bytes = usage
+        content: dict[str, object] = {
+            "cpu_s": cpu_s,
+            "memory_bytes": memory_bytes,
+            "peak_bytes": self._source.peak_memory_bytes(),
+            HOST_KEY: self._host.read(max(0.0, monotonic_s() - self._began_s), cpu_s).content,
+        }
+        if self._gpu is not None:
+            content[GPU_KEY] = self._gpu.read()
+        aside = self._path.with_name(f".{USAGE_FILE}")
+        aside.write_text(json.dumps(content), encoding="ascii")
+        aside.replace(self._path)
+        return True
 
 
 if __name__ == "__main__":

@@ -8,9 +8,10 @@ from datetime import datetime
 from typing import Any
 
 from slamhive.domain.run import RunState
-from slamhive.executors.energy import EnergyLog
+from slamhive.executors.energy import POWERCAP, EnergyLog
 from slamhive.executors.gpu import GpuLog
-from slamhive.executors.host_counters import HostCounters, HostLog
+from slamhive.executors.host_counters import HostCounters, HostReader
+from slamhive.executors.host_log import HostLog, ReadHost
 from slamhive.executors.sampler import MachineLogs, Sampler
 from slamhive.executors.status import Gone, Running, UsageSource
 from slamhive.runs.early_end import Observation, broken_rule
@@ -81,13 +82,20 @@ class Watch:
 
     def _machine_logs(self, source: UsageSource) -> MachineLogs:
         hand = self._hand
-        counters = HostCounters(hand.spec.limits.cpuset) if source.on_this_machine else None
-        energy, host = EnergyLog(hand.folder.energy), HostLog(hand.folder.host, counters)
+        energy = EnergyLog(hand.folder.energy, POWERCAP if source.on_this_machine else None)
+        host = HostLog(hand.folder.host, self._host_of(source))
         gpu = hand.saved().get("gpu")
         if gpu is None:
             return MachineLogs(energy, host)
         log = GpuLog(hand.folder.gpu, lambda: hand.executor.gpu_use(hand.handle, gpu["uuid"]))
         return MachineLogs(energy, host, log)
+
+    def _host_of(self, source: UsageSource) -> ReadHost:
+        """Where the counters of the run's machine come from."""
+        hand = self._hand
+        if source.on_this_machine:
+            return HostReader(HostCounters(hand.spec.limits.cpuset)).read
+        return lambda _time_s, _run_cpu_s: hand.executor.host_reading(hand.handle)
 
     def _wait_for_end(self) -> str:
         """Why the run has ended: ``exited``, ``gone``, ``cancelled``, or the value under :data:`STOPPED_BECAUSE`."""
