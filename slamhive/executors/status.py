@@ -62,10 +62,12 @@ class Running:
     Attributes:
         process_limit: It was refused processes for so long that the worker must end it.
         as_of: When that was known; None for now. A node that cannot be asked may have ended the run since.
+        delivering: The algorithm has ended, and its results are on their way to the controller. Limits count no more.
     """
 
     process_limit: bool = False
     as_of: datetime | None = None
+    delivering: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 import yaml
 
-from slamhive.executors.kubernetes.executor import RIGHTS, USEFUL_RIGHTS
+from slamhive.executors.kubernetes.executor import RIGHTS, STORE_RIGHTS, USEFUL_RIGHTS
 
 FOLDER = Path(__file__).resolve().parents[2] / "deploy" / "kubernetes"
-BASE = FOLDER / "base"
+BASE, APART = FOLDER / "base", FOLDER / "apart"
 
 
 def documents() -> Iterator[dict[str, Any]]:
@@ -29,17 +29,37 @@ def test_all_files_are_listed():
     assert sorted([*listed, "kustomization.yaml"]) == sorted(path.name for path in BASE.iterdir())
 
 
-def test_the_worker_gets_the_rights_that_it_uses_and_no_others():
-    granted = {
+def granted(roles: list[dict[str, Any]]) -> set[tuple[str, str, str]]:
+    return {
         (verb, resource, group)
-        for kind in ("Role", "ClusterRole")
-        for role in of_kind(kind)
+        for role in roles
         for rule in role["rules"]
         for verb in rule["verbs"]
         for resource in rule["resources"]
         for group in rule["apiGroups"]
     }
-    assert granted == {(right.verb, right.resource, right.group) for right in (*RIGHTS, *USEFUL_RIGHTS)}
+
+
+def test_the_worker_gets_the_rights_that_it_uses_and_no_others():
+    wanted = {(right.verb, right.resource, right.group) for right in (*RIGHTS, *USEFUL_RIGHTS)}
+    assert granted([*of_kind("Role"), *of_kind("ClusterRole")]) == wanted
+    roles = [entry for entry in yaml.safe_load_all((APART / "rights.yaml").read_text()) if entry["kind"] == "Role"]
+    assert granted(roles) == {(right.verb, right.resource, right.group) for right in STORE_RIGHTS}
+
+
+def test_runs_on_nodes_apart_reach_one_port_of_the_worker():
+    component = yaml.safe_load((APART / "kustomization.yaml").read_text())
+    patches = {entry["target"]["name"]: yaml.safe_load(entry["patch"]) for entry in component["patches"][1:]}
+    (service,) = yaml.safe_load_all((APART / "nodes.yaml").read_text())
+    (port,) = service["spec"]["ports"]
+    for policy, field, peer in (
+        ("slamhive-worker", "from", "slamhive-run"),
+        ("slamhive-runs", "to", "slamhive-worker"),
+    ):
+        (change,) = patches[policy]
+        (rule,) = change["value"]
+        assert rule["ports"] == [{"port": port["targetPort"]}]
+        assert rule[field] == [{"podSelector": {"matchLabels": {"app.kubernetes.io/name": peer}}}]
 
 
 @pytest.mark.parametrize("deployment", of_kind("Deployment"), ids=lambda entry: entry["metadata"]["name"])

@@ -268,6 +268,7 @@ HOLDING = tuple(kind for kind in KINDS if _holds(kind))
 """The containments that can be had on this machine by who runs the tests."""
 _DOCKER = pytest.param("docker", marks=pytest.mark.docker)
 _KUBERNETES = pytest.param("kubernetes", marks=pytest.mark.cluster)
+_KUBERNETES_APART = pytest.param("kubernetes-apart", marks=pytest.mark.cluster)
 EVERYWHERE = [*(f"process-{kind}" for kind in HOLDING), _DOCKER]
 """The parameters of ``bench`` for all of them, and for containers."""
 REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
@@ -277,10 +278,14 @@ REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
 _SLURM = pytest.param("slurm", marks=pytest.mark.cluster)
 _SLURM_ENVIRONMENT = pytest.param("slurm-none", marks=pytest.mark.cluster)
 _SLURM_APART = pytest.param("slurm-apart", marks=pytest.mark.cluster)
-ALL = ["process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, _SLURM_APART, _KUBERNETES, "remote", "plain"]
+ALL = [
+    *("process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, _SLURM_APART, _KUBERNETES, _KUBERNETES_APART),
+    *("remote", "plain"),
+]
 """The parameters of ``bench`` for every executor: those that ship, one on another machine, one of the documentation.
 
-Slurm has three: with containers, without, and on nodes that see no file of the tests.
+Slurm has three: with containers, without, and on nodes that see no file of the tests. Kubernetes has two: the last of
+these, too.
 """
 
 
@@ -290,6 +295,20 @@ def kubernetes_cluster(tmp_path_factory: pytest.TempPathFactory, base_image: str
     with KubernetesCluster(tmp_path_factory.mktemp("kubernetes")) as cluster:
         cluster.load(base_image)
         yield cluster
+
+
+@pytest.fixture
+def node_access(
+    kubernetes_cluster: KubernetesCluster, environment_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[NodeAccess]:
+    """The way to nodes that see nothing of a test; they are served meanwhile."""
+    kubernetes_cluster.use(monkeypatch)
+    kubernetes_cluster.separate_caches()
+    kubernetes_cluster.hide(environment_data, tmp_path)
+    server = NodeServer(environment_data, "127.0.0.1", kubernetes_cluster.port)
+    server.start()
+    yield NodeAccess(kubernetes_cluster.url, str(kubernetes_cluster.cache), 10**9)
+    server.close()
 
 
 @pytest.fixture
@@ -303,6 +322,10 @@ def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
         cluster, server = request.getfixturevalue("apart_cluster"), request.getfixturevalue("node_server")
         apart = replace(context, nodes=NodeAccess(server.url, str(cluster.cache), 2 * 10**9))
         return Maker(name, apart, lambda: open_executor(name, apart))
+    if request.param == "kubernetes-apart":
+        access = request.getfixturevalue("node_access")
+        apart = replace(context, nodes=access)
+        return Maker(request.param, apart, lambda: open_executor(name, apart))
     if name == "slurm":
         request.getfixturevalue("slurm_cluster")
         slurm = replace(context, options={"containers": containment or "auto"})

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -28,6 +29,39 @@ class KubernetesCluster:
     def __init__(self, folder: Path) -> None:
         self._folder = folder / "cluster"
         self._archives = folder
+        self.port = _free_port()
+        """Of this machine's 127.0.0.1; pods reach it at :attr:`url`."""
+
+    @property
+    def url(self) -> str:
+        """Where pods reach what listens on :attr:`port`."""
+        return f"http://10.243.0.1:{self.port}"
+
+    @property
+    def cache(self) -> Path:
+        """A folder of which each node has one of its own."""
+        return self._folder / "node-cache"
+
+    def cache_of(self, node: str) -> Path:
+        """The folder of a node that pods there see at :attr:`cache`."""
+        return self._folder / f"node-cache-{node}"
+
+    def separate_caches(self) -> None:
+        """Give each node a cache of its own, which is empty."""
+        self.cache.mkdir(exist_ok=True)
+        for node in NODES:
+            shutil.rmtree(self.cache_of(node), ignore_errors=True)
+            self.cache_of(node).mkdir()
+            self._on(node, "umount", "--quiet", str(self.cache), check=False)
+            self._on(node, "mount", "--bind", str(self.cache_of(node)), str(self.cache))
+
+    def hide(self, *folders: Path) -> None:
+        """Let no node see what is in these folders."""
+        for folder in folders:
+            for node in NODES:
+                if self._on(node, "mountpoint", "--quiet", str(folder), check=False).returncode:
+                    self._on(node, "mount", "-t", "tmpfs", "hidden", str(folder))
+                assert self._on(node, "ls", "-A", str(folder)).stdout == b"", f"{node} sees {folder}"
 
     @property
     def kubeconfig(self) -> Path:
@@ -89,12 +123,18 @@ class KubernetesCluster:
             pytest.skip("../shared/kubernetes, the control plane for tests, is not here")
         if os.geteuid() != 0:
             pytest.skip("a Kubernetes for tests needs root")
-        self._kube("up", str(self._folder), "--nodes", str(len(NODES)))
+        self._kube("up", str(self._folder), "--nodes", str(len(NODES)), "--reach", str(self.port))
         return self
 
     def __exit__(self, *_: object) -> None:
         self._kube("down", str(self._folder), "--all")
         shutil.rmtree(self._archives, ignore_errors=True)
+
+    def _on(self, node: str, *command: str, check: bool = True) -> subprocess.CompletedProcess[bytes]:
+        """Execute a command where a node sees its files."""
+        eventually(lambda: self.runs("kubelet", node), f"the kubelet of {node}")
+        kubelet = next(process for process in psutil.process_iter(["cmdline"]) if self._is(process, "kubelet", node))
+        return subprocess.run(["nsenter", "-t", str(kubelet.pid), "-m", *command], check=check, capture_output=True)
 
     def _answers(self) -> bool:
         try:
@@ -116,3 +156,8 @@ class KubernetesCluster:
         done = subprocess.run(command, input=stdin, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"kube {' '.join(arguments)}: {done.stderr or done.stdout}"
         return done.stdout
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as found:
+        return int(found.getsockname()[1])

@@ -13,8 +13,8 @@ from slamhive.executors.energy import NOT_MEASURED
 from slamhive.runs.host_load import read_host_load
 from slamhive.schema.submission import Submission
 from tests.burning import busy_machine
-from tests.services.docker_base import run_docker
-from tests.services.installation import TINY_IMAGE, Installation, installation
+from tests.executors.pod_installation import pod_installation
+from tests.services.installation import Installation, installation
 
 pytestmark = [pytest.mark.cluster, pytest.mark.timeout(900)]
 
@@ -30,11 +30,9 @@ def made(request, tmp_path, monkeypatch) -> Iterator[Installation]:
             made.build()
             yield made
         return
-    request.getfixturevalue("kubernetes_cluster").use(monkeypatch)
-    assert run_docker("tag", request.getfixturevalue("base_image"), TINY_IMAGE).returncode == 0
-    with installation(tmp_path, monkeypatch, executor="kubernetes") as made:
+    cluster, image = request.getfixturevalue("kubernetes_cluster"), request.getfixturevalue("base_image")
+    with pod_installation(cluster, image, tmp_path, monkeypatch) as made:
         yield made
-    run_docker("rmi", TINY_IMAGE)
 
 
 def test_a_run_beside_other_work_is_disturbed_and_repeated(made):

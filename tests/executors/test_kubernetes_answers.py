@@ -88,7 +88,7 @@ def test_a_container_that_was_made_and_not_started():
     """As a kubelet shows it whose containerd was killed in between: for ever."""
     status = {"name": "run", "containerID": "containerd://1", "state": {"waiting": {}}}
     why = answers.why_not_started(pod(phase="Pending", containerStatuses=[status]))
-    assert (why.created, why.why) == (True, "node node1 has made its container and has not started it")
+    assert (why.created, why.why) == (True, "node node1 has made a container of the pod and does not go on")
     status["state"] = {"waiting": {"reason": "ContainerCreating"}}
     assert not answers.why_not_started(pod(phase="Pending", containerStatuses=[status])).created
 

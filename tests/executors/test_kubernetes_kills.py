@@ -8,10 +8,10 @@ import pytest
 
 from slamhive.executors.kubernetes import manifest
 from slamhive.executors.registry import installation_id
-from tests.executors.kubernetes_cluster import NODES, KubernetesCluster
+from tests.executors.kubernetes_cluster import NODES
+from tests.executors.pod_installation import pod_installation
 from tests.executors.random_kills import RandomKills, check_accounts
-from tests.services.docker_base import run_docker
-from tests.services.installation import TINY_IMAGE, Installation, installation
+from tests.services.installation import Installation
 from tests.waiting import eventually
 
 pytestmark = [pytest.mark.cluster, pytest.mark.timeout(3000)]
@@ -23,16 +23,11 @@ CONTROL_PLANE = ("etcd", "kube-scheduler", "kube-controller-manager")
 
 
 @pytest.fixture
-def made(kubernetes_cluster: KubernetesCluster, base_image: str, tmp_path, monkeypatch) -> Iterator[Installation]:
+def made(kubernetes_cluster, base_image: str, tmp_path, monkeypatch) -> Iterator[Installation]:
     """An installation whose runs are pods."""
-    kubernetes_cluster.use(monkeypatch)
-    assert run_docker("tag", base_image, TINY_IMAGE).returncode == 0
-    with installation(
-        tmp_path, monkeypatch, executor="kubernetes", worker_slots=str(SLOTS), run_cpu_cores="0.4"
-    ) as made:
-        made.build()
+    settings = {"worker_slots": str(SLOTS), "run_cpu_cores": "0.4"}
+    with pod_installation(kubernetes_cluster, base_image, tmp_path, monkeypatch, **settings) as made:  # type: ignore[arg-type]
         yield made
-    run_docker("rmi", TINY_IMAGE)
 
 
 def test_everything_is_killed_at_random_moments(made, kubernetes_cluster):

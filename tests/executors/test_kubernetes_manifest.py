@@ -12,7 +12,12 @@ import pytest
 import slamhive
 from slamhive.errors import InvalidInput
 from slamhive.executors.base import StartFailed
-from slamhive.executors.kubernetes.archive import MODULES, supervisor_archive
+from slamhive.executors.kubernetes.archive import (
+    COURIER_MODULES,
+    SUPERVISOR_MODULES,
+    courier_archive,
+    supervisor_archive,
+)
 from slamhive.executors.kubernetes.manifest import Who, job_manifest, job_name, label_value, resources, selector
 from slamhive.executors.kubernetes.options import Options, read_options
 from slamhive.executors.kubernetes.places import Place, places_of, prepare_inputs, volumes_of
@@ -217,13 +222,14 @@ def test_inputs_from_outside_of_the_data_root_are_copied_if_they_are_small(tmp_p
     assert [target for target, place in places.items() if not place.read_only] == ["/d", "/slamhive/result", "/tmp"]
 
 
-def test_the_supervisor_is_packed_the_same_each_time():
+def test_what_a_pod_executes_is_packed_the_same_each_time():
     assert supervisor_archive() == supervisor_archive()
+    assert courier_archive() == courier_archive()
 
 
 @pytest.mark.integration
-def test_the_supervisor_runs_in_old_images():
-    paths = [str(Path(slamhive.__file__).parent / name) for name in MODULES]
+def test_what_a_pod_executes_runs_in_old_images():
+    paths = [str(Path(slamhive.__file__).parent / name) for name in {*SUPERVISOR_MODULES, *COURIER_MODULES}]
     vermin = [str(Path(sys.executable).with_name("vermin")), "--target=3.7-", "--no-tips", "--violations"]
     found = subprocess.run([*vermin, *paths], check=False, capture_output=True, text=True)
     assert found.returncode == 0, found.stdout

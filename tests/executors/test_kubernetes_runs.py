@@ -119,9 +119,13 @@ def test_killed_at_any_step_the_run_ends_once_and_well(hive, kubernetes_cluster)
     kill_at_each_step(hive, asked, lambda count: range(2, count + 1, 2), check)
 
 
-def test_the_api_server_accepts_the_deployment(kubernetes_cluster, tmp_path):
+@pytest.mark.parametrize("apart", [False, True])
+def test_the_api_server_accepts_the_deployment(kubernetes_cluster, tmp_path, apart):
     """Nothing is made: that the parts find each other is unverified."""
     folder = shutil.copytree(DEPLOYMENT, tmp_path / "kubernetes")
+    if apart:
+        with (folder / "kustomization.yaml").open("a") as stream:
+            stream.write("components:\n  - apart\n")
     (folder / "secrets.env").write_text("MYSQL_PASSWORD=one\nSLAMHIVE_SECRET_KEY=two\n")
     made = kubernetes_cluster.kubectl("kustomize", str(folder))
     # The namespace is not made either, so that another one has to stand for it.

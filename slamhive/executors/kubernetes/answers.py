@@ -10,6 +10,7 @@ from decimal import Decimal, InvalidOperation
 from typing import Any
 
 from slamhive.executors.kubernetes.manifest import CONTAINER, KEY_ANNOTATION
+from slamhive.executors.kubernetes.pod_files import REFUSED_EXIT
 from slamhive.executors.nodes import Node
 
 Document = dict[str, Any]
@@ -21,6 +22,7 @@ _IMAGE_REFUSED = ("not found", "denied", "unauthorized", "manifest unknown", "do
 _CONTAINER_REFUSED = frozenset(
     ("CreateContainerConfigError", "CreateContainerError", "RunContainerError", "CrashLoopBackOff", "StartError")
 )
+_INITIALISING = "PodInitializing"
 _GIVEN_UP = ("DeletionByTaintManager", "DeletionByPodGC", "TerminationByKubelet")
 _FACTORS = {
     "": Decimal(1), "m": Decimal("0.001"), "k": Decimal(10**3), "M": Decimal(10**6), "G": Decimal(10**9),
@@ -129,6 +131,9 @@ def how_it_was_lost(pod: Document | None) -> str:
         return f"node {node_of(pod)} evicted the pod: {status.get('message', '')}"
     if status.get("reason"):
         return f"Kubernetes ended the pod: {status['reason']} {status.get('message', '')}".strip()
+    failed = _failed_before(pod)
+    if failed is not None:
+        return f"node {node_of(pod)} could not get the data of the run: {failed.get('message') or failed.get('reason')}"
     ended = _state(pod, "terminated") or {}
     words = [str(ended[name]) for name in ("reason", "message") if ended.get(name)]
     said = ", ".join([*words, f"exit code {ended.get('exitCode', 'unknown')}"])
@@ -137,7 +142,7 @@ def how_it_was_lost(pod: Document | None) -> str:
 
 def why_not_started(pod: Document) -> NotStarted:
     """Why the algorithm of a pod that has not ended does not run yet."""
-    waiting = _state(pod, "waiting") or {}
+    waiting = _waiting_before(pod) or _state(pod, "waiting") or {}
     reason, said = str(waiting.get("reason", "")), str(waiting.get("message", ""))
     text = f"{reason}: {said}" if said else reason
     if reason in _IMAGE_NEVER:
@@ -150,9 +155,10 @@ def why_not_started(pod: Document) -> NotStarted:
         if condition.get("type") == "PodScheduled" and condition.get("status") == "False":
             unschedulable = condition.get("reason") == "Unschedulable"
             return NotStarted(condition.get("message") or "no node was chosen yet", unschedulable=unschedulable)
-    if not reason and _made(pod):
-        return NotStarted(f"node {node_of(pod)} has made its container and has not started it", created=True)
-    return NotStarted(f"node {node_of(pod)} prepares the pod" if node_of(pod) else "no node was chosen yet")
+    if reason in ("", _INITIALISING) and _made(pod):
+        return NotStarted(f"node {node_of(pod)} has made a container of the pod and does not go on", created=True)
+    doing = "gets the data of the run" if _is_fetching(pod) else "prepares the pod"
+    return NotStarted(f"node {node_of(pod)} {doing}" if node_of(pod) else "no node was chosen yet")
 
 
 def job_failure(job: Document) -> str | None:
@@ -265,8 +271,45 @@ def _shown(name: str, value: Decimal) -> str:
 
 
 def _made(pod: Document) -> bool:
-    statuses = pod.get("status", {}).get("containerStatuses") or ()
-    return _state(pod, "waiting") is not None and any(status.get("containerID") for status in statuses)
+    """Whether a container was made and not started, or has failed before the run while the pod is not over.
+
+    After a power cut of its node, a pod may keep a container whose end nobody knows, and never go on.
+    """
+    if _failed_before(pod) is not None:
+        return True
+    status = pod.get("status", {})
+    statuses = [*(status.get("initContainerStatuses") or ()), *(status.get("containerStatuses") or ())]
+    return any((entry.get("state") or {}).get("waiting") is not None and entry.get("containerID") for entry in statuses)
+
+
+def _before(pod: Document) -> Iterable[Document]:
+    """The states of the containers that come before the run, if there are any."""
+    for status in pod.get("status", {}).get("initContainerStatuses") or ():
+        yield status.get("state") or {}
+
+
+def _waiting_before(pod: Document) -> Document | None:
+    """What keeps a container back that comes before the run; None if nothing of note does."""
+    waiting = (state.get("waiting") or {} for state in _before(pod))
+    return next((found for found in waiting if found.get("reason", _INITIALISING) != _INITIALISING), None)
+
+
+def _failed_before(pod: Document) -> Document | None:
+    """How a container ended that comes before the run and had to succeed; None if none failed."""
+    if _state(pod, "terminated") is not None or _state(pod, "running") is not None:
+        return None
+    ended = (state.get("terminated") or {} for state in _before(pod))
+    return next((found for found in ended if found.get("exitCode")), None)
+
+
+def data_refused(pod: Document) -> bool:
+    """Whether the pod did not get its data for a reason that another pod would meet too."""
+    failed = _failed_before(pod)
+    return failed is not None and failed.get("exitCode") == REFUSED_EXIT
+
+
+def _is_fetching(pod: Document) -> bool:
+    return any(state.get("running") is not None for state in _before(pod))
 
 
 def _state(pod: Document, kind: str) -> Document | None:

@@ -77,6 +77,17 @@ class Cluster:
             lambda a: a.batch.delete_namespaced_job(name, a.namespace, propagation_policy="Background", **_RAW),
         )
 
+    def create_secret(self, manifest: Document, failure: type[SlamHiveError]) -> None:
+        """Create a Secret in place of one of its name. Raises ``failure`` if the API server refuses it."""
+        self.delete_secret(manifest["metadata"]["name"])
+        self._ask(
+            "creating a Secret", lambda a: a.core.create_namespaced_secret(a.namespace, manifest, **_RAW), failure
+        )
+
+    def delete_secret(self, name: str) -> None:
+        """Delete a Secret. Does nothing if it is gone."""
+        self._delete("deleting a Secret", lambda a: a.core.delete_namespaced_secret(name, a.namespace, **_RAW))
+
     def pods(self, selector: str) -> list[Document]:
         """The pods with these labels."""
         return _items(self.pod_list(selector))

@@ -32,11 +32,13 @@ from slamhive.executors.kubernetes.cluster_options import CLUSTER_OPTIONS, OPTIO
 from slamhive.executors.kubernetes.connection import why_no_connection
 from slamhive.executors.kubernetes.images import NodeImages
 from slamhive.executors.kubernetes.manifest import selector
+from slamhive.executors.kubernetes.node_runs import NodeRunFiles
 from slamhive.executors.kubernetes.options import read_options
 from slamhive.executors.kubernetes.pod_counters import HOST_KEY
 from slamhive.executors.kubernetes.pod_watch import PodWatch
 from slamhive.executors.kubernetes.run_files import PodUsage, RunFiles, Started
 from slamhive.executors.kubernetes.run_jobs import RunJobs
+from slamhive.executors.node_store.controller import NodeStore
 from slamhive.executors.nodes import Node
 from slamhive.executors.process.supervisors import wait_until
 from slamhive.executors.spec import Limit, RunSpec
@@ -52,6 +54,11 @@ RIGHTS = (
 """What the worker cannot do without."""
 USEFUL_RIGHTS = (Right("list", "events"), Right("list", "nodes"))
 """What makes messages better."""
+
+
+STORE_RIGHTS = (Right("create", "secrets"), Right("delete", "secrets"))
+"""What it cannot do without if nodes share no storage."""
+_CLAIM_AND_STORE = "KUBERNETES_OPTIONS has --claim, but SHARED_STORAGE is false; choose one of them"
 
 
 class KubernetesExecutor(Executor):
@@ -72,13 +79,16 @@ class KubernetesExecutor(Executor):
         super().__init__(context)
         self._options = read_options(context.value(CLUSTER_OPTIONS))
         self._cluster = Cluster(self._options)
-        self._jobs = RunJobs(self._cluster, self._options, context)
+        self._store = None if context.nodes is None else NodeStore(context.data, context.nodes)
+        self._jobs = RunJobs(self._cluster, self._options, context, self._store)
         self._watch = PodWatch(self._cluster, selector(context.installation))
         self._images = NodeImages(context, self._options.registry)
 
     def unavailable_because(self) -> str | None:
         """Why no Job can be made; None if the API server answers and lets us list Jobs."""
         problem = why_no_connection()
+        if problem is None and self._store is not None:
+            problem = _CLAIM_AND_STORE if self._options.claim else self._store.unavailable_because()
         if problem is not None:
             return problem
         try:
@@ -90,17 +100,17 @@ class KubernetesExecutor(Executor):
     def examine(self) -> list[Finding]:
         """Which cluster it is, what the worker may do there, which nodes answer, and how files and images get there."""
         cluster, options = self._cluster, self._options
-        missing = [right.text for right in (*RIGHTS, *USEFUL_RIGHTS) if not cluster.may(right)]
+        needed = (*RIGHTS, *USEFUL_RIGHTS, *(() if self._store is None else STORE_RIGHTS))
+        missing = [right.text for right in needed if not cluster.may(right)]
         rights = f"the worker may not {', '.join(missing)}" if missing else "all that are needed"
         nodes = cluster.nodes()
         ready = [] if nodes is None else answers.ready_nodes(nodes)
         counted = "unknown" if nodes is None else f"{len(ready)} of {len(nodes)} take runs"
-        same_path = f"nodes need {self._context.data.resolve()} at the same path"
         return [
             Finding("cluster", f"{cluster.version()}, namespace {cluster.namespace}"),
             Finding("rights", rights, "apply deploy/kubernetes/base/rights.yaml" if missing else None),
             Finding("nodes", counted, None if ready or nodes is None else "see kubectl get nodes"),
-            Finding("storage", f"claim {options.claim}" if options.claim else same_path),
+            self._storage(),
             Finding("images", f"registry {options.registry}" if options.registry else "nodes need them already"),
         ]
 
@@ -118,7 +128,8 @@ class KubernetesExecutor(Executor):
 
     def nodes(self) -> list[Node]:
         """The nodes with the labels that ``KUBERNETES_OPTIONS`` asks for. Raises Unavailable."""
-        return [answers.node(found) for found in self._all_nodes() if answers.has_labels(found, self._options.node)]
+        found = [answers.node(node) for node in self._all_nodes() if answers.has_labels(node, self._options.node)]
+        return found if self._store is None else self._store.with_caches(found)
 
     def drain(self, node: str, drained: bool) -> None:
         """As ``kubectl cordon`` does: pods that run there go on."""
@@ -152,21 +163,22 @@ class KubernetesExecutor(Executor):
 
         Raises EngineUnavailable while the pod waits for a node.
         """
-        return self._handle(spec, self._jobs.start(spec, RunFiles(spec.work)))
+        return self._handle(spec, self._jobs.start(spec, self._files(spec.work, spec.key)))
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """What the supervisor has recorded, else what Kubernetes says of the pod."""
-        files, key = _files(handle), handle.data["key"]
+        files, key = self._files_of(handle), handle.data["key"]
         ended = files.ended()
         if ended is not None:
             return self._explained(ended, key)
         if not files.there:
             return Gone("its work folder was removed from outside")
+        going_on = Running(as_of=files.as_of, delivering=files.delivering)
         if _goes_on(self._watch.of_run(key)):
-            return Running()
+            return going_on
         pod = self._jobs.pod(key)  # asked directly: the watch may be behind
         if _goes_on(pod):
-            return Running()
+            return going_on
         lost: Exited | Gone = Gone(answers.how_it_was_lost(pod))
         if pod is not None and answers.ran_out_of_memory(pod):
             lost = Exited(137, out_of_memory=True)
@@ -174,50 +186,60 @@ class KubernetesExecutor(Executor):
 
     def stop(self, handle: RunHandle, grace_s: float) -> None:
         """SIGTERM to all processes of the run, SIGKILL after ``grace_s``; the supervisor does it."""
-        files = _files(handle)
+        files, arrived = self._files_of(handle), None
         if not files.there or files.ended() is not None:
             return
         files.ask_to_stop(grace_s)
-        if not wait_until(lambda: files.ended() is not None or self._is_lost(handle), grace_s + KILL_WAIT_S):
-            self._jobs.delete(handle.data["key"])
+        while not wait_until(lambda: files.ended() is not None or self._is_lost(handle), grace_s + KILL_WAIT_S):
+            if not files.delivering or files.arrived == arrived:
+                self._jobs.delete(handle.data["key"])
+                return
+            arrived = files.arrived
 
     def save_log(self, handle: RunHandle, path: Path) -> None:
         """Copy what the supervisor has kept of the output."""
-        write_aside(path, _files(handle).log(self._context.log_max_bytes))
+        write_aside(path, self._files_of(handle).log(self._context.log_max_bytes))
 
     def remove(self, handle: RunHandle) -> None:
         """End the run, delete its Job and its work folder."""
         self.stop(handle, 0.0)
+        files = self._files_of(handle)
+        files.forget()
         self._jobs.delete(handle.data["key"])
-        _files(handle).remove()
+        files.remove()
 
     def discard(self, spec: RunSpec) -> None:
         """The same for a run whose handle was lost; a pod that starts just now finds that it may not."""
-        files = RunFiles(spec.work)
+        files = self._files(spec.work, spec.key)
         if not files.block():
             self.stop(_handle_of(spec), 0.0)
+            files.forget()
         self._jobs.delete(spec.key)
         files.remove()
 
     def refresh(self, spec: RunSpec, handle: RunHandle) -> None:
         """Copy the files that are watched."""
         for output in spec.outputs:
-            _files(handle).copy_live(output)
+            self._files_of(handle).copy_live(output)
 
     def collect(self, spec: RunSpec, handle: RunHandle) -> None:
         """Take the outputs over."""
-        for output in spec.outputs:
-            _files(handle).hand_over(output)
+        self._files_of(handle).collect(spec)
 
     def usage_source(self, handle: RunHandle) -> UsageSource | None:
         """The counters that the supervisor hands over; None if the run has ended."""
-        files = _files(handle)
+        files = self._files_of(handle)
         wait_until(lambda: files.usage() is not None or not files.there or files.ended() is not None, _USAGE_WAIT_S)
-        return PodUsage(files) if files.usage() is not None and files.ended() is None else None
+        over = files.delivering or files.ended() is not None
+        return PodUsage(files) if files.usage() is not None and not over else None
 
     def host_reading(self, handle: RunHandle) -> HostReading | None:
         """What the supervisor reads of its node."""
-        return handed_over((_files(handle).usage() or {}).get(HOST_KEY))
+        return handed_over((self._files_of(handle).usage() or {}).get(HOST_KEY))
+
+    def hidden_bytes(self, handle: RunHandle) -> int:
+        """What the run has written on a node that shares no storage."""
+        return self._files_of(handle).written_bytes()
 
     def sweep(self, live_keys: LiveKeys) -> list[str]:
         """Delete the Jobs of this installation whose runs are over."""
@@ -226,12 +248,27 @@ class KubernetesExecutor(Executor):
         stale = [job for job in jobs if answers.key_of(job) not in live]
         for job in stale:
             self._jobs.delete_stale(job)
+        if self._store is not None:
+            self._store.sweep(live_keys)
         return [str(job["metadata"]["name"]) for job in stale]
 
     def close(self) -> None:
         """End the watch and close connections."""
         self._watch.stop()
         self._cluster.close()
+
+    def _files_of(self, handle: RunHandle) -> RunFiles:
+        return self._files(Path(handle.data["work"]), handle.data["key"])
+
+    def _files(self, work: Path, key: str) -> RunFiles:
+        return RunFiles(work) if self._store is None else NodeRunFiles(work, key, self._store)
+
+    def _storage(self) -> Finding:
+        """How files get to nodes."""
+        if self._store is not None:
+            return self._store.examine()
+        claim, same_path = self._options.claim, f"nodes need {self._context.data.resolve()} at the same path"
+        return Finding("storage", f"claim {claim}" if claim else same_path)
 
     def _all_nodes(self) -> list[Document]:
         nodes = self._cluster.nodes()
@@ -264,10 +301,6 @@ class KubernetesExecutor(Executor):
         where = f"pod on node {started.node} ({started.host.cpu_model}, {started.host.cpu_count} cores)"
         gpu = GivenGpu(started.node, uuid=started.gpu) if spec.asks_gpu else None
         return replace(handle, protections=_protections(where), host=started.host, gpu=gpu)
-
-
-def _files(handle: RunHandle) -> RunFiles:
-    return RunFiles(Path(handle.data["work"]))
 
 
 def _goes_on(pod: Document | None) -> bool:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from slamhive.executors.kubernetes.options import Options
+from slamhive.executors.kubernetes.pod_files import NODE_VARIABLE, POD_FOLDER, SUPERVISOR_FILE
 from slamhive.executors.spec import ROS_ENVIRONMENT, Placing, RunSpec
 
 KEY_LABEL = "slamhive.key"
@@ -17,17 +18,13 @@ INSTALLATION_LABEL = "slamhive.installation"
 KEY_ANNOTATION = "slamhive/key"
 QUEUE_LABEL = "kueue.x-k8s.io/queue-name"
 CONTAINER = "run"
-POD_FOLDER = "/run/slamhive"
-"""Where the supervisor finds its files in the pod."""
-SUPERVISOR_FILE = "supervisor.pyz"
-NODE_VARIABLE = "SLAMHIVE_NODE"
 SUPERVISOR_BYTES = 32 * 1024 * 1024
 """Kubernetes counts the supervisor with the run."""
 SHM_BYTES = 256 * 1024 * 1024
 NODE_PATIENCE_S = 60
 """How long a node may be silent before its runs count as lost."""
 TERMINATION_GRACE_S = 30
-_LATEST_END_S = 300
+LATEST_END_S = 300
 """The supervisor ends a late run by itself. The kubelet does so this much later, if the supervisor cannot."""
 _APP_LABEL, _APP = "app.kubernetes.io/name", "slamhive-run"
 _AT_START = "DuringSchedulingIgnoredDuringExecution"
@@ -35,6 +32,13 @@ _WEIGHT = 100
 _LONGEST_NAME = 63
 _LONGEST_JOB_NAME = 52
 """The Job controller adds to it for the name of the pod."""
+CONTAINER_SECURITY = {
+    "allowPrivilegeEscalation": False,
+    "capabilities": {"drop": ["ALL"]},
+    "privileged": False,
+    "readOnlyRootFilesystem": True,
+}
+NODE_ENTRY = {"name": NODE_VARIABLE, "valueFrom": {"fieldRef": {"fieldPath": "spec.nodeName"}}}
 _PLAIN = re.compile(r"[a-z0-9]([a-z0-9-]*[a-z0-9])?")
 
 
@@ -93,12 +97,7 @@ def job_manifest(
         who: The user of the run.
         volumes: What :func:`slamhive.executors.kubernetes.places.volumes_of` returned.
     """
-    labels = {
-        _APP_LABEL: _APP,
-        INSTALLATION_LABEL: label_value(installation),
-        KEY_LABEL: label_value(spec.key),
-        RUN_LABEL: str(spec.run_id),
-    }
+    labels = labels_of(spec, installation)
     queue = {QUEUE_LABEL: options.queue} if options.queue else {}
     return {
         "apiVersion": "batch/v1",
@@ -121,13 +120,23 @@ def job_manifest(
     }
 
 
+def labels_of(spec: RunSpec, installation: str) -> dict[str, str]:
+    """The labels of all that belongs to a run."""
+    return {
+        _APP_LABEL: _APP,
+        INSTALLATION_LABEL: label_value(installation),
+        KEY_LABEL: label_value(spec.key),
+        RUN_LABEL: str(spec.run_id),
+    }
+
+
 def _pod(
     spec: RunSpec, options: Options, who: Who, volumes: tuple[list[dict[str, Any]], list[dict[str, Any]]]
 ) -> dict[str, Any]:
     shm = {"medium": "Memory", "sizeLimit": str(spec.shm_bytes or SHM_BYTES)}
     return {
         "restartPolicy": "Never",
-        "activeDeadlineSeconds": math.ceil(spec.timeout_s) + _LATEST_END_S,
+        "activeDeadlineSeconds": math.ceil(spec.timeout_s) + LATEST_END_S,
         "terminationGracePeriodSeconds": TERMINATION_GRACE_S,
         "automountServiceAccountToken": False,
         "enableServiceLinks": False,
@@ -183,20 +192,14 @@ def _of_name(operator: str, name: str) -> dict[str, Any]:
 def _container(spec: RunSpec, options: Options, mounts: list[dict[str, Any]]) -> dict[str, Any]:
     asked = resources(spec, options)
     variables = {**ROS_ENVIRONMENT, "HOME": "/tmp", **spec.environment}  # noqa: S108 - the container's own
-    node = {"name": NODE_VARIABLE, "valueFrom": {"fieldRef": {"fieldPath": "spec.nodeName"}}}
     return {
         "name": CONTAINER,
         "image": spec.identity,
         "imagePullPolicy": "IfNotPresent" if options.registry else "Never",
         "command": ["python3", f"{POD_FOLDER}/{SUPERVISOR_FILE}", POD_FOLDER],
-        "env": [*({"name": name, "value": value} for name, value in sorted(variables.items())), node],
+        "env": [*({"name": name, "value": value} for name, value in sorted(variables.items())), NODE_ENTRY],
         "resources": {"limits": asked, "requests": asked},
-        "securityContext": {
-            "allowPrivilegeEscalation": False,
-            "capabilities": {"drop": ["ALL"]},
-            "privileged": False,
-            "readOnlyRootFilesystem": True,
-        },
+        "securityContext": CONTAINER_SECURITY,
         "volumeMounts": [*mounts, {"name": "shm", "mountPath": "/dev/shm"}],  # noqa: S108 - the container's own
     }
 

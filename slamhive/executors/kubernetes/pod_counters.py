@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from slamhive.executors.kubernetes.pod_files import NODE_VARIABLE, read_text
+
 HOST_KEY = "host"
 """What the node counted, beside the usage of the run."""
 USAGE_FILES = (
@@ -28,14 +30,6 @@ USAGE_FILES = (
 """The files of both versions of control groups; those that are there are handed to the worker as they are."""
 CGROUP = Path("/sys/fs/cgroup")
 _V1_CPU, _V2_CPU = "cpuacct/cpuacct.usage", "cpu.stat"
-
-
-def read_text(path: Path) -> str | None:
-    """The content of a small file; None if it cannot be read."""
-    try:
-        return path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return None
 
 
 def number_of(key: str, text: str) -> int | None:
@@ -92,7 +86,7 @@ def about_node() -> dict[str, Any]:
     lines = (read_text(Path("/proc/cpuinfo")) or "").splitlines()
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return {
-        "node": os.environ.get("SLAMHIVE_NODE", ""),
+        "node": os.environ.get(NODE_VARIABLE, ""),
         "cpu": models[0] if models else "unknown",
         "cores": os.cpu_count(),
         "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),

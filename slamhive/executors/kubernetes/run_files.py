@@ -19,14 +19,14 @@ from slamhive.domain.host import Host
 from slamhive.errors import Unavailable
 from slamhive.executors.cgroup import file_cache_bytes, parse_flat
 from slamhive.executors.kubernetes.archive import supervisor_archive
-from slamhive.executors.kubernetes.manifest import SUPERVISOR_FILE
 from slamhive.executors.kubernetes.pod_counters import used_cpu_s
-from slamhive.executors.kubernetes.supervisor import (
+from slamhive.executors.kubernetes.pod_files import (
     CLAIM_FILE,
     LOG_FOLDER,
     ORDER_FILE,
     STARTED_FILE,
     STOP_FILE,
+    SUPERVISOR_FILE,
     USAGE_FILE,
 )
 from slamhive.executors.packing import pack_folder
@@ -73,14 +73,7 @@ class RunFiles:
 
     def prepare(self, spec: RunSpec, log_max_bytes: int) -> None:
         """Write everything that the supervisor needs; may be done again. Raises Unavailable."""
-        order = {
-            "command": list(spec.command),
-            "timeout_s": spec.timeout_s,
-            "log_max_bytes": log_max_bytes,
-            "pids": spec.limits.pids,
-            "file_bytes": spec.limits.file_bytes,
-            "cores": None if spec.limits.cpuset is None else list(spec.limits.cpuset),
-        }
+        order = order_of(spec, log_max_bytes)
         try:
             for folder in (self.folder, self.scratch, *(self.outputs / output.name for output in spec.outputs)):
                 folder.mkdir(parents=True, exist_ok=True)
@@ -99,9 +92,14 @@ class RunFiles:
         """Whether a supervisor has started, or none may start any more."""
         return (self.folder / CLAIM_FILE).exists()
 
+    @property
+    def begun(self) -> bool:
+        """Whether the supervisor has started, so that nobody may start another one."""
+        return self.claimed
+
     def started(self) -> Started | None:
         """None if the supervisor has not recorded that the algorithm has started."""
-        found = self._read(STARTED_FILE)
+        found = self.read(STARTED_FILE)
         try:
             return None if found is None else _start(found)
         except _MAKES_NO_SENSE:
@@ -109,13 +107,35 @@ class RunFiles:
 
     def ended(self) -> Exited | Gone | None:
         """How the run ended; None if the supervisor has not recorded it."""
-        found = self._read(EXIT_FILE)
+        found = self.read(EXIT_FILE)
         if found is None:
             return None
         try:
             return _ending(found)
         except _MAKES_NO_SENSE as error:
             return Gone(f"the record of how the run ended is damaged: {type(error).__name__}: {error}")
+
+    @property
+    def delivering(self) -> bool:
+        """Whether the algorithm has ended, and its results are on their way."""
+        return False
+
+    @property
+    def as_of(self) -> datetime | None:
+        """When the pod was last heard of; None if its files are shared."""
+        return None
+
+    @property
+    def arrived(self) -> str:
+        """How much of the results has arrived meanwhile, in words."""
+        return ""
+
+    def forget(self) -> None:
+        """Take nothing more from the pod."""
+
+    def written_bytes(self) -> int:
+        """What the run has written where the worker does not see it."""
+        return 0
 
     def copy_live(self, output: RunOutput) -> None:
         """Bring the watched files of an output up to date on the controller."""
@@ -143,9 +163,14 @@ class RunFiles:
         except OSError as error:
             raise Unavailable(f"{source} cannot be removed: {error.strerror}", remedy_of(error)) from None
 
+    def collect(self, spec: RunSpec) -> None:
+        """Bring all outputs to their destinations. Raises Unavailable."""
+        for output in spec.outputs:
+            self.hand_over(output)
+
     def usage(self) -> dict[str, Any] | None:
         """The last counters of the kernel that the supervisor wrote; None before the first."""
-        return self._read(USAGE_FILE)
+        return self.read(USAGE_FILE)
 
     def log(self, most_bytes: int) -> bytes:
         """What the run has printed so far."""
@@ -180,7 +205,7 @@ class RunFiles:
         except OSError as error:
             raise Unavailable(f"{self.work} cannot be removed: {error.strerror}", remedy_of(error)) from None
 
-    def _read(self, name: str) -> dict[str, Any] | None:
+    def read(self, name: str) -> dict[str, Any] | None:
         """What the supervisor wrote; None if there is nothing yet, empty if it makes no sense."""
         try:
             # A listing makes NFS look at the server; what it says of single names may be old.
@@ -192,6 +217,18 @@ class RunFiles:
         except (OSError, ValueError):
             return {}
         return content if isinstance(content, dict) else {}
+
+
+def order_of(spec: RunSpec, log_max_bytes: int) -> dict[str, Any]:
+    """What the supervisor is to do."""
+    return {
+        "command": list(spec.command),
+        "timeout_s": spec.timeout_s,
+        "log_max_bytes": log_max_bytes,
+        "pids": spec.limits.pids,
+        "file_bytes": spec.limits.file_bytes,
+        "cores": None if spec.limits.cpuset is None else list(spec.limits.cpuset),
+    }
 
 
 def take_over(folder: Path, output: RunOutput, work: Path) -> None:
@@ -274,7 +311,8 @@ class PodUsage:
 
     def read(self) -> tuple[float, int] | None:
         """CPU time (s) and memory in use (bytes); None once the run has ended."""
-        found = None if self._files.ended() is not None else self._files.usage()
+        over = self._files.delivering or self._files.ended() is not None
+        found = None if over else self._files.usage()
         try:
             usage = None if found is None else parse_usage(found)
         except _MAKES_NO_SENSE:

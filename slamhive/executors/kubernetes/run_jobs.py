@@ -10,11 +10,15 @@ from slamhive.executors.base import EngineUnavailable, ExecutorContext, StartFai
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.answers import Document, NotStarted
 from slamhive.executors.kubernetes.cluster import Cluster
+from slamhive.executors.kubernetes.courier_manifest import node_job_manifest, secret_manifest, with_courier
 from slamhive.executors.kubernetes.images import explain_missing
-from slamhive.executors.kubernetes.manifest import POD_FOLDER, Who, job_manifest, job_name, resources, selector
+from slamhive.executors.kubernetes.manifest import Who, job_manifest, job_name, resources, selector
+from slamhive.executors.kubernetes.node_runs import hand_out
 from slamhive.executors.kubernetes.options import Options
 from slamhive.executors.kubernetes.places import outputs_on_node, places_of, prepare_inputs, volumes_of
+from slamhive.executors.kubernetes.pod_files import POD_FOLDER
 from slamhive.executors.kubernetes.run_files import RunFiles, Started
+from slamhive.executors.node_store.controller import NodeStore
 from slamhive.executors.process.supervisors import wait_until
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Gone
@@ -40,14 +44,19 @@ class RunJobs:
         cluster: Where they are.
         options: What the user says about the cluster.
         context: Names the installation and its data root.
+        store: Hands runs out to nodes that share no storage; None if they do.
     """
 
-    def __init__(self, cluster: Cluster, options: Options, context: ExecutorContext) -> None:
+    def __init__(
+        self, cluster: Cluster, options: Options, context: ExecutorContext, store: NodeStore | None = None
+    ) -> None:
         self._cluster = cluster
         self._options = options
         self._installation = context.installation
         self._data = context.data.resolve()
         self._log_max_bytes = context.log_max_bytes
+        self._store = store
+        self._cache = "" if context.nodes is None else context.nodes.cache
 
     def name(self, key: str) -> str:
         """The name of the Job of a run."""
@@ -74,19 +83,31 @@ class RunJobs:
             try:
                 return self._wait_for_start(spec, files)
             except NeverBegan:
-                if files.claimed or not left:
+                if files.begun or not left:
                     raise
                 self.delete(spec.key)
         raise AssertionError("the last attempt returns or raises")
 
     def _make(self, spec: RunSpec, files: RunFiles) -> None:
         """Prepare the files of the run and make its Job; both may have been done before. Raises StartFailed."""
+        if self._store is not None:
+            self._make_on_node(spec, files, self._store)
+            return
         files.prepare(spec, self._log_max_bytes)
         placed = prepare_inputs(outputs_on_node(spec, files.outputs), self._data, files.inputs)
         other = {POD_FOLDER: files.folder, "/tmp": files.scratch}  # noqa: S108 - the container's own
         volumes = volumes_of(places_of(placed, other), self._data, self._options.claim)
-        who = Who(os.getuid(), os.getgid())
-        self._cluster.create_job(job_manifest(spec, self._installation, self._options, who, volumes), StartFailed)
+        self._cluster.create_job(job_manifest(spec, self._installation, self._options, _who(), volumes), StartFailed)
+
+    def _make_on_node(self, spec: RunSpec, files: RunFiles, store: NodeStore) -> None:
+        """The same for a node that shares no storage. A Job that is there has the ticket that counts."""
+        if self._cluster.job(self.name(spec.key)) is not None:
+            return
+        files.prepare(spec, self._log_max_bytes)
+        given = hand_out(store, spec, files, self._log_max_bytes)
+        self._cluster.create_secret(secret_manifest(spec, self._installation, given), StartFailed)
+        job = node_job_manifest(spec, self._installation, self._options, _who(), given, self._cache)
+        self._cluster.create_job(job, StartFailed)
 
     def _wait_for_start(self, spec: RunSpec, files: RunFiles) -> Started:
         """Wait a little until the algorithm has started. Raises ImageMissing, StartFailed."""
@@ -113,6 +134,8 @@ class RunJobs:
 
     def delete(self, key: str) -> None:
         """Delete the Job of a run and its pods, and wait until none is listed any more."""
+        if self._store is not None:
+            self._cluster.delete_secret(self.name(key))  # before the Job, which says whether something is left
         self._cluster.delete_job(self.name(key))
         chosen = selector(self._installation, key)
 
@@ -138,7 +161,7 @@ class RunJobs:
         self, spec: RunSpec, files: RunFiles, found: NotStarted, created_since_s: float | None
     ) -> None:
         """Raise NeverBegan for a pod whose container has long been made and was never started."""
-        if created_since_s is None or monotonic_s() - created_since_s < CREATED_PATIENCE_S or files.claimed:
+        if created_since_s is None or monotonic_s() - created_since_s < CREATED_PATIENCE_S or files.begun:
             return
         raise NeverBegan(f"the pod of run {spec.run_id} did not start: {found.why}")
 
@@ -150,6 +173,8 @@ class RunJobs:
         else:
             ended = answers.how_it_was_lost(pod) if answers.is_over(pod) else None
         if ended is not None and files.started() is None:
+            if pod is not None and answers.data_refused(pod):
+                raise StartFailed(f"the pod of run {spec.run_id} did not start: {ended}")
             raise NeverBegan(f"the pod of run {spec.run_id} did not start: {ended}")
         if pod is None or ended is not None:
             return NotStarted("there is no pod yet")
@@ -164,7 +189,9 @@ class RunJobs:
         nodes = self._cluster.nodes()
         if nodes is None:
             return
-        never = answers.unmeetable(resources(spec, self._options), self._options.node, nodes)
+        asked = resources(spec, self._options)
+        asked = asked if self._store is None else with_courier(asked)
+        never = answers.unmeetable(asked, self._options.node, nodes)
         if never is None and answers.all_among(nodes, self._options.node, spec.placing.other_nodes):
             raise StartFailed(f"run {spec.run_id}: {spec.placing.nobody}", "same_cpu: false allows others")
         if never is not None:
@@ -182,10 +209,16 @@ class RunJobs:
             return EngineUnavailable(f"{begin}: its Job is suspended, for example by Kueue")
         named = pod or job
         warning = None if named is None else answers.last_warning(self._cluster.events(named["metadata"]["name"]))
-        if warning is not None and warning.startswith("FailedMount"):
+        if warning is not None and warning.startswith("Unhealthy"):
+            warning = None  # the courier is not ready yet
+        if warning is not None and warning.startswith("FailedMount") and self._store is None:
             remedy = f"all nodes need {self._data} at the same path, or set --claim in KUBERNETES_OPTIONS"
             return StartFailed(f"the pod of run {spec.run_id} does not get its files: {warning}", remedy)
         said = "there is no pod yet" if pod is None else answers.why_not_started(pod).why
         if pod is not None and answers.why_not_started(pod).refused:
             return StartFailed(f"run {spec.run_id} cannot start: {said}", "see kubectl describe pods")
         return EngineUnavailable(f"{begin}: {warning or said}", "see kubectl get pods")
+
+
+def _who() -> Who:
+    return Who(os.getuid(), os.getgid())

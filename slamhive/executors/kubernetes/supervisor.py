@@ -25,19 +25,24 @@ from slamhive.executors.kubernetes.pod_counters import (
     count_oom_kills,
     count_tasks,
     count_usage,
-    read_text,
     used_cpu_s,
+)
+from slamhive.executors.kubernetes.pod_files import (
+    CLAIM_FILE,
+    DELIVERED_FILE,
+    LOG_FOLDER,
+    NODE_VARIABLE,
+    ORDER_FILE,
+    STARTED_FILE,
+    STOP_FILE,
+    USAGE_FILE,
+    read_text,
+    write_json,
 )
 from slamhive.executors.process.capped_log import CappedLog
 from slamhive.executors.process.exit_file import reap, reserve, write_exit
 
-ORDER_FILE = "order.json"
-CLAIM_FILE = "claimed"
-STARTED_FILE = "started.json"
-STOP_FILE = "stop"
-USAGE_FILE = "usage.json"
-LOG_FOLDER = "log"
-OWN_VARIABLES = ("SLAMHIVE_NODE", "KUBERNETES_")
+OWN_VARIABLES = (NODE_VARIABLE, "KUBERNETES_")
 """Variables that begin so are not for the algorithm."""
 INTERVAL_S = 0.1
 OUTSIDE_GRACE_S = 20.0
@@ -53,7 +58,8 @@ class Supervisor:
 
     Args:
         folder: Shared with the worker. ``order.json`` in it says what to do: ``command``, ``timeout_s``,
-            ``log_max_bytes``, and ``pids``, ``file_bytes`` and ``cores``, which are null if not limited.
+            ``log_max_bytes``, and ``pids``, ``file_bytes`` and ``cores``, which are null if not limited. With
+            ``waits_for_delivery`` it stays until a courier has brought the results to the worker.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -92,6 +98,8 @@ class Supervisor:
         end_all_others()
         log.join(TIMEOUT_GRACE_S)
         self._record(started_s, error)
+        if self._order.get("waits_for_delivery"):
+            self._wait_for_delivery()
         return self._exit_code
 
     def _start(self, output: int) -> None:
@@ -137,6 +145,13 @@ class Supervisor:
         if self._kill_at_s is not None and time.monotonic() >= self._kill_at_s:
             signal_all_others(signal.SIGKILL)
         self._measure()
+
+    def _wait_for_delivery(self) -> None:
+        """Kubernetes ends the courier soon after this process: so stay until the results are at the worker."""
+        while not (self._folder / DELIVERED_FILE).exists():
+            found = signal.sigtimedwait(SIGNALS, INTERVAL_S)
+            if found is not None and found.si_signo != signal.SIGCHLD:
+                return
 
     def _reap(self) -> None:
         for pid, status in reap():
@@ -187,13 +202,6 @@ def keep_log(output: int, log: CappedLog) -> None:
         except OSError:
             continue  # the algorithm must not wait for a full disk
     log.close()
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Replace a file in one step."""
-    aside = path.with_name("." + path.name)
-    aside.write_text(json.dumps(content), encoding="utf-8")
-    os.replace(str(aside), str(path))
 
 
 def signal_all_others(number: int) -> None:

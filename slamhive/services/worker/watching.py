@@ -126,6 +126,8 @@ class Watch:
     def _cause_to_stop(self, status: Running, disk: DiskWatch) -> dict[str, Any] | None:
         """The record entries that say why the run must stop now; None if it may continue."""
         hand = self._hand
+        if status.delivering:
+            return None
         if self._known_to_run_s(status) > hand.spec.timeout_s:
             return {STOPPED_BECAUSE: "timeout"}
         exceeded = disk.exceeded()

@@ -114,12 +114,12 @@ class Cache:
         try:
             while True:
                 if _try_lock(lock, fcntl.LOCK_SH):
-                    if path.exists():
+                    if _is_there(item, path, lock):
                         os.utime(str(path) + _LOCK)
                         return Held(path, lock)
                     fcntl.flock(lock, fcntl.LOCK_UN)
                 if _try_lock(lock, fcntl.LOCK_EX):
-                    if not path.exists():
+                    if not _is_there(item, path, lock):
                         self._transfer(item, path, lock, fetch)
                     # Between the two locks the item may be removed: so look again.
                     fcntl.flock(lock, fcntl.LOCK_UN)
@@ -136,7 +136,9 @@ class Cache:
     def _transfer(self, item: Item, path: Path, lock: int, fetch: Fetch) -> None:
         """Bring the item into its place. Its lock is held alone."""
         part, unpacking = Path(str(path) + _PART), Path(str(path) + _UNPACKING)
-        shutil.rmtree(str(unpacking), ignore_errors=True)
+        for folder in (unpacking, path):
+            if folder.is_dir():
+                _remove_folder(folder)
         self._make_room(item, lock)
         try:
             fetch(item, part)
@@ -275,6 +277,13 @@ def _remove_folder(folder: Path) -> None:
         with contextlib.suppress(OSError):
             os.chmod(root, 0o700)
     shutil.rmtree(str(folder), ignore_errors=True)
+
+
+def _is_there(item: Item, path: Path, lock: int) -> bool:
+    """Whether the item is there, and not a folder that a kubelet made because a pod was to see the item."""
+    if item.kind == FILE:
+        return path.is_file()
+    return path.is_dir() and (os.pread(lock, 32, 0) not in (b"", b"0") or not item.unpacked_bytes)
 
 
 def _arrived_bytes(path: Path) -> int:

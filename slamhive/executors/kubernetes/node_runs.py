@@ -1,0 +1,135 @@
+"""Runs on nodes that share no storage with the worker: how they get their data, and what is known of them here."""
+
+from __future__ import annotations
+
+import base64
+import json
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from slamhive.executors.kubernetes.archive import courier_archive, supervisor_archive
+from slamhive.executors.kubernetes.pod_files import (
+    COURIER_FILE,
+    DISK_FILE,
+    LOG_FOLDER,
+    OVER_FILE,
+    STARTED_FILE,
+    SUPERVISOR_FILE,
+    TICKET_FILE,
+    USAGE_FILE,
+)
+from slamhive.executors.kubernetes.run_files import RunFiles, order_of
+from slamhive.executors.node_store.arrivals import ask_to_stop, claimed_by, results_archive
+from slamhive.executors.node_store.controller import NodeStore, Reports, item_name
+from slamhive.executors.process.exit_file import EXIT_FILE
+from slamhive.executors.spec import RunOutput, RunSpec
+
+REPORTED = (STARTED_FILE, USAGE_FILE, DISK_FILE, OVER_FILE, EXIT_FILE)
+"""The files of a pod that the worker has copies of."""
+
+
+class NodeRunFiles(RunFiles):
+    """The files of one run, as its courier reports them.
+
+    Args:
+        work: The work folder of the run on the controller.
+        key: The run.
+        store: Takes the results.
+    """
+
+    def __init__(self, work: Path, key: str, store: NodeStore) -> None:
+        super().__init__(work)
+        self._key = key
+        self._store = store
+
+    @property
+    def claimed(self) -> bool:
+        """Whether a pod has the run."""
+        return claimed_by(self.work) is not None
+
+    @property
+    def begun(self) -> bool:
+        """Whether the supervisor has started, as far as its courier has reported it."""
+        return self.started() is not None
+
+    @property
+    def delivering(self) -> bool:
+        """Whether the algorithm has ended, and its results are on their way."""
+        return (self.folder / OVER_FILE).exists() and self.ended() is None
+
+    @property
+    def as_of(self) -> datetime | None:
+        """When its courier reported last, by the clock of the controller; None if it never did."""
+        times = [path.stat().st_mtime for name in (STARTED_FILE, USAGE_FILE) if (path := self.folder / name).exists()]
+        return datetime.fromtimestamp(max(times), UTC) if times else None
+
+    @property
+    def arrived(self) -> str:
+        """How much of the results has arrived, as the end of a message; it changes while they do."""
+        return self._store.progress(self.work)
+
+    def written_bytes(self) -> int:
+        """What the run has written on its node, as its courier counts."""
+        try:
+            return max(0, int((self.read(DISK_FILE) or {}).get("bytes", 0)))
+        except (TypeError, ValueError, OverflowError):
+            return 0
+
+    def copy_live(self, output: RunOutput) -> None:
+        """Nothing: the files arrive where the worker reads them."""
+
+    def collect(self, spec: RunSpec) -> None:
+        """Bring the outputs to their destinations, if they have arrived. What was lost with its pod never does."""
+        if results_archive(self.work) is not None:
+            self._store.take_results(spec)
+
+    def block(self) -> bool:
+        """See that no pod claims the run any more; False if one has done so already."""
+        if self.claimed:
+            return False
+        self.forget()
+        return not self.claimed
+
+    def forget(self) -> None:
+        """Take nothing more from the pod."""
+        self._store.forget(self._key)
+
+    def ask_to_stop(self, grace_s: float) -> None:
+        """Let the courier tell the supervisor to end the run. Raises Unavailable."""
+        ask_to_stop(self.work, grace_s)
+
+
+@dataclass(frozen=True, slots=True)
+class HandedOut:
+    """What the pod of a run needs: the content of its Secret, and the items of the cache that the run sees.
+
+    ``items`` maps where the run expects an input to its SHA-256; ``own`` to the name of the copy that it may change.
+    """
+
+    secret: dict[str, str]
+    items: dict[str, str]
+    own: dict[str, str]
+
+
+def hand_out(store: NodeStore, spec: RunSpec, files: RunFiles, log_max_bytes: int) -> HandedOut:
+    """Let a pod have the run; one that had it before has it no more. Raises Unavailable."""
+    items = {entry.target: store.offers.input(entry).item.sha256 for entry in spec.inputs if not entry.own_copy}
+    own = {entry.target: entry.name for entry in spec.inputs if entry.own_copy}
+    orders: dict[str, Any] = {
+        "order": {**order_of(spec, log_max_bytes), "waits_for_delivery": True},
+        "items": [item_name(entry.name) for entry in spec.inputs],
+        "own": {item_name(name): name for name in own.values()},
+        "outputs": [[output.name, output.max_bytes, output.max_files] for output in spec.outputs],
+        "live": {output.name: list(output.live) for output in spec.outputs},
+    }
+    copies = {name: files.folder / name for name in REPORTED}
+    ticket = store.hand_out(spec, orders, Reports(copies, {LOG_FOLDER: files.folder / LOG_FOLDER}), {})
+    contents = {
+        TICKET_FILE: json.dumps(ticket._asdict()).encode(),
+        COURIER_FILE: courier_archive(),
+        SUPERVISOR_FILE: supervisor_archive(),
+    }
+    secret = {name: base64.b64encode(content).decode() for name, content in contents.items()}
+    return HandedOut(secret, items, own)

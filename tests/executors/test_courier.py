@@ -1,0 +1,279 @@
+"""Pods whose nodes share no storage with the worker: the Job compared as data, and the courier without a cluster."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from slamhive.executors.base import NodeAccess
+from slamhive.executors.kubernetes import answers
+from slamhive.executors.kubernetes.archive import courier_archive
+from slamhive.executors.kubernetes.courier import PodFolders, copy_own
+from slamhive.executors.kubernetes.courier_manifest import (
+    COURIER_BYTES,
+    node_job_manifest,
+    run_mounts,
+    secret_manifest,
+    with_courier,
+)
+from slamhive.executors.kubernetes.manifest import Who, job_name
+from slamhive.executors.kubernetes.node_runs import HandedOut, NodeRunFiles, hand_out
+from slamhive.executors.kubernetes.options import Options
+from slamhive.executors.node_store.controller import NodeStore
+from slamhive.executors.node_store.on_node.cache import Cache, Item
+from slamhive.executors.node_store.registrations import Registrations
+from slamhive.executors.process.exit_file import reserve, write_exit
+from slamhive.executors.spec import RunInput, RunOutput, RunSpec
+from slamhive.executors.status import Exited
+from tests.executors.node_stores import serving
+from tests.executors.test_kubernetes_manifest import SPEC, container_of, pod_of
+from tests.waiting import eventually
+
+pytestmark = pytest.mark.quick
+
+SHA = "ab" + "0" * 62
+GIVEN = HandedOut({"ticket.json": "e30="}, {"/slamhive/dataset/a.bag": SHA}, {"/slamhive/home": "home"})
+OUTPUT = RunOutput("result", Path("/data/runs/7/result"), "/slamhive/result", ("alive",), 1000, 10)
+HARDENED = {
+    "allowPrivilegeEscalation": False,
+    "capabilities": {"drop": ["ALL"]},
+    "privileged": False,
+    "readOnlyRootFilesystem": True,
+}
+CACHE = "/var/lib/slamhive"
+
+
+def job():
+    return node_job_manifest(replace(SPEC, outputs=(OUTPUT,)), "home", Options(), Who(1000, 1001), GIVEN, CACHE)
+
+
+def test_the_run_sees_its_own_items_and_folders_alone():
+    assert container_of(job())["volumeMounts"] == [
+        {"name": "work", "mountPath": "/run/slamhive", "subPath": "pod", "readOnly": False},
+        {"name": "cache", "mountPath": "/slamhive/dataset/a.bag", "subPath": f"sha256/ab/{SHA}", "readOnly": True},
+        {"name": "work", "mountPath": "/slamhive/home", "subPath": "own/home", "readOnly": False},
+        {"name": "work", "mountPath": "/slamhive/result", "subPath": "outputs/result", "readOnly": False},
+        {"name": "work", "mountPath": "/tmp", "subPath": "tmp", "readOnly": False},
+        {"name": "shm", "mountPath": "/dev/shm"},
+    ]
+    assert run_mounts(SPEC, HandedOut({}, {}, {})) == [
+        {"name": "work", "mountPath": "/run/slamhive", "subPath": "pod", "readOnly": False},
+        {"name": "work", "mountPath": "/tmp", "subPath": "tmp", "readOnly": False},
+    ]
+
+
+def test_the_courier_is_there_before_the_run_and_beside_it():
+    pod = pod_of(job())
+    fetch, report = pod["initContainers"]
+    for container, mode in ((fetch, "fetch"), (report, "report")):
+        assert container["command"] == ["python3", "/run/slamhive-courier/courier.pyz", mode]
+        assert container["image"] == container_of(job())["image"]
+        assert container["securityContext"] == HARDENED
+        assert container["resources"]["limits"] == container["resources"]["requests"]
+        assert container["volumeMounts"] == [
+            {"name": "cache", "mountPath": CACHE},
+            {"name": "work", "mountPath": "/run/slamhive-work"},
+            {"name": "ticket", "mountPath": "/run/slamhive-courier", "readOnly": True},
+        ]
+        assert {entry["name"] for entry in container["env"]} == {"SLAMHIVE_NODE", "SLAMHIVE_POD"}
+    assert "restartPolicy" not in fetch
+    assert fetch["resources"] == container_of(job())["resources"]
+    assert report["restartPolicy"] == "Always"
+    assert report["resources"]["limits"] == {"cpu": "250m", "memory": str(COURIER_BYTES)}
+    assert report["startupProbe"]["exec"]["command"][:2] == ["python3", "-S"]
+
+
+def test_the_pod_has_no_rights_and_waits_a_week_for_the_worker():
+    pod = pod_of(job())
+    assert pod["automountServiceAccountToken"] is False
+    assert pod["activeDeadlineSeconds"] == 62 + 300 + 7 * 86_400
+    assert pod["securityContext"]["seccompProfile"] == {"type": "RuntimeDefault"}
+    assert [volume for volume in pod["volumes"] if volume["name"] != "shm"] == [
+        {"name": "cache", "hostPath": {"path": CACHE, "type": "DirectoryOrCreate"}},
+        {"name": "work", "emptyDir": {}},
+        {"name": "ticket", "secret": {"secretName": job_name("home", "k1"), "defaultMode": 0o444}},
+    ]
+
+
+def test_the_ticket_is_in_a_secret_and_nowhere_else():
+    secret = secret_manifest(SPEC, "home", GIVEN)
+    assert (secret["kind"], secret["metadata"]["name"], secret["data"]) == (
+        "Secret",
+        job_name("home", "k1"),
+        GIVEN.secret,
+    )
+    assert "e30=" not in json.dumps(job())
+
+
+def test_what_a_node_must_have_includes_the_courier():
+    assert with_courier({"cpu": "1500m", "memory": "1000"}) == {"cpu": "1750m", "memory": str(1000 + COURIER_BYTES)}
+    assert with_courier({}) == {}
+
+
+def waiting(**state):
+    return {
+        "spec": {"nodeName": "node1"},
+        "status": {
+            "phase": "Pending",
+            "initContainerStatuses": [{"name": "fetch", "state": state}],
+            "containerStatuses": [{"name": "run", "state": {"waiting": {"reason": "PodInitializing"}}}],
+        },
+    }
+
+
+def test_why_a_pod_waits_that_gets_its_data():
+    assert answers.why_not_started(waiting(running={})).why == "node node1 gets the data of the run"
+    image = answers.why_not_started(waiting(waiting={"reason": "ErrImageNeverPull", "message": "not here"}))
+    assert image.image
+    failed = waiting(terminated={"exitCode": 75, "reason": "Error", "message": "no room"})
+    assert answers.how_it_was_lost(failed) == "node node1 could not get the data of the run: no room"
+    assert answers.data_refused(failed)
+    assert not answers.data_refused(waiting(terminated={"exitCode": 137, "reason": "Error"}))
+    assert not answers.data_refused(waiting(running={}))
+
+
+def test_a_container_that_its_node_has_forgotten_is_noticed_also_before_the_run():
+    assert answers.why_not_started(waiting(terminated={"exitCode": 255, "reason": "Unknown"})).created
+    pod = waiting(waiting={"reason": "PodInitializing"})
+    assert not answers.why_not_started(pod).created
+    pod["status"]["initContainerStatuses"][0]["state"] = {"waiting": {}}
+    pod["status"]["initContainerStatuses"][0]["containerID"] = "containerd://1"
+    assert answers.why_not_started(pod).created
+
+
+def test_what_the_run_has_put_in_place_of_a_file_is_not_followed(tmp_path):
+    folders = PodFolders(tmp_path)
+    for folder in (folders.pod, folders.private):
+        folder.mkdir()
+    (tmp_path / "precious").write_text("kept")
+    (folders.pod / "stop").symlink_to(tmp_path / "precious")
+    folders.put(folders.pod / "stop", b"0")
+    assert (tmp_path / "precious").read_text() == "kept"
+    assert (folders.pod / "stop").read_text() == "0"
+
+
+def test_a_copy_that_was_cut_off_is_made_again(tmp_path):
+    (tmp_path / "source").mkdir()
+    (tmp_path / "source" / "a").write_text("whole")
+    (tmp_path / "copy").mkdir()
+    (tmp_path / "copy" / "half").write_text("")
+    copy_own(tmp_path / "source", tmp_path / "copy")
+    assert [path.name for path in (tmp_path / "copy").iterdir()] == ["a"]
+    copy_own(tmp_path / "source" / "a", tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "whole"
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_a_folder_that_a_kubelet_has_made_is_no_item(tmp_path, kind):
+    """It makes one where a pod is to see a place that is not there."""
+    cache, item = Cache(tmp_path, 10_000), Item(SHA, 3, kind, 3)
+    path = tmp_path / "sha256" / "ab" / SHA
+    path.mkdir(parents=True)
+
+    def fetch(_: Item, part: Path) -> None:
+        if kind == "file":
+            part.write_text("abc")
+            return
+        (tmp_path / "in").mkdir()
+        (tmp_path / "in" / "a").write_text("abc")
+        subprocess.run(["tar", "cf", str(part), "-C", str(tmp_path / "in"), "."], check=True)
+
+    with_item = cache.hold(item, fetch)
+    assert path.is_file() if kind == "file" else (path / "a").read_text() == "abc"
+    with_item.release()
+    cache.hold(item, lambda *_: pytest.fail("it is there")).release()
+
+
+@pytest.fixture
+def handed_out(tmp_path: Path) -> Iterator[tuple[NodeRunFiles, Path, subprocess.Popen[bytes], RunSpec]]:
+    """A run with its courier, which is a process here, and the folder that is the pod's."""
+    data, pod = tmp_path / "data", tmp_path / "pod"
+    work = data / "runs" / "7" / "work"
+    work.mkdir(parents=True)
+    (data / "a.bag").write_bytes(b"recording")
+    (tmp_path / "programs").mkdir()
+    with serving(data) as server:
+        store = NodeStore(data, NodeAccess(server.url, str(tmp_path / "cache"), 10**9))
+        inputs = (RunInput("recording", data / "a.bag", "/slamhive/dataset/a.bag"),)
+        output = replace(OUTPUT, destination=data / "runs" / "7" / "result")
+        spec = replace(SPEC, work=work, inputs=inputs, outputs=(output,), package_folder=data)
+        files = NodeRunFiles(work, spec.key, store)
+        files.prepare(spec, 1000)
+        given = hand_out(store, spec, files, 1000)
+        for name, content in given.secret.items():
+            (tmp_path / "programs" / name).write_bytes(base64.b64decode(content))
+        script = (
+            "import sys; from pathlib import Path; sys.path.insert(0, sys.argv[1])\n"
+            "from slamhive.executors.kubernetes import courier\n"
+            "programs, folders = Path(sys.argv[2]), courier.PodFolders(Path(sys.argv[3]))\n"
+            "ticket = courier.Ticket.loads((programs / 'ticket.json').read_text())\n"
+            "courier.fetch(ticket, programs, folders)\n"
+            "courier.Report(ticket, folders).run()\n"
+        )
+        archive = tmp_path / "programs" / "courier.pyz"
+        command = [sys.executable, "-I", "-c", script, str(archive), str(tmp_path / "programs"), str(pod)]
+        environment = {**os.environ, "SLAMHIVE_NODE": "node1", "SLAMHIVE_POD": "uid1"}
+        process = subprocess.Popen(command, env=environment)
+        yield files, pod, process, spec
+        process.kill()
+        process.wait()
+
+
+def test_the_courier_carries_a_run_from_its_data_to_its_results(handed_out, tmp_path):
+    files, pod, process, spec = handed_out
+    eventually((pod / "courier" / "ready").exists, "the data")
+    assert archive_is_that_of_the_pod(tmp_path)
+    order = json.loads((pod / "pod" / "order.json").read_text())
+    assert order["command"] == list(SPEC.command)
+    assert order["waits_for_delivery"]
+    assert files.claimed
+    reserve(pod / "pod")
+    (pod / "outputs" / "result" / "alive").write_text("yes")
+    eventually((spec.outputs[0].destination / "alive").exists, "the live file")
+    (pod / "outputs" / "result" / "more").write_bytes(b"x" * 500)
+    eventually(lambda: files.written_bytes() == 503, "what was written")
+    files.ask_to_stop(1.5)
+    eventually((pod / "pod" / "stop").exists, "the request to stop")
+    assert (pod / "pod" / "stop").read_text() == "1.5"
+    ending = dict.fromkeys(("out_of_memory", "process_limit", "timed_out", "ended_from_outside"), False)
+    write_exit(pod / "pod", {"exit_code": 3, "error": "", "started_s": 10.0, "ended_s": 11.0, **ending})
+    eventually((pod / "pod" / "delivered").exists, "the delivery")
+    ended = files.ended()
+    assert isinstance(ended, Exited)
+    assert ended.exit_code == 3
+    files.collect(spec)
+    assert (spec.outputs[0].destination / "more").read_bytes() == b"x" * 500
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(30) == 0
+
+
+def archive_is_that_of_the_pod(tmp_path: Path) -> bool:
+    return (tmp_path / "programs" / "courier.pyz").read_bytes() == courier_archive()
+
+
+def test_a_run_that_is_forgotten_is_ended_by_its_courier(handed_out):
+    files, pod, _process, _spec = handed_out
+    eventually((pod / "courier" / "ready").exists, "the data")
+    files.forget()
+    eventually((pod / "pod" / "stop").exists, "the end of the run")
+    assert (pod / "pod" / "stop").read_text() == "0.0"
+
+
+def test_a_run_that_nobody_claimed_can_be_blocked(tmp_path):
+    data, work = tmp_path / "data", tmp_path / "data" / "work"
+    work.mkdir(parents=True)
+    store = NodeStore(data, NodeAccess("http://127.0.0.1:1", str(tmp_path / "cache"), 10**9))
+    files = NodeRunFiles(work, SPEC.key, store)
+    spec = replace(SPEC, work=work, package_folder=data)
+    assert isinstance(hand_out(store, spec, files, 1000), HandedOut)
+    assert files.block()
+    assert Registrations(data).keys() == set()
