@@ -25,6 +25,7 @@
   }
 
   async function check() {
+    if (!form.dataset.check) return;
     const turn = ++last;
     const body = new FormData();
     body.set("csrf_token", form.elements.csrf_token.value);

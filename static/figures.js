@@ -10,6 +10,7 @@
 
   function say(place, text) {
     Plotly.purge(place);
+    if (place.nextElementSibling?.matches("details.plot-table")) place.nextElementSibling.remove();
     const line = document.createElement("p");
     line.className = "quiet";
     line.textContent = text;

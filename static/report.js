@@ -4,6 +4,7 @@
 (() => {
   const PAPER_PX = 680;
   const MOST_COLOURS = 1000;
+  const MOST_ROWS = 200;
   const preferred = window.matchMedia("(prefers-color-scheme: dark)");
   let onPaper = false;
   const dark = () => !onPaper && (document.documentElement.dataset.bsTheme || (preferred.matches ? "dark" : "light")) === "dark";
@@ -77,11 +78,89 @@
     });
   }
 
+  const ARRAYS = { f4: Float32Array, i4: Int32Array };
+  const numbers = ({ dtype, bdata }) => new ARRAYS[dtype](Uint8Array.from(atob(bdata), (letter) => letter.charCodeAt(0)).buffer);
+  const list = (values) => values?.bdata ? [...numbers(values)] : Array.isArray(values) ? values.flat() : [];
+  const plain = (text) => String(text ?? "").replace(/<br>/g, " ").replace(/<[^>]*>/g, "");
+  const figureOf = (value) => typeof value === "number" ? (Number.isFinite(value) ? String(Number(value.toPrecision(5))) : "–") : plain(value ?? "–");
+
+  /** The series of a plot: [{name, axes: [[title, values]]}]; a matrix names the row and the column of each value. */
+  function seriesOf({ data, layout }) {
+    const scene = layout.scene || {};
+    const title = (axis) => plain((scene[axis] || layout[axis])?.title?.text || axis[0]);
+    return data.map((trace) => {
+      const name = plain(trace.name);
+      if (trace.dimensions) return { name, axes: trace.dimensions.map(({ label, values }) => [plain(label), list(values)]) };
+      let [x, y, z] = [trace.x, trace.y, trace.z].map(list);
+      if (z.length && x.length * y.length === z.length && !trace.type.startsWith("scatter")) {
+        [x, y] = [z.map((_, place) => x[place % x.length]), z.map((_, place) => y[Math.floor(place / x.length)])];
+      }
+      const axes = [[title("xaxis"), x], [title("yaxis"), y], [scene.zaxis ? title("zaxis") : "value", z]];
+      return { name, axes: axes.filter(([, values]) => values.length) };
+    }).filter(({ axes }) => axes.length);
+  }
+
+  /** {head, rows} of a plot: every value of a small one, otherwise how many values each series has and their range. */
+  function tableOf(figure) {
+    const series = seriesOf(figure);
+    const titles = [...new Set(series.flatMap(({ axes }) => axes.map(([title]) => title)))];
+    const valuesOf = ({ axes }, title) => axes.find(([other]) => other === title)?.[1] || [];
+    const count = ({ axes }) => Math.max(...axes.map(([, values]) => values.length));
+    if (series.reduce((sum, entry) => sum + count(entry), 0) <= MOST_ROWS) {
+      const rows = series.flatMap((entry) => Array.from({ length: count(entry) }, (_, place) =>
+        [entry.name, ...titles.map((title) => figureOf(valuesOf(entry, title)[place]))]));
+      return { head: ["Series", ...titles], rows };
+    }
+    const range = (values) => {
+      const known = values.filter(Number.isFinite);
+      return known.length ? [known.reduce((a, b) => Math.min(a, b)), known.reduce((a, b) => Math.max(a, b))].map(figureOf) : ["–", "–"];
+    };
+    const known = (entry) => entry.axes[0][1].filter((value) => value !== null && !Number.isNaN(value)).length;
+    return {
+      head: ["Series", "Points", ...titles.flatMap((title) => [`lowest ${title}`, `highest ${title}`])],
+      rows: series.map((entry) => [entry.name, String(known(entry)), ...titles.flatMap((title) => range(valuesOf(entry, title)))]),
+    };
+  }
+
+  function element(tag, text, attributes = {}) {
+    const made = document.createElement(tag);
+    made.textContent = text;
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    return made;
+  }
+
+  function fill(details, figure) {
+    const { head, rows } = tableOf(figure);
+    const table = element("table", "");
+    table.createTHead().insertRow().append(...head.map((text) => element("th", text, { scope: "col" })));
+    const body = table.createTBody();
+    for (const [name, ...cells] of rows) {
+      body.insertRow().append(element("th", name, { scope: "row" }), ...cells.map((text) => element("td", text, { class: "number" })));
+    }
+    const frame = element("div", "", { class: "table-wrap table-frame", tabindex: "0", role: "region", "aria-label": `Table: ${figure.label}` });
+    frame.append(table);
+    details.replaceChildren(details.firstElementChild, frame);
+  }
+
+  /** Below a plot, the table that says the same; it is made when somebody opens it. */
+  function withTable(place, figure) {
+    let details = place.nextElementSibling;
+    if (!details?.matches("details.plot-table")) {
+      details = element("details", "", { class: "plot-table" });
+      details.append(element("summary", "Data as a table"));
+      details.addEventListener("toggle", () => { if (details.open) fill(details, details.figure); });
+      place.after(details);
+    }
+    details.figure = { ...figure, label: place.ariaLabel || place.dataset.figure };
+    if (details.open) fill(details, details.figure);
+  }
+
   const shown = new Map();
 
   /** Draws a figure anew; its bar of buttons does not offer Plotly's own, to upload the chart to a server. */
   function show(place, figure, margin, options) {
     shown.set(place, [figure, margin, options]);
+    withTable(place, figure);
     const { data, layout } = themed(figure, margin);
     const drawn = Plotly.react(place, data, layout, {
       responsive: true,
@@ -120,9 +199,6 @@
   const MARGIN = { l: 64, r: 16, t: 36, b: 52 };
   const NARROW_PX = 600;
   let figures = source.dataset.from ? null : JSON.parse(source.textContent);
-
-  const ARRAYS = { f4: Float32Array, i4: Int32Array };
-  const numbers = ({ dtype, bdata }) => new ARRAYS[dtype](Uint8Array.from(atob(bdata), (letter) => letter.charCodeAt(0)).buffer);
 
   /** Of a chart that shows density: every point of the part looked at, if it holds few enough; the density otherwise. */
   function zoomed(place, figure) {

@@ -27,7 +27,10 @@ if TYPE_CHECKING:
     from slamhive.services.hive import Hive
     from tests.services.mariadb import DatabaseServer
 
-MARKS = ("quick", "integration", "docker", "alone", "images", "packages", "classical", "mysql", "shared_data")
+MARKS = (
+    *("quick", "integration", "docker", "alone", "images", "packages", "classical", "mysql", "cluster", "browser"),
+    *("pictures", "shared_data"),
+)
 TESTS = Path(__file__).parent
 NAMED_MARK = re.compile(r"(?:\bmark\.|\")(\w+)")
 IMPORTED = re.compile(r"^from tests\.([\w.]+) import", re.MULTILINE)

@@ -1,7 +1,7 @@
 """Makes ``.venv`` and installs SLAM Hive into it. Standard library only; needs Python >= 3.11.
 
 ``bootstrap.py demo`` installs what running needs, ``bootstrap.py test`` the development and documentation tools
-too, ``bootstrap.py browser`` also what drives a browser. An environment made from the same files is used again.
+and what drives a browser too. An environment made from the same files is used again.
 ``PIP_*`` variables and pip's own configuration are honoured; nothing here names a package index.
 """
 
@@ -23,7 +23,7 @@ from steps import StepFailed, run_step, say
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / ".venv"
 STAMP = ENVIRONMENT / ".slamhive-stamp.json"
-EXTRAS: dict[str, tuple[str, ...]] = {"demo": (), "test": ("dev", "docs"), "browser": ("browser", "dev", "docs")}
+EXTRAS: dict[str, tuple[str, ...]] = {"demo": (), "test": ("browser", "dev", "docs")}
 SOURCES = ("pyproject.toml", "setup.py", "constraints.txt")
 COMPILE = (
     "import compileall, re, sysconfig;"

@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import IO
 from unittest import mock
 
-import bootstrap
 import machine
 import speed
 from steps import StepFailed
@@ -37,14 +36,14 @@ UNIT_LIMIT_S = 15.0
 """The unit tier is for use before each commit. Its limit is on CPU time: a busy machine slows no test down."""
 QUICK_LIMIT_S = 40.0
 """The quick tier holds what needs a database or pages, but no other processes: for use before each merge."""
-PLAIN = "not integration and not docker and not mysql and not cluster and not browser"
+PLAIN = "not integration and not docker and not mysql and not cluster and not browser and not pictures"
 CHEAP = "not images and not packages and not classical and not cluster"
 MAY_BE_ABSENT = ("shared/data", "shared/upstream")
 """A skipped test whose reason names one is fine everywhere: recordings and other projects' sources are not here."""
 
 RUFF = (("check", "."), ("format", "--check", "."))
 ORB_SLAM3_LIBRARIES = ("libgl1", "libegl1", "libopengl0", "libsm6", "libice6", "libx11-6", "libxext6")
-BROWSER_PACKAGES = ("chromium", "poppler-utils")
+BROWSER_PACKAGES = ("chromium-headless-shell", "chromium")
 SLURM_PACKAGES = ("slurm-wlm", "munge", "charliecloud")
 ENGINE_PACKAGES = ("docker.io", "iptables")
 BESIDE_THE_ENGINE = ("debootstrap", "docker-registry")
@@ -150,20 +149,27 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("quick", marks=f"quick and {PLAIN}", workers=2, limit_s=QUICK_LIMIT_S),
         Tier(
             "integration",
-            marks="integration and not docker and not mysql and not cluster and not browser",
+            marks="integration and not docker and not mysql and not cluster and not browser and not pictures",
             workers=3,  # on two cores: the tests often wait, and the other tiers of the group end sooner
             prepare=prepare_libraries,
             group="processes",
         ),
         Tier("types", ((str(BIN / "mypy"),),), group="processes"),  # a minute on one core, so something runs beside
         Tier("mysql", marks="mysql and not docker", prepare=prepare_database, group="processes"),
+        Tier("browser", marks="browser and not docker and not mysql", prepare=prepare_browser, group="processes"),
         Tier("docker", marks=f"docker and not alone and {CHEAP}", engine=True, prepare=with_engine, group="processes"),
         # Builds images: some 400 s of CPU time where none has been built before. Its runs are played slowly.
         Tier("images", marks="images", engine=True, prepare=with_engine, group="processes"),
         Tier("systems", marks=f"docker and alone and {CHEAP}", engine=True, prepare=with_engine),
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
         Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),
-        Tier("browser", marks="browser and not docker and not mysql", prepare=prepare_browser, asked_only=True),
+        Tier(
+            "pictures",
+            marks="pictures and not docker and not mysql",
+            engine=True,
+            prepare=prepare_browser,
+            asked_only=True,
+        ),
         Tier("cluster", marks="cluster", engine=True, prepare=with_clusters, asked_only=True),
     ]
 
@@ -327,8 +333,9 @@ def prepare_libraries() -> str:
 
 def prepare_browser() -> str:
     """A browser without a screen, and what reads the PDF files that it prints."""
-    bootstrap.bootstrap("browser")
-    return prepare_packages(BROWSER_PACKAGES)
+    there = next(filter(shutil.which, (*BROWSER_PACKAGES, "google-chrome")), None)
+    browser = there or (machine.available(*BROWSER_PACKAGES) if machine.can_install() else BROWSER_PACKAGES[-1])
+    return prepare_packages([name for name in (browser if there is None else None, "poppler-utils") if name])
 
 
 def prepare_clusters() -> str:

@@ -17,11 +17,11 @@ from slamhive.services.reports.bundle import report_page
 from slamhive.services.reports.report import make_report
 from slamhive.services.reports.run import AnalysisOutcome, PlotOutcome
 from tests.analysis.analysis_world import data_of
+from tests.web.browser_world import CHROMIUM
 
-BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 pytestmark = [
     pytest.mark.browser,
-    pytest.mark.skipif(not (BROWSER and shutil.which("pdftotext")), reason="needs chromium and pdftotext"),
+    pytest.mark.skipif(not (CHROMIUM and shutil.which("pdftotext")), reason="needs chromium and pdftotext"),
 ]
 ALGORITHMS = [f"slam{place:03}" for place in range(34)]
 DATASETS = [f"sequence{place:02}" for place in range(11)]
@@ -63,7 +63,7 @@ def printed(folder: Path) -> str:
     page.write_text(report_page(report, project_root()))
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-sync"]
     options += ["--disable-component-update", f"--user-data-dir={folder / 'browser'}", "--window-size=500,600"]
-    command = [str(BROWSER), *options, "--no-pdf-header-footer", f"--print-to-pdf={paper}", page.as_uri()]
+    command = [str(CHROMIUM), *options, "--no-pdf-header-footer", f"--print-to-pdf={paper}", page.as_uri()]
     subprocess.run(command, check=True, capture_output=True, timeout=120)
     return subprocess.run(["pdftotext", "-layout", paper, "-"], check=True, capture_output=True, text=True).stdout
 

@@ -167,14 +167,29 @@ def test_without_rights_the_engine_tier_names_the_command(runner, monkeypatch):
     assert "sudo apt-get install docker.io" in outcome.note
 
 
+@pytest.mark.parametrize(
+    ("there", "installed"),
+    [("chromium", ["poppler-utils"]), ("", ["chromium-headless-shell", "poppler-utils"])],
+)
+def test_a_browser_that_is_there_is_used(runner, monkeypatch, there: str, installed: list[str]):
+    monkeypatch.setattr(runner.shutil, "which", lambda name, path=None: name in {there, "dpkg-query"} and name)
+    monkeypatch.setattr(runner.machine, "can_install", lambda: True)
+    monkeypatch.setattr(runner.machine, "available", lambda *names: names[0])
+    monkeypatch.setattr(runner.machine, "absent", list)
+    asked: list[str] = []
+    monkeypatch.setattr(runner.machine, "install", asked.extend)
+    runner.prepare_browser()
+    assert asked == installed
+
+
 def test_every_test_belongs_to_exactly_one_tier(runner):
     tiers = [tier for tier in runner.all_tiers(runner.machine.Engine()) if tier.marks]
-    asked = ("images", "packages", "classical", "cluster", "browser")
+    asked = ("images", "packages", "classical", "cluster", "browser", "pictures")
     names = ("docker", "mysql", "integration", "quick", "alone", *asked)
     for values in itertools.product((False, True), repeat=len(names)):
         marks = dict(zip(names, values, strict=True))
         long = sum(marks[name] for name in asked)
-        if marks["docker"] >= max(marks["alone"], long - marks["browser"]) and long <= 1:
+        if marks["docker"] >= max(marks["alone"], long - marks["browser"] - marks["pictures"]) and long <= 1:
             assert sum(eval(tier.marks, {}, marks) for tier in tiers) == 1
 
 
@@ -189,7 +204,7 @@ def test_what_takes_longest_runs_only_if_it_is_named(runner, monkeypatch):
     runner.main([])
     tiers = runner.all_tiers(runner.machine.Engine())
     assert ran == [tier.name for tier in tiers if not tier.asked_only]
-    assert {"images", "systems"} <= set(ran)
+    assert {"browser", "images", "systems"} <= set(ran)
     assert not {"packages", "classical"} & set(ran)
     ran.clear()
     runner.main(["packages", "unit"])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -10,9 +12,10 @@ import pytest
 from tests.waiting import eventually
 
 if TYPE_CHECKING:
-    from playwright.sync_api import BrowserContext, ConsoleMessage, Page, Request
+    from playwright.sync_api import Browser, ConsoleMessage, Page, Request
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+CHROMIUM = shutil.which("chromium-headless-shell") or shutil.which("chromium") or shutil.which("google-chrome")
+"""The browser that has no window takes half the CPU time of the one that hides its window."""
 BROWSER = [
     pytest.mark.browser,
     pytest.mark.skipif(CHROMIUM is None, reason="needs chromium"),
@@ -25,6 +28,10 @@ BROWSER = [
 OPTIONS = (
     *("--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
     *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),  # plots in 3D need WebGL, here without a GPU
+    *(
+        "--disable-gpu-compositing",
+        "--disable-gpu-rasterization",
+    ),  # which take longer without a GPU
 )
 DESK = {"width": 1280, "height": 900}
 PHONE = {"width": 390, "height": 844}
@@ -45,6 +52,11 @@ class Faults:
         page.on("pageerror", lambda error: self.found.append(f"script: {error}"))
         page.on("request", self._request)
 
+    def taken(self) -> list[str]:
+        """The faults since the last call."""
+        taken, self.found = self.found, []
+        return taken
+
     def _console(self, line: ConsoleMessage) -> None:
         lacking_frame = "404" in line.text and "/frames/" in line.location["url"]  # the recording here has no images
         if line.type == "error" and not lacking_frame:
@@ -55,13 +67,31 @@ class Faults:
             self.found.append(f"request to {request.url}")
 
 
-def visit(context: BrowserContext, server: str, address: str) -> tuple[Page, list[str]]:
-    """Open a page and wait until its plots are drawn; the faults that were seen."""
-    page = context.new_page()
-    faults = Faults(page, server)
-    page.goto(server + address, wait_until="load")
+@contextmanager
+def opened(chromium: Browser, server: str, look: str = "light", **more: Any) -> Iterator[tuple[Page, Faults]]:
+    """A page of a fresh context, which is closed afterwards. A browser keeps the process of a page that moves on."""
+    context = chromium.new_context(**{"base_url": server, **LOOKS[look], **more})
+    try:
+        page = context.new_page()
+        yield page, Faults(page, server)
+    finally:
+        context.close()
+
+
+@contextmanager
+def faultless(chromium: Browser, server: str, *expected: str, look: str = "light", **more: Any) -> Iterator[Page]:
+    """A page of a fresh context; fails unless the faults are ``expected``."""
+    with opened(chromium, server, look, **more) as (page, faults):
+        yield page
+    assert faults.found == list(expected)
+
+
+def visit(page: Page, address: str) -> int:
+    """Go to an address and wait until its plots are drawn; returns the status of the answer."""
+    answer = page.goto(address, wait_until="load")
+    # Not wait_for_function: that one evaluates text, which our pages forbid.
     eventually(lambda: not page.evaluate("document.body.innerText.includes('Loading …')"), f"the plots of {address}")
-    return page, faults.found
+    return 0 if answer is None else answer.status
 
 
 def wide_parts(page: Page) -> list[str]:
@@ -74,11 +104,20 @@ def wide_parts(page: Page) -> list[str]:
     return [f"wider than the window: {part}" for part in page.evaluate(script) or ["something"]]
 
 
-def violations(page: Page) -> list[str]:
+CONTRAST = "color-contrast"
+RULES: dict[str, dict[str, Any]] = {
+    "light": {},
+    "dark": {"runOnly": [CONTRAST]},
+    "phone": {"runOnly": ["scrollable-region-focusable", "meta-viewport", "label", "button-name", "link-name"]},
+}
+"""The rules of axe-core in each look, all if none is named. What the look does not change is not looked at again."""
+
+
+def violations(page: Page, look: str = "light") -> list[str]:
     """What axe-core finds, by rule and place."""
     from axe_playwright_python.sync_playwright import Axe  # noqa: PLC0415 - only this tier has it
 
-    rules = Axe().run(page).response["violations"]
+    rules = Axe().run(page, options={"resultTypes": ["violations"], **RULES[look]}).response["violations"]
     return [
         f"axe {entry['id']}: {node['target']} {node['failureSummary'][:200]}"
         for entry in rules

@@ -11,7 +11,6 @@ import pytest
 
 from tests.sharing import made_once
 from tests.web import web_world as world
-from tests.web.browser_world import CHROMIUM, OPTIONS
 from tests.web.web_world import Web, make_web
 
 if TYPE_CHECKING:
@@ -59,10 +58,12 @@ def empty(tmp_path: Path, compiled: Path, sqlite_template: Path) -> Iterator[Web
     web.hive.close()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def chromium() -> Iterator[Browser]:
     """One browser for all tests."""
     from playwright.sync_api import sync_playwright  # noqa: PLC0415 - only this tier has it
+
+    from tests.web.browser_world import CHROMIUM, OPTIONS  # noqa: PLC0415 - else every module may be in this tier
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(OPTIONS))

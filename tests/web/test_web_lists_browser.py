@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,7 @@ import pytest
 from tests.serving import serving
 from tests.waiting import eventually
 from tests.web import web_world as world
-from tests.web.browser_world import BROWSER, LOOKS, Faults, violations, wide_parts
+from tests.web.browser_world import BROWSER, LOOKS, faultless, opened, violations, wide_parts
 from tests.web.web_world import Web, make_web
 
 if TYPE_CHECKING:
@@ -43,22 +42,17 @@ def desk(filled: Path, tmp_path_factory: pytest.TempPathFactory, compiled: Path)
     web.hive.close()
 
 
-@contextmanager
-def opened(chromium: Browser, desk: Web, *expected: str) -> Iterator[Page]:
-    """A page of a fresh browser; fails unless the faults are ``expected``."""
-    with serving(desk.hive) as server:
-        context = chromium.new_context(base_url=server, **LOOKS["light"])
-        page = context.new_page()
-        faults = Faults(page, server)
-        yield page
-        context.close()
-    assert faults.found == list(expected)
+@pytest.fixture(scope="module")
+def server(desk: Web) -> Iterator[str]:
+    """The address of the installation."""
+    with serving(desk.hive) as address:
+        yield address
 
 
 @pytest.fixture
-def browsing(chromium: Browser, desk: Web) -> Iterator[Page]:
+def browsing(chromium: Browser, server: str) -> Iterator[Page]:
     """A page; fails if a script fails or the page asks another server."""
-    with opened(chromium, desk) as page:
+    with faultless(chromium, server) as page:
         yield page
 
 
@@ -84,7 +78,7 @@ def test_columns_are_moved_by_dragging_and_by_keyboard_and_stay_so(browsing: Pag
     for _ in range(2):
         with browsing.expect_navigation():
             browsing.locator("#left-state").press("Enter")
-        browsing.wait_for_function("document.activeElement.id === 'left-state'")
+        eventually(lambda: browsing.evaluate("document.activeElement.id") == "left-state", "the focus")
     assert headings(browsing) == ["id", "ate.rmse", "state", "algorithm", "dataset"]
     assert "open=" not in browsing.url
     browsing.goto("/runs?where=state+%3D+succeeded")
@@ -98,10 +92,8 @@ def test_columns_are_moved_by_dragging_and_by_keyboard_and_stay_so(browsing: Pag
     assert len(headings(browsing)) > 10
 
 
-def test_a_kept_column_that_no_longer_exists_locks_nobody_out(chromium: Browser, desk: Web) -> None:
-    with serving(desk.hive) as server:
-        context = chromium.new_context(base_url=server)
-        page = context.new_page()
+def test_a_kept_column_that_no_longer_exists_locks_nobody_out(chromium: Browser, server: str) -> None:
+    with opened(chromium, server) as (page, _):
         page.goto("/healthz")
         page.evaluate(
             "localStorage.setItem('runs.layout.', JSON.stringify({ columns: 'id,gone', widths: { id: 99 } }))"
@@ -112,7 +104,6 @@ def test_a_kept_column_that_no_longer_exists_locks_nobody_out(chromium: Browser,
         kept = "JSON.stringify(JSON.parse(localStorage.getItem('runs.layout.')))"
         eventually(lambda: page.evaluate(kept) == '{"widths":{"id":99}}', "the repair")
         assert len(headings(page)) > 10
-        context.close()
 
 
 def test_pinned_columns_stay_and_widths_are_kept(browsing: Page) -> None:
@@ -203,8 +194,8 @@ def test_notes_and_tags_are_edited_in_the_list_by_keyboard(browsing: Page, desk:
     assert (stored.tags, stored.note) == (("best", "paper"), "lost at <b>40 s</b>")
 
 
-def test_a_tag_that_is_refused_stays_in_its_field_with_the_reason(chromium: Browser, desk: Web) -> None:
-    with opened(chromium, desk, REFUSED) as page:
+def test_a_tag_that_is_refused_stays_in_its_field_with_the_reason(chromium: Browser, server: str, desk: Web) -> None:
+    with faultless(chromium, server, REFUSED) as page:
         page.goto(f"/runs?columns=id,tags&where=id+%3D+{desk.runs['bare']}")
         page.locator("a[data-edit=tags]").press("Enter")
         field = page.get_by_label(f"Tags of run {desk.runs['bare']}")
@@ -216,17 +207,12 @@ def test_a_tag_that_is_refused_stays_in_its_field_with_the_reason(chromium: Brow
 
 
 @pytest.mark.parametrize("look", LOOKS)
-def test_the_furnished_list_has_no_faults(chromium: Browser, desk: Web, look: str) -> None:
-    addresses = (
-        "/runs?colours=yes&sparks=yes&pinned=1&open=columns",
-        "/runs?group=configuration&colours=yes&sparks=yes",
-    )
-    with serving(desk.hive) as server:
-        context = chromium.new_context(base_url=server, **LOOKS[look])
-        page = context.new_page()
-        faults = Faults(page, server)
-        for address in addresses:
+def test_the_furnished_list_has_no_faults(chromium: Browser, server: str, look: str) -> None:
+    with opened(chromium, server, look) as (page, faults):
+        for address in (
+            "/runs?colours=yes&sparks=yes&pinned=1&open=columns",
+            "/runs?group=configuration&colours=yes&sparks=yes",
+        ):
             page.goto(address)
-            faults.found += [f"{address}: {fault}" for fault in (*wide_parts(page), *violations(page))]
-        context.close()
+            faults.found += [f"{address}: {fault}" for fault in (*wide_parts(page), *violations(page, look))]
     assert faults.found == []

@@ -1,10 +1,11 @@
-"""The pictures in the documentation are pages of a real demo, and none shows a page that looks different by now.
+"""The pictures in the documentation are pages of real runs, and none shows a page that looks different by now.
 
-``UPDATE_SCREENSHOTS=1 make test TIERS=browser`` takes all of them again.
+``UPDATE_SCREENSHOTS=1 make test TIERS=pictures`` takes all of them again.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import os
@@ -20,20 +21,23 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.services.hive import Hive, open_hive
+from tests.real_datasets import dataset
 from tests.serving import serving
-from tests.web.browser_world import BROWSER, LOOKS, visit
+from tests.sharing import share_environments
+from tests.web.browser_world import BROWSER, faultless, visit
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = BROWSER
+pytestmark = [pytest.mark.pictures, pytest.mark.timeout(1500), *BROWSER[1:]]
 
 ROOT = Path(__file__).resolve().parents[2]
+EXPERIMENT = ROOT / "docs" / "examples" / "room-demo.yaml"
 IMAGES = ROOT / "docs" / "images"
 WORDS = IMAGES / "pages.json"
 """The words that each picture shows, except values and names of the machine."""
 UPDATE = os.environ.get("UPDATE_SCREENSHOTS", "") not in {"", "0"}
-REMEDY = "run: UPDATE_SCREENSHOTS=1 make test TIERS=browser"
+REMEDY = "run: UPDATE_SCREENSHOTS=1 make test TIERS=pictures"
 FIXED = "h1, h2, h3, th, label, button, legend, summary:not(dd summary)"
 """What a page says whatever it shows."""
 CHANCE = re.compile(r"-[0-9a-f]{6}\b|(?:limited|low) trust|\d+")
@@ -65,11 +69,21 @@ PICTURES = (
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Hive]]:
-    """A server of the data root that ``slamhive demo`` makes, and its services. ``DEMO_ROOT`` names one that exists."""
+    """A server of a data root with the experiment of ``slamhive demo``, and its services. ``DEMO_ROOT`` names one.
+
+    Played sequentially, so that a busy machine drops no frames and the pictures do not depend on it.
+    """
     data = Path(os.environ.get("DEMO_ROOT") or tmp_path_factory.mktemp("demo") / "data")
     if not data.exists():
-        command = [sys.executable, "-m", "slamhive", "--data", str(data), "demo", "--no-serve"]
-        subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=400)
+        data.mkdir()
+        share_environments(data)
+        with contextlib.closing(open_hive({"data": data})) as hive:
+            dataset(hive, "room")  # which other tiers render too
+        file = data.with_name("room-demo.yaml")
+        file.write_text(EXPERIMENT.read_text(encoding="utf-8") + "playback: {mode: sequential}\n", encoding="utf-8")
+        command = [sys.executable, "-m", "slamhive", "--data", str(data), "experiment", "start", str(file)]
+        command += ["--wait", "--yes"]
+        subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=1400)
     hive = open_hive({"data": data})
     with serving(hive) as server:
         yield server, hive
@@ -103,11 +117,9 @@ def test_pictures_show_the_pages_of_today(chromium: Browser, demo: tuple[str, Hi
     file = IMAGES / f"{picture.name}.png"
     server, hive = demo
     (experiment,) = hive.experiments.list()
-    context = chromium.new_context(**LOOKS[picture.look])
-    page, faults = visit(context, server, picture.address.format(experiment=experiment.name))
-    png, words = taken(page, picture)
-    context.close()
-    assert faults == []
+    with faultless(chromium, server, look=picture.look) as page:
+        visit(page, picture.address.format(experiment=experiment.name))
+        png, words = taken(page, picture)
     if UPDATE:
         file.write_bytes(png)
         known_words()[picture.name] = words

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,15 +18,17 @@ from slamhive.settings import Mode
 from tests.serving import serving
 from tests.waiting import eventually
 from tests.web import web_world as world
-from tests.web.browser_world import BROWSER, LOOKS, Faults, violations, wide_parts
+from tests.web.browser_world import BROWSER, LOOKS, faultless, violations, wide_parts
 from tests.web.web_world import RUNS, Web, make_web
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, BrowserContext, Page
+    from playwright.sync_api import Browser, Page
 
 pytestmark = BROWSER
 DONE = RUNS["done"]
 MAP_POINTS = 150_000
+SMALL = {"viewport": {"width": 800, "height": 600}}
+"""Without a GPU, drawing takes as long as there are pixels."""
 NO_WEBGL = """const known = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
   return kind.startsWith("webgl") ? null : known.call(this, kind, ...more);
@@ -50,27 +53,26 @@ def mapped(filled: Path, tmp_path_factory: pytest.TempPathFactory, compiled: Pat
     web.hive.close()
 
 
+@pytest.fixture(scope="module")
+def server(mapped: Web) -> Iterator[str]:
+    """The address of the archive."""
+    with serving(mapped.hive) as address:
+        yield address
+
+
 @pytest.fixture
-def opened(chromium: Browser, mapped: Web) -> Iterator[Callable[..., Page]]:
+def opened(chromium: Browser, server: str) -> Iterator[Callable[..., Page]]:
     """Opens the 3D view of a page. Any fault on the way fails the test."""
-    faults: list[Faults] = []
-    contexts: list[BrowserContext] = []
-    with serving(mapped.hive) as server:
+    with ExitStack() as contexts:
 
         def open_view(address: str, look: str = "light", **more: Any) -> Page:
-            context = chromium.new_context(**{**LOOKS[look], **more})
-            contexts.append(context)
-            page = context.new_page()
-            faults.append(Faults(page, server))
-            page.goto(server + address, wait_until="load")
+            page = contexts.enter_context(faultless(chromium, server, look=look, **{**SMALL, **more}))
+            page.goto(address, wait_until="load")
             page.get_by_role("button", name="Open 3D view").click()
             page.wait_for_selector("[data-viewer][data-ready]", timeout=60_000)
             return page
 
         yield open_view
-        for context in contexts:
-            context.close()
-    assert [fault for seen in faults for fault in seen.found] == []
 
 
 def pixels(page: Page) -> np.ndarray[Any, Any]:
@@ -87,7 +89,7 @@ def colourful(picture: np.ndarray[Any, Any]) -> float:
 
 @pytest.mark.parametrize("look", LOOKS)
 def test_paths_and_map_are_drawn(opened: Callable[..., Page], look: str) -> None:
-    page = opened(f"/runs/{DONE}", look)
+    page = opened(f"/runs/{DONE}", look, **LOOKS[look])
     assert colourful(pixels(page)) > 0.03, "the map"
     panel = page.locator("[data-viewer]")
     assert str(panel.get_attribute("data-points")).startswith("thinned ")
@@ -177,28 +179,23 @@ def test_comparisons_and_datasets_have_the_same_view(opened: Callable[..., Page]
     assert float((picture.max(axis=2) < 0.4).mean()) > 0.0005, "the grey line of the ground truth"
 
 
-def test_three_js_comes_only_when_it_is_asked_for(chromium: Browser, mapped: Web) -> None:
-    with serving(mapped.hive) as server:
-        context = chromium.new_context(**LOOKS["light"])
-        page = context.new_page()
+def test_three_js_comes_only_when_it_is_asked_for(chromium: Browser, server: str) -> None:
+    with faultless(chromium, server) as page:
         asked: list[str] = []
         page.on("request", lambda request: asked.append(request.url))
-        page.goto(f"{server}/runs/{DONE}", wait_until="networkidle")
+        page.goto(f"/runs/{DONE}", wait_until="load")
+        page.wait_for_selector("[data-figure=path].js-plotly-plot", timeout=60_000)
         assert not [url for url in asked if "three" in url or "/viewer/" in url or "scene.json" in url]
         page.get_by_role("button", name="Open 3D view").click()
-        page.wait_for_selector("[data-viewer][data-ready]")
+        page.wait_for_selector("[data-viewer][data-ready]", timeout=60_000)
         assert len([url for url in asked if "three.core" in url]) == 1
-        context.close()
 
 
-def test_without_webgl_a_line_says_why(chromium: Browser, mapped: Web) -> None:
-    with serving(mapped.hive) as server:
-        context = chromium.new_context(**LOOKS["light"])
-        context.add_init_script(NO_WEBGL)
-        page = context.new_page()
-        page.goto(f"{server}/runs/{DONE}", wait_until="load")
+def test_without_webgl_a_line_says_why(chromium: Browser, server: str) -> None:
+    with faultless(chromium, server) as page:
+        page.context.add_init_script(NO_WEBGL)
+        page.goto(f"/runs/{DONE}", wait_until="load")
         page.wait_for_selector("[data-figure=path].js-plotly-plot", timeout=60_000)
         page.get_by_role("button", name="Open 3D view").click()
         assert "no WebGL 2" in page.locator("[data-says]").inner_text()
         assert not page.get_by_role("button", name="Open 3D view").is_visible()
-        context.close()

@@ -8,6 +8,7 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 from flask import url_for as address
 
 from slamhive.analysis.report import ReportPage
+from slamhive.domain.accounts import Action
 from slamhive.domain.bibliography import bibtex
 from slamhive.domain.visibility import Visibility
 from slamhive.errors import Forbidden, InvalidInput, SlamHiveError
@@ -18,7 +19,7 @@ from slamhive.store.analysis_records import AnalysisState
 from slamhive.web import context
 from slamhive.web.analysis_files import MEDIA_TYPES
 from slamhive.web.analysis_text import BOUNDS, experiment_text, first_text, form_helps, selector_text, with_form
-from slamhive.web.context import hive
+from slamhive.web.context import caller, hive
 from slamhive.web.errors import status_of
 from slamhive.web.rates import CHECKS, CREATIONS
 from slamhive.web.request_input import form_text, uploaded_text
@@ -178,7 +179,8 @@ def delete(token: str) -> Response:
 
 
 def _taken() -> bool:
-    return may_analyse(hive().settings)
+    """Whether this server takes an analysis of this caller."""
+    return may_analyse(hive().settings) and Action.ANALYSE in caller().may
 
 
 def _editor(text: str, error: InvalidInput | None = None, notice: str | None = None) -> str:
