@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Template
 
 from slamhive import __version__
-from slamhive.analysis.colours import colour_of
+from slamhive.analysis.colours import RUN_COLOURS, colour_of, on_dark
 from slamhive.analysis.report import Report
 from slamhive.clock import utc_now
 from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import Conflict, InvalidInput, Unavailable
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.matching import Match
@@ -24,25 +24,33 @@ from slamhive.services.accounts import published
 from slamhive.services.analyses import REPORT, AnalysisFolder
 from slamhive.services.hive import Hive
 from slamhive.services.reports import report_content, report_environment, script_json
-from slamhive.services.runs import RunSeries, run_series
+from slamhive.services.run_comparison import MOST_RUNS
+from slamhive.services.runs import run_series
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.records import RunRecord
 from slamhive.web.assets import PLOTLY_FILE
-from slamhive.web.figures import captions, still_figures
-from slamhive.web.formatting import display_unit, duration, exact_time, plural
-from slamhive.web.presenters.matching import match_of_run
+from slamhive.web.formatting import duration, exact_time, plural
+from slamhive.web.presenters.matching import match_of_configuration, match_of_run
 from slamhive.web.presenters.runs import metric_rows, outcome, parameter_rows, wall_time_s
+from slamhive.web.site_runs import (
+    FIGURES,
+    drawing,
+    metric_definitions,
+    run_script,
+    table_row,
+    table_script,
+    thinned,
+)
 
 BATCH = 100
 _MOST_ANALYSES = 1000
-POINTS = 600
-"""Points per line in a plot. A run's page then stays below 100 kB."""
 MARK = "site.json"
 """A folder with this file is a site of ours and may be replaced."""
+LISTED_WITHOUT_SCRIPTS = 2000
+"""Runs that the list names where scripts are off, since it then has neither pages nor a search."""
 _RUN_PAGE = "../runs/{}.html"
-_ASSETS = ("report.css", "print.css", "report.js", "site.css", "site.js")
-_METRICS = ("ate.rmse", "ate.max", "rpe.trans_rmse", "tracked_fraction", "cpu.mean", "ram.max", "duration")
-"""First metrics in the table, if any run has them. The pages of runs show all others."""
+_PARTS = {"experiment": "Experiments", "algorithm": "Algorithms", "dataset": "Datasets"}
+_ASSETS = ("report.css", "print.css", "report.js", "site.css", "site-list.js", "site-plots.js", "site-compare.js")
 
 Progress = Callable[[int, int], None]
 """Receives the number of finished runs and the total."""
@@ -69,6 +77,7 @@ class StaticSite:
         self._hive = hive
         self._request = request
         self._algorithms = {algorithm.name: algorithm for algorithm in hive.catalogue.algorithms()}
+        self._matches: dict[int, Match | None] = {}
         self._root = hive.catalogue.project_root
 
     def write(self, progress: Progress) -> int:
@@ -122,15 +131,25 @@ class StaticSite:
         environment = report_environment(self._root)
         environment.filters["plural"] = plural
         page = environment.get_template("published/run.html")
-        rows = []
+        rows: list[dict[str, Any]] = []
+        measured: set[str] = set()
         for done, run in enumerate(self._runs(run_ids), start=1):
-            (folder / "runs" / f"{run.id}.html").write_text(self._page(page, site, run), encoding="utf-8")
-            rows.append(_row(run))
+            self._write_run(folder / "runs", page, site, run)
+            rows.append(table_row(run))
+            measured |= {row.metric.key for needs in (True, False) for row in metric_rows(run, needs_protocol=needs)}
             progress(done, len(run_ids))
-        (folder / "assets" / "runs.js").write_text(_table_script(rows), encoding="utf-8")
-        analyses = self._analyses(folder, environment.get_template("published/analysis.html"), site)
-        index = environment.get_template("published/index.html").render(site=site, root="", analyses=analyses)
-        (folder / "index.html").write_text(index, encoding="utf-8")
+        (folder / "assets" / "runs.js").write_text(table_script(rows), encoding="utf-8")
+        content: dict[str, Any] = {
+            "analyses": self._analyses(folder, environment.get_template("published/analysis.html"), site),
+            "parts": _parts(rows),
+            "rows": rows[:LISTED_WITHOUT_SCRIPTS],
+            "most_runs": MOST_RUNS,
+            "figures": FIGURES,
+            "compared": script_json(_compared(measured)),
+        }
+        for name in ("index", "compare"):
+            text = environment.get_template(f"published/{name}.html").render(site=site, root="", **content)
+            (folder / f"{name}.html").write_text(text, encoding="utf-8")
         (folder / MARK).write_text(json.dumps(site, indent=1) + "\n", encoding="utf-8")
 
     def _analyses(self, folder: Path, page: Template, site: dict[str, Any]) -> list[AnalysisRecord]:
@@ -152,28 +171,51 @@ class StaticSite:
             part = run_ids[start : start + BATCH]
             yield from self._hive.store.read(lambda t: t.runs.get_many(part, with_metrics=True))  # noqa: B023
 
-    def _page(self, page: Template, site: dict[str, Any], run: RunRecord) -> str:
-        series = _thinned(run_series(run, RunFolder(self._hive.settings.runs_folder / str(run.id))))
-        figures = still_figures(series, run.algorithm, colour_of(run.algorithm, self._algorithms))
-        return page.render(
+    def _write_run(self, folder: Path, page: Template, site: dict[str, Any], run: RunRecord) -> None:
+        """Write the page of a run, and the script with what it draws."""
+        record = self._hive.runs.record(run.id)
+        series = thinned(run_series(run, RunFolder(self._hive.settings.runs_folder / str(run.id))))
+        drawn = drawing(run, series, colour_of(run.algorithm, self._algorithms))
+        algorithm = self._algorithms.get(run.algorithm)
+        text = page.render(
             site=site,
             root="../",
             run=run,
             outcome=outcome(run),
-            figures=figures,
-            figures_json=script_json(figures),
-            captions=captions(series, None if run.protocol is None else run.protocol.label),
-            reasons=series.reasons,
+            drawn=drawn,
+            titles=FIGURES,
             metrics=[
                 ("Accuracy", metric_rows(run, needs_protocol=True)),
                 ("Measured during the run", metric_rows(run, needs_protocol=False)),
             ],
-            parameters=parameter_rows(run, self._algorithms.get(run.algorithm), self._match(run)),
-            facts=_facts(run, self._algorithms.get(run.algorithm)),
+            parameters=parameter_rows(run, algorithm, self._match(run, record)),
+            facts=_facts(run, algorithm),
         )
+        (folder / f"{run.id}.html").write_text(text, encoding="utf-8")
+        (folder / f"{run.id}.js").write_text(run_script(run, record, drawn), encoding="utf-8")
 
-    def _match(self, run: RunRecord) -> Match | None:
-        return match_of_run(self._hive, self._hive.runs.record(run.id), run.configuration_id)
+    def _match(self, run: RunRecord, record: dict[str, Any]) -> Match | None:
+        """As :func:`match_of_run`, but asks only once for each configuration."""
+        if "match" in record:
+            return match_of_run(self._hive, record, run.configuration_id)
+        if run.configuration_id not in self._matches:
+            self._matches[run.configuration_id] = match_of_configuration(self._hive, run.configuration_id)
+        return self._matches[run.configuration_id]
+
+
+def _compared(measured: set[str]) -> dict[str, Any]:
+    """What a comparison in the browser needs to know besides the runs; each colour with the one for dark pages."""
+    return {
+        "most": MOST_RUNS,
+        "colours": [(colour, on_dark(colour)) for colour in RUN_COLOURS],
+        "metrics": metric_definitions(sorted(measured)),
+    }
+
+
+def _parts(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str, list[tuple[str, int]]]]:
+    """Columns of the list with their title, and the number of runs of each experiment, algorithm and dataset."""
+    counts = {key: Counter(str(row[key]) for row in rows if row[key] is not None) for key in _PARTS}
+    return [(key, title, sorted(counts[key].items())) for key, title in _PARTS.items() if counts[key]]
 
 
 def _facts(run: RunRecord, algorithm: Algorithm | None) -> list[tuple[str, object]]:
@@ -197,45 +239,8 @@ def _facts(run: RunRecord, algorithm: Algorithm | None) -> list[tuple[str, objec
         ("Seed", run.seed),
         ("Exit code", run.exit_code),
         ("Version", None if run.version is None else f"{run.version.version} ({run.version.identity})"),
+        ("Tags", ", ".join(run.tags) or None),
+        ("Note", run.note),
         ("Machine", None if run.host is None else f"{run.host.cpu_model}, {run.host.cpu_count} CPUs, {run.host.os}"),
     ]
     return [(name, value) for name, value in facts if value is not None]
-
-
-def _row(run: RunRecord) -> dict[str, Any]:
-    """A row of the table; metrics in their display unit."""
-    figures = run.metrics or {}
-    return {
-        "id": run.id,
-        "algorithm": run.algorithm,
-        "dataset": run.dataset,
-        "state": run.state.value if run.reason is None else f"{run.state.value}: {run.reason.value}",
-        "experiment": run.experiment,
-        "parameters": ", ".join(f"{key} {value}" for key, value in run.parameters.items()),
-        "protocol": None if run.protocol is None else run.protocol.label,
-        **{key: figures[key] * display_unit(CATALOGUE[key]).factor for key in _METRICS if key in figures},
-    }
-
-
-def _table_script(rows: list[dict[str, Any]]) -> str:
-    """The table as a script: pages opened from a folder cannot fetch files."""
-    present = {key for row in rows for key, value in row.items() if value is not None}
-    plain = ("id", "algorithm", "dataset", "state", "experiment", "parameters", "protocol")
-    columns = [{"key": key, "label": key, "unit": ""} for key in plain if key in present]
-    columns[0]["label"] = "run"
-    columns += [
-        {"key": key, "label": CATALOGUE[key].label, "unit": display_unit(CATALOGUE[key]).unit}
-        for key in _METRICS
-        if key in present
-    ]
-    content = {"columns": columns, "rows": [[row.get(column["key"]) for column in columns] for row in rows]}
-    return f"window.slamhiveRuns = {script_json(content)};\n"
-
-
-def _thinned(series: RunSeries) -> RunSeries:
-    return replace(
-        series,
-        estimate=None if series.estimate is None else series.estimate.thinned(POINTS),
-        groundtruth=None if series.groundtruth is None else series.groundtruth.thinned(POINTS),
-        error=None if series.error is None else series.error.thinned(POINTS),
-    )

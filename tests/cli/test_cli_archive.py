@@ -73,12 +73,18 @@ def test_a_site_has_every_run_and_no_markup_of_strangers(world: Path) -> None:
     site = world / "site"
     title = "<script>alert(1)</script>"
     assert "12 runs published" in call("archive", "site", str(site), "--title", title).stdout
-    assert sorted(path.stem for path in (site / "runs").iterdir()) == sorted(map(str, range(1, 13)))
+    for ending in ("html", "js"):
+        assert {path.stem for path in (site / "runs").glob(f"*.{ending}")} == set(map(str, range(1, 13)))
     script = (site / "assets" / "runs.js").read_text()
     table = json.loads(script.removeprefix("window.slamhiveRuns = ").removesuffix(";\n"))
     assert [row[0] for row in table["rows"]] == list(range(1, 13))
     page = (site / "runs" / "3.html").read_text()
-    assert 'data-chart="path"' in page
+    assert 'data-plot="path"' in page
+    drawn = (site / "runs" / "3.js").read_text()
+    assert len(page) + len(drawn) < 100_000
+    content = json.loads(drawn.removeprefix("window.slamhiveRun(").removesuffix(");\n"))
+    assert content["figures"].keys() == {"path", "error", "cpu", "memory"}
+    assert content["metrics"]["ate.rmse"][:2] == [0.04, "0.04000"]
     assert "0.0400" in page
     for path in site.rglob("*.html"):
         text = path.read_text()

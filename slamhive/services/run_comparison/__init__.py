@@ -14,6 +14,7 @@ from slamhive.services.run_comparison.model import (
     read_run_ids,
 )
 from slamhive.services.run_comparison.service import RunComparisons
+from slamhive.services.run_comparison.settings import settings_of
 
 __all__ = [
     "MOST_RUNS",
@@ -27,4 +28,5 @@ __all__ = [
     "analysis_text",
     "plots_of",
     "read_run_ids",
+    "settings_of",
 ]

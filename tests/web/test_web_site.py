@@ -1,0 +1,159 @@
+"""The static site in a real browser: from a folder, where pages can fetch nothing, and from a server of files."""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import shutil
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from slamhive.web.static_site import SiteRequest, StaticSite
+from tests.web import web_world as world
+from tests.web.browser_world import BROWSER, LOOKS, faultless, opened, violations, wide_parts
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = BROWSER
+
+ANALYSIS = """\
+name: All runs
+select: {all: {where: "id >= 1"}}
+forms:
+- {form: distributions, metrics: [duration]}
+- {form: table, metrics: [ate.rmse]}
+"""
+
+
+@pytest.fixture(scope="module")
+def site(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a site: runs 1, 6 and 7 are evaluated, run 2 is not, run 3 failed."""
+    folder = tmp_path_factory.mktemp("published")
+    shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
+    hive = world.make_hive(folder)
+    for place in range(2):
+        (run_id,) = world.add_runs(hive, 1, nFeatures=1000 + 500 * place)
+        world.finish_run(hive, run_id, {"cpu.mean": 1.0 + place, "ram.max": 3e8})
+        world.evaluate_run(hive, run_id, 0.02 * (1 + place))
+    hive.stored_analyses.create(ANALYSIS)
+    assert hive.analysis_jobs.work_once("tests", threading.Event())
+    StaticSite(hive, SiteRequest(folder / "site", title="Published")).write(lambda _done, _total: None)
+    hive.close()
+    return folder / "site"
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    """A plain web server that prints nothing."""
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - the name is the library's
+        """Say nothing."""
+
+
+@pytest.fixture(scope="module", params=["folder", "server"])
+def place(site: Path, request: pytest.FixtureRequest) -> Iterator[str]:
+    """The address of the site."""
+    if request.param == "folder":
+        yield site.as_uri()
+        return
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=site)) as server:
+        threading.Thread(target=server.serve_forever).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+def rows(page: Page) -> list[str]:
+    """The numbers of the runs in the list."""
+    return list(page.locator("#runs tbody td:nth-child(2)").all_inner_texts())
+
+
+def test_runs_are_found_ordered_and_compared(chromium: Browser, place: str) -> None:
+    with faultless(chromium, place) as page:
+        page.goto(f"{place}/index.html")
+        assert rows(page) == ["1", "2", "3", "6", "7"]
+        page.get_by_label("Search").fill("ate.rmse<0.045")
+        assert rows(page) == ["6", "7"]
+        page.get_by_role("button", name="ATE RMSE").click()
+        page.get_by_role("button", name="ATE RMSE").click()
+        assert rows(page) == ["7", "6"]
+        page.reload()
+        assert rows(page) == ["7", "6"], "the address holds the search and the order"
+        compare = page.get_by_role("button", name="Compare")
+        assert compare.is_disabled()
+        for run in (6, 7):
+            page.get_by_label(f"Run {run}", exact=True).check()
+        page.get_by_label("Search").fill("state=failed:")
+        page.get_by_label("Search").fill("no_trajectory")
+        assert rows(page) == ["3"]
+        compare.click()
+        page.wait_for_selector("[data-plot=memory].js-plotly-plot", timeout=60_000)
+        assert page.url.endswith("compare.html?runs=6,7")
+        best = page.locator("tr", has_text="ATE RMSE").locator("td").all_inner_texts()
+        assert best == ["★ 0.02000", "0.04000"]
+        settings = page.locator("[data-settings] table").first
+        assert "nFeatures" in settings.inner_text()
+        path = "document.querySelector('[data-plot=path]').data"
+        names = page.evaluate(f"{path}.map((trace) => [trace.type, trace.name])")
+        assert {("scatter", "Run 6"), ("scatter", "Run 7"), ("scatter", "ground truth")} <= set(map(tuple, names))
+        page.get_by_role("button", name="3D").click()
+        page.wait_for_function(f"{path}[0].type === 'scatter3d'")
+
+
+def test_a_run_is_drawn_in_every_view(chromium: Browser, site: Path) -> None:
+    place = site.as_uri()
+    with faultless(chromium, place) as page:
+        page.goto(f"{place}/runs/1.html")
+        page.wait_for_selector("[data-plot=memory].js-plotly-plot", timeout=60_000)
+        drawn = page.evaluate("[...document.querySelectorAll('.js-plotly-plot')].map((plot) => plot.dataset.plot)")
+        assert drawn == ["path", "error", "latency", "cpu", "memory"]
+        page.get_by_role("button", name="xz").press("Enter")
+        titles = "['xaxis', 'yaxis'].map((name) => document.querySelector('[data-plot=path]').layout[name].title.text)"
+        assert page.evaluate(titles) == ["x [m]", "z [m]"]
+        page.locator("[data-plot=cpu] + details summary").press("Enter")
+        page.locator("[data-plot=cpu] + details tbody tr").wait_for()
+
+
+def test_what_cannot_be_compared_is_named(chromium: Browser, site: Path) -> None:
+    place = site.as_uri()
+    with opened(chromium, place) as (page, _):
+        for query, words in (
+            ("?runs=1", "Select 2 to 20 runs"),
+            ("?runs=1,<b>", "<b> is not the number"),
+            ("?runs=1,1", "named twice"),
+            ("?runs=1,99", "Run 99 is not on this site"),
+        ):
+            page.goto(f"{place}/compare.html{query}")
+            page.locator("#says").get_by_text(words).wait_for()
+        page.goto(f"{place}/compare.html?runs=1,2,3")
+        page.locator("#says").get_by_text("Not evaluated: runs 2, 3").wait_for()
+        page.locator("figcaption").get_by_text("Without data: run 3.").first.wait_for()
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_every_kind_of_page_is_drawn_without_faults(chromium: Browser, site: Path, look: str) -> None:
+    place = site.as_uri()
+    analysis = next((site / "analyses").glob("*.html")).stem
+    seen: list[str] = []
+    with opened(chromium, place, look) as (page, faults):
+        for name in ("index", "runs/1", "runs/3", "compare", f"analyses/{analysis}"):
+            page.goto(f"{place}/{name}.html{'?runs=1,6,7' if name == 'compare' else ''}")
+            if name not in {"index", "runs/3"}:
+                page.wait_for_selector(".js-plotly-plot", timeout=60_000)
+            found = [*faults.taken(), *wide_parts(page), *violations(page, look)]
+            seen += [f"{name}: {fault}" for fault in found]
+            faults.taken()
+    assert seen == []
+
+
+def test_the_list_and_runs_can_be_read_without_scripts(chromium: Browser, site: Path) -> None:
+    with opened(chromium, site.as_uri(), java_script_enabled=False) as (page, faults):
+        page.goto(f"{site.as_uri()}/index.html")
+        page.get_by_role("link", name="6", exact=True).click()
+        assert page.locator("h1").inner_text() == "Run 6: eye-slam-stereo on room"
+        assert page.locator("noscript p").first.is_visible()
+        assert "0.02000" in page.locator("tr", has_text="ATE RMSE").inner_text()
+        assert faults.found == []
