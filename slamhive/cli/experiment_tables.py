@@ -106,8 +106,8 @@ def print_status(status: ExperimentStatus) -> None:
         click.echo(f"measured on a disturbed machine: {plural(status.disturbed, 'run')} (filter: disturbed = yes)")
     if status.standing is Standing.STORING:
         click.echo(f"{status.missing:,} runs are not stored yet; starting the same file again completes it")
-    if status.left_s and status.standing is Standing.ACTIVE:
-        click.echo(f"about {_time(status.left_s)} left: {status.phase}")
+    if status.left is not None and status.left_s and status.standing is Standing.ACTIVE:
+        click.echo(f"{status.left.words(', including builds and evaluations')}; now: {status.phase}")
 
 
 def print_statuses(found: Sequence[ExperimentStatus]) -> None:

@@ -68,7 +68,8 @@ def _print(found: Overview) -> None:
             f"{machine.cpu_model}, {machine.cpu_count} cores: {plural(machine.runs, 'run')} in {machine.hours:g} h, "
             f"{machine.runs_per_hour:.1f} per hour, {disturbed}"
         )
-    click.echo(f"{plural(found.queued, 'run')} queued; active experiments need about {found.left_s / 3600:.1f} h more")
+    left = f"; active experiments, one after the other: {found.left.words()}" if found.left_s else ""
+    click.echo(f"{plural(found.queued, 'run')} queued{left}")
 
 
 def _row(node: NodeView) -> tuple[object, ...]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from slamhive.cli.output import progress_bar
 from slamhive.clock import monotonic_s
+from slamhive.domain.remaining import rounded
 
 _NEARLY = 0.75
 """From this part of the expected time on, a phase is expected to take a third of what it has taken so far."""
@@ -88,7 +89,4 @@ class Phases:
 
 def words(seconds: float) -> str:
     """About so long, no more exact than it is known."""
-    if seconds < 57.5:
-        return f"about {max(5, round(seconds / 5) * 5)} s"
-    minutes = seconds / 60
-    return f"about {minutes:.1f} min" if minutes < 3 else f"about {minutes:.0f} min"
+    return f"about {rounded(seconds)}"

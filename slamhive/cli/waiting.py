@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from slamhive.cli.output import counting_bar, tell
-from slamhive.cli.phases import words
 from slamhive.clock import monotonic_s
 from slamhive.domain.run import RunState
 from slamhive.errors import SlamHiveError
@@ -105,7 +104,7 @@ def _show_experiment(
                 tell(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
                 return
             phase = f" ({status.phase})" if status.phase else ""
-            time_left = "" if status.left_s is None or not waiting else f", {words(status.left_s)} left{phase}"
+            time_left = "" if status.left is None or not waiting else f", {status.left.words()}{phase}"
             show(max(0, total - len(waiting)), f"{status.counts[Phase.FAILED]} failed{time_left}")
             if waiting:
                 # Looking at a large experiment takes a while: most of the time is left to what is looked at.

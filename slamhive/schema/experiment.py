@@ -104,7 +104,9 @@ class ExperimentStatus(Document):
     failures: Failures
     disturbed: Annotated[int, described("Runs that were measured on a disturbed machine.")]
     failed_if: Annotated[str, described("When a run counts as failed.")] = DEFAULT_RULE.words
-    left_s: Annotated[float | None, described("Estimated time left; null if nothing was measured.", unit="s")]
+    left_s: Annotated[float | None, described("Expected time left; null if it was not asked for.", unit="s")]
+    low_s: Annotated[float | None, described("It is longer in 19 of 20 cases; null if nothing was measured.", unit="s")]
+    high_s: Annotated[float | None, described("It is shorter in 19 of 20 cases; null as low_s.", unit="s")]
     phase: Annotated[str, described("What happens now, such as a build; empty if nothing is left.")] = ""
     same_cpu: Annotated[bool, described("All runs are measured on one CPU model.")] = False
     cpu_model: Annotated[str | None, described("That CPU model; null while it is not known.")] = None

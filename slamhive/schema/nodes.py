@@ -74,4 +74,6 @@ class Overview(Document):
     machines: tuple[Machine, ...]
     queued: Annotated[int, described("Runs that wait.")]
     left_s: Annotated[float, described("Time left of all active experiments, one after the other.", unit="s")]
+    low_s: Annotated[float | None, described("The sum of the lower ends; null if nothing was measured.", unit="s")]
+    high_s: Annotated[float | None, described("The sum of the upper ends; null if nothing was measured.", unit="s")]
     asks_engines: Annotated[bool, described("False on a view-only server, which asks no engine.")]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from statistics import median
+from statistics import median, stdev
 
 from sqlalchemy import ColumnElement, Integer, and_, case, cast, func, select
 
@@ -42,6 +43,15 @@ Pairing = tuple[str, str, PlaybackMode, float]
 
 
 @dataclass(frozen=True, slots=True)
+class Measured:
+    """How long ``n`` took: their mean or median, and their standard deviation, which is 0 for a single one."""
+
+    n: int
+    seconds: float
+    std_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Unfinished:
     """How many runs have not ended, and how many of these will be evaluated."""
 
@@ -74,7 +84,7 @@ class MachineRuns:
 
 
 class DurationRepository(Repository):
-    """How long runs and evaluations took, in s."""
+    """How long runs and evaluations took."""
 
     def of_configurations(self, content_hashes: Sequence[str]) -> dict[str, KnownConfiguration]:
         """What is known of those configurations that are stored, by content hash."""
@@ -96,11 +106,13 @@ class DurationRepository(Repository):
                 found[row.content_hash] = KnownConfiguration(row.runs, row.measured, row.duration_s)
         return found
 
-    def of_pairings(self, experiment_id: int | None = None) -> dict[Pairing, float]:
-        """Mean of each algorithm on each dataset, of all runs or of those of an experiment."""
+    def of_pairings(self, experiment_id: int | None = None) -> dict[Pairing, Measured]:
+        """Of each algorithm on each dataset, of all runs or of those of an experiment."""
         among = [] if experiment_id is None else [Run.experiment_id == experiment_id]
         query = (
-            select(*_PAIRING, func.avg(MetricValue.value))
+            select(
+                *_PAIRING, func.count(), func.avg(MetricValue.value), func.avg(MetricValue.value * MetricValue.value)
+            )
             .select_from(Run)
             .join(MetricValue, self._is_duration())
             .join(Configuration, Configuration.id == Run.configuration_id)
@@ -109,7 +121,7 @@ class DurationRepository(Repository):
             .where(*among)
             .group_by(*_PAIRING)
         )
-        return {(row[0], row[1], row[2], row[3]): row[4] for row in self._connection.execute(query)}
+        return {(row[0], row[1], row[2], row[3]): _of_moments(*row[4:]) for row in self._connection.execute(query)}
 
     def unfinished(self, experiment_id: int) -> dict[Pairing, Unfinished]:
         """The runs of an experiment that have not ended, of each algorithm on each dataset."""
@@ -155,7 +167,7 @@ class DurationRepository(Repository):
         """The packages of which a version was built here."""
         return set(self._connection.scalars(_BUILT))
 
-    def build_s(self) -> float | None:
+    def build(self) -> Measured | None:
         """How long building a package takes: the median of what the first runs of versions waited for, None if none.
 
         A version that was built before its first run says nothing about it.
@@ -178,9 +190,9 @@ class DurationRepository(Repository):
             at[state][run_id] = moved_at
         claimed, starting = at[RunState.PREPARING], at[RunState.STARTING]
         times = [starting[run_id] - claimed[run_id] for run_id in claimed.keys() & starting.keys()]
-        return _median_s([time for time in times if time >= _LEAST_BUILD])
+        return _measured([time for time in times if time >= _LEAST_BUILD])
 
-    def overhead_s(self) -> float | None:
+    def overhead(self) -> Measured | None:
         """The time from claim to end that a run does not spend running: the median of the latest runs, None if none."""
         query = (
             select(Run.id, Run.started_at, Run.ended_at)
@@ -198,7 +210,7 @@ class DurationRepository(Repository):
             elif state.ended:
                 ended[run_id] = at
         known = claimed.keys() & ended.keys()
-        return _median_s([ended[run_id] - claimed[run_id] - ran[run_id] for run_id in known])
+        return _measured([ended[run_id] - claimed[run_id] - ran[run_id] for run_id in known])
 
     def open_evaluations(self, experiment_id: int) -> int:
         """How many evaluations of runs of an experiment wait or are under way."""
@@ -225,7 +237,7 @@ class DurationRepository(Repository):
         query = select(Run.executor, func.count()).where(Run.state == RunState.QUEUED).group_by(Run.executor)
         return {row[0]: row[1] for row in self._connection.execute(query)}
 
-    def evaluation_s(self) -> float | None:
+    def evaluation(self) -> Measured | None:
         """How long an evaluation takes: the median of the latest, None if none has ended well."""
         query = (
             select(Evaluation.started_at, Evaluation.ended_at)
@@ -233,7 +245,7 @@ class DurationRepository(Repository):
             .order_by(Evaluation.id.desc())
             .limit(_LATEST)
         )
-        return _median_s([ended - started for started, ended in self._connection.execute(query) if started and ended])
+        return _measured([ended - started for started, ended in self._connection.execute(query) if started and ended])
 
     def _is_duration(self) -> ColumnElement[bool]:
         metric_id = select(Metric.id).where(Metric.key == DURATION).scalar_subquery()
@@ -244,5 +256,15 @@ class DurationRepository(Repository):
         )
 
 
-def _median_s(times: Sequence[timedelta]) -> float | None:
-    return max(0.0, median(time.total_seconds() for time in times)) if times else None
+def _measured(times: Sequence[timedelta]) -> Measured | None:
+    """Their median, and their standard deviation; None if there is none."""
+    if not times:
+        return None
+    times_s = [time.total_seconds() for time in times]
+    return Measured(len(times_s), max(0.0, median(times_s)), stdev(times_s) if len(times_s) > 1 else 0.0)
+
+
+def _of_moments(n: int, mean_s: float, mean_square_s2: float) -> Measured:
+    """``n`` values with this mean and this mean of their squares."""
+    variance_s2 = max(0.0, mean_square_s2 - mean_s**2) * n / max(1, n - 1)
+    return Measured(n, mean_s, math.sqrt(variance_s2))

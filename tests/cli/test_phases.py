@@ -57,6 +57,7 @@ def test_a_fraction_is_better_than_an_expectation(phases: Phases) -> None:
         (60, "about 1.0 min"),
         (100, "about 1.7 min"),
         (600, "about 10 min"),
+        (9000, "about 2.5 h"),
     ],
 )
 def test_no_more_exact_than_it_is_known(seconds: float, text: str) -> None:

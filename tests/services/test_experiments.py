@@ -86,6 +86,7 @@ def test_the_time_left_of_the_demo_counts_no_build_that_is_over(hive: Hive) -> N
     started = hive.experiments.start(source())
     between_s = GUESSED_OVERHEAD_S + GUESSED_EVALUATION_S
     assert started.left_s == pytest.approx(6 * (10.0 + GUESSED_START_S + between_s))
+    assert (started.low_s, started.high_s) == (None, None), "only the length of the recording is known"
 
 
 def test_a_preview_tells_what_would_happen_and_stores_nothing(hive: Hive) -> None:
@@ -115,10 +116,10 @@ def test_a_preview_tells_what_would_happen_and_stores_nothing(hive: Hive) -> Non
 def test_a_preview_knows_what_is_stored_and_how_long_it_took(finished: Hive) -> None:
     found = finished.experiments.preview(source(SIX.replace("name: six", "name: seven").replace("0.02", "0.03")))
     assert (found.known_cells, found.known_runs, found.measured_runs) == (4, 4, 6)
-    overhead_s, evaluation_s = finished.store.read(lambda t: (t.durations.overhead_s(), t.durations.evaluation_s()))
-    assert overhead_s is not None
-    assert evaluation_s is not None
-    assert found.between_s == pytest.approx(overhead_s + evaluation_s)
+    overhead, evaluation = finished.store.read(lambda t: (t.durations.overhead(), t.durations.evaluation()))
+    assert overhead is not None
+    assert evaluation is not None
+    assert found.between_s == pytest.approx(overhead.seconds + evaluation.seconds)
     assert found.build_time_s == 0
     assert 6 * found.between_s < found.time_s < 6 * (10.0 + found.between_s)
     assert found.standing is None
@@ -156,7 +157,7 @@ def test_it_runs_and_tells_every_cell(finished: Hive) -> None:
     assert status.standing is Standing.FINISHED
     assert counts(finished) == {"good": 3, "failed": 3}
     assert status.failures == {"nonzero_exit": 3}
-    assert status.left_s == 0.0
+    assert (status.left_s, status.low_s, status.high_s) == (0.0, 0.0, 0.0)
     cells = list(finished.experiments.report("six"))
     assert [cell.number for cell in cells] == [1, 2, 3, 4, 5, 6]
     for cell in cells:
@@ -343,6 +344,18 @@ def test_a_retry_in_a_paused_experiment_waits_with_the_others(hive: Hive) -> Non
     hive.experiments.pause("six")
     ended = next(run for run in runs_of(hive) if run.state.ended)
     assert hive.runs.retry(ended.id).held
+
+
+def test_the_time_left_has_an_interval_as_soon_as_a_run_has_ended(hive: Hive) -> None:
+    hive.experiments.start(source())
+    first = min(run.id for run in runs_of(hive))
+    hive.worker(only=[first]).run(until_idle=True)
+    status = hive.experiments.status("six")
+    assert status.ended == 1
+    assert status.left_s is not None
+    assert status.low_s is not None
+    assert status.high_s is not None
+    assert 0 < status.low_s < status.left_s < status.high_s
 
 
 def test_more_repeats_are_the_same_as_asked_for_at_once(hive: Hive) -> None:

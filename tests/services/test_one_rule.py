@@ -93,7 +93,7 @@ def test_list_groups_experiment_analysis_and_json_agree(hive: Hive, runs: list[i
     grid = hive.experiments.grid("e", "seed", "rate")
     assert [(entry.counts, entry.failures) for entry in grid.cells.values()] == [(status.counts, why)]
     (listed_status,) = hive.experiments.list()
-    assert replace(listed_status, left_s=None) == replace(status, left_s=None)
+    assert replace(listed_status, left=None) == replace(status, left=None)
 
     table = load_table(hive.store, TableRequest(runs, {"ate.rmse"}, None, DEFAULT_RULE), {}, {})
     assert set(table.failed()["run_id"]) == set(failed)

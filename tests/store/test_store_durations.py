@@ -10,7 +10,7 @@ from sqlalchemy import text
 from slamhive.domain.host import Host
 from slamhive.domain.run import RunState
 from slamhive.store import AlgorithmVersion, Lease, Store
-from slamhive.store.durations import MachineRuns
+from slamhive.store.durations import MachineRuns, Measured
 from tests.store.conftest import NOW
 from tests.store.store_samples import WORKER, Samples
 
@@ -42,14 +42,14 @@ def test_a_package_is_unbuilt_until_it_has_a_version(store: Store, samples: Samp
 
 
 def test_a_build_took_what_the_first_run_of_a_version_waited(store: Store, samples: Samples, experiment: int) -> None:
-    assert store.read(lambda tx: tx.durations.build_s()) is None
+    assert store.read(lambda tx: tx.durations.build()) is None
     versions = [
         store.write(lambda tx, n=number: tx.versions.put(PACKAGE, AlgorithmVersion(f"sha256:{n}", "h", "1"), NOW))[0]  # type: ignore[misc]
         for number in range(3)
     ]
     for version, prepared_s in ((versions[0], 90.0), (versions[0], 500.0), (versions[1], 70.0), (versions[2], 0.5)):
         start(store, samples, experiment, prepared_s, version)
-    assert store.read(lambda tx: tx.durations.build_s()) == 80.0
+    assert store.read(lambda tx: tx.durations.build()) == Measured(2, 80.0, 200**0.5)
 
 
 SET_DISTURBED = text("UPDATE runs SET disturbed_by = :found WHERE id = :run_id")

@@ -236,4 +236,4 @@ def test_an_analysis_fits_what_an_experiment_varies() -> None:
 def test_an_experiment_says_what_is_left_and_what_happens_now(trial: Web) -> None:
     assert trial.hive.experiments.status("trial").phase == "waiting for a worker"
     text = words(trial.client.get("/experiments/trial").text)
-    assert "left with builds and evaluations: waiting for a worker" in text
+    assert "left, including builds and evaluations. Now: waiting for a worker." in text

@@ -5,11 +5,14 @@ Plans and the time left use the same values.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slamhive.domain.configuration import Playback, PlaybackMode
+from slamhive.domain.remaining import Remaining
 from slamhive.store import Transaction
-from slamhive.store.durations import Pairing
+from slamhive.store.durations import Measured, Pairing
 
 GUESSED_START_S = 5.0
 """Starting an algorithm and writing its trajectory, in addition to the recording."""
@@ -19,23 +22,112 @@ GUESSED_EVALUATION_S = 4.0
 """One evaluation in a container of its own."""
 GUESSED_BUILD_S = 120.0
 """Building the image or environment of a package."""
+ASSUMED_SPREAD = 0.25
+"""Relative standard deviation of durations, before any was measured. It weighs as much as one measurement."""
+GUESS_FACTOR = 2.0
+"""Where others are measured, a guess counts in an interval from its value over this to its value times this."""
+_NINE_TENTHS = 1.645
+"""So many standard deviations to both sides hold nine tenths of a normal distribution."""
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """The time of one run, evaluation or build.
+
+    ``own_s2`` is the variance from one to the next. ``common_s2`` is the variance of the mean, which all share.
+    ``guessed_s`` of ``seconds`` were not measured.
+    """
+
+    seconds: float
+    own_s2: float = 0.0
+    common_s2: float = 0.0
+    guessed_s: float = 0.0
+
+    @classmethod
+    def of(cls, measured: Measured) -> Expected:
+        """By measurements."""
+        squares = (measured.n - 1) * measured.std_s**2 + (ASSUMED_SPREAD * measured.seconds) ** 2
+        own_s2 = squares / measured.n
+        return cls(measured.seconds, own_s2, own_s2 / measured.n)
+
+    @classmethod
+    def guess(cls, seconds: float) -> Expected:
+        """Without a measurement."""
+        return cls(seconds, guessed_s=seconds)
+
+    @classmethod
+    def mean(cls, groups: Sequence[tuple[int, Expected]]) -> Expected:
+        """Of one among groups of so many each."""
+        count = max(1, sum(number for number, _ in groups))
+        return cls(
+            sum(number * each.seconds for number, each in groups) / count,
+            sum(number * each.own_s2 for number, each in groups) / count,
+            sum(number**2 * each.common_s2 for number, each in groups) / count**2,
+            sum(number * each.guessed_s for number, each in groups) / count,
+        )
+
+    def __add__(self, other: Expected) -> Expected:
+        """One and the other."""
+        return Expected(
+            self.seconds + other.seconds,
+            self.own_s2 + other.own_s2,
+            self.common_s2 + other.common_s2,
+            self.guessed_s + other.guessed_s,
+        )
+
+    def times(self, count: float, elapsed_s: float = 0.0) -> Amount:
+        """Of so many, of which ``elapsed_s`` have passed."""
+        whole_s = count * self.seconds
+        left_s = max(0.0, whole_s - elapsed_s)
+        guessed_s = count * self.guessed_s * (left_s / whole_s) if whole_s else 0.0
+        return Amount(left_s, count * self.own_s2 + count**2 * self.common_s2, guessed_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Amount:
+    """A sum of times with its variance; ``guessed_s`` of ``seconds`` were not measured."""
+
+    seconds: float
+    variance_s2: float
+    guessed_s: float
+
+    def __add__(self, other: Amount) -> Amount:
+        return Amount(
+            self.seconds + other.seconds, self.variance_s2 + other.variance_s2, self.guessed_s + other.guessed_s
+        )
+
+    def remaining(self, at_a_time: int) -> Remaining:
+        """With its interval, for so many runs at a time.
+
+        The logarithm of what was measured is taken as normal: a time is never negative, and long ones are more frequent
+        than as short ones.
+        """
+        known_s = self.seconds - self.guessed_s
+        factor = 1.0
+        if known_s > 0:
+            factor = math.exp(_NINE_TENTHS * math.sqrt(math.log1p(self.variance_s2 / known_s**2)))
+        low_s, high_s = (
+            known_s / factor + self.guessed_s / GUESS_FACTOR,
+            known_s * factor + self.guessed_s * GUESS_FACTOR,
+        )
+        return Remaining(self.seconds / at_a_time, low_s / at_a_time, high_s / at_a_time)
 
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """Seconds beside the runs themselves: of the worker for each run, of an evaluation, of building a package."""
+    """What is added to the runs themselves: overhead of the worker for each, an evaluation, building a package."""
 
-    overhead_s: float
-    evaluation_s: float
-    build_s: float
+    overhead: Expected
+    evaluation: Expected
+    build: Expected
 
     @classmethod
     def look(cls, t: Transaction) -> Costs:
         """What was measured in this installation; guesses for what was not."""
         return cls(
-            overhead_s=_or(t.durations.overhead_s(), GUESSED_OVERHEAD_S),
-            evaluation_s=_or(t.durations.evaluation_s(), GUESSED_EVALUATION_S),
-            build_s=_or(t.durations.build_s(), GUESSED_BUILD_S),
+            overhead=_or(t.durations.overhead(), GUESSED_OVERHEAD_S),
+            evaluation=_or(t.durations.evaluation(), GUESSED_EVALUATION_S),
+            build=_or(t.durations.build(), GUESSED_BUILD_S),
         )
 
 
@@ -46,5 +138,5 @@ def guessed_duration_s(pairing: Pairing, recording_s: float) -> float:
     return GUESSED_START_S + recording_s / rate
 
 
-def _or(measured_s: float | None, guessed_s: float) -> float:
-    return guessed_s if measured_s is None else measured_s
+def _or(measured: Measured | None, guessed_s: float) -> Expected:
+    return Expected.guess(guessed_s) if measured is None else Expected.of(measured)

@@ -112,8 +112,8 @@ def _beside_runs_s(context: ExperimentContext, experiment: Experiment, expansion
     """What is added to each run, and the builds of all packages that were never built here."""
     costs, built = context.store.read(lambda t: (Costs.look(t), t.durations.built()))
     packages = {algorithm.package.name for algorithm, _ in expansion.pairs}
-    between_s = costs.overhead_s + (costs.evaluation_s if experiment.evaluation.enabled else 0.0)
-    return between_s, costs.build_s * len(packages - built)
+    between_s = costs.overhead.seconds + (costs.evaluation.seconds if experiment.evaluation.enabled else 0.0)
+    return between_s, costs.build.seconds * len(packages - built)
 
 
 def _unseen(experiment: Experiment, expansion: Expansion) -> Iterator[str]:
@@ -140,7 +140,9 @@ def _defaults(expansion: Expansion, first: Mapping[Pair, Configuration]) -> Iter
 
 def _sum_up(context: ExperimentContext, expansion: Expansion, progress: Progress, between_s: float) -> _Sums:
     recordings_s = {dataset.name: dataset.duration_s for _, dataset in expansion.pairs}
-    means_s = context.store.read(lambda t: t.durations.of_pairings())
+    means_s = {
+        pairing: found.seconds for pairing, found in context.store.read(lambda t: t.durations.of_pairings()).items()
+    }
     sums = _Sums()
     for chunk in chunks_of(expansion, CHUNK):
         hashes = [cell[0].content_hash for cell in chunk]

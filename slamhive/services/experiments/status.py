@@ -80,7 +80,7 @@ def status_of(
         retried=retried,
         failures=dict(failures),
         disturbed=disturbed,
-        left_s=None if left is None else left.seconds,
+        left=None if left is None else left.time,
         phase="" if left is None else left.phase,
         same_cpu=record.cpu_model is not None,
         cpu_model=record.cpu_model or None,

@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 from slamhive.clock import SYSTEM_CLOCK, Clock
 from slamhive.domain.numbers import plural
+from slamhive.domain.remaining import Remaining
 from slamhive.domain.run import RunState
-from slamhive.services.experiments.expected import Costs, guessed_duration_s
+from slamhive.services.experiments.expected import Costs, Expected, guessed_duration_s
 from slamhive.store import Transaction
 from slamhive.store.durations import ActiveRun, Pairing, Unfinished
 from slamhive.store.experiment_records import ExperimentRecord
@@ -21,19 +22,20 @@ KEPT_S = 60.0
 
 
 class Left(NamedTuple):
-    """Seconds until everything has ended, and in words what happens now."""
+    """The time until everything has ended, and in words what happens now."""
 
-    seconds: float
+    time: Remaining
     phase: str
 
 
 @dataclass(frozen=True, slots=True)
 class _Means:
-    """Seconds. ``of_run`` belongs to the runs that have not ended, from the claim to the end."""
+    """``of_run``: of the runs that have not ended, from claim to end. Without ``measured``, none like them ran."""
 
-    of_run: float
-    of_evaluation: float
-    of_build: float
+    of_run: Expected
+    of_evaluation: Expected
+    of_build: Expected
+    measured: bool
     unbuilt: tuple[str, ...]
     evaluated_fraction: float
     looked_at: float
@@ -59,16 +61,22 @@ class TimeLeft:
         """Until the ``waiting`` runs of the experiment have ended, and all its runs are evaluated."""
         evaluations = t.durations.open_evaluations(record.id)
         if not waiting and not evaluations:
-            return Left(0.0, "")
+            return Left(Remaining(0.0, 0.0, 0.0), "")
         means = self._known(record.id, waiting) or self._look(t, record.id)
         active = t.durations.active(record.id)
         building = {run.package: run for run in active if _builds(run, means)}
-        builds_s = sum(means.of_build - self._elapsed_s(building.get(name), means.of_build) for name in means.unbuilt)
-        evaluations_s = (evaluations + waiting * means.evaluated_fraction) * means.of_evaluation
-        elapsed_s = sum(self._elapsed_s(run, means.of_run) for run in active if not _builds(run, means))
-        runs_s = max(0.0, waiting * means.of_run - elapsed_s)
+        build_s, run_s = means.of_build.seconds, means.of_run.seconds
+        built_s = sum(self._elapsed_s(building.get(name), build_s) for name in means.unbuilt)
+        ran_s = sum(self._elapsed_s(run, run_s) for run in active if not _builds(run, means))
+        amount = (
+            means.of_build.times(len(means.unbuilt), built_s)
+            + means.of_run.times(waiting, ran_s)
+            + means.of_evaluation.times(evaluations + waiting * means.evaluated_fraction)
+        )
+        time = amount.remaining(min(self._slots, max(waiting, evaluations)))
+        measured = means.measured if waiting else not means.of_evaluation.guessed_s
         phase = _phase(active, tuple(building), evaluations) or _waiting(record.cpu_model)
-        return Left((builds_s + runs_s + evaluations_s) / self._slots, phase)
+        return Left(time if measured else Remaining(time.seconds), phase)
 
     def _elapsed_s(self, run: ActiveRun | None, expected_s: float) -> float:
         """How much of the time of a run has passed; one that takes longer than expected is taken to end soon."""
@@ -84,10 +92,12 @@ class TimeLeft:
         waiting = t.durations.unfinished(experiment_id)
         runs = max(1, sum(count.runs for count in waiting.values()))
         costs = Costs.look(t)
+        expected = _expected(t, experiment_id, waiting)
         means = _Means(
-            of_run=_total_s(t, experiment_id, waiting) / runs + costs.overhead_s,
-            of_evaluation=costs.evaluation_s,
-            of_build=costs.build_s,
+            of_run=Expected.mean(expected) + costs.overhead,
+            of_evaluation=costs.evaluation,
+            of_build=costs.build,
+            measured=any(not each.guessed_s for _, each in expected),
             unbuilt=tuple(t.durations.unbuilt(experiment_id)),
             evaluated_fraction=sum(count.to_evaluate for count in waiting.values()) / runs,
             looked_at=self._clock.monotonic_s(),
@@ -116,13 +126,15 @@ def _waiting(cpu_model: str | None) -> str:
     return f"waiting for a worker, runs stay on {cpu_model}" if cpu_model else "waiting for a worker"
 
 
-def _total_s(t: Transaction, experiment_id: int, waiting: Mapping[Pairing, Unfinished]) -> float:
-    """Of all runs that have not ended, from start to end."""
+def _expected(t: Transaction, experiment_id: int, waiting: Mapping[Pairing, Unfinished]) -> list[tuple[int, Expected]]:
+    """How many runs have not ended, and how long each takes from start to end, by what they run on what."""
     own, others = t.durations.of_pairings(experiment_id), t.durations.of_pairings()
     recordings_s = {dataset.name: dataset.duration_s for dataset in t.catalogue.datasets()}
-    total_s = 0.0
+    found = []
     for pairing, count in waiting.items():
-        measured_s = own.get(pairing, others.get(pairing))
-        run_s = guessed_duration_s(pairing, recordings_s[pairing[1]]) if measured_s is None else measured_s
-        total_s += count.runs * run_s
-    return total_s
+        measured = own.get(pairing, others.get(pairing))
+        if measured is None:
+            found.append((count.runs, Expected.guess(guessed_duration_s(pairing, recordings_s[pairing[1]]))))
+        else:
+            found.append((count.runs, Expected.of(measured)))
+    return found

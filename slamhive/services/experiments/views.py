@@ -11,6 +11,7 @@ from typing import Protocol
 
 from slamhive import strict_yaml
 from slamhive.domain.parameters import Value
+from slamhive.domain.remaining import Remaining
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import VerdictKind
@@ -192,8 +193,8 @@ class ExperimentStatus:
 
     ``counts`` of runs by phase leave out failed and disturbed runs that were repeated (``retried``). ``disturbed``
     of the counted runs were measured on a disturbed machine.
-    ``failures``: {reason: runs}. ``left_s`` is the estimated time left with builds and evaluations, None if it was
-    not asked for; ``phase`` says what happens now. ``missing`` runs are not stored, because the start was interrupted.
+    ``failures``: {reason: runs}. ``left`` is the estimated time left with builds and evaluations, None if it was not
+    asked for; ``phase`` says what happens now. ``missing`` runs are not stored, because the start was interrupted.
     With ``same_cpu`` all runs are measured on ``cpu_model``, which is None while it is not known.
     ``owner``: the account that it belongs to, None for nobody; ``visibility``: who may see it besides admins.
     """
@@ -213,12 +214,27 @@ class ExperimentStatus:
     retried: int
     failures: Mapping[Failure, int]
     disturbed: int
-    left_s: float | None
+    left: Remaining | None
     phase: str = ""
     same_cpu: bool = False
     cpu_model: str | None = None
     owner: str | None = None
     visibility: Visibility = Visibility.TEAM
+
+    @property
+    def left_s(self) -> float | None:
+        """The expected time left."""
+        return None if self.left is None else self.left.seconds
+
+    @property
+    def low_s(self) -> float | None:
+        """The lower end of its interval; None if nothing was measured."""
+        return None if self.left is None else self.left.low_s
+
+    @property
+    def high_s(self) -> float | None:
+        """The upper end of its interval; None if nothing was measured."""
+        return None if self.left is None else self.left.high_s
 
     @property
     def ended(self) -> int:

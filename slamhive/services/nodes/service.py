@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 
 from slamhive.clock import utc_now
+from slamhive.domain.remaining import Remaining
 from slamhive.errors import SlamHiveError, unknown
 from slamhive.executors.base import EngineUnavailable, Executor
 from slamhive.executors.nodes import Node
@@ -63,7 +64,7 @@ class Nodes:
             engines=tuple(self._engines(names, runs, since)) if asks else tuple(_unasked(names, runs)),
             machines=tuple(Machine.of(entry, HOURS) for entry in measured),
             queued=sum(queued.values()),
-            left_s=self._left_s(),
+            left=self._left(),
             asks_engines=asks,
         )
 
@@ -125,9 +126,10 @@ class Nodes:
                 raise EngineUnavailable(problem)
         return executor.nodes()
 
-    def _left_s(self) -> float:
+    def _left(self) -> Remaining:
         active = [entry.name for entry in self._experiments.list() if entry.standing is Standing.ACTIVE]
-        return sum(self._experiments.status(name).left_s or 0.0 for name in active)
+        found = (self._experiments.status(name).left for name in active)
+        return sum((left for left in found if left is not None), Remaining(0.0))
 
 
 def _unasked(names: Collection[str], runs: Sequence[NodeRun]) -> Iterator[Engine]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from slamhive.domain.remaining import Remaining
 from slamhive.executors.nodes import CacheUse, Node
 from slamhive.store.durations import MachineRuns
 
@@ -108,7 +109,7 @@ class Machine:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """All of it. ``left_s`` is the time left of all active experiments, one after the other; ``queued`` counts runs.
+    """All of it. ``left`` is the time left of all active experiments, one after the other; ``queued`` counts runs.
 
     Without ``asks_engines``, only the database was asked.
     """
@@ -116,5 +117,20 @@ class Overview:
     engines: tuple[Engine, ...]
     machines: tuple[Machine, ...]
     queued: int
-    left_s: float
+    left: Remaining
     asks_engines: bool = True
+
+    @property
+    def left_s(self) -> float:
+        """The expected time left."""
+        return self.left.seconds
+
+    @property
+    def low_s(self) -> float | None:
+        """The sum of the lower ends of their intervals; None if nothing was measured."""
+        return self.left.low_s
+
+    @property
+    def high_s(self) -> float | None:
+        """The sum of the upper ends of their intervals; None if nothing was measured."""
+        return self.left.high_s

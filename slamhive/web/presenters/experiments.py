@@ -127,8 +127,9 @@ def status_in_words(status: ExperimentStatus) -> str:
         text += f" Measured on a disturbed machine: {plural(status.disturbed, 'run')}."
     if status.missing:
         text += f" {plural(status.missing, 'run')} not stored yet: the start is in progress or was interrupted."
-    if status.left_s:
-        text += f" About {duration(status.left_s)} left with builds and evaluations: {status.phase}."
+    if status.left is not None and status.left_s:
+        left = status.left.words(", including builds and evaluations")
+        text += f" {left[0].upper()}{left[1:]}. Now: {status.phase}."
     return text
 
 
