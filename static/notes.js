@@ -41,7 +41,7 @@
     const field = element(kind.element, { class: "form-control form-control-sm", maxlength: kind.longest, "aria-label": link.dataset.label });
     const [save, leave] = [["Store", "primary"], ["Cancel", "secondary"]].map(([text, look]) => element("button", { type: "button", class: `btn btn-sm btn-outline-${look}` }, text));
     const verdict = element("span", { role: "alert" });
-    const editor = element("span", { class: "editor", "data-editing": "" });
+    const editor = element("span", { class: "cell-editor", "data-editing": "" });
     editor.append(field, save, leave, verdict);
     field.value = link.dataset.value;
     cell.classList.add("open");

@@ -355,6 +355,19 @@ def test_an_experiment_is_previewed_while_typing_and_started(browsing: Page) -> 
     assert heading(browsing).startswith("second")
 
 
+@pytest.mark.parametrize("address", ["/analyses/new", "/new-experiment"])
+def test_the_yaml_fills_its_panel(desk: Web, chromium: Browser, address: str) -> None:
+    with serving(desk.hive) as server:
+        for look in LOOKS:
+            context = chromium.new_context(**LOOKS[look])
+            page, _ = visit(context, server, address)
+            panel, text = (page.locator(part).bounding_box() for part in (".panel:has(#yaml)", "#yaml"))
+            context.close()
+            assert panel is not None
+            assert text is not None
+            assert text["width"] >= 0.8 * panel["width"], look
+
+
 def test_a_plot_type_is_inserted_into_a_new_analysis(browsing: Page) -> None:
     browsing.goto("/analyses/new")
     browsing.locator("summary", has_text="table").first.click()

@@ -185,7 +185,7 @@ def test_notes_and_tags_are_edited_in_the_list_by_keyboard(browsing: Page, desk:
     note = browsing.get_by_label(f"Note of run {run_id}")
     note.fill("left")
     note.press("Escape")
-    assert browsing.locator(".editor").count() == 0
+    assert browsing.locator(".cell-editor").count() == 0
     browsing.locator("a[data-edit=note]").click()
     note.fill("lost at <b>40 s</b>")
     note.press("Enter")
