@@ -133,6 +133,12 @@ def compare_means(first: Numbers, second: Numbers, confidence: float = CONFIDENC
     )
 
 
+def means_differ(first: tuple[int, float, float], second: tuple[int, float, float]) -> bool:
+    """What :func:`compare_means` decides, from number (>= 2), mean and sample variance of each group."""
+    half_width = _half_width((first[2], second[2]), (first[0], second[0]), CONFIDENCE)
+    return half_width < abs(first[1] - second[1])
+
+
 def _half_width(variances: tuple[float, float], counts: tuple[int, int], confidence: float) -> float:
     """Half of Welch's interval. scipy has it for samples alone; here also for repeats that are yet to be made."""
     parts = [variance / count for variance, count in zip(variances, counts, strict=True)]

@@ -120,17 +120,22 @@ class ExperimentRepository(Repository):
             .order_by(_CELLS.c.number)
             .limit(limit)
         )
-        return [
-            CellRecord(row.number, row.name, row.configuration_id, _values(row.axis_values))
-            for row in self._connection.execute(query)
-        ]
+        return [_cell(row) for row in self._connection.execute(query)]
+
+    def cells_numbered(self, experiment_id: int, numbers: Sequence[int]) -> dict[int, CellRecord]:
+        """The cells with these numbers."""
+        found = {}
+        for part in chunks(numbers):
+            mine = select(_CELLS).where(_CELLS.c.experiment_id == experiment_id, _CELLS.c.number.in_(part))
+            found.update({row.number: _cell(row) for row in self._connection.execute(mine)})
+        return found
 
     def cell_runs(self, experiment_id: int, first: int, last: int, metrics: Sequence[str]) -> list[CellRun]:
         """The runs of the cells from ``first`` to ``last``, by cell and id, each with these metrics."""
         query = (
             select(
                 *(_RUNS.c[name] for name in ("id", "cell", "seed", "state", "reason", "retry_of", "disturbed_by")),
-                self._retried(experiment_id).label("retried"),
+                retried_runs(experiment_id).label("retried"),
                 Protocol.fingerprint,
             )
             .outerjoin(Protocol, Protocol.id == _RUNS.c.current_protocol_id)
@@ -211,18 +216,17 @@ class ExperimentRepository(Repository):
         query = select(_RUNS.c.id).where(
             _RUNS.c.experiment_id == experiment_id,
             _RUNS.c.state == RunState.FAILED,
-            ~self._retried(experiment_id),
+            ~retried_runs(experiment_id),
         )
         return self._column(query.order_by(_RUNS.c.id))
 
-    def _retried(self, experiment_id: int) -> ColumnElement[bool]:
-        """Whether another run of the experiment has replaced a run."""
-        later = _RUNS.alias("later")
-        mine = select(later.c.retry_of).where(later.c.retry_of.is_not(None), later.c.experiment_id == experiment_id)
-        going_on = mine.where(later.c.state != RunState.CANCELLED)
-        return or_(
-            and_(_RUNS.c.state.in_(REPLACEABLE), _RUNS.c.id.in_(mine)), and_(DISTURBED, _RUNS.c.id.in_(going_on))
-        )
+
+def retried_runs(experiment_id: int) -> ColumnElement[bool]:
+    """Whether another run of the experiment has replaced a run."""
+    later = _RUNS.alias("later")
+    mine = select(later.c.retry_of).where(later.c.retry_of.is_not(None), later.c.experiment_id == experiment_id)
+    going_on = mine.where(later.c.state != RunState.CANCELLED)
+    return or_(and_(_RUNS.c.state.in_(REPLACEABLE), _RUNS.c.id.in_(mine)), and_(DISTURBED, _RUNS.c.id.in_(going_on)))
 
 
 def _between(column: ColumnElement[Any], experiment_id: int, first: int, last: int) -> list[ColumnElement[bool]]:
@@ -232,6 +236,10 @@ def _between(column: ColumnElement[Any], experiment_id: int, first: int, last: i
 
 def _record(row: Any) -> ExperimentRecord:
     return ExperimentRecord(**{name: getattr(row, name) for name in _RECORD})
+
+
+def _cell(row: Any) -> CellRecord:
+    return CellRecord(row.number, row.name, row.configuration_id, _values(row.axis_values))
 
 
 def _values(stored: Mapping[str, Any]) -> dict[str, Any]:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from slamhive.store.durations import DurationRepository
     from slamhive.store.evaluations import EvaluationRepository
     from slamhive.store.experiment_counts import ExperimentCounts
+    from slamhive.store.experiment_values import ExperimentValues
     from slamhive.store.experiments import ExperimentRepository
     from slamhive.store.filed_runs import FiledRunRepository
     from slamhive.store.imports import ImportRepository
@@ -58,6 +59,7 @@ class Transaction:
     configuration_book: ConfigurationBook
     experiments: ExperimentRepository
     experiment_counts: ExperimentCounts
+    experiment_values: ExperimentValues
     # Runs, and what waits for a worker.
     runs: RunRepository
     queue: RunQueue

@@ -5,7 +5,7 @@ import pytest
 import scikit_posthocs
 from scipy import stats
 
-from slamhive.analysis.statistics import bootstrap_mean, compare_means, holm, rank_test, summarise
+from slamhive.analysis.statistics import bootstrap_mean, compare_means, holm, means_differ, rank_test, summarise
 from slamhive.errors import InvalidInput
 
 pytestmark = pytest.mark.integration  # scipy takes a second to load
@@ -157,3 +157,15 @@ def test_the_repeats_named_are_the_first_that_decide():
     needed = compare_means(first, second).repeats_to_decide
     reaches = {n: stats.t.ppf(0.975, 2 * n - 2) * np.sqrt(2 / n) for n in range(2, 30)}
     assert needed == min(n for n, reach in reaches.items() if reach < 1)
+
+
+def test_moments_decide_as_the_values_do() -> None:
+    random = np.random.default_rng(5)
+    decisions = []
+    for distance in np.linspace(0, 4, 40):
+        first, second = random.normal(0, 1, 6), random.normal(distance, 2, 9)
+        moments = [(len(values), float(values.mean()), float(values.var(ddof=1))) for values in (first, second)]
+        decided = means_differ(moments[0], moments[1])
+        assert decided == compare_means(first, second).decided
+        decisions.append(decided)
+    assert set(decisions) == {True, False}

@@ -355,6 +355,29 @@ def test_an_experiment_is_previewed_while_typing_and_started(browsing: Page) -> 
     assert heading(browsing).startswith("second")
 
 
+def test_a_ranking_follows_its_runs_and_configurations_are_compared(own: Web, browsing: Page) -> None:
+    cells = own.hive.experiments.cells("trial", 0, 3).cells
+    for run in (run for cell in cells[:2] for run in cell.runs):
+        world.finish_run(own.hive, run.id)
+        world.evaluate_run(own.hive, run.id, 0.1 + 0.01 * run.id)
+    browsing.goto("/experiments/trial")
+    ranking = browsing.locator("#ranking")
+    assert "Preliminary: 4 of 12 runs have ended" in ranking.inner_text()
+    assert ranking.locator("svg.lane circle:visible").count() == 4
+    button = ranking.get_by_role("button", name="Compare")
+    assert button.is_disabled()
+    for box in ranking.locator("tbody input[name=run]").all():
+        box.check()
+    ranking.locator("h2").click()
+    world.fail_run(own.hive, cells[2].runs[0].id)
+    browsing.get_by_text("Preliminary: 5 of 12 runs have ended").wait_for()
+    assert ranking.locator("svg.lane .cross").count() == 1
+    assert ranking.locator("tbody input[name=run]:checked").count() == 2
+    button.click()
+    browsing.wait_for_url("**/compare?**group=configuration**")
+    assert "4 runs" in browsing.locator("main").inner_text()
+
+
 @pytest.mark.parametrize("address", ["/analyses/new", "/new-experiment"])
 def test_the_yaml_fills_its_panel(desk: Web, chromium: Browser, address: str) -> None:
     with serving(desk.hive) as server:

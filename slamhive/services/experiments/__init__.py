@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from slamhive.services.experiments.context import ExperimentContext, Progress
     from slamhive.services.experiments.expected import GUESSED_START_S, guessed_duration_s
     from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, StoredExperiment
+    from slamhive.services.experiments.ranking import RANKED_BY, RankedCell, Ranking
     from slamhive.services.experiments.reporting import NO_FIGURES, csv_text, failures_text, varying
     from slamhive.services.experiments.restoring import Restored
     from slamhive.services.experiments.service import Experiments
@@ -36,6 +37,7 @@ __all__ = [
     "GUESSED_START_S",
     "METRICS",
     "NO_FIGURES",
+    "RANKED_BY",
     "RECORD",
     "SOURCE",
     "Cell",
@@ -52,6 +54,8 @@ __all__ = [
     "NodesPlan",
     "Phase",
     "Progress",
+    "RankedCell",
+    "Ranking",
     "Restored",
     "Spread",
     "Standing",

@@ -27,6 +27,7 @@ from slamhive.store.experiment_records import ExperimentState
 
 if TYPE_CHECKING:
     from slamhive.foreign.experiment import Converted
+    from slamhive.services.experiments.ranking import Ranking
     from slamhive.services.experiments.restoring import Restored
 
 
@@ -139,6 +140,16 @@ class Experiments:
             record = t.experiments.get(name)
             counts = t.experiment_counts.by_cell(record.id)
             return self._tables.get(t, record).grid((row_axis, column_axis), counts, name)
+
+        return self._context.store.read(work)
+
+    def rankings(self, name: str) -> tuple[Ranking, ...]:
+        """The configurations in order, the best first, for each dataset on which a run has ended."""
+        from slamhive.services.experiments.ranking import rankings  # noqa: PLC0415 - lists and reports need none
+
+        def work(t: Transaction) -> tuple[Ranking, ...]:
+            record = t.experiments.get(name)
+            return tuple(rankings(t, record, self._tables.get(t, record)))
 
         return self._context.store.read(work)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from slamhive.domain.metrics import Metric
 from slamhive.domain.parameters import Value
+from slamhive.domain.run import RunState
 from slamhive.services.experiments import (
     ENDED,
     NO_FIGURES,
@@ -23,6 +24,7 @@ from slamhive.services.experiments import (
 from slamhive.services.experiments import (
     Cell as ExperimentCell,
 )
+from slamhive.services.run_comparison import MOST_RUNS
 from slamhive.web.formatting import (
     DASH,
     Cell,
@@ -36,6 +38,8 @@ from slamhive.web.formatting import (
     value_text,
 )
 
+MOST_COMPARED = MOST_RUNS // 2
+JUDGED = (RunState.SUCCEEDED, RunState.FAILED)
 MOST_ROWS, MOST_COLUMNS = 50, 25
 """Limits of the grid on a page."""
 
@@ -82,10 +86,15 @@ class GridView:
 
 @dataclass(frozen=True, slots=True)
 class CellLine:
-    """One line of the results: a cell under one protocol. A cell without metrics also has one line."""
+    """One line of the results: a cell under one protocol. A cell without metrics also has one line.
+
+    ``title`` is its name without that of the experiment; ``selects`` are the runs that its box selects.
+    """
 
     cell: ExperimentCell
     first: bool
+    title: str
+    selects: str
     values: tuple[str, ...]
     progress: str
     failures: str
@@ -171,10 +180,19 @@ def grid_view(grid: Grid, search: Search) -> GridView:
     return GridView(grid.row_axis, grid.column_axis, tuple(map(axis_text, columns)), lines, " and ".join(parts))
 
 
+def selection(run_ids: Sequence[int]) -> str:
+    """The runs that the box of a configuration selects: the first ones, so that two boxes always fit."""
+    return ",".join(map(str, run_ids[:MOST_COMPARED]))
+
+
 def cell_lines(
-    cells: Iterable[ExperimentCell], axes: Sequence[str], metrics: Sequence[Metric], labels: Mapping[str, str]
+    name: str,
+    cells: Iterable[ExperimentCell],
+    axes: Sequence[str],
+    metrics: Sequence[Metric],
+    labels: Mapping[str, str],
 ) -> list[CellLine]:
-    """Lines of the results table for these axes and metrics. ``labels``: {fingerprint: name of the protocol}."""
+    """Lines of the results table of experiment ``name``. ``labels``: {fingerprint: name of the protocol}."""
     lines: list[CellLine] = []
     for cell in cells:
         values = tuple(axis_text(cell.values.get(axis)) for axis in axes)
@@ -183,6 +201,8 @@ def cell_lines(
             CellLine(
                 cell=cell,
                 first=place == 0,
+                title=cell.name.removeprefix(f"{name}-"),
+                selects=selection([run.id for run in cell.runs if run.state in JUDGED and not run.retried]),
                 values=values,
                 progress=counts_in_words(cell.counts) + _disturbed(cell),
                 failures=failures_in_words(cell.failures),

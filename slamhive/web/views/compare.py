@@ -21,7 +21,7 @@ def show() -> Response:
     """The runs side by side. Lists of runs send each run by itself; the permanent address has one list."""
     if "run" in request.args:
         chosen = ",".join(map(str, sorted(read_run_ids(request.args.getlist("run")))))
-        return make_response(redirect(address("compare.show", runs=chosen), 303))
+        return make_response(redirect(address("compare.show", runs=chosen, group=_group() or None), 303))
     compared = asked_comparison()
     return make_response(
         render_template(
@@ -46,8 +46,12 @@ def figures() -> Response:
 
 def asked_comparison() -> RunComparison:
     """The comparison that the address asks for; raises InvalidInput or NotFound."""
+    run_ids = read_run_ids(request.args.getlist("runs"))
+    return hive().run_comparisons.of(run_ids, request.args.get("protocol") or None, grouped=bool(_group()))
+
+
+def _group() -> str:
     group = request.args.get("group", "")
     if group not in _GROUPS:
         raise InvalidInput(f"group {group[:40]!r} is not allowed", "use configuration, or leave it out")
-    run_ids = read_run_ids(request.args.getlist("runs"))
-    return hive().run_comparisons.of(run_ids, request.args.get("protocol") or None, grouped=bool(group))
+    return group

@@ -12,10 +12,8 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.domain.visibility import Visibility
 from slamhive.errors import NotFound
-from slamhive.search.build import matching
 from slamhive.services.experiments import METRICS, Cell, ExperimentStatus, Standing
 from slamhive.services.sharing import SharingChange
-from slamhive.store.records import RunSort
 from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.experiment_file import parse_experiment
 from slamhive.web.context import hive
@@ -27,7 +25,6 @@ from slamhive.web.presenters.scripts import experiment_scripts
 
 blueprint = Blueprint("experiments", __name__, url_prefix="/experiments")
 
-RANKED_BY = "ate.rmse"
 PAGE_LENGTH = 50
 LARGE = 5000
 """With more configurations than this, a second request computes the grid."""
@@ -83,25 +80,19 @@ def show(name: str) -> str:
         page=page,
         cells=cells,
         metrics=metrics,
-        lines=presenter.cell_lines(page.cells, shown_axes, metrics, _protocol_labels(page.cells)),
+        lines=presenter.cell_lines(name, page.cells, shown_axes, metrics, _protocol_labels(page.cells)),
         scripts=experiment_scripts(name, hive().settings),
-        rankings=[] if status.cells > LARGE else _rankings(name, page.cells, shown_axes),
+        rankings=[] if status.cells > LARGE else _rankings(name, shown_axes),
+        ranking_title=rankings.title(status),
+        ranking_columns=rankings.columns(),
     )
 
 
-def _rankings(name: str, cells: Iterable[Cell], axes: Sequence[str]) -> list[rankings.Ranking]:
-    """The best configurations of an experiment on each dataset; empty while none is evaluated."""
+def _rankings(name: str, axes: Sequence[str]) -> list[rankings.RankingView]:
+    """The configurations of an experiment in order, for each dataset; empty while no run has ended."""
     services = hive()
-    datasets = [str(value) for value in services.experiments.axes(name).get("dataset", ())]
-    named = rankings.configuration_names(cells, axes)
-    found = []
-    for dataset in datasets[: rankings.MOST_RANKINGS]:
-        asked = matching(experiments=(name,), datasets=(dataset,))
-        order = RunSort(RANKED_BY, descending=False)
-        groups = services.searches.groups(asked, order, None, rankings.RANKED, METRICS).records
-        if (ranking := rankings.ranking(dataset, groups, METRICS, named)) is not None:
-            found.append(ranking)
-    return found
+    installed = [algorithm.name for algorithm in services.catalogue.algorithms()]
+    return rankings.views(services.experiments.rankings(name), axes, installed)
 
 
 @blueprint.get(f"/<name>/cells/{CELL_NUMBER}")

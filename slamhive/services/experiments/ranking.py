@@ -1,0 +1,171 @@
+"""The configurations of an experiment in order, the best first, separately for each dataset."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from slamhive.services.experiments.axis_table import AxisTable, CellCounts
+from slamhive.services.experiments.views import Phase
+from slamhive.store import RunRecord, Transaction
+from slamhive.store.experiment_records import CellRecord, ExperimentRecord
+from slamhive.store.experiment_values import CellSample
+from slamhive.store.records import ProtocolLabel
+
+RANKED_BY = "ate.rmse"
+BEST, WORST = 8, 4
+"""So many configurations of each dataset are shown, if there are more than both together."""
+MOST_DATASETS = 12
+MOST_RUNS = 100
+"""The latest of a configuration that are shown."""
+
+
+@dataclass(frozen=True, slots=True)
+class RankedCell:
+    """A configuration. ``place`` is None with fewer than two good runs.
+
+    ``runs`` are those that succeeded or failed and were not replaced by another run. ``lost`` of them failed or were
+    cancelled. ``good`` have a value under the protocol of the ranking; None if it has none.
+    """
+
+    place: int | None
+    cell: CellRecord
+    good: CellSample | None
+    lost: int
+    total: int
+    runs: tuple[RunRecord, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Ranking:
+    """The configurations on one dataset.
+
+    ``protocol`` is that of the most good runs; ``other_runs`` good runs have another one and are left out. Between
+    ``best`` and ``worst``, ``between`` configurations are left out. Of ``waiting``, no run has ended.
+    """
+
+    dataset: str
+    protocol: ProtocolLabel | None
+    best: tuple[RankedCell, ...]
+    worst: tuple[RankedCell, ...]
+    between: int
+    waiting: int
+    other_runs: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    number: int
+    good: CellSample | None
+    lost: int
+    total: int
+
+    @property
+    def ranked(self) -> bool:
+        return self.good is not None and self.good.n > 1
+
+    @property
+    def key(self) -> tuple[int, int, float, int]:
+        """Configurations with a place come first, then those with one good run, then those without."""
+        n, mean = (0, 0.0) if self.good is None else (self.good.n, self.good.mean)
+        return -min(n, 2), self.lost, mean, self.number
+
+
+def rankings(t: Transaction, record: ExperimentRecord, table: AxisTable) -> list[Ranking]:
+    """Those of the first datasets, without datasets on which no run has ended."""
+    names = table.values.get("dataset", ())
+    codes = table.codes.get("dataset")
+    if codes is None:
+        return []
+    samples: dict[int, list[CellSample]] = defaultdict(list)
+    for sample in t.experiment_values.samples(record.id, RANKED_BY):
+        samples[sample.cell].append(sample)
+    counts = t.experiment_counts.by_cell(record.id)
+    found = []
+    for code, name in enumerate(names[:MOST_DATASETS]):
+        numbers = table.numbers[codes == code].tolist()
+        ranking = _ranking(t, record.id, str(name), _entries(numbers, samples, counts))
+        if ranking is not None:
+            found.append(ranking)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Entries:
+    protocol: ProtocolLabel | None
+    other_runs: int
+    ended: list[_Entry]
+    waiting: int
+
+
+def _entries(numbers: Sequence[int], samples: Mapping[int, Sequence[CellSample]], counts: CellCounts) -> _Entries:
+    weights: Counter[ProtocolLabel] = Counter()
+    for number in numbers:
+        for sample in samples.get(number, ()):
+            weights[sample.protocol] += sample.n
+    protocol = weights.most_common(1)[0][0] if weights else None
+    entries = []
+    for number in numbers:
+        good = next((sample for sample in samples.get(number, ()) if sample.protocol == protocol), None)
+        phases: Counter[Phase] = Counter()
+        for entry in counts.get(number, ()):
+            if not entry.retried:
+                phases[Phase.of(entry.state, entry.judged)] += entry.count
+        entries.append(_Entry(number, good, phases[Phase.FAILED] + phases[Phase.CANCELLED], phases.total()))
+    ended = sorted((entry for entry in entries if entry.good is not None or entry.lost), key=lambda entry: entry.key)
+    others = weights.total() - (weights[protocol] if protocol else 0)
+    return _Entries(protocol, others, ended, len(entries) - len(ended))
+
+
+def _ranking(t: Transaction, experiment_id: int, dataset: str, entries: _Entries) -> Ranking | None:
+    order = entries.ended
+    if not order:
+        return None
+    places = _places(order)
+    few = len(order) <= BEST + WORST
+    shown = order if few else [*order[:BEST], *order[-WORST:]]
+    numbers = [entry.number for entry in shown]
+    cells = t.experiments.cells_numbered(experiment_id, numbers)
+    runs = t.experiment_values.judged_runs(experiment_id, numbers, MOST_RUNS)
+    records = {
+        run.id: run for run in t.runs.get_many([run for found in runs.values() for run in found], with_metrics=True)
+    }
+    ranked = tuple(
+        RankedCell(
+            places[entry.number],
+            cells[entry.number],
+            entry.good,
+            entry.lost,
+            entry.total,
+            tuple(records[run] for run in runs.get(entry.number, ())),
+        )
+        for entry in shown
+    )
+    best, worst = (ranked, ()) if few else (ranked[:BEST], ranked[BEST:])
+    between = len(order) - len(shown)
+    return Ranking(dataset, entries.protocol, best, worst, between, entries.waiting, entries.other_runs)
+
+
+def _places(order: Iterable[_Entry]) -> dict[int, int | None]:
+    """The place of each entry. As in challenges, each is compared with the first of the place before it."""
+    places: dict[int, int | None] = {}
+    first: _Entry | None = None
+    place = 1
+    for position, entry in enumerate(order, start=1):
+        if not entry.ranked:
+            places[entry.number] = None
+            continue
+        if first is None or entry.lost != first.lost or _differ(first.good, entry.good):
+            first, place = entry, position
+        places[entry.number] = place
+    return places
+
+
+def _differ(first: CellSample | None, second: CellSample | None) -> bool:
+    """Whether Welch's test separates the means."""
+    from slamhive.analysis.statistics import means_differ  # noqa: PLC0415 - loads scipy, for repeats only
+
+    if first is None or second is None:
+        return True
+    return means_differ((first.n, first.mean, first.variance), (second.n, second.mean, second.variance))

@@ -1,0 +1,132 @@
+"""The ranking on the page of an experiment: order, shared places, strips, and what is compared from it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import pytest
+
+from slamhive.services.executors import Executors
+from slamhive.services.experiments import ExperimentSource, RankedCell, Ranking
+from slamhive.services.experiments.ranking import BEST, WORST
+from tests.web import web_world as world
+from tests.web.web_world import Web
+
+pytestmark = pytest.mark.integration
+
+PLAN = """\
+name: ranked
+algorithms: eye-slam-stereo
+datasets: room
+parameters:
+  nFeatures: {features}
+repeats: {repeats}
+executor: process
+"""
+
+
+@pytest.fixture(autouse=True)
+def _process_executor(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
+
+
+def start(web: Web, features: Sequence[int], repeats: int) -> None:
+    text = PLAN.format(features=" | ".join(map(str, features)), repeats=repeats)
+    web.hive.experiments.start(ExperimentSource(text))
+
+
+def end(web: Web, number: int, errors_m: Sequence[float | None]) -> None:
+    """End runs of a configuration with these errors; None fails one."""
+    (cell,) = web.hive.experiments.cells("ranked", number - 1, 1).cells
+    for run, error_m in zip(cell.runs, errors_m, strict=False):
+        if error_m is None:
+            world.fail_run(web.hive, run.id)
+        else:
+            world.finish_run(web.hive, run.id)
+            world.evaluate_run(web.hive, run.id, error_m)
+
+
+def ranked(web: Web) -> Ranking:
+    (found,) = web.hive.experiments.rankings("ranked")
+    return found
+
+
+def order(cells: Sequence[RankedCell]) -> list[tuple[int, int | None]]:
+    return [(entry.cell.number, entry.place) for entry in cells]
+
+
+def section(web: Web) -> str:
+    return web.client.get("/experiments/ranked").text.partition('id="ranking"')[2].partition("</section>")[0]
+
+
+def test_failures_come_before_means_and_chance_shares_a_place(web: Web) -> None:
+    start(web, (500, 600, 700, 800, 900), repeats=3)
+    end(web, 1, (0.010, None, None))
+    end(web, 2, (0.120, 0.121, 0.119))
+    end(web, 3, (0.110, 0.130, 0.118))
+    end(web, 4, (0.300, 0.301, 0.299))
+    end(web, 5, (0.050, 0.051, None))
+    found = ranked(web)
+    assert order(found.best) == [(3, 1), (2, 1), (4, 3), (5, 4), (1, None)]
+    assert (found.worst, found.between, found.waiting) == ((), 0, 0)
+    text = section(web)
+    assert "Ranking" in text
+    assert "Preliminary" not in text
+    assert text.count('class="cross"') == 3
+    assert text.count('<circle class="on-light"') == 12
+    assert "run" in text
+    assert "3 of 3" in text
+
+
+def test_a_ranking_is_preliminary_until_all_have_ended_and_counts_what_waits(web: Web) -> None:
+    start(web, (500, 600, 700), repeats=2)
+    end(web, 2, (0.1, 0.1))
+    text = section(web)
+    assert "Preliminary: 2 of 6 runs have ended" in text
+    assert "of 2 configurations, no run has been evaluated or has failed yet" in text
+    end(web, 1, (None,))
+    assert order(ranked(web).best) == [(2, 1), (1, None)]
+
+
+def test_a_run_that_was_retried_is_no_failure(web: Web) -> None:
+    start(web, (500, 600), repeats=2)
+    end(web, 1, (None, 0.1))
+    assert ranked(web).best[0].lost == 1
+    web.hive.experiments.retry_failed("ranked")
+    assert ranked(web).best[0].lost == 0
+    assert [run.state for run in ranked(web).best[0].runs] == ["succeeded"]
+
+
+def test_many_configurations_are_named_and_the_middle_is_left_out(web: Web) -> None:
+    """More than a page of the table: all are named by what varies, not by all parameters."""
+    features = range(100, 160)
+    start(web, features, repeats=1)
+    for number in (1, *range(46, 61)):
+        end(web, number, (0.1 + number / 1000,))
+    found = ranked(web)
+    assert [entry.cell.number for entry in found.best] == [1, *range(46, 45 + BEST)]
+    assert [entry.cell.number for entry in found.worst] == list(range(61 - WORST, 61))
+    assert (found.between, found.waiting) == (16 - BEST - WORST, 60 - 16)
+    text = section(web)
+    assert "4 configurations between the best and the worst are not shown" in text
+    assert re.findall(r">eye-slam-stereo, nFeatures (\d+)</a>", text)[-1] == "159"
+
+
+def test_configurations_are_compared_from_ranking_and_results(web: Web) -> None:
+    start(web, (500, 600), repeats=2)
+    end(web, 1, (0.1, 0.11))
+    end(web, 2, (0.2, 0.21))
+    page = web.client.get("/experiments/ranked").text
+    boxes = re.findall(r'name="run" value="([\d,]+)"', page)
+    assert len(boxes) == 4
+    assert len(set(boxes)) == 2
+    answer = web.client.get("/compare", query_string={"run": boxes[:2], "group": "configuration"})
+    assert answer.status_code == 303
+    assert "group=configuration" in answer.location
+    compared = web.client.get(answer.location)
+    assert compared.status_code == 200
+    assert "2 runs" in compared.text
+    wrong = web.client.get("/compare", query_string={"run": boxes[:2], "group": "nonsense"})
+    assert wrong.status_code == 400
+    assert ">0001</a>" in page, "the name of the experiment is left out"
