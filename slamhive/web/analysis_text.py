@@ -1,19 +1,17 @@
-"""Analysis files written by pages: a first one for a search, the constraint selector; and help on plot types."""
+"""Analysis files written by pages: a first one for a search or an experiment, the constraint selector."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from itertools import combinations
 from typing import Any
-
-from pydantic_core import PydanticUndefined
 
 from slamhive import strict_yaml
 from slamhive.domain.parameters import Value
 from slamhive.domain.sensors import SensorSetup
-from slamhive.errors import InvalidInput, unknown
+from slamhive.errors import InvalidInput
 from slamhive.search.reader import quoted
 
 FIRST = """name: A first look
@@ -41,46 +39,30 @@ BOUNDS = {
 """Fields of the selector: metric, comparison, and the factor from the field's unit to the metric's unit."""
 
 
-@dataclass(frozen=True, slots=True)
-class OptionHelp:
-    """One option of a plot type."""
-
-    name: str
-    kind: str
-    default: str
-    help: str
-
-
-@dataclass(frozen=True, slots=True)
-class FormHelp:
-    """One plot type; ``example`` is the shortest valid entry in an analysis file."""
-
-    key: str
-    title: str
-    description: str
-    options: tuple[OptionHelp, ...]
-    example: str
-
-
 def first_text(where: str) -> str:
     """An analysis file for the runs that match a filter; an empty filter matches all."""
     return FIRST % json.dumps(where.strip() or ALL, ensure_ascii=False)  # a JSON string is a quoted YAML string
 
 
-def experiment_text(name: str, axes: Mapping[str, Sequence[Value]]) -> str:
+def experiment_text(
+    name: str, axes: Mapping[str, Sequence[Value]], crossed: Callable[[str, str], bool] = lambda _first, _second: True
+) -> str:
     """An analysis file for an experiment, with plots that fit what it varies.
 
     Args:
         name: Of the experiment.
         axes: Its axes with their values.
+        crossed: Whether values of two axes are combined; values of linked axes follow from each other.
     """
     varying = [axis for axis, values in axes.items() if len(values) > 1]
     parameters = [axis for axis in varying if axis not in ("algorithm", "dataset")]
     numeric = [axis for axis in parameters if all(type(value) in (int, float) for value in axes[axis])]
-    forms: list[dict[str, Any]] = [{"form": "table"}, {"form": "by_algorithm", "metric": ERROR}]
+    paper = {"columns": "algorithms"} if "algorithm" in varying else {}
+    forms: list[dict[str, Any]] = [{"form": "table", **paper}, {"form": "by_algorithm", "metric": ERROR}]
     forms += [{"form": "line", "x": axis, "metric": ERROR} for axis in numeric[:MOST_LINES]]
-    if len(parameters) > 1:
-        forms.append({"form": "heatmap", "x": parameters[0], "y": parameters[1], "metric": ERROR})
+    pair = next((pair for pair in combinations(parameters, 2) if crossed(*pair)), None)
+    if pair is not None:
+        forms.append({"form": "heatmap", "x": pair[0], "y": pair[1], "metric": ERROR})
         forms.append({"form": "importance", "metric": ERROR})
     forms.append({"form": "distributions", "metrics": [ERROR]})
     if "algorithm" in varying or parameters:
@@ -90,15 +72,9 @@ def experiment_text(name: str, axes: Mapping[str, Sequence[Value]]) -> str:
     return strict_yaml.dump(content)
 
 
-def with_form(text: str, key: str) -> str:
-    """An analysis file with one more entry at the end of ``forms``: the example of the plot type ``key``.
-
-    Raises NotFound for an unknown plot type, InvalidInput if the file has its list in one line.
-    """
-    helps = {entry.key: entry for entry in form_helps()}
-    if key not in helps:
-        raise unknown("plot type", key, list(helps))
-    entry = [line for line in helps[key].example.splitlines() if line and line != "forms:"]
+def with_form(text: str, added: Mapping[str, Any]) -> str:
+    """An analysis file with one more entry at the end of ``forms``; raises InvalidInput if its list is in one line."""
+    entry = [line for line in strict_yaml.dump({"forms": [dict(added)]}).splitlines() if line and line != "forms:"]
     lines = text.rstrip().split("\n") if text.strip() else []
     start = next((place for place, line in enumerate(lines) if line.startswith("forms:")), None)
     if start is None:
@@ -110,44 +86,8 @@ def with_form(text: str, key: str) -> str:
         end += 1
     written = next((line for line in lines[start + 1 : end] if line.lstrip().startswith("- ")), entry[0])
     indent, own = (len(line) - len(line.lstrip()) for line in (written, entry[0]))
-    added = [" " * indent + line[own:] for line in entry]
-    return "\n".join([*lines[:end], *added, *lines[end:]]) + "\n"
-
-
-def form_helps() -> list[FormHelp]:
-    """All plot types with their options, from their models."""
-    from slamhive.analysis.plot_types import PLOT_TYPES  # noqa: PLC0415 - pandas and scipy take two seconds to load
-
-    return [_form_help(form) for _, form in PLOT_TYPES]
-
-
-def _form_help(form: Any) -> FormHelp:
-    schema = form.options.model_json_schema()
-    options = []
-    example: dict[str, Any] = {"form": form.key}
-    for name, field in form.options.model_fields.items():
-        described = schema["properties"][name]
-        default = field.default if field.default is not PydanticUndefined else None
-        if field.default_factory is not None:
-            default = field.default_factory()
-        if field.is_required():
-            metrics = ["ate.rmse", "rpe.rmse"] if described.get("type") == "array" else "ate.rmse"
-            example[name] = described.get("examples", [metrics])[0]
-        shown = "" if default in (None, "") else str(default)
-        options.append(
-            OptionHelp(name, _kind(described), "needed" if field.is_required() else shown, field.description or "")
-        )
-    return FormHelp(form.key, form.title, form.description, tuple(options), strict_yaml.dump({"forms": [example]}))
-
-
-def _kind(described: Mapping[str, Any]) -> str:
-    if "enum" in described:
-        return " or ".join(map(str, described["enum"]))
-    if described.get("type") == "array":
-        return f"list of {_kind(described['items'])}"
-    if "anyOf" in described:
-        return _kind(described["anyOf"][0])
-    return {"string": "text", "integer": "whole number"}.get(str(described.get("type")), str(described.get("type")))
+    shifted = [" " * indent + line[own:] for line in entry]
+    return "\n".join([*lines[:end], *shifted, *lines[end:]]) + "\n"
 
 
 def selector_text(fields: Mapping[str, str], sensors: list[str], datasets: list[str]) -> str:

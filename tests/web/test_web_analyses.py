@@ -24,8 +24,9 @@ from slamhive.services.analyses.jobs import AnalysisJobs
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
 from slamhive.store import AnalysisState
+from slamhive.web.analysis_builder import cards
 from slamhive.web.analysis_files import MOST_WAITING, AnalysisFiles
-from slamhive.web.analysis_text import ALL, first_text, form_helps
+from slamhive.web.analysis_text import ALL, first_text
 from slamhive.web.caching import PageCache
 from slamhive.web.context import COMPUTER_EXTENSION
 from slamhive.web.security import API_HEADER
@@ -241,7 +242,7 @@ def test_runs_lead_to_an_analysis_that_can_be_computed(shown: Web):
 
 def test_every_example_of_the_new_page_is_understood(shown: Web):
     assert len(shown.hive.searches.find(ALL)) == 5
-    for form in form_helps():
+    for form in [*cards(), *cards(shown.hive.analyses.offered(first_text("")))]:
         shown.hive.analyses.read(f"name: x\nselect: {{a: {{runs: [1]}}}}\n{form.example}")
     shown.hive.analyses.read(first_text(""))
 

@@ -7,17 +7,19 @@ import json
 import re
 
 import pytest
+from werkzeug.datastructures import MultiDict
 
 from slamhive import strict_yaml
 from slamhive.analysis.plot_types import PLOT_TYPES
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.errors import InvalidInput
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.reports import Analyses
 from slamhive.store import Lease
-from slamhive.web.analysis_text import experiment_text, first_text, form_helps, with_form
+from slamhive.web.analysis_builder import cards, entry_of
+from slamhive.web.analysis_text import experiment_text, first_text, with_form
 from tests.store.store_samples import result
 from tests.web import web_world as world
 from tests.web.test_web_experiments import TRIAL
@@ -119,9 +121,11 @@ def forms_of(text: str) -> list[str]:
 @pytest.mark.parametrize("key", PLOT_TYPES.names())
 def test_every_plot_type_can_be_inserted(key: str) -> None:
     before = first_text("")
-    after = with_form(before, key)
+    (card,) = (card for card in cards() if card.key == key)
+    entry = entry_of(card, MultiDict())
+    after = with_form(before, entry)
     assert forms_of(after) == [*forms_of(before), key]
-    assert forms_of(with_form(after, key)) == [*forms_of(after), key]
+    assert forms_of(with_form(after, entry)) == [*forms_of(after), key]
 
 
 @pytest.mark.parametrize(
@@ -135,19 +139,17 @@ def test_every_plot_type_can_be_inserted(key: str) -> None:
     ],
 )
 def test_an_entry_goes_to_the_end_of_the_list_wherever_that_is(text: str, forms: list[str]) -> None:
-    assert forms_of(with_form(text, "table")) == forms
+    assert forms_of(with_form(text, {"form": "table"})) == forms
 
 
 def test_what_cannot_be_inserted_is_refused_in_words() -> None:
     with pytest.raises(InvalidInput, match="in one line"):
-        with_form("forms: [{form: table}]\n", "table")
-    with pytest.raises(NotFound, match="did you mean 'table'"):
-        with_form("", "tabel")
+        with_form("forms: [{form: table}]\n", {"form": "table"})
 
 
 def test_a_button_inserts_a_plot_type_without_scripts(shown: Web) -> None:
     page = shown.client.get("/analyses/new").text
-    assert page.count('name="do" value="insert:') == len(form_helps())
+    assert page.count('name="do" value="insert:') == len(cards())
     data = {"csrf_token": shown.token, "yaml": first_text("id > 1"), "do": "insert:scatter"}
     answer = shown.client.post("/analyses", data=data)
     assert answer.status_code == 200
@@ -156,6 +158,9 @@ def test_a_button_inserts_a_plot_type_without_scripts(shown: Web) -> None:
     refused = shown.client.post("/analyses", data={**data, "yaml": "forms: []\n"})
     assert refused.status_code == 400
     assert "in one line" in html.unescape(refused.text)
+    wrong = shown.client.post("/analyses", data={**data, "do": "insert:scater"})
+    assert wrong.status_code == 404
+    assert "did you mean 'scatter'" in html.unescape(wrong.text)
 
 
 @pytest.mark.parametrize(
@@ -231,6 +236,10 @@ def test_an_analysis_fits_what_an_experiment_varies() -> None:
     assert forms_of(one) == ["table", "by_algorithm", "distributions"]
     two = experiment_text("e", {"algorithm": ("a", "b"), "solver": ("lm", "gn"), "rate": (5, 10.0)})
     assert forms_of(two) == ["table", "by_algorithm", "line", "heatmap", "importance", "distributions", "pareto"]
+    assert strict_yaml.parse(two, "text")["forms"][0] == {"form": "table", "columns": "algorithms"}
+    assert "columns" not in one, "a table for papers compares algorithms"
+    linked = experiment_text("e", {"rate": (5, 10.0), "scale": (0.5, 1.0)}, lambda _first, _second: False)
+    assert forms_of(linked) == ["table", "by_algorithm", "line", "line", "distributions", "pareto"]
 
 
 def test_an_experiment_says_what_is_left_and_what_happens_now(trial: Web) -> None:

@@ -12,6 +12,7 @@ from slamhive.services.reports.bundle import (
     write_folder,
     zipped,
 )
+from slamhive.services.reports.offered import OfferedColumns
 from slamhive.services.reports.page import page_of
 from slamhive.services.reports.report import file_name
 from slamhive.services.reports.run import AnalysisLimits
@@ -28,6 +29,7 @@ __all__ = [
     "WITHOUT_PARQUET",
     "Analyses",
     "AnalysisLimits",
+    "OfferedColumns",
     "Printing",
     "figures_json",
     "file_name",

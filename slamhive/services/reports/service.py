@@ -13,9 +13,11 @@ from slamhive.errors import InvalidInput
 from slamhive.services.citations import Citations
 from slamhive.services.datasets import Catalogue, stored_numbers
 from slamhive.services.reports.names import check_columns
+from slamhive.services.reports.offered import OfferedColumns, offered_columns, spread_over
 from slamhive.services.reports.report import make_report
 from slamhive.services.reports.run import AnalysisLimits, AnalysisSources, run_analysis
 from slamhive.services.reports.selection import select_runs
+from slamhive.services.reports.table import TableRequest, load_table
 from slamhive.services.searches import Searches
 from slamhive.settings import Settings
 from slamhive.store import Store
@@ -67,17 +69,27 @@ class Analyses:
         progress: Callable[[float, str], None] = lambda _share, _doing: None,
     ) -> Report:
         """Compute the report; raises InvalidInput or NotFound for an invalid selection."""
-        sources = AnalysisSources(
-            settings=self._settings,
-            store=self._store,
-            find=self._searches.find,
-            saved_search=self._saved_search,
-            sensors={entry.name: entry.setup.value for entry in self._catalogue.algorithms()},
-            datasets={entry.name: entry for entry in self._catalogue.datasets()},
-        )
-        outcome = run_analysis(analysis, sources, limits, progress)
+        outcome = run_analysis(analysis, self._sources(), limits, progress)
         names = outcome.table.frame["algorithm"], outcome.table.frame["dataset"]
         return make_report(outcome, utc_now(), self._citations.of_names(*names))
+
+    def offered(self, text: str) -> OfferedColumns:
+        """What the runs that a file selects can be drawn over; nothing while none is evaluated.
+
+        Raises as :meth:`read` and :meth:`compute`.
+        """
+        analysis = self.read(text)
+        run_ids = self._selected(analysis)
+        seen = spread_over(run_ids)
+        found = self._store.read(lambda t: t.metrics.for_runs(seen))
+        measured = {key for values in found.values() for key in values}
+        sources = self._sources()
+        asked = TableRequest(seen, (), analysis.protocol, analysis.rule, analysis.exclude_disturbed)
+        try:
+            table = load_table(self._store, asked, sources.sensors, sources.datasets)
+        except InvalidInput:
+            return OfferedColumns(runs=len(run_ids))
+        return offered_columns(table, sorted(measured), len(run_ids))
 
     def references(self, analysis: Analysis) -> tuple[Reference, ...]:
         """What to cite for the runs that an analysis selects now; raises as :meth:`compute`."""
@@ -87,6 +99,16 @@ class Analyses:
         """Identifies the selected runs and their metrics; raises as :meth:`compute`."""
         run_ids = self._selected(analysis)
         return self._store.read(lambda t: t.analyses.fingerprint(run_ids))
+
+    def _sources(self) -> AnalysisSources:
+        return AnalysisSources(
+            settings=self._settings,
+            store=self._store,
+            find=self._searches.find,
+            saved_search=self._saved_search,
+            sensors={entry.name: entry.setup.value for entry in self._catalogue.algorithms()},
+            datasets={entry.name: entry for entry in self._catalogue.datasets()},
+        )
 
     def _may_be_axis(self, name: str) -> bool:
         """Whether the file of a stored experiment contains the name, and so may have an axis called so."""

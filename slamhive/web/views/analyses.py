@@ -11,14 +11,16 @@ from slamhive.analysis.report import ReportPage
 from slamhive.domain.accounts import Action
 from slamhive.domain.bibliography import bibtex
 from slamhive.domain.visibility import Visibility
-from slamhive.errors import Forbidden, InvalidInput, SlamHiveError
+from slamhive.errors import Forbidden, InvalidInput, SlamHiveError, unknown
 from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, PAGE, may_analyse
+from slamhive.services.reports import OfferedColumns
 from slamhive.services.sharing import SharingChange
 from slamhive.settings import Mode
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.web import context
+from slamhive.web.analysis_builder import cards, entry_of
 from slamhive.web.analysis_files import MEDIA_TYPES
-from slamhive.web.analysis_text import BOUNDS, experiment_text, first_text, form_helps, selector_text, with_form
+from slamhive.web.analysis_text import BOUNDS, experiment_text, first_text, selector_text, with_form
 from slamhive.web.context import caller, hive
 from slamhive.web.errors import status_of
 from slamhive.web.rates import CHECKS, CREATIONS
@@ -43,7 +45,7 @@ def new() -> str:
     """The editor with a first analysis of an ``experiment``, or of the runs that ``where`` selects."""
     name = request.args.get("experiment")
     if name:
-        return _editor(experiment_text(name, hive().experiments.axes(name)))
+        return _editor(experiment_text(name, hive().experiments.axes(name), lambda *pair: _are_crossed(name, *pair)))
     return _editor(first_text(request.args.get("where", "")[:50_000]))
 
 
@@ -184,15 +186,31 @@ def _taken() -> bool:
 
 
 def _editor(text: str, error: InvalidInput | None = None, notice: str | None = None) -> str:
+    offered = _offered(text)
     return render_template(
         "analyses/new.html",
         text=text,
         error=error,
         notice=notice,
-        forms=form_helps(),
+        cards=cards(offered),
+        offered=offered,
         taken=_taken(),
         most_bytes=MAX_TEXT_BYTES,
     )
+
+
+def _offered(text: str) -> OfferedColumns | None:
+    """What the runs of the text can be drawn over; None if it selects none."""
+    try:
+        return hive().analyses.offered(text)
+    except SlamHiveError:
+        return None
+
+
+def _are_crossed(name: str, first: str, second: str) -> bool:
+    """Whether an experiment combines the values of two axes; on linked axes, one value follows from the other."""
+    grid = hive().experiments.grid(name, first, second)
+    return len(grid.cells) > max(len(grid.rows), len(grid.columns))
 
 
 def _checked(text: str) -> Response:
@@ -205,11 +223,15 @@ def _checked(text: str) -> Response:
 
 
 def _inserted(text: str, key: str) -> Response:
-    """The editor with an entry of a plot type at the end of the list."""
+    """The editor with an entry of a plot type, as its card says, at the end of the list; raises NotFound."""
+    known = {card.key: card for card in cards(_offered(text))}
+    if key not in known:
+        raise unknown("plot type", key, list(known))
     try:
-        return make_response(_editor(with_form(text, key), notice=f"An entry {key} was added at the end of 'forms'."))
+        longer = with_form(text, entry_of(known[key], request.form))
     except InvalidInput as error:
         return make_response(_editor(text, error), status_of(error))
+    return make_response(_editor(longer, notice=f"An entry {key} was added at the end of 'forms'."))
 
 
 def _text() -> str:
