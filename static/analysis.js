@@ -1,4 +1,5 @@
-// The editor of analysis files: line numbers and a check while typing. Also reloads a page that waits for its report.
+// The editor of analysis files: line numbers, a check while typing, and previews of a text that is valid. Also reloads a
+// page that waits for its report.
 "use strict";
 (() => {
   const DELAY_MS = 500;
@@ -39,6 +40,33 @@
     verdict.classList.toggle("bad", !found.ok);
     text.toggleAttribute("aria-invalid", !found.ok);
     number();
+    if (found.ok && previews && !part.hidden) preview();
+  }
+
+  // One request at a time: a text that changed meanwhile is previewed after it.
+  const previews = document.getElementById("previews");
+  const part = document.getElementById("previews-part");
+  let shown = null;
+  let busy = false;
+  async function preview() {
+    const wanted = text.value;
+    if (busy || wanted === shown) return;
+    busy = true;
+    part.hidden = false;
+    part.setAttribute("aria-busy", "true");
+    try {
+      const body = new FormData();
+      body.set("csrf_token", form.elements.csrf_token.value);
+      body.set("yaml", wanted);
+      const answer = await fetch(previews.dataset.previews, { method: "POST", body });
+      const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
+      if (answer.ok) previews.replaceChildren(...fresh.body.children);
+      shown = wanted;
+    } finally {
+      busy = false;
+      part.setAttribute("aria-busy", "false");
+    }
+    if (text.value !== wanted) plan();
   }
 
   const plan = () => {
@@ -55,6 +83,11 @@
     number();
     plan();
   });
+  document.getElementById("preview")?.addEventListener("click", (event) => {
+    event.preventDefault();
+    part.hidden = false;
+    check();
+  });
   number();
-  if (!verdict.textContent) plan();
+  if (!verdict.textContent || !part?.hidden) plan();
 })();

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -50,6 +50,10 @@ class Analysis:
     exclude_disturbed: bool = False
     places: Mapping[str, str] = field(default_factory=dict)
     """Places for messages: of each set by its name, and of the protocol under ``protocol:``."""
+
+    def first(self, plots: int) -> Analysis:
+        """The same with its first plots alone."""
+        return replace(self, plots=self.plots[:plots])
 
     def placed(self, part: str, error: SlamHiveError) -> SlamHiveError:
         """The error, prefixed by the place of a part of :attr:`places`."""

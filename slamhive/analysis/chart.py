@@ -25,6 +25,8 @@ PRINT_FORMATS = ("pdf", "svg", "png")
 """The file formats of :func:`slamhive.analysis.print_chart.print_chart`, whose module takes long to load."""
 PAPER_FORMATS = ("88mm.pdf", "180mm.pdf")
 """Files of one and two columns of a paper, without title and caption, which LaTeX adds."""
+THUMBNAIL = "small.png"
+"""The ending of a picture without words, for the page on which an analysis is written."""
 Font = Literal["serif", "sans"]
 
 

@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
 
-from slamhive.analysis.chart import Array, Axis, Chart, FailedRuns, Font
+from slamhive.analysis.chart import PAPER_FORMATS, THUMBNAIL, Array, Axis, Chart, FailedRuns, Font
 from slamhive.analysis.density import thinned
 from slamhive.analysis.print_marks import draw_failed, draw_mark, plain
 
@@ -65,6 +65,7 @@ _WORDED = _Sheet(6.4, 4.2, 9, worded=True)
 _SHEETS = {
     "88mm.pdf": _Sheet(88 / _MM_PER_INCH, 48 / _MM_PER_INCH, 8, worded=False),
     "180mm.pdf": _Sheet(180 / _MM_PER_INCH, 70 / _MM_PER_INCH, 8, worded=False),
+    THUMBNAIL: _Sheet(3.2, 1.7, 7, worded=False),
 }
 
 _CLIP_NAME = re.compile(rb'(?<=[#"])p[0-9a-f]{10}(?=[)"])')
@@ -77,12 +78,12 @@ def print_chart(chart: Chart, ending: str, font: Font | None = None) -> bytes:
 
     Args:
         chart: The plot.
-        ending: One of :data:`~slamhive.analysis.chart.PRINT_FORMATS` or ``PAPER_FORMATS``.
+        ending: One of :data:`~slamhive.analysis.chart.PRINT_FORMATS` or ``PAPER_FORMATS``, or ``THUMBNAIL``.
         font: The font; None for serif in the columns of a paper, and sans otherwise.
     """
     sheet = _SHEETS.get(ending, _WORDED)
     file_format = ending.rpartition(".")[2]
-    look = {**_LOOK, **_FONTS[font or ("sans" if sheet.worded else "serif")], "font.size": sheet.text}
+    look = {**_LOOK, **_FONTS[font or ("serif" if ending in PAPER_FORMATS else "sans")], "font.size": sheet.text}
     with _lock, mpl.rc_context(look):  # the settings of matplotlib are global
         figure = _captioned(chart, sheet) if sheet.worded else _bare(chart, sheet)
         _settle_layout(figure)

@@ -1,4 +1,4 @@
-"""The process that computes one analysis: ``python -m slamhive.services.analysis_process FOLDER``.
+"""The process that computes one analysis, or previews of one: ``python -m slamhive.services.analysis_process FOLDER``.
 
 It reads the settings from the first line of its input, limits its own resources, and prints the result as one line of
 JSON. It ends when its input closes, because the process that started it is gone then.
@@ -32,7 +32,8 @@ def main() -> int:
     threading.Thread(target=_end_with_input, daemon=True).start()
     too_large = f"the analysis needs more than {asked['memory_bytes'] // 10**6} MB of memory"
     try:
-        outcome = {"content_hash": _compute(asked, Path(sys.argv[1]))}
+        make = _preview if "preview_runs" in asked else _compute
+        outcome = {"content_hash": make(asked, Path(sys.argv[1]))}
     except MemoryError:
         outcome = {"error": too_large}
     except Exception as error:
@@ -73,26 +74,43 @@ def _memory_is_used_up(memory_bytes: int) -> bool:
     return peak_kb * 1024 > 0.9 * memory_bytes
 
 
-def _compute(asked: dict[str, Any], root: Path) -> str:
-    from slamhive.domain.visibility import viewer_of  # noqa: PLC0415
-    from slamhive.foreign.numbers import HERE  # noqa: PLC0415
-    from slamhive.services.analyses import FIGURES, PAGE, REPORT, AnalysisFolder  # noqa: PLC0415
+def _opened(asked: dict[str, Any]) -> tuple[Any, Any, Any]:
+    """Settings, store, and what computes analyses."""
     from slamhive.services.datasets import Catalogue  # noqa: PLC0415
-    from slamhive.services.reports import (  # noqa: PLC0415
-        Analyses,
-        AnalysisLimits,
-        figures_json,
-        page_of,
-    )
+    from slamhive.services.reports import Analyses  # noqa: PLC0415
     from slamhive.services.searches import Searches  # noqa: PLC0415
     from slamhive.settings_sources import load_settings  # noqa: PLC0415
     from slamhive.store.store import open_store  # noqa: PLC0415
 
-    folder = AnalysisFolder(root)
     settings = load_settings(Path(asked["project_root"]), environment={}, options=asked["settings"])
     store = open_store(settings.effective_database_url, settings.database_retry_s, upgrade=False)
     catalogue = Catalogue(settings, Path(asked["project_root"]))
-    analyses = Analyses(settings, store, catalogue, Searches(settings, store, catalogue))
+    return settings, store, Analyses(settings, store, catalogue, Searches(settings, store, catalogue))
+
+
+def _preview(asked: dict[str, Any], root: Path) -> str:
+    """Small pictures of the first plots, over some of the runs that the viewer may see."""
+    from slamhive.domain.visibility import Viewer  # noqa: PLC0415
+    from slamhive.files import write_aside  # noqa: PLC0415
+    from slamhive.services.analyses import PREVIEWS, AnalysisFolder  # noqa: PLC0415
+    from slamhive.services.reports import AnalysisLimits, previews_of  # noqa: PLC0415
+
+    settings, store, analyses = _opened(asked)
+    limits = AnalysisLimits(settings.analysis_max_runs, asked["time_limit_s"], sample=asked["preview_runs"])
+    with store.seen_by(None if asked["viewer"] is None else Viewer(**asked["viewer"]), asked["owner"]):
+        analysis = analyses.read(AnalysisFolder(root).source).first(asked["preview_plots"])
+        write_aside(root / PREVIEWS, json.dumps(previews_of(analyses.compute(analysis, limits))))
+    return ""
+
+
+def _compute(asked: dict[str, Any], root: Path) -> str:
+    from slamhive.domain.visibility import viewer_of  # noqa: PLC0415
+    from slamhive.foreign.numbers import HERE  # noqa: PLC0415
+    from slamhive.services.analyses import FIGURES, PAGE, REPORT, AnalysisFolder  # noqa: PLC0415
+    from slamhive.services.reports import AnalysisLimits, figures_json, page_of  # noqa: PLC0415
+
+    folder = AnalysisFolder(root)
+    settings, store, analyses = _opened(asked)
     tell = _Teller(folder)
     tell(0.0, "reading the file")
     # Its numbers were checked when it was stored; analyses of older versions say nothing about them.

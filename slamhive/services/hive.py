@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from slamhive.foreign.numbers import Numbers
     from slamhive.services.accounts import Accounts
     from slamhive.services.algorithms import AlgorithmImports
-    from slamhive.services.analyses import AnalysisJobs, StoredAnalyses
+    from slamhive.services.analyses import AnalysisJobs, AnalysisPreviews, StoredAnalyses
     from slamhive.services.challenges import ChallengeJudge, Challenges, ImageWork
     from slamhive.services.citations import Citations
     from slamhive.services.clouds import Clouds
@@ -282,6 +282,13 @@ class Hive:
         from slamhive.services.analyses import AnalysisJobs
 
         return AnalysisJobs(self.settings, self.store, self.project_root)
+
+    @cached_property
+    def analysis_previews(self) -> AnalysisPreviews:
+        """Previews of analyses that are being written."""
+        from slamhive.services.analyses import AnalysisPreviews
+
+        return AnalysisPreviews(self.settings, self.store, self.project_root, self.stored_analyses.check)
 
     @cached_property
     def analyses(self) -> Analyses:

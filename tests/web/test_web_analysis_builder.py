@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import base64
 import html
 import re
+import subprocess
 from typing import Any
 
 import pytest
 
 from slamhive import strict_yaml
+from slamhive.domain.visibility import ANYBODY
+from slamhive.errors import InvalidInput, NotFound
+from slamhive.services.analyses import previews as limits
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
+from slamhive.services.reports.offered import spread_over
 from slamhive.web.analysis_builder import Card, cards
 from tests.web import web_world as world
 from tests.web.test_web_experiments import TRIAL
@@ -104,6 +110,57 @@ def test_defaults_are_written_as_yaml(trial: Web) -> None:
     assert options["metrics"] == "[cpu.mean, ate.rmse]"
     flags = {option.name: option.default for option in card_of(trial, "trajectories").options}
     assert flags["in_3d"] == "false"
+
+
+def previewed(web: Web, text: str) -> str:
+    return web.client.post("/analyses/previews", data={"csrf_token": web.token, "yaml": text}).text
+
+
+def test_previews_draw_the_plots_of_a_text(trial: Web, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = TEXT + "  - {form: line, x: nFeatures}\n  - {form: line, x: dataset}\n"
+    page = previewed(trial, text)
+    (image,) = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
+    assert base64.b64decode(image).startswith(b"\x89PNG")
+    assert len(image) < 200_000
+    assert page.count("<figure>") == 3
+    assert re.search(r"<p class=\"quiet\">[^<]+: \d+ rows?</p>", page), "a table has no picture"
+    assert "'dataset' is text" in html.unescape(page), "a plot that cannot be drawn says why"
+    monkeypatch.setattr(subprocess, "Popen", lambda *_args, **_more: pytest.fail("computed again"))
+    assert previewed(trial, text) == page, "they are kept"
+    assert 'class="verdict bad"' in previewed(trial, "name: x\n")
+
+
+def test_previews_work_without_scripts(trial: Web) -> None:
+    data = {"csrf_token": trial.token, "yaml": TEXT + "  - {form: line, x: nFeatures}\n", "do": "preview"}
+    answer = trial.client.post("/analyses", data=data)
+    assert answer.status_code == 200
+    assert 'alt="Preview of Over a parameter"' in answer.text
+    assert typed(answer.text).strip() == data["yaml"].strip()
+
+
+def test_previews_and_rankings_hold_what_the_viewer_may_see(trial: Web) -> None:
+    assert len(trial.hive.analysis_previews.of(TEXT)) == 1
+    with trial.hive.store.seen_by(ANYBODY):
+        with pytest.raises(InvalidInput, match="unknown experiment 'trial'"):
+            trial.hive.analysis_previews.of(TEXT)
+        with pytest.raises(NotFound, match="unknown experiment 'trial'"):
+            trial.hive.experiments.rankings("trial")
+        with pytest.raises(NotFound, match="unknown experiment 'trial'"):
+            trial.hive.analyses.offered(TEXT)
+
+
+def test_previews_have_limits(trial: Web, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "TIME_LIMIT_S", 0.01)
+    assert "take longer than 0.01 s" in previewed(trial, TEXT)
+    monkeypatch.setattr(limits, "MOST_WAIT_S", 0.01)
+    assert trial.hive.analysis_previews.busy.acquire()
+    try:
+        assert "previews of another analysis are being computed" in previewed(trial, TEXT)
+    finally:
+        trial.hive.analysis_previews.busy.release()
+    assert len(spread_over(range(1000), 200)) == 200
+    assert len(spread_over(range(201), 200)) == 101
+    assert spread_over((), 200) == ()
 
 
 STEPPED = """\

@@ -17,6 +17,7 @@ from werkzeug.exceptions import HTTPException
 from slamhive.domain.accounts import Role
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
+from slamhive.services.hive import Hive
 from slamhive.settings import Mode
 from slamhive.store.records import RunSort, SavedSearchRecord
 from tests.services.test_trash import end
@@ -24,7 +25,7 @@ from tests.serving import serving
 from tests.waiting import eventually
 from tests.web import web_world as world
 from tests.web.account_world import NAMES, PASSWORD, AccountWeb, account_web
-from tests.web.browser_world import BROWSER, faultless, opened, violations, visit, wide_parts
+from tests.web.browser_world import BROWSER, LOOKS, faultless, opened, violations, visit, wide_parts
 from tests.web.test_web_experiments import TRIAL
 
 if TYPE_CHECKING:
@@ -85,15 +86,22 @@ def archive(furnished: Path) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def own(furnished: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of an installation that tests may change, as long as the others still find what they need."""
+def own_hive(furnished: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
+    """An installation that tests may change, as long as the others still find what they need."""
     folder = tmp_path_factory.mktemp("own")
     shutil.copytree(furnished, folder, symlinks=True, dirs_exist_ok=True)
     hive = world.make_hive(folder)
-    with serving(hive) as server, pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Executors, "choose", lambda _executors, asked=None: asked or "process")
-        yield server
+        yield hive
     hive.close()
+
+
+@pytest.fixture(scope="module")
+def own(own_hive: Hive) -> Iterator[str]:
+    """Its address."""
+    with serving(own_hive) as server:
+        yield server
 
 
 def addresses(client: FlaskClient) -> list[str]:
@@ -355,11 +363,11 @@ def test_an_experiment_is_previewed_while_typing_and_started(browsing: Page) -> 
     assert heading(browsing).startswith("second")
 
 
-def test_a_ranking_follows_its_runs_and_configurations_are_compared(own: Web, browsing: Page) -> None:
-    cells = own.hive.experiments.cells("trial", 0, 3).cells
+def test_a_ranking_follows_its_runs_and_configurations_are_compared(own_hive: Hive, browsing: Page) -> None:
+    cells = own_hive.experiments.cells("trial", 0, 3).cells
     for run in (run for cell in cells[:2] for run in cell.runs):
-        world.finish_run(own.hive, run.id)
-        world.evaluate_run(own.hive, run.id, 0.1 + 0.01 * run.id)
+        world.finish_run(own_hive, run.id)
+        world.evaluate_run(own_hive, run.id, 0.1 + 0.01 * run.id)
     browsing.goto("/experiments/trial")
     ranking = browsing.locator("#ranking")
     assert "Preliminary: 4 of 12 runs have ended" in ranking.inner_text()
@@ -369,7 +377,7 @@ def test_a_ranking_follows_its_runs_and_configurations_are_compared(own: Web, br
     for box in ranking.locator("tbody input[name=run]").all():
         box.check()
     ranking.locator("h2").click()
-    world.fail_run(own.hive, cells[2].runs[0].id)
+    world.fail_run(own_hive, cells[2].runs[0].id)
     browsing.get_by_text("Preliminary: 5 of 12 runs have ended").wait_for()
     assert ranking.locator("svg.lane .cross").count() == 1
     assert ranking.locator("tbody input[name=run]:checked").count() == 2
@@ -379,13 +387,11 @@ def test_a_ranking_follows_its_runs_and_configurations_are_compared(own: Web, br
 
 
 @pytest.mark.parametrize("address", ["/analyses/new", "/new-experiment"])
-def test_the_yaml_fills_its_panel(desk: Web, chromium: Browser, address: str) -> None:
-    with serving(desk.hive) as server:
-        for look in LOOKS:
-            context = chromium.new_context(**LOOKS[look])
-            page, _ = visit(context, server, address)
+def test_the_yaml_fills_its_panel(chromium: Browser, own: str, address: str) -> None:
+    for look in LOOKS:
+        with opened(chromium, own, look) as (page, _):
+            visit(page, address)
             panel, text = (page.locator(part).bounding_box() for part in (".panel:has(#yaml)", "#yaml"))
-            context.close()
             assert panel is not None
             assert text is not None
             assert text["width"] >= 0.8 * panel["width"], look
@@ -398,6 +404,22 @@ def test_a_plot_type_is_inserted_into_a_new_analysis(browsing: Page) -> None:
     eventually(lambda: "form: table" in browsing.locator("#yaml").input_value(), "the insertion")
     browsing.locator("#yaml").fill("name: bad\nselect: {all: {where: 'id >= 1'}}\nforms: [{form: nope}]\n")
     browsing.locator("#verdict.bad", has_text="nope").wait_for()
+
+
+def test_previews_follow_a_valid_text(browsing: Page) -> None:
+    browsing.goto("/analyses/new")
+    browsing.get_by_role("button", name="Preview").click()
+    pictures = browsing.locator("#previews img")
+    pictures.first.wait_for(timeout=60_000)
+    before = pictures.count()
+    assert pictures.first.evaluate("image => image.naturalWidth") > 200
+    text = browsing.locator("#yaml").input_value()
+    browsing.locator("#yaml").fill(text.rstrip() + "\n  - {form: scatter, x: ate.rmse, y: nope}\n")
+    browsing.locator("#verdict.bad", has_text="nope").wait_for()
+    assert pictures.count() == before, "a text that is not valid keeps the pictures of the one before"
+    browsing.locator("#yaml").fill(text.rstrip() + "\n  - {form: scatter, x: ate.rmse, y: cpu.mean}\n")
+    browsing.get_by_alt_text("Preview of Scatter").wait_for(timeout=60_000)
+    assert pictures.count() == before + 1
 
 
 def test_a_search_is_saved_and_used(browsing: Page) -> None:

@@ -19,6 +19,8 @@ from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 SOURCE, STATE, PROGRESS = "analysis.yaml", "state.json", "progress.json"
 REPORT, FIGURES, PAGE = "report.json.gz", "figures.json.gz", "page.json.gz"
 RESULTS = (REPORT, FIGURES, PAGE)
+PREVIEWS = "previews.json"
+"""What is computed in place of the results, for a text that is not stored."""
 
 
 class AnalysisFolder:

@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import logging
-import os
-import subprocess
-import sys
-import tempfile
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-import slamhive
 from slamhive.clock import monotonic_s, utc_now
-from slamhive.errors import Conflict, SlamHiveError
+from slamhive.errors import SlamHiveError
+from slamhive.services.analyses.computing import computing
 from slamhive.services.analyses.folder import AnalysisFolder
-from slamhive.settings import SETTINGS, Settings
+from slamhive.settings import Settings
 from slamhive.store import Store
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.records import LeaseLost
 
 logger = logging.getLogger(__name__)
 
-CHILD = "slamhive.services.analysis_process"
 LOOK_S = 0.1
 BEAT_S = 1.0
 MOST_ATTEMPTS = 3
-MOST_SAID_BYTES = 100_000
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class AnalysisJobs:
@@ -103,12 +93,10 @@ class AnalysisJobs:
         limit_s = self._settings.analysis_time_limit_s
         deadline_s = monotonic_s() + limit_s
         next_beat_s = 0.0
-        with (
-            tempfile.TemporaryFile() as output,
-            tempfile.TemporaryFile() as errors,
-            self._child(record, folder, output, errors) as child,
-        ):
-            while child.poll() is None:
+        shared = self._store.read(lambda t: t.accounts.in_use())
+        seen = {"audience": record.sharing.audience() if shared else None, "owner": record.owner or ""}
+        with computing(self._settings, self._project_root, folder.root, **seen) as process:
+            while process.goes_on:
                 if stopping.wait(LOOK_S):
                     raise _Stopping(f"analysis {record.token} waits for the next worker")
                 if monotonic_s() > deadline_s:
@@ -116,70 +104,13 @@ class AnalysisJobs:
                 if monotonic_s() >= next_beat_s:
                     next_beat_s = monotonic_s() + BEAT_S
                     self._beat(record, owner)
-            return _said(child.returncode, _tail(output), _tail(errors))
+            return process.said()
 
     def _beat(self, record: AnalysisRecord, owner: str) -> None:
         lease_s = self._settings.lease_s
         if not self._store.write(lambda t: t.analyses.heartbeat([record.token], t.lease(owner, lease_s))):
             raise LeaseLost(f"analysis {record.token} was deleted or queued again")
 
-    @contextmanager
-    def _child(
-        self, record: AnalysisRecord, folder: AnalysisFolder, output: IO[bytes], errors: IO[bytes]
-    ) -> Iterator[subprocess.Popen[bytes]]:
-        """Start the process and end it at the end of the block. It ends with this process, too."""
-        package = Path(slamhive.__file__).parent.parent
-        paths = os.pathsep.join(filter(None, (str(package), os.environ.get("PYTHONPATH"))))
-        environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONPATH": paths, "MPLBACKEND": "agg"}
-        child = subprocess.Popen(
-            [sys.executable, "-m", CHILD, str(folder.root)],
-            stdin=subprocess.PIPE, stdout=output, stderr=errors, env=environment, start_new_session=True,
-        )  # fmt: skip
-        assert child.stdin is not None
-        try:
-            child.stdin.write(json.dumps(self._asked(record), default=str).encode() + b"\n")
-            child.stdin.flush()
-            yield child
-        except BrokenPipeError:
-            raise Conflict("the process that computes analyses ends at once", "see the log of the worker") from None
-        finally:
-            child.kill()
-            child.wait()
-            child.stdin.close()
-
-    def _asked(self, record: AnalysisRecord) -> dict[str, Any]:
-        settings = self._settings
-        shared = self._store.read(lambda t: t.accounts.in_use())
-        return {
-            "audience": record.sharing.audience() if shared else None,
-            "owner": record.owner or "",
-            "settings": {name: getattr(settings, name) for name in SETTINGS},
-            "project_root": str(self._project_root),
-            "version": slamhive.__version__,
-            "memory_bytes": settings.analysis_memory_mb * 1_000_000,
-            "time_limit_s": settings.analysis_time_limit_s,
-        }
-
 
 class _Stopping(Exception):
     """The worker is stopping."""
-
-
-def _said(code: int, output: str, errors: str) -> dict[str, Any]:
-    try:
-        said = json.loads(output.strip().rpartition("\n")[2])
-        if code in (0, 1) and isinstance(said, dict):
-            return said
-    except ValueError:
-        pass
-    if "MemoryError" in errors or "cannot allocate" in errors.lower():
-        return {"error": "the analysis needs more memory than ANALYSIS_MEMORY_MB; select fewer runs"}
-    logger.error("the process that computes an analysis ended with %d: %s", code, errors[-5000:])
-    ended = f"by signal {-code}" if code < 0 else f"with {code}"
-    return {"error": f"the process that computed it ended {ended}; see the log of the worker"}
-
-
-def _tail(stream: IO[bytes]) -> str:
-    stream.seek(0, os.SEEK_END)
-    stream.seek(max(0, stream.tell() - MOST_SAID_BYTES))
-    return stream.read().decode(errors="replace")

@@ -14,6 +14,7 @@ from slamhive.services.reports.bundle import (
 )
 from slamhive.services.reports.offered import OfferedColumns
 from slamhive.services.reports.page import page_of
+from slamhive.services.reports.preview import previews_of
 from slamhive.services.reports.report import file_name
 from slamhive.services.reports.run import AnalysisLimits
 from slamhive.services.reports.service import Analyses
@@ -35,6 +36,7 @@ __all__ = [
     "file_name",
     "page_of",
     "parquet_there",
+    "previews_of",
     "report_content",
     "report_environment",
     "report_page",

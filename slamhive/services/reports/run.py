@@ -13,6 +13,7 @@ from slamhive.clock import monotonic_s
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.services.reports.files import StoredRunFiles
+from slamhive.services.reports.offered import spread_over
 from slamhive.services.reports.selection import Find, select_runs
 from slamhive.services.reports.table import TableRequest, check_size, load_every_protocol, load_table
 from slamhive.settings import Settings
@@ -21,10 +22,11 @@ from slamhive.store import Store
 
 @dataclass(frozen=True, slots=True)
 class AnalysisLimits:
-    """Resource limits of one analysis."""
+    """Resource limits of one analysis. With ``sample``, only so many of its runs are read, evenly spaced."""
 
     runs: int
     time_s: float
+    sample: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +89,8 @@ def run_analysis(
     progress(0.0, "selecting runs")
     run_ids = select_runs(analysis, sources.store, sources.find, sources.saved_search)
     check_size(run_ids, limits.runs)
+    if limits.sample is not None:
+        run_ids = spread_over(run_ids, limits.sample)
     progress(0.05, f"reading {len(run_ids)} runs")
     keys = {key for request in analysis.plots for key in request.plot_type.needs(request.options)}
     asked = TableRequest(run_ids, keys, analysis.protocol, analysis.rule, analysis.exclude_disturbed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
 from flask import url_for as address
@@ -11,8 +12,9 @@ from slamhive.analysis.report import ReportPage
 from slamhive.domain.accounts import Action
 from slamhive.domain.bibliography import bibtex
 from slamhive.domain.visibility import Visibility
-from slamhive.errors import Forbidden, InvalidInput, SlamHiveError, unknown
+from slamhive.errors import Forbidden, InvalidInput, SlamHiveError, Unavailable, unknown
 from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, PAGE, may_analyse
+from slamhive.services.analyses.previews import MOST_RUNS
 from slamhive.services.reports import OfferedColumns
 from slamhive.services.sharing import SharingChange
 from slamhive.settings import Mode
@@ -62,6 +64,13 @@ def check() -> Response:
     return make_response(jsonify(ok=True, message=f"{name}: valid.", remedy=None, line=None))
 
 
+@blueprint.post("/previews")
+def previews() -> str:
+    """The part of the editor with small pictures of the plots of a text; an error says why there are none."""
+    _count(CHECKS, "checks")
+    return render_template("analyses/_previews.html", **_previews(_text()))
+
+
 @blueprint.post("")
 def create() -> Response:
     """Save the analysis and redirect to its page."""
@@ -70,6 +79,9 @@ def create() -> Response:
     do = request.form.get("do", "")
     if do == "check":
         return _checked(text)
+    if do == "preview":
+        _count(CHECKS, "checks")
+        return make_response(_editor(text, **_previews(text)))
     if do.startswith(INSERT):
         return _inserted(text, do.removeprefix(INSERT))
     _count(CREATIONS, "analyses")
@@ -185,7 +197,17 @@ def _taken() -> bool:
     return may_analyse(hive().settings) and Action.ANALYSE in caller().may
 
 
-def _editor(text: str, error: InvalidInput | None = None, notice: str | None = None) -> str:
+def _previews(text: str) -> dict[str, Any]:
+    """What the template of the previews shows."""
+    if not _taken():
+        raise Forbidden("this server accepts no new analyses", "compute it in your own installation")
+    try:
+        return {"previews": hive().analysis_previews.of(text), "problem": None}
+    except (InvalidInput, Unavailable) as error:
+        return {"previews": None, "problem": str(error)}
+
+
+def _editor(text: str, error: InvalidInput | None = None, notice: str | None = None, **previews: Any) -> str:
     offered = _offered(text)
     return render_template(
         "analyses/new.html",
@@ -193,6 +215,8 @@ def _editor(text: str, error: InvalidInput | None = None, notice: str | None = N
         error=error,
         notice=notice,
         cards=cards(offered),
+        most_previews=MOST_RUNS,
+        **previews,
         offered=offered,
         taken=_taken(),
         most_bytes=MAX_TEXT_BYTES,
