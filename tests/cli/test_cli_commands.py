@@ -11,18 +11,19 @@ import click
 
 from slamhive import cli
 from slamhive.cli import main
+from slamhive.cli.groups import LazyGroup
 from slamhive.cli.main import MODULES
-from slamhive.cli.runs import runs
 
 
 def test_every_command_of_every_module_is_found():
     modules = [import_module(f"slamhive.cli.{entry.name}") for entry in iter_modules(cli.__path__)]
     found = {
-        command.name: module.__name__.rpartition(".")[2]
+        (command.name, module.__name__.rpartition(".")[2])
         for module in modules
         for command in getattr(module, "COMMANDS", ())
     }
-    assert found == {**MODULES, **runs.modules}
+    groups = (value for module in modules for value in vars(module).values() if isinstance(value, LazyGroup))
+    assert found == set(MODULES.items()).union(*(group.modules.items() for group in groups))
     assert main.get_command(click.Context(main), "no-such-command") is None
 
 
