@@ -83,7 +83,7 @@ def faultless(chromium: Browser, server: str, *expected: str, look: str = "light
     """A page of a fresh context; fails unless the faults are ``expected``."""
     with opened(chromium, server, look, **more) as (page, faults):
         yield page
-    assert faults.found == list(expected)
+    assert faults.found == list(expected), faults.found
 
 
 def visit(page: Page, address: str) -> int:

@@ -152,12 +152,12 @@ def test_a_request_for_headers_only_leaves_no_stream_open(shown: Web):
     assert shown.app.extensions["slamhive-live"].open_streams == 0
 
 
-def test_events_refused_beyond_the_limit_are_503(shown: Web, monkeypatch: pytest.MonkeyPatch):
+def test_a_page_beyond_the_limit_is_told_to_poll(shown: Web, monkeypatch: pytest.MonkeyPatch):
     def full(hub: LiveHub) -> LiveStream:
         raise Unavailable("too many live pages are open")
 
     monkeypatch.setattr(LiveHub, "open", full)
-    assert shown.client.get("/events").status_code == 503
+    assert shown.client.get("/events").status_code == 204
 
 
 @contextmanager
@@ -198,7 +198,7 @@ def test_pages_answer_while_all_streams_are_taken_and_left(web: Web):
             connection.request("GET", "/events")
         answers = [connection.getresponse() for connection in connections]
         statuses = [answer.status for answer in answers]
-        assert sorted(set(statuses)) == [200, 503]
+        assert sorted(set(statuses)) == [200, 204]
         page = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
         page.request("GET", "/healthz")
         assert page.getresponse().status == 200

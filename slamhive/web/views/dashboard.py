@@ -5,6 +5,7 @@ from __future__ import annotations
 from flask import Blueprint, Response, jsonify, make_response, render_template
 
 from slamhive.domain.run import RunState
+from slamhive.errors import Unavailable
 from slamhive.search.build import matching
 from slamhive.services.experiments import Standing
 from slamhive.store.records import RunSort
@@ -61,8 +62,15 @@ def index() -> str:
 
 @blueprint.get("/events")
 def events() -> Response:
-    """Server-sent events: a ``state`` event after every poll of the database."""
-    stream = live_hub().open()
+    """Server-sent events: a ``state`` event after every poll of the database.
+
+    Where no more streams fit, the status is 204: browsers then stop asking, and the page polls instead. A reader who
+    turns pages fast comes to that, because the server notices only after a moment that a page is left.
+    """
+    try:
+        stream = live_hub().open()
+    except Unavailable:
+        return Response(status=204)
     response = Response(stream.events(callers().watch()), mimetype="text/event-stream")
     response.headers["Cache-Control"] = "no-store"
     response.headers["X-Accel-Buffering"] = "no"
