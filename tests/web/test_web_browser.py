@@ -424,10 +424,16 @@ def test_previews_follow_a_valid_text(browsing: Page) -> None:
 
 def test_a_search_is_saved_and_used(browsing: Page) -> None:
     browsing.goto("/runs?where=state+%3D+succeeded")
+    rows = browsing.locator("#list tbody tr")
+    found = rows.count()
+    assert found >= 3
     browsing.get_by_label("Name of the search").fill("fine")
     press(browsing, "Save this search")
-    browsing.get_by_role("link", name="fine", exact=True).first.click()
-    assert browsing.locator("#list tbody tr").count() == 3
+    browsing.goto("/runs")
+    assert rows.count() > found
+    with browsing.expect_navigation():
+        browsing.get_by_role("link", name="fine", exact=True).first.click()
+    assert rows.count() == found
 
 
 def test_a_queued_run_is_cancelled_and_retried(browsing: Page) -> None:
