@@ -188,7 +188,8 @@ def test_nothing_outside_the_secret_folder_holds_it(site: Site):
 def test_no_archive_of_runs_holds_it(site: Site, tmp_path: Path):
     path = tmp_path / "all.zip"
     data = str(site.web.web.hive.settings.data)
-    assert CliRunner().invoke(main, ["--data", data, "archive", "export", str(path), "--all"]).exit_code == 0
+    command = ["--data", data, "archive", "export", str(path), "--all", "--unpublished"]
+    assert CliRunner().invoke(main, command).exit_code == 0
     with zipfile.ZipFile(path) as archive:
         assert not [name for name in archive.namelist() if leaks(archive.read(name))]
 
