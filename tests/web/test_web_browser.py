@@ -445,9 +445,18 @@ def test_a_queued_run_is_cancelled_and_retried(browsing: Page) -> None:
     assert int(browsing.url.rpartition("/")[2]) > 18
 
 
+SAID = """() => {
+    window.said = [];
+    new MutationObserver((changes) => window.said.push(...changes.map(({ target }) => target.textContent)))
+        .observe(document.body, { childList: true, subtree: true, characterData: true });
+}"""
+"""Remembers what a page says for a moment, which a busy machine may miss."""
+
+
 def copied(page: Page, kind: str) -> list[str]:
+    page.evaluate(SAID)
     page.locator("#list").get_by_role("button", name=kind).click()
-    page.get_by_text("Copied").wait_for()
+    eventually(lambda: page.evaluate("window.said.some((text) => text.includes('Copied'))"), "the copy")
     return str(page.evaluate("navigator.clipboard.readText()")).splitlines()
 
 
