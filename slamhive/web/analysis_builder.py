@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pydantic_core import PydanticUndefined
 
 from slamhive import strict_yaml
 from slamhive.domain.numbers import plural
-from slamhive.services.reports import OfferedColumns
+
+if TYPE_CHECKING:
+    from slamhive.services.reports import OfferedColumns
 
 ERRORS = ("ate.rmse", "rpe.rmse")
 """The metrics that stand for others where the data say nothing."""
@@ -74,6 +76,7 @@ class Card:
 def cards(offered: OfferedColumns | None = None) -> list[Card]:
     """All plot types, with choices and examples from the runs; without runs, from the catalogue alone."""
     from slamhive.analysis.plot_types import PLOT_TYPES  # noqa: PLC0415 - pandas and scipy take two seconds to load
+    from slamhive.services.reports import OfferedColumns  # noqa: PLC0415 - as above
 
     return [_card(plot, offered or OfferedColumns()) for _, plot in PLOT_TYPES]
 

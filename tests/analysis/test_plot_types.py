@@ -126,7 +126,7 @@ def test_failed_runs_are_drawn_apart_at_their_place():
 def test_the_rule_of_failures_is_one_and_stated():
     strict = build("form: scatter, x: image_rate, y: ate.rmse", rule=FailureRule(ate_rmse_above_m=0.1))
     assert strict.failed > FAILED
-    assert "ATE RMSE above 0.1 m" in strict.charts[0].caption
+    assert "ATE RMSE is above 0.1 m" in strict.charts[0].caption
 
 
 def test_all_repeats_count():

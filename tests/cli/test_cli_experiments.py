@@ -131,7 +131,7 @@ def test_nodes_are_listed_and_this_machine_is_not_drained() -> None:
     listed = call("nodes")
     assert listed.exit_code == 0, listed.output
     assert platform.node() in listed.stdout
-    assert "0 runs queued; active experiments need about 0.0 h more" in listed.stdout
+    assert listed.stdout.endswith("\n0 runs queued\n"), "no experiment is active"
     assert json.loads(call("nodes", "--json").stdout)["asks_engines"] is True
     for action in ("drain", "undrain"):
         refused = call("nodes", action, platform.node())

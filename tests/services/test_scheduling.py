@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from slamhive.bags.variants import build as building
 from slamhive.bags.variants.build import build_variant
 from slamhive.domain.run import RunState
 from slamhive.domain.variant import VariantStep
@@ -16,7 +17,6 @@ from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Running
 from slamhive.schema.submission import Submission
-from slamhive.services.datasets import variants as variants_module
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.worker import turns as turns_module
@@ -74,7 +74,7 @@ def test_two_slots_make_a_variant_once_and_stay_on_their_cores(hive, monkeypatch
         return make(*arguments)
 
     make = build_variant
-    monkeypatch.setattr(variants_module, "build_variant", build)
+    monkeypatch.setattr(building, "build_variant", build)
     together = threading.Barrier(2, timeout=PATIENCE_S)
 
     def start(spec: RunSpec) -> None:

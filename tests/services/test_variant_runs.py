@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from slamhive.bags.reader import inspect_bag
+from slamhive.bags.variants import build as building
 from slamhive.bags.variants.build import build_variant
 from slamhive.bags.variants.manifest import MANIFEST
 from slamhive.domain.configuration import Configuration
@@ -20,7 +21,6 @@ from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
 from slamhive.runtime import config as run_config
 from slamhive.schema.run import Run
 from slamhive.schema.submission import Submission
-from slamhive.services.datasets import variants as variants_module
 from slamhive.services.datasets.variants import IDENTITY
 from slamhive.services.experiments.checks import UNMEASURED_BYTES_PER_S
 from slamhive.services.experiments.expected import GUESSED_BUILD_S, GUESSED_OVERHEAD_S, GUESSED_START_S
@@ -126,7 +126,7 @@ def test_runs_of_one_variant_share_it(hive, monkeypatch):
         built.append(folder.name)
         return build_variant(dataset, variant, folder, progress)
 
-    monkeypatch.setattr(variants_module, "build_variant", build)
+    monkeypatch.setattr(building, "build_variant", build)
     first, second = submit(hive), submit(hive, repeat=2)
     hive.worker().run(until_idle=True)
     assert {hive.runs.get(run_id).state for run_id in (first, second, second + 1)} == {RunState.SUCCEEDED}
@@ -246,7 +246,7 @@ def test_a_run_can_be_cancelled_while_its_variant_is_made(hive, monkeypatch):
         while True:
             progress(0.1, "making")
 
-    monkeypatch.setattr(variants_module, "build_variant", build)
+    monkeypatch.setattr(building, "build_variant", build)
     hive.worker().run(until_idle=True)
     assert hive.runs.get(run_id).state is RunState.CANCELLED
     assert list(hive.settings.variants_folder.glob(".*.partial")) == []

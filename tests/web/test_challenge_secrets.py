@@ -179,7 +179,7 @@ def test_neither_the_log_of_the_worker_nor_what_it_leaves_quotes_the_ground_trut
 def test_no_archive_holds_anything_of_a_challenge(site: Site, tmp_path: Path):
     path = tmp_path / "all.zip"
     data = site.web.web.hive.settings.data
-    result = CliRunner().invoke(main, ["--data", str(data), "archive", "export", str(path), "--all"])
+    result = CliRunner().invoke(main, ["--data", str(data), "archive", "export", str(path), "--all", "--unpublished"])
     assert result.exit_code == 0, result.output
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()

@@ -9,12 +9,13 @@ from slamhive.lazy import lazy_names
 if TYPE_CHECKING:
     from slamhive.services.analyses.folder import FIGURES, PAGE, PREVIEWS, REPORT, SOURCE, AnalysisFolder
     from slamhive.services.analyses.jobs import AnalysisJobs
-    from slamhive.services.analyses.previews import AnalysisPreviews, Preview
+    from slamhive.services.analyses.previews import MOST_PREVIEWED_RUNS, AnalysisPreviews, Preview
     from slamhive.services.analyses.stored import MAX_TEXT_BYTES, StoredAnalyses, may_analyse
 
 __all__ = [
     "FIGURES",
     "MAX_TEXT_BYTES",
+    "MOST_PREVIEWED_RUNS",
     "PAGE",
     "PREVIEWS",
     "REPORT",

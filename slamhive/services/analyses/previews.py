@@ -24,7 +24,7 @@ from slamhive.store import Store
 
 logger = logging.getLogger(__name__)
 
-MOST_RUNS = 200
+MOST_PREVIEWED_RUNS = 200
 MOST_PLOTS = 12
 TIME_LIMIT_S = 60.0
 MOST_WAIT_S = 20.0
@@ -92,7 +92,7 @@ class AnalysisPreviews:
         return found
 
     def _computed(self, text: str, seen: Mapping[str, Any]) -> tuple[Preview, ...]:
-        limits = {"time_limit_s": TIME_LIMIT_S, "preview_runs": MOST_RUNS, "preview_plots": MOST_PLOTS}
+        limits = {"time_limit_s": TIME_LIMIT_S, "preview_runs": MOST_PREVIEWED_RUNS, "preview_plots": MOST_PLOTS}
         deadline_s = monotonic_s() + TIME_LIMIT_S
         with tempfile.TemporaryDirectory(prefix="slamhive-preview-") as name:
             folder = Path(name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
 from flask import url_for as address
@@ -13,9 +13,7 @@ from slamhive.domain.accounts import Action
 from slamhive.domain.bibliography import bibtex
 from slamhive.domain.visibility import Visibility
 from slamhive.errors import Forbidden, InvalidInput, SlamHiveError, Unavailable, unknown
-from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, PAGE, may_analyse
-from slamhive.services.analyses.previews import MOST_RUNS
-from slamhive.services.reports import OfferedColumns
+from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, MOST_PREVIEWED_RUNS, PAGE, may_analyse
 from slamhive.services.sharing import SharingChange
 from slamhive.settings import Mode
 from slamhive.store.analysis_records import AnalysisState
@@ -28,6 +26,9 @@ from slamhive.web.errors import status_of
 from slamhive.web.rates import CHECKS, CREATIONS
 from slamhive.web.request_input import form_text, uploaded_text
 from slamhive.web.security import FIGURES_POLICY
+
+if TYPE_CHECKING:
+    from slamhive.services.reports import OfferedColumns
 
 blueprint = Blueprint("analyses", __name__, url_prefix="/analyses")
 
@@ -215,7 +216,7 @@ def _editor(text: str, error: InvalidInput | None = None, notice: str | None = N
         error=error,
         notice=notice,
         cards=cards(offered),
-        most_previews=MOST_RUNS,
+        most_previews=MOST_PREVIEWED_RUNS,
         **previews,
         offered=offered,
         taken=_taken(),
