@@ -281,6 +281,7 @@ def test_a_worker_is_killed_until_the_time_limit_of_its_run_has_passed(hive, apa
     try:
         worker = machine.start_worker()
         eventually(lambda: hive.runs.get(run_id).state is RunState.RUNNING, "the start", 240.0)
+        eventually(lambda: sampled(run_id, hive) > 3, "samples, which only a worker that lives takes")
         machine.kill_worker(worker)
         wait_s(limit_s + 2.0)
         key = hive.runs.record(run_id)["spec"]["key"]
@@ -301,4 +302,5 @@ def test_a_worker_is_killed_until_the_time_limit_of_its_run_has_passed(hive, apa
 
 def sampled(run_id: int, hive: Hive) -> int:
     """How often the usage of the run was sampled."""
-    return len((hive.settings.runs_folder / str(run_id) / "profiling.csv").read_text().splitlines())
+    path = hive.settings.runs_folder / str(run_id) / "profiling.csv"
+    return len(path.read_text().splitlines()) if path.exists() else 0
