@@ -39,6 +39,11 @@ class Sharing:
     visibility: Visibility | None = None
 
     @property
+    def seen_by(self) -> Visibility:
+        """Who sees it besides admins, where it belongs to no experiment."""
+        return self.visibility or Visibility.TEAM
+
+    @property
     def content(self) -> dict[str, Any]:
         """As JSON."""
         return {"owner": self.owner, "visibility": self.visibility}
@@ -53,9 +58,7 @@ class Sharing:
 
     def audience(self, within: Visibility | None = None) -> str:
         """Who sees it, in one text that an index can hold; ``within`` is the visibility of its experiment."""
-        visibility = self.visibility or within or Visibility.TEAM
-        if within is not None:
-            visibility = visibility.within(within)
+        visibility = self.seen_by if within is None else (self.visibility or within).within(within)
         return f"{_PRIVATE_OF}{self.owner or ''}" if visibility is Visibility.PRIVATE else str(visibility)
 
 

@@ -56,4 +56,4 @@ class AnalysisRecord:
     @property
     def seen_by(self) -> Visibility:
         """Who sees the analysis besides admins."""
-        return self.visibility or Visibility.TEAM
+        return self.sharing.seen_by

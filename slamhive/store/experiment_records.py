@@ -58,7 +58,7 @@ class ExperimentRecord:
     @property
     def seen_by(self) -> Visibility:
         """Who sees the experiment besides admins."""
-        return self.visibility or Visibility.TEAM
+        return self.sharing.seen_by
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,7 +57,7 @@ class SharingRepository(Repository):
         found = {}
         for request in requests:
             experiment = experiments.get(request.experiment_id or 0)
-            within = None if experiment is None else experiment.visibility or Visibility.TEAM
+            within = None if experiment is None else experiment.seen_by
             found[request.uid] = Sharing(request.owner, request.visibility).audience(within)
         return found
 
@@ -72,13 +72,13 @@ class SharingRepository(Repository):
             places = {row.id: row.experiment_id for row in self._connection.execute(query)}
             experiments = self._of(_EXPERIMENTS, set(places.values()))
             for run_id, place in places.items():
-                within = None if place is None else experiments[place].visibility or Visibility.TEAM
+                within = None if place is None else experiments[place].seen_by
                 self._write(_RUNS, [run_id], shared[run_id], within)
 
     def share_experiment(self, experiment_id: int, sharing: Sharing) -> None:
         """Write owner and visibility of an experiment; its runs follow."""
         self._write(_EXPERIMENTS, [experiment_id], sharing)
-        within, mine = sharing.visibility or Visibility.TEAM, _RUNS.c.experiment_id == experiment_id
+        within, mine = sharing.seen_by, _RUNS.c.experiment_id == experiment_id
         kinds = select(_RUNS.c.owner, _RUNS.c.visibility).where(mine).distinct()
         for owner, own in self._connection.execute(kinds).all():
             alike = [_RUNS.c.owner.is_not_distinct_from(owner), _RUNS.c.visibility.is_not_distinct_from(own)]
