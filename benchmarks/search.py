@@ -47,7 +47,7 @@ from slamhive.services.datasets.catalogue import Catalogue
 from slamhive.services.searches.service import Searches
 from slamhive.settings_sources import load_settings
 from slamhive.store import RunSort, Store, open_store
-from tests.services.mariadb import DatabaseServer, find_server
+from tests.services.mariadb import INSTALL_COMMAND, DatabaseServer, find_server
 
 Draw = Callable[[np.random.Generator], str]
 LIMIT_MS = {100_000: 100.0, 1_000_000: 500.0}
@@ -202,7 +202,7 @@ def mariadb_store(folder: Path, pool_gb: int) -> Iterator[tuple[Store, Callable[
     """A store on a server of its own, with so much memory for its pages, and how many seconds it has worked."""
     program = find_server()
     if program is None:
-        raise SystemExit("no MariaDB or MySQL server here; apt-get install mariadb-server-core")
+        raise SystemExit(f"no MariaDB or MySQL server here; {INSTALL_COMMAND}")
     server = DatabaseServer(folder, program, f"--innodb-buffer-pool-size={pool_gb}G", "--innodb-log-file-size=512M")
     server.create()
     server.start()

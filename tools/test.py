@@ -58,7 +58,9 @@ SHARED_FOLDER = "TESTS_SHARE_IN"
 NO_TESTS = 5
 """The exit code of pytest if it found no tests."""
 NO_ENGINE = "unix:///nonexistent/docker.sock"
-DATABASE_PACKAGE = "mariadb-server-core"
+DATABASE_PACKAGES = ("mariadb-server-core", "mariadb-client-core")
+DATABASE_SETUP = ("mariadb-install-db", "my_print_defaults")
+"""What makes the system tables of a new MariaDB server. Debian has moved the second into the package of the client."""
 
 
 class CannotRun(Exception):
@@ -311,13 +313,18 @@ def read_report(path: Path) -> Outcome:
 
 
 def prepare_database() -> str:
-    """A MariaDB or MySQL server binary; the tests start a private server themselves."""
-    found = next((shutil.which(name, path=_server_path()) for name in ("mariadbd", "mysqld")), None)
-    if found is None:
-        if not machine.can_install():
-            command = machine.install_command((DATABASE_PACKAGE,))
-            raise CannotRun(f"no MariaDB or MySQL server here; enable: {command}")
-        machine.install((DATABASE_PACKAGE,))
+    """A MariaDB or MySQL server and what sets it up; the tests start a private server themselves."""
+
+    def is_there(name: str) -> bool:
+        return shutil.which(name, path=_server_path()) is not None
+
+    if is_there("mariadbd") and all(map(is_there, DATABASE_SETUP)):
+        return ""
+    if is_there("mysqld") and not is_there("mariadbd"):
+        return ""
+    if not machine.can_install():
+        raise CannotRun(f"no MariaDB or MySQL server here; enable: {machine.install_command(DATABASE_PACKAGES)}")
+    machine.install(DATABASE_PACKAGES)
     return ""
 
 

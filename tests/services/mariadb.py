@@ -21,6 +21,7 @@ import pytest
 from tests.memory import folder_in_memory
 
 SERVERS = ("mariadbd", "mysqld")
+INSTALL_COMMAND = "apt-get install mariadb-server-core mariadb-client-core"
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 30.0
 USER = "slamhive"
@@ -72,7 +73,7 @@ class DatabaseServer:
         if Path(self._program).name == "mariadbd":
             installer = shutil.which("mariadb-install-db", path=_SEARCH_PATH)
             if installer is None:
-                raise ServerFailed("mariadb-install-db is missing; it comes with mariadb-server-core")
+                raise ServerFailed(f"mariadb-install-db is missing; enable: {INSTALL_COMMAND}")
             command = [installer, *self._own_folders(), "--skip-test-db", *_as_root()]
         else:
             command = [self._program, *self._own_folders(), "--initialize-insecure", *_as_root()]
@@ -177,7 +178,7 @@ def running_server() -> Iterator[DatabaseServer]:
     """
     program = find_server()
     if program is None:
-        pytest.skip("no MariaDB or MySQL server here; enable: apt-get install mariadb-server-core")
+        pytest.skip(f"no MariaDB or MySQL server here; enable: {INSTALL_COMMAND}")
     with tempfile.TemporaryDirectory(prefix="slamhive-db-", dir=folder_in_memory(_ROOM_BYTES)) as folder:
         server = DatabaseServer(Path(folder), program)
         server.create()

@@ -157,6 +157,24 @@ def test_tiers_of_a_group_run_together_and_each_keeps_its_output(runner, tmp_pat
     assert "two begins\ntwo ends" in said, "only the first prints as it goes"
 
 
+@pytest.mark.parametrize(
+    ("there", "is_installed"),
+    [
+        ({"mariadbd", "mariadb-install-db", "my_print_defaults"}, False),
+        ({"mariadbd", "mariadb-install-db"}, True),
+        ({"mysqld"}, False),
+        (set(), True),
+    ],
+)
+def test_a_database_server_has_what_sets_it_up(runner, monkeypatch, there: set[str], is_installed: bool):
+    monkeypatch.setattr(runner.shutil, "which", lambda name, path=None: name if name in there else None)
+    monkeypatch.setattr(runner.machine, "can_install", lambda: True)
+    asked: list[str] = []
+    monkeypatch.setattr(runner.machine, "install", asked.extend)
+    assert runner.prepare_database() == ""
+    assert asked == (list(runner.DATABASE_PACKAGES) if is_installed else [])
+
+
 def test_without_rights_the_engine_tier_names_the_command(runner, monkeypatch):
     monkeypatch.setattr(runner.machine, "engine_answers", lambda: False)
     monkeypatch.setattr(runner.machine, "can_install", lambda: False)
