@@ -38,15 +38,18 @@
     place.setAttribute("aria-label", document.querySelector(`[data-caption="${key}"]`)?.textContent || key);
   }
 
-  /** Zooming into a time in one plot shows the same time in the others. */
+  /** Zooming into a time in one plot shows the same time in the others with the same axis. */
   function linkTime(place) {
     if (place.dataset.linked) return;
     place.dataset.linked = "1";
     place.on("plotly_relayout", (change) => {
       if (!("xaxis.range[0]" in change)) return;
       const range = [change["xaxis.range[0]"], change["xaxis.range[1]"]];
+      const axis = place.layout.xaxis.title.text;
       for (const other of document.querySelectorAll("[data-time].js-plotly-plot")) {
-        if (other !== place) Plotly.relayout(other, { "xaxis.range": [...range] });
+        const shown = other.layout.xaxis;
+        const same = shown.title.text === axis && shown.range[0] === range[0] && shown.range[1] === range[1];
+        if (other !== place && shown.title.text === axis && !same) Plotly.relayout(other, { "xaxis.range": [...range] });
       }
     });
   }
@@ -69,7 +72,8 @@
       const place = document.querySelector(`[data-figure="${key}"].js-plotly-plot`);
       const x = timestamp - origin;
       const line = { type: "line", x0: x, x1: x, yref: "paper", y0: 0, y1: 1, line: { dash: "dot", width: 1.5, color: "#8a929a" } };
-      if (place) Plotly.relayout(place, { shapes: [line] });
+      const areas = (content.figures[key].layout.shapes ?? []);
+      if (place) Plotly.relayout(place, { shapes: [...areas, line] });
     }
   }
 

@@ -87,7 +87,7 @@ def measure_run(
     metrics.update(_frame_metrics(folder.frames, profile))
     metrics.update(_energy_metrics(folder.energy, duration_s))
     metrics.update(_gpu_metrics(folder.gpu))
-    metrics.update(_playback_metrics(folder.playback, duration_s))
+    metrics.update(_playback_metrics(folder.playback, started_at, duration_s))
     metrics.update(_localisation_metrics(folder.localisation))
     metrics.update(host_metrics(read_host_load(folder.host)))
     return {key: value for key, value in metrics.items() if math.isfinite(value)}
@@ -190,11 +190,12 @@ def _gpu_metrics(path: Path) -> dict[str, float]:
     return metrics
 
 
-def _playback_metrics(path: Path, run_duration_s: float) -> dict[str, float]:
-    """The player's own share and its lag from ``playback.json``.
+def _playback_metrics(path: Path, started_at: datetime, run_duration_s: float) -> dict[str, float]:
+    """The player's own share, its lag, and when it began, from ``playback.json``.
 
     The share has the bounds of ``cpu.mean``: all CPU time of the player's process, its start included, over the whole
-    run. So it is a part of ``cpu.mean``, and the difference is the algorithm's.
+    run. So it is a part of ``cpu.mean``, and the difference is the algorithm's. The algorithm and the executor read the
+    clock of one machine; a beginning outside the run, as after that clock was set, is left out.
     """
     content = read_untrusted_json(path, _MAX_JSON_BYTES) or {}
     metrics: dict[str, float] = {}
@@ -204,6 +205,9 @@ def _playback_metrics(path: Path, run_duration_s: float) -> dict[str, float]:
     lag_s = measured_number(content.get("lag_max_s"))
     if lag_s is not None:
         metrics["playback.lag_max"] = lag_s
+    began_at_s = measured_number(content.get("began_at_s"))
+    if began_at_s is not None and 0 <= began_at_s - started_at.timestamp() <= run_duration_s:
+        metrics["startup"] = began_at_s - started_at.timestamp()
     dropped = _dropped_in_queues(content.get("queues"))
     if dropped is not None:
         metrics["queues.dropped"] = dropped

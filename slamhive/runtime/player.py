@@ -47,7 +47,8 @@ class PlaybackSummary:
     """The content of ``playback.json``. Lag is how late frames joined the queue; None when there was no schedule.
 
     ``cpu_s`` is all CPU time of the player's process since its start, which is subtracted from the algorithm's.
-    ``duration_s`` is the time from the first message to the last.
+    ``duration_s`` is the time from the first message to the last. ``began_at_s`` is the time of day when playback
+    began, in s since 1970 (UTC).
     """
 
     frames_total: int
@@ -59,6 +60,7 @@ class PlaybackSummary:
     lag_mean_s: float | None
     cpu_s: float
     duration_s: float
+    began_at_s: float
 
 
 @dataclass(eq=False)
@@ -99,6 +101,7 @@ class _Playback:
         self._counts = _Counts()
         self._asked = False
         self._start_s = 0.0
+        self._began_at_s = 0.0
 
     def run(self) -> None:
         """Wait until the algorithm is ready, play everything, then send the summary."""
@@ -106,6 +109,7 @@ class _Playback:
         self._connection.send(("ready", total))
         self._wait_until_asked()
         self._start_s = time.monotonic()
+        self._began_at_s = time.time()
         self._connection.send(("start", self._start_s))
         source = self._recording.messages()
         if self._options.realtime:
@@ -227,6 +231,7 @@ class _Playback:
             lag_mean_s=sum(lags_s) / len(lags_s) if lags_s else None,
             cpu_s=time.process_time(),
             duration_s=self._since_start_s(),
+            began_at_s=self._began_at_s,
         )
         return asdict(summary)
 

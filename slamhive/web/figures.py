@@ -36,20 +36,51 @@ def run_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
     estimate = None if series.estimate is None else (name, series.estimate, colour)
     if estimate is not None or series.groundtruth is not None:
         figures |= path_figures(series.groundtruth, estimate)
-    recording = "time since the first matched pose [s]"
     if series.error is not None:
-        figures["error"] = _over_time(series.error, name, colour, recording, "position error [m]")
-    started = "time since the start of the run [s]"
+        figures["error"] = _over_time(series.error, name, colour, _time_of(series.error), "position error [m]")
     if series.cpu is not None:
-        figures["cpu"] = _over_time(series.cpu, name, colour, started, "CPU in use [cores]")
+        figures["cpu"] = _over_time(series.cpu, name, colour, _time_of(series.cpu), "CPU in use [cores]")
     if series.memory is not None:
         in_mb = replace(series.memory, values=series.memory.values * 1e-6)
-        figures["memory"] = _over_time(in_mb, name, colour, started, "memory in use [MB]")
+        figures["memory"] = _over_time(in_mb, name, colour, _time_of(in_mb), "memory in use [MB]")
     if series.latency is not None:
         in_ms = replace(series.latency, values=series.latency.values * 1e3)
-        figure = _over_time(in_ms, name, colour, "recording time [s]", "latency per frame [ms]", dots=True)
+        figure = _over_time(in_ms, name, colour, _time_of(in_ms), "latency per frame [ms]", dots=True)
         figures["latency"] = _with_dropped(figure, series.dropped_s)
+    return _with_one_time_axis(figures, series)
+
+
+def _time_of(samples: Samples) -> str:
+    return "time since the start of the run [s]" if samples.origin_s is None else "recording time [s]"
+
+
+def _over_recording(series: RunSeries) -> dict[str, Samples]:
+    """The data of the plots over the time of the recording."""
+    plots = {"error": series.error, "latency": series.latency, "cpu": series.cpu, "memory": series.memory}
+    return {key: samples for key, samples in plots.items() if samples is not None and samples.origin_s is not None}
+
+
+def _with_one_time_axis(figures: dict[str, Figure], series: RunSeries) -> dict[str, Figure]:
+    """The same range for all plots over the time of the recording, in which it is grey where nothing was played."""
+    over_time = _over_recording(series)
+    if not over_time:
+        return figures
+    low = min(float(samples.times_s.min()) for samples in over_time.values())
+    high = max(float(samples.times_s.max()) for samples in over_time.values())
+    for key in over_time:
+        figures[key]["layout"]["xaxis"]["range"] = [low, high]
+        if series.played_s is not None:
+            first, last = series.played_s
+            figures[key]["layout"]["shapes"] = [
+                _not_played(start, end) for start, end in ((low, first), (last, high)) if start < end
+            ]
     return figures
+
+
+def _not_played(start_s: float, end_s: float) -> Figure:
+    """A grey area over the whole height."""
+    place = {"xref": "x", "x0": start_s, "x1": end_s, "yref": "paper", "y0": 0, "y1": 1}
+    return {"type": "rect", "layer": "below", "fillcolor": "rgba(128,128,128,0.15)", "line": {"width": 0}, **place}
 
 
 def timeline(series: RunSeries) -> dict[str, Any] | None:
@@ -58,13 +89,14 @@ def timeline(series: RunSeries) -> dict[str, Any] | None:
     ``origins`` is {plot: timestamp in s at which its time axis is 0}; ``from_s`` and ``until_s`` are the first and the
     last timestamp of all of them.
     """
-    plots = {"error": series.error, "latency": series.latency}
-    known = {key: at for key, at in plots.items() if at is not None and at.origin_s is not None}
-    if not known:
+    over_time = _over_recording(series)
+    if not over_time:
         return None
-    origins = {key: at.origin_s or 0.0 for key, at in known.items()}
-    until_s = max(origins[key] + float(at.times_s.max()) for key, at in known.items())
-    return {"origins": origins, "from_s": min(origins.values()), "until_s": until_s}
+    origins = {key: samples.origin_s or 0.0 for key, samples in over_time.items()}
+    known = {key: samples for key, samples in over_time.items() if key in {"error", "latency"}} or over_time
+    from_s = min(origins[key] + max(0.0, float(samples.times_s.min())) for key, samples in known.items())
+    until_s = max(origins[key] + float(samples.times_s.max()) for key, samples in known.items())
+    return {"origins": origins, "from_s": from_s, "until_s": until_s}
 
 
 def path_figures(groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> dict[str, Figure]:
@@ -126,8 +158,9 @@ def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
             f"Distance from estimate to ground truth at n = {plural(series.error.count, 'matched pose')}; {protocol}."
         )
     if series.cpu is not None:
-        texts["cpu"] = f"n = {plural(series.cpu.count, 'sample')}, cores summed, player included."
-        texts["memory"] = f"n = {plural(series.cpu.count, 'sample')}, player included."
+        idle = "" if series.played_s is None else " Grey: no frame is played yet, or none any more."
+        texts["cpu"] = f"n = {plural(series.cpu.count, 'sample')}, cores summed, player included.{idle}"
+        texts["memory"] = f"n = {plural(series.cpu.count, 'sample')}, player included.{idle}"
     if series.latency is not None:
         texts["latency"] = (
             f"From arrival to result, n = {plural(series.latency.count, 'frame')}; dropped frames have none"

@@ -24,10 +24,13 @@ class NoFiles:
     def track(self, run_id: int) -> RunTrack | None:
         return None
 
-    def usage(self, run_id: int) -> RunUsage | None:
+    def usage(self, run_id: int, startup_s: float | None) -> RunUsage | None:
         return None
 
     def latency(self, run_id: int) -> RunLatency | None:
+        return None
+
+    def first_frame_s(self, run_id: int) -> float | None:
         return None
 
 

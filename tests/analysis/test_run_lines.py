@@ -7,10 +7,12 @@ import pytest
 
 from slamhive.analysis.chart import Line
 from slamhive.analysis.colours import RUN_COLOURS
-from slamhive.analysis.plot_types import PlotData, RunLatency
+from slamhive.analysis.plot_types import PlotData, RunLatency, RunUsage
 from slamhive.analysis.plot_types.latency import Latency
 from slamhive.analysis.plot_types.looks import Curve, LineOptions, fold, lines_of, looks_of
+from slamhive.analysis.plot_types.usage import Usage
 from slamhive.analysis.table import RunTable, make_table
+from slamhive.runs.played_frames import RecordingClock
 from tests.analysis.analysis_world import NoFiles, data_of
 
 pytestmark = pytest.mark.integration  # pandas and scipy take seconds to load
@@ -68,7 +70,10 @@ class Timed(NoFiles):
     """Runs 1 and 3 report their frames."""
 
     def latency(self, run_id: int) -> RunLatency | None:
-        return None if run_id == 2 else RunLatency(run_id, np.array([0.0, 1.0]), np.array([0.02, 0.03]))
+        return None if run_id == 2 else RunLatency(run_id, np.array([100.0, 101.0]), np.array([0.02, 0.03]))
+
+    def first_frame_s(self, run_id: int) -> float | None:
+        return {1: 99.5, 2: 99.0}.get(run_id)
 
 
 def test_latency_is_drawn_in_milliseconds_and_names_runs_without_it():
@@ -79,6 +84,7 @@ def test_latency_is_drawn_in_milliseconds_and_names_runs_without_it():
     lines = [mark for mark in result.charts[0].marks if isinstance(mark, Line)]
     assert [line.runs for line in lines] == [1, 3]
     assert lines[0].y.tolist() == pytest.approx([20.0, 30.0])
+    assert [line.x.tolist() for line in lines] == [[1.0, 2.0]] * 2, "run 2 has the first frame"
     assert [(entry.reason, entry.runs) for entry in result.excluded] == [("no frame times", (2,))]
     assert told == [0.0, 1 / 3, 2 / 3]
 
@@ -95,3 +101,41 @@ def latency_table() -> RunTable:
     metrics = {key: [0.02, None, 0.02] for key in ("latency.median", "latency.p95")}
     facts = {key: table.frame[key].tolist() for key in ("run_id", "configuration_id", "algorithm", "dataset", "state")}
     return make_table(facts, {}, metrics)
+
+
+class Sampled(Timed):
+    """Runs 1 and 3 were sampled at 0, 2 and 4 s. The recording was played at half speed from ``startup_s`` on."""
+
+    def usage(self, run_id: int, startup_s: float | None) -> RunUsage | None:
+        if run_id == 2:
+            return None
+        times_s = np.array([0.0, 2.0, 4.0])
+        clock = None
+        if startup_s is not None:
+            clock = RecordingClock(np.array([startup_s, startup_s + 2.0]), np.array([100.0, 101.0]))
+        return RunUsage(run_id, times_s, np.array([1.0, 2.0, 3.0]), np.array([1e6, 2e6, 3e6]), clock)
+
+
+def usage_lines(startups_s: list[float | None]) -> tuple[str, list[list[float]], str]:
+    """The time axis, the times of each line, and the caption."""
+    table = table_of()
+    facts = {key: table.frame[key].tolist() for key in ("run_id", "configuration_id", "algorithm", "dataset", "state")}
+    keys = ("cpu.mean", "cpu.max", "ram.max")
+    table = make_table(facts, {}, {**{key: [1.0, None, 1.0] for key in keys}, "startup": startups_s})
+    chart = Usage().build(PlotData(table, data_of(table).every_protocol, Sampled()), LineOptions()).charts[0]
+    lines = [mark.x.tolist() for mark in chart.marks if isinstance(mark, Line)]
+    return chart.x.label, lines, chart.caption
+
+
+def test_cpu_and_memory_are_over_the_time_of_the_recording():
+    label, lines, caption = usage_lines([2.0, None, 1.0])
+    assert label == "recording time"
+    assert lines == [[-1.0, 1.0, 2.0], [0.0, 1.5, 3.0]]
+    assert "0 s at the first frame" in caption
+
+
+def test_a_run_that_does_not_say_when_it_played_keeps_all_on_the_time_of_their_runs():
+    label, lines, caption = usage_lines([2.0, None, None])
+    assert label == "time since the start of the run"
+    assert lines == [[0.0, 2.0, 4.0]] * 2
+    assert "run 3 does not state when a frame was played" in caption

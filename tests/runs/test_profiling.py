@@ -69,6 +69,13 @@ def test_frames_and_playback(folder):
     assert all(not CATALOGUE[key].needs_protocol for key in metrics)
 
 
+@pytest.mark.parametrize(("after_s", "known"), [(2.5, True), (0.0, True), (-0.1, False), (12.6, False)])
+def test_start_up_ends_with_playback_and_lies_within_the_run(folder, after_s, known):
+    folder.playback.write_text(json.dumps({"began_at_s": START.timestamp() + after_s}))
+    metrics = measure_run(folder, START, END, None, EVIDENCE)
+    assert metrics.get("startup") == (pytest.approx(after_s) if known else None)
+
+
 @pytest.mark.parametrize(
     ("queues", "dropped"),
     [

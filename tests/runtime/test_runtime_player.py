@@ -43,7 +43,9 @@ def test_sequential_playback_delivers_every_frame_in_order(bag: Path) -> None:
 
 def test_real_time_playback_takes_as_long_as_the_recording(bag: Path) -> None:
     with Player(options(bag, LEFT_AND_IMU, queue_size=FRAMES)) as player:
+        asked_at_s = time.time()
         frames = list(player.frames())
+    assert asked_at_s <= player.summary["began_at_s"] <= time.time() - player.summary["duration_s"]
     assert len(frames) == FRAMES
     assert player.summary["duration_s"] >= 0.39
     assert player.summary["cpu_s"] > 0

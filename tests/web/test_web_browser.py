@@ -269,7 +269,7 @@ def test_a_plot_has_a_table_that_says_the_same(chromium: Browser, archive: str) 
         assert table.locator("thead th").all_inner_texts()[:3] == [
             "Series",
             "Points",
-            "lowest time since the first matched pose [s]",
+            "lowest recording time [s]",
         ]
         cells = table.locator("tbody tr").first.locator("th, td").all_inner_texts()
         assert cells[:2] == ["eye-slam-stereo", "400"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,8 @@ import pytest
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.job import EvaluationTask
 from slamhive.project import project_root
-from slamhive.services.runs.series import MAX_POINTS, Track, read_track, thin_keeping_extremes
-from slamhive.web.figures import best_plane, path_figures
+from slamhive.services.runs.series import MAX_POINTS, Track, read_track, run_series, thin_keeping_extremes
+from slamhive.web.figures import best_plane, path_figures, run_figures, timeline
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
@@ -101,6 +102,36 @@ def test_hostile_frame_times_draw_what_can_be_drawn(web: Web, frames: str):
     latency = web.hive.runs.series(run_id).latency
     assert latency is not None
     assert latency.values.tolist() == [0.03]
+
+
+def test_all_plots_over_time_share_the_time_of_the_recording(web: Web):
+    run = web.hive.runs.get(web.runs["bare"])
+    folder = web.hive.runs.folder(run.id)
+    folder.frames.write_text("timestamp,received,done,dropped\n1000.0,0,0.1,0\n1002.0,1,1.1,0\n")
+    folder.profiling.write_text("time,cpu_usage,memory_usage\n0.5,1.0,100\n2.0,1.0,100\n4.0,1.0,100\n")
+    series = run_series(replace(run, metrics={"startup": 2.0}), folder)
+    assert series.cpu is not None
+    assert series.cpu.times_s.tolist() == [-1.5, 0.0, 3.0]
+    assert series.played_s == (0.0, 2.0)
+    figures = run_figures(series, "eye-slam", "#123456")
+    ranges = [figures[key]["layout"]["xaxis"]["range"] for key in ("cpu", "memory", "latency")]
+    assert ranges == [[-1.5, 3.0]] * 3
+    assert [(area["x0"], area["x1"]) for area in figures["cpu"]["layout"]["shapes"]] == [(-1.5, 0.0), (2.0, 3.0)]
+    known = timeline(series)
+    assert known is not None
+    assert known["origins"] == dict.fromkeys(("latency", "cpu", "memory"), 1000.0)
+    assert (known["from_s"], known["until_s"]) == (1000.0, 1002.0)
+
+
+def test_usage_of_an_older_run_is_over_the_time_of_the_run(web: Web):
+    run = web.hive.runs.get(web.runs["bare"])
+    folder = web.hive.runs.folder(run.id)
+    folder.profiling.write_text("time,cpu_usage,memory_usage\n0.5,1.0,100\n2.0,1.0,100\n")
+    series = run_series(replace(run, metrics={}), folder)
+    assert series.cpu is not None
+    assert series.cpu.times_s.tolist() == [0.5, 2.0]
+    title = run_figures(series, "eye-slam", "#123456")["cpu"]["layout"]["xaxis"]["title"]["text"]
+    assert title == "time since the start of the run [s]"
 
 
 @pytest.mark.integration

@@ -18,6 +18,7 @@ from slamhive.analysis.table import FAILED, Column, RunTable, is_disturbed
 from slamhive.domain.metrics import Direction
 from slamhive.errors import InvalidInput
 from slamhive.registry import Registry, instances_of
+from slamhive.runs.played_frames import RecordingClock
 
 
 class PlotOptions(BaseModel):
@@ -61,20 +62,24 @@ class RunTrack:
 
 @dataclass(frozen=True, slots=True)
 class RunUsage:
-    """CPU (cores) and memory (bytes) of one run over the time since its start (s)."""
+    """CPU (cores) and memory (bytes) of one run over the time since its start (s).
+
+    ``clock`` converts these times to the time of the recording; None if it is not known when frames were played.
+    """
 
     run_id: int
     times_s: Array
     cpu_cores: Array
     memory_bytes: Array
+    clock: RecordingClock | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class RunLatency:
-    """The time from a frame's arrival to its result (s) over the recording's time since its first frame (s)."""
+    """The time from a frame's arrival to its result (s) over the timestamp of the frame (s)."""
 
     run_id: int
-    times_s: Array
+    timestamps_s: Array
     latencies_s: Array
 
 
@@ -85,12 +90,16 @@ class RunFiles(Protocol):
         """The evaluated trajectory of a run."""
         ...
 
-    def usage(self, run_id: int) -> RunUsage | None:
-        """The sampled usage of a run."""
+    def usage(self, run_id: int, startup_s: float | None) -> RunUsage | None:
+        """The sampled usage of a run whose playback began ``startup_s`` after its start; None if unknown."""
         ...
 
     def latency(self, run_id: int) -> RunLatency | None:
         """The latency of each frame that a run has finished."""
+        ...
+
+    def first_frame_s(self, run_id: int) -> float | None:
+        """The timestamp of the first frame of the recording that was played."""
         ...
 
 

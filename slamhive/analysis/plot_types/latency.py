@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from slamhive.analysis.chart import Axis, Chart
 from slamhive.analysis.plot_types import base
 from slamhive.analysis.plot_types.looks import (
@@ -13,6 +15,7 @@ from slamhive.analysis.plot_types.looks import (
     looks_of,
     read_runs,
 )
+from slamhive.analysis.plot_types.recording_time import FROM_FIRST_FRAME, RECORDING_TIME, recording_starts
 from slamhive.analysis.result import PlotResult, ResultTable, TableColumn
 from slamhive.errors import InvalidInput
 
@@ -38,31 +41,38 @@ class Latency(base.PlotType[LineOptions]):
             raise InvalidInput("no selected run reports when it finishes a frame", "imported runs do not")
         by = options.coloured_by or "algorithm"
         how = FOLDED if options.folded else "One line for each run; dashed: failed."
-        curves = [Curve(entry.run_id, entry.times_s, entry.latencies_s * _MS_PER_S) for entry in timed]
+        starts_s = {entry.run_id: float(entry.timestamps_s[0]) for entry in timed} | recording_starts(data)
+        curves = [
+            Curve(entry.run_id, entry.timestamps_s - starts_s[entry.run_id], entry.latencies_s * _MS_PER_S)
+            for entry in timed
+        ]
         chart = Chart(
             key="latency",
             title=options.title or "Latency per frame",
-            x=Axis("recording time since the first frame", "s"),
+            x=RECORDING_TIME,
             y=Axis("latency", "ms"),
             marks=(
                 *lines_of(curves, table, looks_of(table, by, options.colour_order), folded=options.folded),
                 *legend_of(table, by),
             ),
-            caption=base.caption(table, len(timed), None, how, "Dropped frames have none."),
+            caption=base.caption(table, len(timed), None, how, FROM_FIRST_FRAME, "Dropped frames have none."),
         )
-        tables = (base.raw_table("latency", table, sorted(self.reads), "Medians and percentiles"), _samples(timed))
+        tables = (
+            base.raw_table("latency", table, sorted(self.reads), "Medians and percentiles"),
+            _samples(timed, starts_s),
+        )
         return base.result_of(table, None, [chart], tables, excluded=excluded)
 
 
-def _samples(timed: list[base.RunLatency]) -> ResultTable:
+def _samples(timed: list[base.RunLatency], starts_s: Mapping[int, float]) -> ResultTable:
     columns = (
         TableColumn("run_id", "Run", links_run=True),
-        TableColumn("time_s", "Time", "s"),
+        TableColumn("time_s", "Recording time", "s"),
         TableColumn("latency_s", "Latency", "s"),
     )
     rows = tuple(
-        (entry.run_id, float(at), float(latency))
+        (entry.run_id, float(at - starts_s[entry.run_id]), float(latency))
         for entry in timed
-        for at, latency in zip(entry.times_s, entry.latencies_s, strict=True)
+        for at, latency in zip(entry.timestamps_s, entry.latencies_s, strict=True)
     )
     return ResultTable("latency_samples", "Samples", columns, rows, raw=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,13 +23,14 @@ from slamhive.analysis.plot_types.looks import (
     looks_of,
     read_runs,
 )
+from slamhive.analysis.plot_types.recording_time import RECORDING_TIME, recording_starts
 from slamhive.analysis.result import PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import RunTable
 from slamhive.errors import InvalidInput
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 _AXES = "xyz"
-_TIME = Axis("time since the start of the ground truth", "s")
+_SINCE_GROUND_TRUTH = Axis("time since the start of the ground truth", "s")
 
 
 class TrajectoriesOptions(LineOptions):
@@ -64,9 +65,9 @@ class Trajectories(base.PlotType[TrajectoriesOptions]):
             raise InvalidInput("no selected run has the files of an evaluated trajectory", "evaluate again, with files")
         by = options.coloured_by or _fitting(tracks, table)
         truths = _ground_truths(tracks, table)
-        start_s = min(float(truth.timestamps_s[0]) for truth in truths)
         text = base.caption(table, len(tracks), protocol, *_notes(dataset, tracks, truths))
-        drawn = _Drawn(tracks, looks_of(table, by, options.colour_order), truths, start_s, text)
+        time, start_s = _time_axis(truths, recording_starts(data))
+        drawn = _Drawn(tracks, looks_of(table, by, options.colour_order), truths, time, start_s, text)
         charts = [
             _path(drawn, _widest_plane(tracks[0].reference_positions_m), options.title or f"Trajectories on {dataset}")
         ]
@@ -95,8 +96,16 @@ class _Drawn:
     tracks: list[base.RunTrack]
     looks: Looks
     truths: list[_GroundTruth]
+    time: Axis
     start_s: float
     text: str
+
+
+def _time_axis(truths: Sequence[_GroundTruth], starts_s: Mapping[int, float]) -> tuple[Axis, float]:
+    """The axis over time and the timestamp of its zero. Imported runs alone do not say when the recording starts."""
+    if starts_s:
+        return RECORDING_TIME, min(starts_s.values())
+    return _SINCE_GROUND_TRUTH, min(float(truth.timestamps_s[0]) for truth in truths)
 
 
 def _ground_truths(tracks: list[base.RunTrack], table: RunTable) -> list[_GroundTruth]:
@@ -219,7 +228,7 @@ def _coordinate(drawn: _Drawn, axis: int) -> Chart:
     return Chart(
         key=f"trajectories_{_AXES[axis]}",
         title=f"{_AXES[axis]} over time",
-        x=_TIME,
+        x=drawn.time,
         y=Axis(_AXES[axis], "m"),
         marks=tuple(lines),
         caption=drawn.text,
@@ -236,7 +245,7 @@ def _errors(drawn: _Drawn, table: RunTable, *, folded: bool) -> list[Chart]:
     lines = tuple(lines_of(curves, table, drawn.looks, folded=folded))
     y = Axis("position error", "m", base.spans_decades(np.concatenate([line.y for line in lines])))
     text = f"{drawn.text} {FOLDED}" if folded else drawn.text
-    return [Chart("trajectory_error", "Position error", _TIME, y, lines, text)]
+    return [Chart("trajectory_error", "Position error", drawn.time, y, lines, text)]
 
 
 def _curve(track: base.RunTrack, values: Array, start_s: float) -> Curve:

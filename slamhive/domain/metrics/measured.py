@@ -118,6 +118,14 @@ MEASURED_METRICS = (
         _NVML,
     ),
     _measured("duration", "Wall time", "s", "From the algorithm's start to its end.", _TIMING, _CLOCK),
+    _measured(
+        "startup",
+        "Start-up time",
+        "s",
+        "From the algorithm's start until playback began: what it takes to load programs, vocabularies and networks.",
+        _TIMING,
+        f"{_PLAYER}; clock of the machine",
+    ),
     neutral(  # a system that gives a pose for every keyframe is no worse than one that gives each frame one
         _measured(
             "poses",

@@ -10,6 +10,7 @@ where ``make`` takes the configuration of the run and returns a :class:`~slamhiv
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -66,6 +67,7 @@ def _write_results(system: Ros1System, config: RunConfig, played: Played, result
     summary = {
         "cpu_s": played.player_cpu_s,
         "lag_max_s": max(0.0, played.clock.lag_max_s(config.playback_rate)),
+        "began_at_s": time.time() - (time.monotonic() - played.clock.start_s),
         "dropped_by_nodes": played.dropped_by_nodes,
         "queues": queue_drops(played.statistics),
     }

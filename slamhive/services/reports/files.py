@@ -9,6 +9,7 @@ import numpy as np
 
 from slamhive.analysis.plot_types import RunLatency, RunTrack, RunUsage
 from slamhive.runs.folder import RunFolder
+from slamhive.runs.played_frames import first_frame_s, read_played_frames
 from slamhive.runs.untrusted import read_numeric_columns
 from slamhive.services.runs import LIMIT_BYTES, gap_of, latency_of, read_track
 
@@ -50,16 +51,26 @@ class StoredRunFiles:
             reference_positions_m=reference.positions_m,
         )
 
-    def usage(self, run_id: int) -> RunUsage | None:
+    def usage(self, run_id: int, startup_s: float | None) -> RunUsage | None:
         """The sampled usage of a run; None if it was not sampled."""
-        rows = read_numeric_columns(self._folder(run_id).profiling, ("time", "cpu_usage", "memory_usage"), LIMIT_BYTES)
+        folder = self._folder(run_id)
+        rows = read_numeric_columns(folder.profiling, ("time", "cpu_usage", "memory_usage"), LIMIT_BYTES)
         rows = rows[np.isfinite(rows).all(axis=1)]
-        return RunUsage(run_id, rows[:, 0], rows[:, 1], rows[:, 2]) if len(rows) else None
+        if len(rows) == 0:
+            return None
+        frames = None if startup_s is None else read_played_frames(folder.frames)
+        clock = None if frames is None else frames.clock(startup_s)
+        return RunUsage(run_id, rows[:, 0], rows[:, 1], rows[:, 2], clock)
 
     def latency(self, run_id: int) -> RunLatency | None:
         """The latency of each frame; None if the algorithm does not report when it finishes one."""
-        found = latency_of(self._folder(run_id).frames)
+        frames = read_played_frames(self._folder(run_id).frames)
+        found = None if frames is None else latency_of(frames, 0.0)
         return None if found is None else RunLatency(run_id, found.times_s, found.values)
+
+    def first_frame_s(self, run_id: int) -> float | None:
+        """The timestamp of the first frame that was played; None if the run does not say."""
+        return first_frame_s(self._folder(run_id).frames)
 
     def _folder(self, run_id: int) -> RunFolder:
         return RunFolder(self._runs_folder / str(run_id))

@@ -16,6 +16,7 @@ from slamhive.domain.protocol import protocol_from_content
 from slamhive.errors import SlamHiveError
 from slamhive.input_bounds import read_record
 from slamhive.runs.folder import RunFolder
+from slamhive.runs.played_frames import PlayedFrames, RecordingClock, read_played_frames
 from slamhive.runs.untrusted import read_numeric_columns, read_untrusted_lines
 from slamhive.services.evaluations import PROTOCOL_FILE
 from slamhive.store.records import RunRecord
@@ -51,7 +52,8 @@ class Samples:
     """Values over time: ``times_s`` (n,) since the start of what is shown, ``values`` (n,).
 
     ``count`` is their number before thinning; ``pieces`` (n,) numbers the pieces between gaps. ``origin_s`` is the
-    header timestamp from which the times count; None if they count from the start of the run.
+    header timestamp from which the times count; None if they count from the start of the run. All data of a run that
+    have an origin have the same, so their times are of one axis: the time of the recording.
     """
 
     times_s: Array
@@ -72,8 +74,9 @@ class RunSeries:
 
     ``estimate`` lies in the ground truth's frame where ``aligned``, in the algorithm's own otherwise. ``cpu`` is in
     cores, ``memory`` in bytes, ``error`` in m, ``latency`` in s. A gap in the estimate longer than ``gap_s`` is a
-    gap; infinite where no protocol says how long that is. ``dropped_s`` (n,) are the times of dropped frames, on the
-    time axis of ``latency``.
+    gap; infinite where no protocol says how long that is. ``dropped_s`` (n,) are the times of dropped frames, and
+    ``played_s`` those of the first and the last frame, in the time of the recording. ``played_s`` is None if it is not
+    known when they were played.
     """
 
     estimate: Track | None
@@ -85,39 +88,68 @@ class RunSeries:
     memory: Samples | None
     latency: Samples | None
     dropped_s: Array
+    played_s: tuple[float, float] | None
     reasons: dict[str, str]
 
 
 def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
     """Read the plot data of ``run`` and of its current evaluation."""
-    estimate = groundtruth = error = None
+    estimate = groundtruth = errors = None
     gap_s = math.inf
     if run.protocol is not None:
         evaluation = folder.evaluation(run.protocol.fingerprint)
         gap_s = gap_of(evaluation)
         estimate = read_track(evaluation / "traj.tum", gap_s)
         groundtruth = read_track(evaluation / "groundtruth.tum")
-        error = error_over_time(evaluation, gap_s)
+        errors = read_errors(evaluation)
     aligned = estimate is not None
+    frames = read_played_frames(folder.frames)
+    start_s = _recording_start(frames, groundtruth, errors)
+    clock = None if frames is None else frames.clock((run.metrics or {}).get("startup"))
     usage = _columns(folder.profiling, ("time", "cpu_usage", "memory_usage"))
     found: dict[str, Any] = {
         "estimate": estimate or read_track(folder.trajectory, gap_s),
         "groundtruth": groundtruth,
-        "error": error,
-        "cpu": None if usage is None else samples_of(usage[:, 0], usage[:, 1]),
-        "memory": None if usage is None else samples_of(usage[:, 0], usage[:, 2]),
-        "latency": latency_of(folder.frames),
+        "error": None if errors is None else stamped_samples(errors[:, 0], errors[:, 1], start_s, gap_s),
+        "cpu": None if usage is None else _usage_over_time(usage[:, 0], usage[:, 1], clock, start_s),
+        "memory": None if usage is None else _usage_over_time(usage[:, 0], usage[:, 2], clock, start_s),
+        "latency": None if frames is None else latency_of(frames, start_s),
     }
     explanations = _explanations(run)
-    reasons = {name: explanations[name] for name, data in found.items() if data is None}
-    dropped_s = dropped_of(folder.frames, found["latency"])
-    return RunSeries(**found, aligned=aligned, gap_s=gap_s, dropped_s=dropped_s, reasons=reasons)
+    return RunSeries(
+        **found,
+        aligned=aligned,
+        gap_s=gap_s,
+        dropped_s=_dropped_of(frames, found["latency"]),
+        played_s=None if clock is None else _ends(clock.timestamps_s - start_s),
+        reasons={name: explanations[name] for name, data in found.items() if data is None},
+    )
+
+
+def _recording_start(frames: PlayedFrames | None, groundtruth: Track | None, errors: Array | None) -> float:
+    """The header timestamp at which the recording's time is 0: its first frame, or what is known of it otherwise."""
+    if frames is not None:
+        return float(frames.timestamps_s[0])
+    if groundtruth is not None:
+        return float(groundtruth.times_s[0])
+    return 0.0 if errors is None else float(errors[0, 0])
+
+
+def _usage_over_time(run_times_s: Array, values: Array, clock: RecordingClock | None, start_s: float) -> Samples:
+    """Sampled values over the time of the recording, or over that of the run without a clock."""
+    if clock is None:
+        return samples_of(run_times_s, values)
+    return stamped_samples(clock.timestamps_at(run_times_s), values, start_s)
+
+
+def _ends(times_s: Array) -> tuple[float, float]:
+    return float(times_s[0]), float(times_s[-1])
 
 
 def error_over_time(evaluation: Path, gap_s: float) -> Samples | None:
     """The position error of each matched pose, thinned for plotting; None if there is none."""
     error = read_errors(evaluation)
-    return None if error is None else stamped_samples(error[:, 0], error[:, 1], gap_s)
+    return None if error is None else stamped_samples(error[:, 0], error[:, 1], float(error[0, 0]), gap_s)
 
 
 def gap_of(evaluation: Path) -> float:
@@ -208,10 +240,9 @@ def samples_of(times_s: Array, values: Array, gap_s: float = math.inf) -> Sample
     return Samples(times_s, values, len(values), _pieces(times_s, gap_s)).thinned(MAX_POINTS)
 
 
-def stamped_samples(timestamps_s: Array, values: Array, gap_s: float = math.inf) -> Samples:
-    """As :func:`samples_of`, over the time since the first timestamp."""
-    samples = samples_of(timestamps_s - timestamps_s[0], values, gap_s)
-    return replace(samples, origin_s=float(timestamps_s[0]))
+def stamped_samples(timestamps_s: Array, values: Array, origin_s: float, gap_s: float = math.inf) -> Samples:
+    """As :func:`samples_of`, over the time since the timestamp ``origin_s``."""
+    return replace(samples_of(timestamps_s - origin_s, values, gap_s), origin_s=origin_s)
 
 
 def _pieces(times_s: Array, gap_s: float) -> Places:
@@ -225,23 +256,20 @@ def _columns(path: Path, names: tuple[str, ...]) -> Array | None:
     return rows if len(rows) else None
 
 
-def latency_of(path: Path) -> Samples | None:
-    """From a frame's arrival to its result, over the recording's time; dropped frames have none."""
-    rows = _columns(path, ("timestamp", "received", "done"))
-    if rows is None:
-        return None
-    rows = rows[rows[:, 2] >= rows[:, 1]]
-    if len(rows) == 0:
-        return None
-    return stamped_samples(rows[:, 0], rows[:, 2] - rows[:, 1])
+def latency_of(frames: PlayedFrames, origin_s: float) -> Samples | None:
+    """From a frame's arrival to its result, over the time since the timestamp ``origin_s``.
+
+    Dropped frames have no latency; None if no frame has one.
+    """
+    timestamps_s, latencies_s = frames.latencies()
+    return stamped_samples(timestamps_s, latencies_s, origin_s) if len(timestamps_s) else None
 
 
-def dropped_of(path: Path, latency: Samples | None) -> Array:
+def _dropped_of(frames: PlayedFrames | None, latency: Samples | None) -> Array:
     """The times of dropped frames on the time axis of ``latency``, at most ``MAX_POINTS``; none without it."""
-    if latency is None or latency.origin_s is None:
+    if frames is None or latency is None or latency.origin_s is None:
         return np.empty(0)
-    rows = read_numeric_columns(path, ("timestamp", "dropped"), LIMIT_BYTES)
-    times_s = np.sort(rows[rows[:, 1] == 1, 0]) - latency.origin_s
+    times_s = frames.dropped_timestamps_s() - latency.origin_s
     kept = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), MAX_POINTS)).astype(np.int64))
     found: Array = times_s[kept]
     return found

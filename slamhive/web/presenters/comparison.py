@@ -96,18 +96,19 @@ def address_args(compared: RunComparison) -> dict[str, str]:
 
 
 def figures(plots: Sequence[Plot]) -> dict[str, Any]:
-    """``figures``, ``captions`` and ``reasons`` by place on the page; plots over time share their range."""
+    """``figures``, ``captions`` and ``reasons`` by place on the page; plots over the same time share their range."""
     charts = {_PLACES[chart.key]: chart for plot in plots for chart in plot.charts if chart.key in _PLACES}
     drawn = {place: _figure(chart) for place, chart in charts.items()}
-    spans = [span for place in _OVER_TIME if place in charts and (span := _span(charts[place])) is not None]
-    for place in _OVER_TIME:
-        if place in drawn and spans:
+    for axis in {charts[place].x for place in _OVER_TIME if place in charts}:
+        places = [place for place in _OVER_TIME if place in charts and charts[place].x == axis]
+        spans = [span for place in places if (span := _span(charts[place])) is not None]
+        for place in places if spans else ():
             drawn[place]["layout"]["xaxis"]["range"] = [min(low for low, _ in spans), max(high for _, high in spans)]
-    places = {place: plot for plot in plots for place in _PLACES_OF_FORM.get(plot.form, ())}
+    filled = {place: plot for plot in plots for place in _PLACES_OF_FORM.get(plot.form, ())}
     return {
         "figures": drawn,
-        "captions": {place: " ".join([chart.caption, *places[place].exclusions]) for place, chart in charts.items()},
-        "reasons": {place: _reason(plot) for place, plot in places.items() if place not in drawn},
+        "captions": {place: " ".join([chart.caption, *filled[place].exclusions]) for place, chart in charts.items()},
+        "reasons": {place: _reason(plot) for place, plot in filled.items() if place not in drawn},
         "best_plane": "xy",
     }
 
