@@ -20,6 +20,8 @@
   function draw(place) {
     const key = place.dataset.figure;
     const figure = content.figures[key === "path" ? VIEWS[view] : key];
+    const panel = place.closest("[data-shown-with-data]");
+    if (panel) panel.hidden = !figure;
     if (!figure) {
       say(place, content.reasons[key === "path" ? "estimate" : key] || "No data for this plot.");
       place.classList.add("without");
@@ -77,12 +79,27 @@
     }
   }
 
+  /** Panels of a failed run without data are hidden; one sentence for each reason says which they are. */
+  function sayWhatIsMissing() {
+    const place = document.querySelector("[data-no-plots]");
+    if (!place) return;
+    const titles = {};
+    for (const panel of document.querySelectorAll("[data-shown-with-data][hidden]")) {
+      const key = panel.querySelector("[data-figure]").dataset.figure;
+      const reason = content.reasons[key === "path" ? "estimate" : key] || "This run has no data for it.";
+      (titles[reason] ??= []).push(panel.querySelector("h2").textContent);
+    }
+    place.textContent = Object.entries(titles).map(([reason, names]) => `No plot of ${names.join(", ")}: ${reason}`).join(" ");
+    place.hidden = !place.textContent;
+  }
+
   function drawAll() {
     if (!content) return;
     for (const place of document.querySelectorAll("[data-caption]")) {
       place.textContent = content.captions[place.dataset.caption] || "";
     }
     document.querySelectorAll("[data-figure]").forEach(draw);
+    sayWhatIsMissing();
     const pattern = document.querySelector("[data-data]")?.dataset.data;
     for (const link of document.querySelectorAll("[data-csv]")) {
       const key = link.dataset.csv;
@@ -104,6 +121,7 @@
       if (!answer.ok) throw new Error(body.error.message);
       content = body;
     } catch (error) {
+      for (const panel of document.querySelectorAll("[data-shown-with-data]")) panel.hidden = false;
       document.querySelectorAll("[data-figure]").forEach((place) => say(place, `The plot could not be drawn: ${error.message}`));
       return;
     }
