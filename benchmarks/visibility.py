@@ -38,7 +38,7 @@ MEMBER = Viewer("anna", signed_in=True)
 def hide(store: Store, share: float) -> None:
     """Make this share of the runs private, of somebody else; spread over all of them."""
     every = f"CASE WHEN (id * 7919) % 100 < {round(100 * share)} THEN 'private:ben' ELSE 'team' END"
-    store.write(lambda t: t.session.execute(text(f"UPDATE runs SET audience = {every}")))
+    store.write(lambda t: t.database.execute(text(f"UPDATE runs SET audience = {every}")))
     store.refresh_statistics()
 
 

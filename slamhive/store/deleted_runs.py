@@ -59,18 +59,31 @@ class DeletedRunRepository(Repository):
         """Those of these runs that were deleted."""
         return set(self._known(_DELETED.c.uid, uids))
 
-    def repeated_by(self, run_id: int) -> list[int]:
-        """The runs that repeat this one."""
-        return self._column(select(_RUNS.c.id).where(_RUNS.c.retry_of == run_id).order_by(_RUNS.c.id))
+    def repeated_by(self, run_ids: Sequence[int]) -> dict[int, list[int]]:
+        """{run: the runs that repeat it}, without runs that none repeats."""
+        found: dict[int, list[int]] = {}
+        for part in chunks(run_ids):
+            query = select(_RUNS.c.retry_of, _RUNS.c.id).where(_RUNS.c.retry_of.in_(part)).order_by(_RUNS.c.id)
+            for run_id, repeat in self._connection.execute(query):
+                found.setdefault(run_id, []).append(repeat)
+        return found
+
+    def by_configuration(self, run_ids: Sequence[int]) -> list[int]:
+        """Those of these runs that exist, repeats beside each other: verdicts of repeats are renewed together."""
+        placed: list[tuple[int, int]] = []
+        for part in chunks(run_ids):
+            query = select(_RUNS.c.configuration_id, _RUNS.c.id).where(_RUNS.c.id.in_(part))
+            placed += [(configuration, run_id) for configuration, run_id in self._connection.execute(query)]
+        return [run_id for _, run_id in sorted(placed)]
 
     def _known(self, column: object, uids: Sequence[str]) -> Iterable[str]:
         for part in chunks(uids):
             yield from self._column(select(column).where(column.in_(part)))  # type: ignore[attr-defined, call-overload]
 
     def _repeats(self, ids: Sequence[int]) -> list[int]:
-        """One remaining run of each configuration of these runs, for each of which verdicts depend on the others."""
+        """The remaining runs of the configurations of these runs: verdicts depend on the repeats."""
         found: list[int] = []
         for part in chunks(ids):
             of = select(_RUNS.c.configuration_id).where(_RUNS.c.id.in_(part))
-            found += self._column(select(_RUNS.c.id).where(_RUNS.c.configuration_id.in_(of), _RUNS.c.id.not_in(ids)))
-        return found
+            found += self._column(select(_RUNS.c.id).where(_RUNS.c.configuration_id.in_(of)))
+        return sorted(set(found) - set(ids))

@@ -188,6 +188,14 @@ class EvaluationRepository(LeaseQueue[int]):
         """All evaluations of one run, oldest first."""
         return self._records(_TABLE.c.run_id == run_id)
 
+    def with_open(self, run_ids: Sequence[int]) -> set[int]:
+        """Those of these runs with an evaluation that has not ended."""
+        found: set[int] = set()
+        for part in chunks(run_ids):
+            query = select(_TABLE.c.run_id).where(_TABLE.c.run_id.in_(part), _TABLE.c.open.is_not(None))
+            found.update(self._column(query))
+        return found
+
     def _store_figures(self, run_id: int, protocol_id: int, result: EvaluationResult) -> bool:
         """Whether the protocol has become the run's current one: only where it had none, and for ``traj.txt`` alone."""
         MetricRepository(self._connection).replace(run_id, result.fingerprint, result.metrics)

@@ -227,7 +227,7 @@ class Run(Base):
     lease_expires_at = optional(UtcDateTime)
     handle = optional(JsonText)
     cancel_requested = column(Boolean)
-    retry_of = optional(Integer, ForeignKey("runs.id"))
+    retry_of = optional(Integer, ForeignKey("runs.id"), index=True)
     protocol_override = optional(JsonText)
     current_protocol_id = optional(Integer, ForeignKey("protocols.id"))
     experiment_id = optional(Integer, ForeignKey("experiments.id"))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from datetime import datetime
 from pathlib import Path
 
 from slamhive.clock import utc_now
@@ -23,11 +24,8 @@ from slamhive.services.runs import (
 )
 from slamhive.services.trash.folder import DeletedFolder, DeletedRun, deleted_folders
 from slamhive.settings import Settings
-from slamhive.store import RunRecord, Store
+from slamhive.store import RunRecord, Store, Transaction
 from slamhive.store.deleted_runs import Deleted
-from slamhive.store.records import EvaluationState
-
-_OPEN = (EvaluationState.QUEUED, EvaluationState.RUNNING)
 
 
 class Trash:
@@ -46,18 +44,20 @@ class Trash:
         self._catalogue = catalogue
         self._ledger = ledger
 
-    def delete(self, run_ids: Sequence[int]) -> tuple[RunRecord, ...]:
-        """Move runs that have ended to the trash; raises Conflict, with nothing changed, if one is still needed."""
+    def delete(self, run_ids: Sequence[int], at: datetime | None = None) -> tuple[RunRecord, ...]:
+        """Move runs that have ended to the trash; raises Conflict, with nothing changed, if one is still needed.
+
+        Runs that are deleted with the same ``at`` can be restored together; the default is now.
+        """
         check_writable(self._settings)
-        runs = self._store.read(lambda t: t.runs.get_many(dict.fromkeys(run_ids)))
+        runs, evaluated, repeats = self._store.read(lambda t: _needed(t, list(dict.fromkeys(run_ids))))
         for run in runs:
-            self._check_unused(run)
-        now = utc_now()
-        deleted = [Deleted(run.uid, run.id, now) for run in runs]
+            _check_unused(run, evaluated)
+        deleted = [Deleted(run.uid, run.id, at or utc_now()) for run in runs]
         for run, entry in zip(runs, deleted, strict=True):
-            repeated_by = self._store.read(lambda t: t.deleted_runs.repeated_by(run.id))  # noqa: B023
             folder = self._folder(run.uid)
-            folder.write(DeletedRun(entry, run.algorithm, run.dataset, tuple(repeated_by), audience=run.audience))
+            repeated_by = tuple(repeats.get(run.id, ()))
+            folder.write(DeletedRun(entry, run.algorithm, run.dataset, repeated_by, audience=run.audience))
             if self._run_folder(run.id).exists():
                 shutil.rmtree(folder.run, ignore_errors=True)
                 _move(self._run_folder(run.id), folder.run)
@@ -131,18 +131,23 @@ class Trash:
         said = found_notes(folder), found_sharing(folder)
         return FolderRun(filed, found, current, ledger.evaluations.of(filed.file.id), attempt, *said)
 
-    def _check_unused(self, run: RunRecord) -> None:
-        if not run.state.ended:
-            raise Conflict(f"run {run.id} has not ended, it is {run.state}", "cancel it first")
-        evaluations = self._store.read(lambda t: t.evaluations.for_run(run.id))
-        if any(entry.state in _OPEN for entry in evaluations):
-            raise Conflict(f"run {run.id} is being evaluated", "wait until that has ended")
-
     def _folder(self, uid: str) -> DeletedFolder:
         return DeletedFolder(self._settings.trash_folder / uid)
 
     def _run_folder(self, run_id: int) -> Path:
         return self._settings.runs_folder / str(run_id)
+
+
+def _needed(t: Transaction, run_ids: Sequence[int]) -> tuple[tuple[RunRecord, ...], set[int], dict[int, list[int]]]:
+    """The runs, those of them that are being evaluated, and {run: the runs that repeat it}."""
+    return t.runs.get_many(run_ids), t.evaluations.with_open(run_ids), t.deleted_runs.repeated_by(run_ids)
+
+
+def _check_unused(run: RunRecord, evaluated: Collection[int]) -> None:
+    if not run.state.ended:
+        raise Conflict(f"run {run.id} has not ended, it is {run.state}", "cancel it first")
+    if run.id in evaluated:
+        raise Conflict(f"run {run.id} is being evaluated", "wait until that has ended")
 
 
 def _move(source: Path, target: Path) -> None:
