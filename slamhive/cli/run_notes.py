@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from slamhive.cli import offers
+from slamhive.cli.chosen_runs import ChosenRuns, SearchAction, runs_or_search
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json
 from slamhive.domain.notes import NotesChange, RunNotes
@@ -22,19 +25,22 @@ def note(cli: CliContext, run_id: int, text: str, as_json: bool) -> None:
 
 
 @click.command("tag")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
+@runs_or_search
 @click.option("--add", multiple=True, metavar="TAG", help="Give the runs this tag.")
 @click.option("--remove", multiple=True, metavar="TAG", help="Take this tag away from them.")
 @json_option
 @pass_cli
-def tag(
-    cli: CliContext, run_ids: tuple[int, ...], add: tuple[str, ...], remove: tuple[str, ...], as_json: bool
-) -> None:
+def tag(cli: CliContext, /, add: tuple[str, ...], remove: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
     """Add tags to runs, or remove them. Filters find them: tag = paper."""
-    hive = cli.hive()
+    hive, runs = cli.hive(), ChosenRuns(**chosen)
     if not add and not remove:
         raise InvalidInput("no tag is named", "use --add TAG or --remove TAG")
-    _show(hive.notes.change(run_ids, NotesChange(add=add, remove=remove)), as_json=as_json)
+    change = NotesChange(add=add, remove=remove)
+    if runs.where is None:
+        _show(hive.notes.change(runs.run_ids, change), as_json=as_json)
+        return
+    action = SearchAction("tag", "change the tags of {runs}?", "the tags of {runs} are stored")
+    runs.act(hive, action, lambda ids, progress: hive.search_actions.tag(ids, change, progress), as_json=as_json)
 
 
 def _show(changed: dict[int, RunNotes], *, as_json: bool) -> None:

@@ -2,31 +2,58 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from slamhive.cli import offers
+from slamhive.cli.chosen_runs import ChosenRuns, SearchAction, runs_or_search
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
-from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.output import counting_bar, print_json, print_table, tell
 from slamhive.domain.numbers import plural
+from slamhive.errors import InvalidInput
 from slamhive.schema.api_answers import DeletedRun
 
 
 @click.command("delete")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
+@runs_or_search
+@json_option
 @pass_cli
-def delete(cli: CliContext, run_ids: tuple[int, ...]) -> None:
-    """Move runs that have ended to the trash, with their files."""
-    runs = cli.hive().trash.delete(run_ids)
-    numbers = " ".join(str(run.id) for run in runs)
-    click.echo(f"{plural(len(runs), 'run')} moved to the trash; slamhive runs restore {numbers} takes them out again")
+def delete(cli: CliContext, /, as_json: bool, **chosen: Any) -> None:
+    """Move runs that have ended to the trash, with their files.
+
+    With --where, runs that have not ended or are being evaluated are left out.
+    """
+    hive, runs = cli.hive(), ChosenRuns(**chosen)
+    if runs.where is not None:
+        action = SearchAction("delete", "move {runs} to the trash?", "{runs} moved to the trash")
+        acted = runs.act(hive, action, hive.search_actions.delete, as_json=as_json)
+        if acted.at is not None and acted.done and not as_json:
+            click.echo(f"slamhive runs restore --deleted-at {acted.at.isoformat()} takes them out again")
+        return
+    deleted = hive.trash.delete(runs.run_ids)
+    if as_json:
+        print_json({"done": len(deleted), "left_out": 0, "reasons": []})
+        return
+    numbers = " ".join(str(run.id) for run in deleted)
+    click.echo(
+        f"{plural(len(deleted), 'run')} moved to the trash; slamhive runs restore {numbers} takes them out again"
+    )
 
 
 @click.command("restore")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
+@click.argument("run_ids", type=run_number, nargs=-1, shell_complete=offers.RUN)
+@click.option("--deleted-at", metavar="TIME", help="All runs that one command deleted at this time, as it said.")
 @pass_cli
-def restore(cli: CliContext, run_ids: tuple[int, ...]) -> None:
+def restore(cli: CliContext, run_ids: tuple[int, ...], deleted_at: str | None) -> None:
     """Take runs out of the trash, under their old numbers."""
-    click.echo(f"{plural(len(cli.hive().trash.restore(run_ids)), 'run')} restored")
+    if bool(run_ids) == (deleted_at is not None):
+        raise InvalidInput("name runs by number, or give --deleted-at: one of the two", "see slamhive runs trash")
+    hive = cli.hive()
+    wanted = list(run_ids) if deleted_at is None else hive.trash.deleted_together(deleted_at)
+    with counting_bar("restore", len(wanted)) as bar:
+        restored = hive.trash.restore(wanted, lambda done: bar(done, ""))
+    click.echo(f"{plural(len(restored), 'run')} restored")
 
 
 @click.command("trash")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slamhive.cli import offers
+from slamhive.cli.chosen_runs import ChosenRuns, SearchAction, runs_or_search
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
 from slamhive.cli.groups import LazyGroup
 from slamhive.cli.hints import hint_in_words
@@ -212,14 +213,17 @@ def cancel(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
 
 
 @runs.command("retry")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
+@runs_or_search
 @json_option
 @pass_cli
-def retry(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
+def retry(cli: CliContext, /, as_json: bool, **options: Any) -> None:
     """Queue new runs with the configurations of finished ones."""
-    hive = cli.hive()
-    new = [hive.runs.retry(run_id) for run_id in run_ids]
-    print_runs(new, as_json)
+    hive, chosen = cli.hive(), ChosenRuns(**options)
+    if chosen.where is not None:
+        action = SearchAction("retry", "queue {runs} again?", "{runs} queued, which repeat those of the search")
+        chosen.act(hive, action, hive.search_actions.retry, as_json=as_json)
+        return
+    print_runs([hive.runs.retry(run_id) for run_id in chosen.run_ids], as_json)
 
 
 def _print_outcome(entry: RunRecord) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slamhive.cli import offers
-from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
+from slamhive.cli.chosen_runs import ChosenRuns, SearchAction, runs_or_search
+from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json
 from slamhive.domain.visibility import Sharing, Visibility, visibility_of
 from slamhive.errors import InvalidInput
@@ -30,13 +31,17 @@ def sharing_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 @click.command("share")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
+@runs_or_search
 @sharing_options
-def share_runs(
-    cli: CliContext, run_ids: tuple[int, ...], visibility: str | None, owner: str | None, as_json: bool
-) -> None:
+def share_runs(cli: CliContext, /, visibility: str | None, owner: str | None, as_json: bool, **options: Any) -> None:
     """Choose who may see runs where there are accounts. See docs/accounts.md."""
-    runs = cli.hive().sharings.runs(run_ids, _change(visibility, owner))
+    hive, chosen, change = cli.hive(), ChosenRuns(**options), _change(visibility, owner)
+    if chosen.where is not None:
+        action = SearchAction("share", "change who may see {runs}?", "{runs} shared")
+        share = hive.search_actions.share
+        chosen.act(hive, action, lambda ids, progress: share(ids, change, progress), as_json=as_json)
+        return
+    runs = hive.sharings.runs(chosen.run_ids, change)
     if as_json:
         print_json([{"id": run.id, "owner": run.owner, "visibility": run.seen_by.value} for run in runs])
         return

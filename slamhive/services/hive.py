@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from slamhive.services.reports import Analyses
     from slamhive.services.run_comparison import RunComparisons
     from slamhive.services.runs import MapViews, Notes, Runs, StoredRuns
+    from slamhive.services.search_actions import SearchActions
     from slamhive.services.searches import Searches
     from slamhive.services.sharing import Sharings
     from slamhive.services.trash import Trash
@@ -324,6 +325,13 @@ class Hive:
         from slamhive.services.trash import Trash
 
         return Trash(self.settings, self.store, self.catalogue, self.ledger)
+
+    @cached_property
+    def search_actions(self) -> SearchActions:
+        """What is done with all runs of a search."""
+        from slamhive.services.search_actions import SearchActions
+
+        return SearchActions(self.store, self.runs, self.evaluations, self.notes, self.sharings, self.trash)
 
     @cached_property
     def kept_answers(self) -> KeptAnswers:

@@ -21,7 +21,7 @@ from slamhive.services.runs import (
     found_sharing,
     read_filed,
 )
-from slamhive.services.trash import deleted_folders
+from slamhive.services.trash import deleted_runs
 
 BATCH = 100
 """Folders filed in one transaction."""
@@ -65,7 +65,7 @@ def reindex(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
 def _reindexed(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
     folders = run_folders(hive.settings.runs_folder)
     report = ReindexReport()
-    deleted = [folder.read().deleted for folder in deleted_folders(hive.settings.trash_folder)]
+    deleted = [run.deleted for run in deleted_runs(hive.settings.trash_folder)]
     hive.store.write(lambda t: t.deleted_runs.remember(deleted))
     ledger = LedgerRestore(hive.store, hive.catalogue, hive.ledger.files)
     for restored in hive.experiments.restore_rows():

@@ -44,7 +44,7 @@ RULES = {
     ),
     **dict.fromkeys(("configurations", "dashboard", "datasets", "experiment_builder", "experiments", "help"), STANDARD),
     **dict.fromkeys(("finding", "public_datasets", "run_plots", "runs", "searches"), STANDARD),
-    **dict.fromkeys(("scenes", "selected_runs", "start", "trash"), STANDARD),
+    **dict.fromkeys(("scenes", "search_actions", "selected_runs", "start", "trash"), STANDARD),
     "analyses.create": Rule(change=Action.ANALYSE),
     "analyses.check": Rule(change=Action.ANALYSE),
     "trash.empty": Rule(change=Action.ADMINISTER),

@@ -21,7 +21,7 @@ from slamhive.store.audit import in_ranges
 PAGES = "pages"
 _LARGEST = 2**53 - 1
 _MOST_NUMBERS = 1000
-_NAMED = ("name", "group", "title", "executor", "node", "visibility")
+_NAMED = ("name", "group", "title", "executor", "node", "visibility", "search")
 """Fields of web forms that say on what something is done."""
 
 

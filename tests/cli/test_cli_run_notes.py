@@ -79,3 +79,28 @@ def test_runs_are_deleted_and_restored(data: Path) -> None:
     assert call(data, "show", "1").exit_code == 0
     assert call(data, "trash").stderr == "the trash is empty\n"
     assert call(data, "trash", "--empty").stdout == "0 runs removed for good\n"
+
+
+def test_all_runs_of_a_search_are_changed_after_a_question(data: Path) -> None:
+    refused = CliRunner().invoke(main, ["--data", str(data), "runs", "delete", "--where", "id <= 2"], input="n\n")
+    assert refused.exit_code == 1
+    assert "move 2 runs to the trash? [y/N]" in refused.stderr
+    assert json.loads(call(data, "trash", "--json").stdout) == []
+    tagged = call(data, "tag", "--where", "id <= 2", "--add", "both", "--yes")
+    assert tagged.stdout == "the tags of 2 runs are stored\n"
+    assert json.loads(call(data, "--where", "tag = both", "--columns", "id", "--json").stdout) == [{"id": 2}, {"id": 1}]
+    deleted = json.loads(call(data, "delete", "--where", "tag = both", "--yes", "--json").stdout)
+    assert (deleted["done"], deleted["left_out"]) == (2, 0)
+    assert call(data, "restore", "--deleted-at", deleted["deleted_at"]).stdout == "2 runs restored\n"
+    retried = call(data, "retry", "--where", "tag = both", "--yes")
+    assert retried.stdout == "0 runs queued, which repeat those of the search\n"
+    assert "2 runs left out:\n  unknown algorithm 'eye-slam-stereo'" in retried.stderr
+    assert retried.stderr.count("unknown algorithm") == 1, "a reason is stated once"
+    assert call(data, "tag", "--where", "tag = nobody", "--add", "x").stdout == "no run matches this filter\n"
+
+
+@pytest.mark.parametrize("arguments", [("delete",), ("delete", "1", "--where", "id = 1"), ("restore",)])
+def test_runs_are_named_by_number_or_by_a_search(data: Path, arguments: tuple[str, ...]) -> None:
+    result = call(data, *arguments)
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: name runs by number, or give --")

@@ -193,7 +193,7 @@ def finish_run(hive: Hive, run_id: int, metrics: Mapping[str, float] | None = No
     folder.create()
     ends = (RunState.PREPARING, RunState.STARTING, RunState.RUNNING, RunState.COLLECTING, RunState.SUCCEEDED)
     advance(hive, run_id, *ends, poses=400, exit_code=0)
-    measured = metrics or {"cpu.mean": 1.25, "ram.max": 512_345_678.0, "duration": 41.5}
+    measured = metrics or {"cpu.mean": 1.25, "ram.max": 512_345_678.0, "duration": 41.5, "startup": 1.5}
     hive.store.write(lambda t: t.metrics.put(run_id, None, measured))
     np.savetxt(folder.trajectory, loop_path(noise_m=0.02))
     folder.log.write_text("tracking\n" * 50)

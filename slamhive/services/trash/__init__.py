@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.trash.folder import DeletedFolder, deleted_folders
+    from slamhive.services.trash.folder import DeletedFolder, deleted_runs
     from slamhive.services.trash.service import Trash
 
-__all__ = ["DeletedFolder", "Trash", "deleted_folders"]
+__all__ = ["DeletedFolder", "Trash", "deleted_runs"]
 
 if not TYPE_CHECKING:
     __getattr__ = lazy_names(__name__)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -82,13 +83,9 @@ class DeletedFolder:
         return DeletedRun(deleted, content["algorithm"], content["dataset"], repeated_by, kept, audience)
 
 
-def deleted_folders(root: Path) -> Iterator[DeletedFolder]:
-    """The folders of all deleted runs whose description can be read."""
+def deleted_runs(root: Path) -> Iterator[DeletedRun]:
+    """All deleted runs whose description can be read."""
     for path in sorted(root.iterdir()) if root.is_dir() else ():
-        folder = DeletedFolder(path)
         if _UID.fullmatch(path.name) and not path.is_symlink():
-            try:
-                folder.read()
-            except SlamHiveError:
-                continue
-            yield folder
+            with suppress(SlamHiveError):
+                yield DeletedFolder(path).read()

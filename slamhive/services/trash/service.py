@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
 from pathlib import Path
 
 from slamhive.clock import utc_now
-from slamhive.errors import Conflict, NotFound, SlamHiveError, Unavailable
+from slamhive.errors import Conflict, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.files import remedy_of
 from slamhive.runs.folder import RunFolder
 from slamhive.services.datasets import Catalogue, check_writable
@@ -22,7 +22,7 @@ from slamhive.services.runs import (
     found_sharing,
     read_filed,
 )
-from slamhive.services.trash.folder import DeletedFolder, DeletedRun, deleted_folders
+from slamhive.services.trash.folder import DeletedFolder, DeletedRun, deleted_runs
 from slamhive.settings import Settings
 from slamhive.store import RunRecord, Store, Transaction
 from slamhive.store.deleted_runs import Deleted
@@ -64,8 +64,22 @@ class Trash:
         self._store.write(lambda t: t.deleted_runs.remove(deleted))
         return runs
 
-    def restore(self, run_ids: Sequence[int]) -> list[int]:
-        """Take runs out of the trash, under their old numbers.
+    def deleted_together(self, at: str) -> list[int]:
+        """The runs in the trash that one action deleted at ``at`` (ISO 8601), in order.
+
+        Raises InvalidInput for what is no time, NotFound if there are none.
+        """
+        try:
+            moment = datetime.fromisoformat(at)
+        except ValueError:
+            raise InvalidInput(f"{at[:40]!r} is no time", "write it as 2026-05-04T12:00:00.123456+00:00") from None
+        found = sorted(run.deleted.run_id for run in self.listed() if run.deleted.at == moment)
+        if not found:
+            raise NotFound(f"no run in the trash was deleted at {moment.isoformat()}", "see slamhive runs trash")
+        return found
+
+    def restore(self, run_ids: Sequence[int], progress: Callable[[int], None] = lambda _done: None) -> list[int]:
+        """Take runs out of the trash, under their old numbers; ``progress`` takes how many are done.
 
         Raises NotFound for a run that is not there, Conflict if its number is in use again.
         """
@@ -76,14 +90,16 @@ class Trash:
                 raise NotFound(f"run {run_id} is not in the trash", "slamhive runs trash lists what is there")
             if self._run_folder(run_id).exists():
                 raise Conflict(f"number {run_id} belongs to another run now", "import the old one from an archive")
-        for run_id in dict.fromkeys(run_ids):
+        wanted = list(dict.fromkeys(run_ids))
+        for done, run_id in enumerate(wanted, 1):
             self._restore(known[run_id])
-        return list(dict.fromkeys(run_ids))
+            progress(done)
+        return wanted
 
     def listed(self) -> list[DeletedRun]:
         """The runs in the trash that the viewer could see before, the last deleted first."""
         viewer = self._store.viewer
-        found = [folder.read() for folder in deleted_folders(self._settings.trash_folder)]
+        found = deleted_runs(self._settings.trash_folder)
         seen = (run for run in found if run.kept and (viewer is None or viewer.sees(run.audience)))
         return sorted(seen, key=lambda run: run.deleted.at, reverse=True)
 

@@ -42,6 +42,14 @@ def search_scripts(where: str, sort: RunSort, settings: Settings) -> tuple[Scrip
     )
 
 
+def search_commands(where: str) -> list[str]:
+    """The commands that act on all runs of a search."""
+    chosen = ["--where", where]
+    commands = (["runs", "tag", *chosen, "--add", "TAG"], ["evaluate", *chosen])
+    more = (["runs", action, *chosen] for action in ("retry", "delete"))
+    return [shlex.join(["slamhive", *command]) for command in (*commands, *more)]
+
+
 def comparison_scripts(run_ids: Sequence[int], settings: Settings, *, grouped: bool) -> tuple[Script, ...]:
     """A comparison of runs; in Python, their metrics as a table."""
     numbers = ",".join(map(str, run_ids))

@@ -25,6 +25,7 @@ OF_PAGE = {
     "experiments": "experiments",
     "experiment_builder": "experiments",
     "runs": "search",
+    "search_actions": "search",
     "selected_runs": "search",
     "trash": "web",
     "nodes": "web",

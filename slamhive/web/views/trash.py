@@ -11,19 +11,22 @@ from slamhive.web.context import hive
 from slamhive.web.formatting import plural
 
 blueprint = Blueprint("trash", __name__, url_prefix="/trash")
+MOST_SHOWN = 500
 
 
 @blueprint.get("")
 def index() -> str:
     """List the deleted runs."""
-    return render_template("trash/index.html", runs=hive().trash.listed())
+    found = hive().trash.listed()
+    return render_template("trash/index.html", runs=found[:MOST_SHOWN], total=len(found))
 
 
 @blueprint.post("/restore")
 def restore() -> Response:
     """Take runs out of the trash."""
+    trash, deleted_at = hive().trash, request.form.get("deleted_at")
     numbers = [whole_number(text, "run", 1, LARGEST_RUN_ID) for text in request.form.getlist("run")]
-    runs = hive().trash.restore(numbers)
+    runs = trash.restore(trash.deleted_together(deleted_at) if deleted_at else numbers)
     flash(f"{plural(len(runs), 'run')} restored." if runs else "No run is selected.", "success" if runs else "warning")
     target = address("runs.show", run_id=runs[0]) if len(runs) == 1 else address("runs.index")
     return make_response(redirect(target, 303))

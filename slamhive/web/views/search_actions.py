@@ -1,0 +1,124 @@
+"""Actions on all runs of a search: what they would change, and the change."""
+
+from __future__ import annotations
+
+from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
+
+from slamhive.domain.notes import NotesChange, split_tags
+from slamhive.domain.visibility import Visibility
+from slamhive.errors import Conflict, InvalidInput
+from slamhive.input_bounds import whole_number
+from slamhive.services.search_actions import Acted
+from slamhive.services.sharing import SharingChange
+from slamhive.web.context import hive
+from slamhive.web.formatting import plural
+from slamhive.web.presenters.protocols import protocol_groups
+from slamhive.web.presenters.scripts import search_commands
+from slamhive.web.run_query import RunQuery, filled
+from slamhive.web.views.runs import list_address
+
+blueprint = Blueprint("search_actions", __name__, url_prefix="/runs/search")
+
+MOST_RUNS = 2000
+"""Of one request: it deletes a run in some milliseconds. The command line shows its progress and has no such limit."""
+UNDO_TOGETHER = "undo-together"
+"""The category of a message with a button that restores what was deleted together at the time behind it."""
+_LARGEST_COUNT = 2**53
+
+
+@blueprint.get("")
+def show() -> str:
+    """How many runs the search matches, and what can be done with all of them."""
+    services = hive()
+    services.check_writable()
+    query = _asked()
+    return render_template(
+        "runs/search_actions.html",
+        query=query,
+        count=services.searches.exact_count(query.search),
+        most=MOST_RUNS,
+        known=services.notes.tags(),
+        protocol_groups=protocol_groups(),
+        commands=search_commands(query.search.text),
+    )
+
+
+@blueprint.post("/evaluate")
+def evaluate() -> Response:
+    """Evaluate all runs of the search that succeeded."""
+    acted = hive().search_actions.evaluate(_run_ids(), request.form.get("protocol") or None, _unseen)
+    return _to_list(acted, f"Evaluations of {plural(acted.done, 'run')} queued.")
+
+
+@blueprint.post("/retry")
+def retry() -> Response:
+    """Queue a new run for each run of the search that has ended."""
+    acted = hive().search_actions.retry(_run_ids(), _unseen)
+    return _to_list(acted, f"{plural(acted.done, 'run')} queued again.")
+
+
+@blueprint.post("/tag")
+def tag() -> Response:
+    """Add and remove tags of all runs of the search."""
+    form = request.form
+    change = NotesChange(add=split_tags(form.get("add", "")), remove=split_tags(form.get("remove", "")))
+    if not change.add and not change.remove:
+        raise InvalidInput("no tag is named", "write tags to add, or to remove")
+    acted = hive().search_actions.tag(_run_ids(), change, _unseen)
+    return _to_list(acted, f"The tags of {plural(acted.done, 'run')} are stored.")
+
+
+@blueprint.post("/share")
+def share() -> Response:
+    """Choose who may see all runs of the search."""
+    visibility = Visibility.named(request.form.get("visibility", ""))
+    acted = hive().search_actions.share(_run_ids(), SharingChange(visibility), _unseen)
+    return _to_list(acted, f"{plural(acted.done, 'run')} set to {visibility}.")
+
+
+@blueprint.post("/delete")
+def delete() -> Response:
+    """Move all runs of the search to the trash."""
+    acted = hive().search_actions.delete(_run_ids(), _unseen)
+    return _to_list(acted, f"{plural(acted.done, 'run')} moved to the trash.")
+
+
+def _run_ids() -> list[int]:
+    """The runs of the search.
+
+    Raises Conflict if they are not as many as the page said, InvalidInput if they are too many for a request.
+    """
+    hive().check_writable()
+    run_ids = hive().searches.run_ids(_asked().search)
+    expected = whole_number(request.form.get("count", ""), "count", 0, _LARGEST_COUNT)
+    if len(run_ids) != expected:
+        raise Conflict(
+            f"the search matches {plural(len(run_ids), 'run')} now, not {expected}", "look at them, then try again"
+        )
+    if len(run_ids) > MOST_RUNS:
+        raise InvalidInput(f"{plural(len(run_ids), 'run')} are too many for a page", "use slamhive runs on the server")
+    return run_ids
+
+
+def _to_list(acted: Acted, words: str) -> Response:
+    """Back to the list, which says what was done."""
+    flash(f"{words} {_left_out(acted)}".strip(), _category(acted))
+    return make_response(redirect(list_address(filled(request.args)), 303))
+
+
+def _unseen(done: int) -> None:
+    """A page shows no progress: its limit keeps the request short."""
+
+
+def _asked() -> RunQuery:
+    return RunQuery.from_args(request.args, hive().searches.vocabulary())
+
+
+def _left_out(acted: Acted) -> str:
+    return f"{plural(acted.left_out, 'run')} left out: {'; '.join(acted.words)}." if acted.left_out else ""
+
+
+def _category(acted: Acted) -> str:
+    if acted.at is not None and acted.done:
+        return f"{UNDO_TOGETHER} {acted.at.isoformat()}"
+    return "success" if acted.done else "warning"
