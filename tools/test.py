@@ -159,19 +159,14 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("types", ((str(BIN / "mypy"),),), group="processes"),  # a minute on one core, so something runs beside
         Tier("mysql", marks="mysql and not docker", prepare=prepare_database, group="processes"),
         Tier("browser", marks="browser and not docker and not mysql", prepare=prepare_browser, group="processes"),
+        # Runs the experiment of `slamhive demo` without the engine, in environments that other tiers need as well.
+        Tier("pictures", marks="pictures and not docker and not mysql", prepare=prepare_pictures, group="processes"),
         Tier("docker", marks=f"docker and not alone and {CHEAP}", engine=True, prepare=with_engine, group="processes"),
         # Builds images: some 400 s of CPU time where none has been built before. Its runs are played slowly.
         Tier("images", marks="images", engine=True, prepare=with_engine, group="processes"),
         Tier("systems", marks=f"docker and alone and {CHEAP}", engine=True, prepare=with_engine),
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
         Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),
-        Tier(
-            "pictures",
-            marks="pictures and not docker and not mysql",
-            engine=True,
-            prepare=prepare_browser,
-            asked_only=True,
-        ),
         Tier("cluster", marks="cluster", engine=True, prepare=with_clusters, asked_only=True),
     ]
 
@@ -343,6 +338,11 @@ def prepare_browser() -> str:
     there = next(filter(shutil.which, (*BROWSER_PACKAGES, "google-chrome")), None)
     browser = there or (machine.available(*BROWSER_PACKAGES) if machine.can_install() else BROWSER_PACKAGES[-1])
     return prepare_packages([name for name in (browser if there is None else None, "poppler-utils") if name])
+
+
+def prepare_pictures() -> str:
+    """A browser, and what the algorithms of the demo load outside containers."""
+    return prepare_libraries() + prepare_browser()
 
 
 def prepare_clusters() -> str:
