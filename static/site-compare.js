@@ -127,13 +127,32 @@
     return scene;
   }
 
-  function merged(key, runs) {
+  const RECORDING = "recording time [s]";
+  const axisOf = (key) => (run) => run.figures[key]?.layout.xaxis?.title.text;
+
+  /** The runs with data for a plot. Runs of older versions lack the time of the recording, so they are left out beside others. */
+  function withData(key, runs) {
     const having = runs.filter((run) => run.figures[key]);
+    const onRecording = having.filter((run) => axisOf(key)(run) === RECORDING);
+    return onRecording.length ? onRecording : having;
+  }
+
+  /** The range that holds the times of all runs. Grey areas are those of one run, so a comparison has none. */
+  function commonTime(having, key) {
+    const { shapes, ...layout } = having[0].figures[key].layout;
+    const ranges = having.map((run) => run.figures[key].layout.xaxis?.range).filter(Boolean);
+    if (!ranges.length) return layout;
+    const range = [Math.min(...ranges.map(([low]) => low)), Math.max(...ranges.map(([, high]) => high))];
+    return { ...layout, xaxis: { ...layout.xaxis, range } };
+  }
+
+  function merged(key, runs) {
+    const having = withData(key, runs);
     if (!having.length) return null;
     const data = having.flatMap((run) => run.figures[key].data.filter((trace) => trace.meta !== TRUTH)
       .map((trace, place) => ofRun(trace, run, colours[runs.indexOf(run)][0], place === 0)));
     const truth = having.flatMap((run) => run.figures[key].data).find((trace) => trace.meta === TRUTH && trace.mode === "lines");
-    const { layout } = having[0].figures[key];
+    const layout = commonTime(having, key);
     const dark = Object.fromEntries(colours.filter(([colour, lighter]) => colour !== lighter));
     const scene = layout.scene ? { scene: commonScene(having.map((run) => run.figures[key].layout.scene)) } : {};
     return { data: truth ? [...data, truth] : data, layout: { ...layout, ...scene, legend: { orientation: "h", yanchor: "bottom", y: 1, xanchor: "left", x: 0 }, showlegend: true, meta: { dark } } };
@@ -147,7 +166,7 @@
       const figure = key === "path" && datasets.size > 1 ? null : merged(key, runs);
       if (figure) figures[key] = figure;
       else reasons[key] = key === "path" && datasets.size > 1 ? `The runs are of ${datasets.size} datasets, so their paths are not drawn together.` : "None of these runs has data for this plot.";
-      const lacking = runs.filter((run) => !run.figures[key]).map((run) => run.id);
+      const lacking = runs.filter((run) => !withData(key, runs).includes(run)).map((run) => run.id);
       place.parentElement.querySelector("figcaption").textContent = figure && lacking.length ? `Without data: ${lacking.length > 1 ? "runs" : "run"} ${lacking.join(", ")}.` : "";
     }
     slamhiveDraw({ figures, reasons, plane: runs.find((run) => run.plane)?.plane });

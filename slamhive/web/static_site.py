@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Template
+from jinja2 import Environment, Template
 
 from slamhive import __version__
 from slamhive.analysis.colours import RUN_COLOURS, colour_of, on_dark
@@ -29,9 +29,10 @@ from slamhive.services.runs import run_series
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
 from slamhive.store.records import RunRecord
 from slamhive.web.assets import PLOTLY_FILE
-from slamhive.web.formatting import duration, exact_time, plural
+from slamhive.web.formatting import duration, exact_time, plural, significant, size, thousands, value_text
 from slamhive.web.presenters.matching import match_of_configuration, match_of_run
 from slamhive.web.presenters.runs import metric_rows, outcome, parameter_rows, wall_time_s
+from slamhive.web.site_catalogue import FOLDERS, CataloguePages
 from slamhive.web.site_runs import (
     FIGURES,
     drawing,
@@ -49,7 +50,8 @@ MARK = "site.json"
 LISTED_WITHOUT_SCRIPTS = 2000
 """Runs that the list names where scripts are off, since it then has neither pages nor a search."""
 _RUN_PAGE = "../runs/{}.html"
-_PARTS = {"experiment": "Experiments", "algorithm": "Algorithms", "dataset": "Datasets"}
+LOG_BYTES = 16_000
+"""Of the end of the log of each run."""
 _ASSETS = ("report.css", "print.css", "report.js", "site.css", "site-list.js", "site-plots.js", "site-compare.js")
 
 Progress = Callable[[int, int], None]
@@ -128,8 +130,7 @@ class StaticSite:
             "made_at": exact_time(utc_now()),
             "software": __version__,
         }
-        environment = report_environment(self._root)
-        environment.filters["plural"] = plural
+        environment = _environment(self._root)
         page = environment.get_template("published/run.html")
         rows: list[dict[str, Any]] = []
         measured: set[str] = set()
@@ -139,6 +140,7 @@ class StaticSite:
             measured |= {row.metric.key for needs in (True, False) for row in metric_rows(run, needs_protocol=needs)}
             progress(done, len(run_ids))
         (folder / "assets" / "runs.js").write_text(table_script(rows), encoding="utf-8")
+        CataloguePages(self._hive, environment, site, whole=self._request.run_ids is None).write(folder, rows)
         content: dict[str, Any] = {
             "analyses": self._analyses(folder, environment.get_template("published/analysis.html"), site),
             "parts": _parts(rows),
@@ -190,9 +192,14 @@ class StaticSite:
             ],
             parameters=parameter_rows(run, algorithm, self._match(run, record)),
             facts=_facts(run, algorithm),
+            log=self._log(run),
         )
         (folder / f"{run.id}.html").write_text(text, encoding="utf-8")
         (folder / f"{run.id}.js").write_text(run_script(run, record, drawn), encoding="utf-8")
+
+    def _log(self, run: RunRecord) -> str:
+        """The end of the log of a run."""
+        return self._hive.runs.log(run.id, LOG_BYTES)
 
     def _match(self, run: RunRecord, record: dict[str, Any]) -> Match | None:
         """As :func:`match_of_run`, but asks only once for each configuration."""
@@ -201,6 +208,13 @@ class StaticSite:
         if run.configuration_id not in self._matches:
             self._matches[run.configuration_id] = match_of_configuration(self._hive, run.configuration_id)
         return self._matches[run.configuration_id]
+
+
+def _environment(project_root: Path) -> Environment:
+    environment = report_environment(project_root)
+    words = (plural, duration, significant, size, thousands, value_text)
+    environment.filters |= {function.__name__: function for function in words}
+    return environment
 
 
 def _compared(measured: set[str]) -> dict[str, Any]:
@@ -213,9 +227,11 @@ def _compared(measured: set[str]) -> dict[str, Any]:
 
 
 def _parts(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str, list[tuple[str, int]]]]:
-    """Columns of the list with their title, and the number of runs of each experiment, algorithm and dataset."""
-    counts = {key: Counter(str(row[key]) for row in rows if row[key] is not None) for key in _PARTS}
-    return [(key, title, sorted(counts[key].items())) for key, title in _PARTS.items() if counts[key]]
+    """Folder and title of the pages, and the number of runs of each experiment, algorithm and dataset."""
+    counts = {key: Counter(str(row[key]) for row in rows if row[key] is not None) for key in FOLDERS}
+    return [
+        (folder, folder.capitalize(), sorted(counts[key].items())) for key, folder in FOLDERS.items() if counts[key]
+    ]
 
 
 def _facts(run: RunRecord, algorithm: Algorithm | None) -> list[tuple[str, object]]:

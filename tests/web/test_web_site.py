@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from slamhive.services.experiments import ExperimentSource
 from slamhive.web.static_site import SiteRequest, StaticSite
+from tests.services.test_trash import end
 from tests.web import web_world as world
 from tests.web.browser_world import BROWSER, LOOKS, faultless, opened, violations, wide_parts
+from tests.web.test_web_experiments import TRIAL
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -40,6 +43,8 @@ def site(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         (run_id,) = world.add_runs(hive, 1, nFeatures=1000 + 500 * place)
         world.finish_run(hive, run_id, {"cpu.mean": 1.0 + place, "ram.max": 3e8})
         world.evaluate_run(hive, run_id, 0.02 * (1 + place))
+    hive.experiments.start(ExperimentSource(TRIAL))
+    end(hive, *hive.experiments.run_ids("trial")[:2])
     hive.stored_analyses.create(ANALYSIS)
     assert hive.analysis_jobs.work_once("tests", threading.Event())
     StaticSite(hive, SiteRequest(folder / "site", title="Published")).write(lambda _done, _total: None)
@@ -74,7 +79,7 @@ def rows(page: Page) -> list[str]:
 def test_runs_are_found_ordered_and_compared(chromium: Browser, place: str) -> None:
     with faultless(chromium, place) as page:
         page.goto(f"{place}/index.html")
-        assert rows(page) == ["1", "2", "3", "6", "7"]
+        assert rows(page) == ["1", "2", "3", "6", "7", "8", "9"]
         page.get_by_label("Search").fill("ate.rmse<0.045")
         assert rows(page) == ["6", "7"]
         page.get_by_role("button", name="ATE RMSE").click()
@@ -101,6 +106,19 @@ def test_runs_are_found_ordered_and_compared(chromium: Browser, place: str) -> N
         assert {("scatter", "Run 6"), ("scatter", "Run 7"), ("scatter", "ground truth")} <= set(map(tuple, names))
         page.get_by_role("button", name="3D").click()
         page.wait_for_function(f"{path}[0].type === 'scatter3d'")
+        time = "document.querySelector('[data-plot=cpu]').layout"
+        assert page.evaluate(f"{time}.xaxis.title.text") == "time since the start of the run [s]"
+        assert page.evaluate(f"{time}.shapes ?? []") == []
+
+
+def test_runs_are_compared_over_the_time_of_the_recording(chromium: Browser, site: Path) -> None:
+    with faultless(chromium, site.as_uri()) as page:
+        page.goto(f"{site.as_uri()}/compare.html?runs=1,6")
+        page.wait_for_selector("[data-plot=memory].js-plotly-plot", timeout=60_000)
+        plot = "document.querySelector('[data-plot=cpu]')"
+        assert page.evaluate(f"{plot}.layout.xaxis.title.text") == "recording time [s]"
+        assert page.evaluate(f"{plot}.layout.xaxis.range.map(Math.round)") == [-1, 40]
+        page.locator("figure:has([data-plot=cpu]) figcaption").get_by_text("Without data: run 6.").wait_for()
 
 
 def test_a_run_is_drawn_in_every_view(chromium: Browser, site: Path) -> None:
@@ -139,9 +157,10 @@ def test_every_kind_of_page_is_drawn_without_faults(chromium: Browser, site: Pat
     analysis = next((site / "analyses").glob("*.html")).stem
     seen: list[str] = []
     with opened(chromium, place, look) as (page, faults):
-        for name in ("index", "runs/1", "runs/3", "compare", f"analyses/{analysis}"):
+        pages = ("index", "runs/1", "runs/3", "compare", f"analyses/{analysis}", "datasets/room")
+        for name in (*pages, "algorithms/eye-slam-stereo", "experiments/trial"):
             page.goto(f"{place}/{name}.html{'?runs=1,6,7' if name == 'compare' else ''}")
-            if name not in {"index", "runs/3"}:
+            if name not in {"index", "runs/3", "algorithms/eye-slam-stereo", "experiments/trial"}:
                 page.wait_for_selector(".js-plotly-plot", timeout=60_000)
             found = [*faults.taken(), *wide_parts(page), *violations(page, look)]
             seen += [f"{name}: {fault}" for fault in found]

@@ -1,0 +1,77 @@
+"""Pages of a static site about datasets, algorithms and experiments."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from slamhive.services.experiments import ExperimentSource
+from slamhive.services.hive import Hive
+from slamhive.web.static_site import SiteRequest, StaticSite
+from tests.services.test_trash import end
+from tests.web import web_world as world
+from tests.web.test_web_experiments import TRIAL
+
+pytestmark = pytest.mark.quick
+
+
+@pytest.fixture
+def hive(filled: Path, tmp_path: Path) -> Hive:
+    shutil.copytree(filled, tmp_path, symlinks=True, dirs_exist_ok=True)
+    return world.make_hive(tmp_path)
+
+
+def published(hive: Hive, **options: object) -> Path:
+    folder = hive.settings.data / "site"
+    StaticSite(hive, SiteRequest(folder, **options)).write(lambda _done, _total: None)  # type: ignore[arg-type]
+    return folder
+
+
+def test_every_name_leads_to_a_page_and_hostile_text_stays_text(hive: Hive) -> None:
+    site = published(hive)
+    run = (site / "runs" / "1.html").read_text()
+    for address in ("algorithms/eye-slam-stereo.html", "datasets/room.html"):
+        assert f'href="../{address}"' in run
+        assert f'href="{address}"' in (site / "index.html").read_text()
+        assert (site / address).is_file()
+    dataset = (site / "datasets" / "room.html").read_text()
+    assert world.HOSTILE not in dataset
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in dataset
+    assert 'data-plot="speed"' in dataset
+    assert (site / "datasets" / "room.js").read_text().startswith("window.slamhiveDraw({")
+    algorithm = (site / "algorithms" / "eye-slam-stereo.html").read_text()
+    assert "nFeatures" in algorithm
+    assert '<a href="../datasets/room.html">room</a>' in algorithm
+
+
+def test_a_failed_run_has_the_end_of_its_log(hive: Hive) -> None:
+    site = published(hive)
+    page = (site / "runs" / "3.html").read_text()
+    assert "Traceback: &lt;/script&gt;" in page
+    hive.runs.folder(1).log.write_text("x" * 100_000)
+    site = published(hive)
+    assert len((site / "runs" / "1.html").read_text()) < 60_000
+
+
+def test_what_is_not_installed_has_a_page_of_its_runs(hive: Hive) -> None:
+    shutil.rmtree(hive.catalogue.dataset("room").folder)
+    page = (published(hive) / "datasets" / "room.html").read_text()
+    assert "This dataset is not installed where the site was made" in page
+    assert 'href="../algorithms/eye-slam-stereo.html"' in page
+
+
+def test_a_ranking_is_of_whole_experiments_only(hive: Hive) -> None:
+    experiment = hive.experiments.start(ExperimentSource(TRIAL))
+    runs = list(hive.experiments.run_ids(experiment.name))
+    end(hive, *runs)
+    for run in runs:
+        world.evaluate_run(hive, run, 0.01 * run)
+    page = (published(hive) / "experiments" / f"{experiment.name}.html").read_text()
+    assert "<h2>Ranking</h2>" in page
+    assert f'<a href="../runs/{runs[0]}.html"' in page
+    part = published(hive, run_ids=runs[:1])
+    page = (part / "experiments" / f"{experiment.name}.html").read_text()
+    assert "Ranking" not in page
+    assert f"runs/{runs[1]}.html" not in page
