@@ -19,6 +19,7 @@ MODULES = {
     "account": "accounts",
     "algorithm": "algorithms",
     "analyse": "analyse",
+    "analyses": "stored_analyses",
     "archive": "archive",
     "challenge": "challenges",
     "cite": "cite",

@@ -49,6 +49,10 @@ def _searches(hive: Hive) -> Iterable[Offer]:
     return ((entry.name, entry.filter_text) for entry in hive.searches.saved())
 
 
+def _analyses(hive: Hive) -> Iterable[Offer]:
+    return ((entry.token, entry.name) for entry in hive.stored_analyses.listed())
+
+
 def _runs(hive: Hive) -> Iterable[Offer]:
     latest = hive.stored_runs.page(limit=_LATEST_RUNS).records
     return ((str(run.id), f"{run.algorithm} on {run.dataset}, {run.state.value}") for run in latest)
@@ -80,6 +84,7 @@ def _read(context: click.Context, names: Callable[[Hive], Iterable[Offer]]) -> l
         return []
 
 
+ANALYSIS = _completion_of(_analyses)
 ALGORITHM = _completion_of(_algorithms)
 PACKAGE = _completion_of(_packages)
 DATASET = _completion_of(_datasets)

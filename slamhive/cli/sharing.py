@@ -24,7 +24,7 @@ _OWNER = click.option("--owner", metavar="ACCOUNT", help="Give them to this acco
 
 
 def sharing_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The options of both commands."""
+    """The options of all commands that share."""
     for option in (pass_cli, json_option, _OWNER, _VISIBILITY):
         command = option(command)
     return command
@@ -35,7 +35,7 @@ def sharing_options(command: Callable[..., None]) -> Callable[..., None]:
 @sharing_options
 def share_runs(cli: CliContext, /, visibility: str | None, owner: str | None, as_json: bool, **options: Any) -> None:
     """Choose who may see runs where there are accounts. See docs/accounts.md."""
-    hive, chosen, change = cli.hive(), ChosenRuns(**options), _change(visibility, owner)
+    hive, chosen, change = cli.hive(), ChosenRuns(**options), change_of(visibility, owner)
     if chosen.where is not None:
         action = SearchAction("share", "change who may see {runs}?", "{runs} shared")
         share = hive.search_actions.share
@@ -54,7 +54,7 @@ def share_runs(cli: CliContext, /, visibility: str | None, owner: str | None, as
 @sharing_options
 def share_experiment(cli: CliContext, name: str, visibility: str | None, owner: str | None, as_json: bool) -> None:
     """Choose who may see an experiment and its runs where there are accounts."""
-    sharing: Sharing = cli.hive().sharings.experiment(name, _change(visibility, owner))
+    sharing: Sharing = cli.hive().sharings.experiment(name, change_of(visibility, owner))
     seen_by = visibility_of(sharing.audience())
     if as_json:
         print_json({"name": name, "owner": sharing.owner, "visibility": seen_by.value})
@@ -67,7 +67,8 @@ def in_words(owner: str | None, seen_by: Visibility) -> str:
     return f"{seen_by}, of {owner}" if owner else f"{seen_by}, of nobody"
 
 
-def _change(visibility: str | None, owner: str | None) -> SharingChange:
+def change_of(visibility: str | None, owner: str | None) -> SharingChange:
+    """The change that these options ask for; raises InvalidInput without any."""
     from slamhive.services.sharing import SharingChange  # noqa: PLC0415 - other commands on experiments need none of it
 
     if visibility is None and owner is None:

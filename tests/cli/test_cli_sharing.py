@@ -29,6 +29,14 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "data"
 
 
+ANALYSIS = """\
+name: Times
+select: {all: {runs: [1, 2, 3]}}
+forms:
+- {form: table, metrics: [duration]}
+"""
+
+
 def call(data: Path, *arguments: str) -> Result:
     return CliRunner().invoke(main, ["--data", str(data), *arguments])
 
@@ -50,11 +58,31 @@ def test_runs_are_shared_shown_found_and_exported(data: Path, tmp_path: Path) ->
     assert site.stdout.startswith("1 runs published")
 
 
+def test_analyses_are_listed_shared_and_deleted(data: Path) -> None:
+    assert call(data, "analyses", "list").stderr.startswith("there are no analyses")
+    hive = world.make_hive(data.parent)
+    made = hive.stored_analyses.create(
+        "name: Times\nselect: {all: {runs: [1, 2, 3]}}\nforms:\n- {form: table, metrics: [duration]}\n"
+    )
+    hive.close()
+    listed = json.loads(call(data, "analyses", "list", "--json").stdout)
+    assert [(entry["token"], entry["name"], entry["state"]) for entry in listed] == [(made.token, "Times", "queued")]
+    shared = call(data, "analyses", "share", made.token, "--visibility", "private", "--owner", "anna")
+    assert shared.stdout == "analysis Times: private, of anna\n"
+    table = call(data, "analyses", "list").stdout
+    assert made.token in table
+    assert "private" in table
+    assert call(data, "analyses", "delete", made.token).stdout == "analysis Times deleted\n"
+    assert json.loads(call(data, "analyses", "list", "--json").stdout) == []
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (("runs", "share", "1"), "nothing is to be changed"),
         (("runs", "share", "99", "--visibility", "team"), "unknown run 99"),
+        (("analyses", "share", "none", "--visibility", "team"), "there is no analysis at this address"),
+        (("analyses", "delete", "none"), "there is no analysis at this address"),
         (("runs", "share", "1", "--owner", "zoe"), "unknown account 'zoe'"),
         (("experiment", "share", "none", "--visibility", "team"), "unknown experiment 'none'"),
         (("runs", "--where", "owner = me"), "nobody has signed in here"),
