@@ -163,6 +163,31 @@
     history.replaceState(null, "", here);
   }
 
+  /** Offer the columns whose name, key or group has each typed word, and those that are selected. */
+  function find(field) {
+    const words = field.value.toLowerCase().split(/\s+/).filter(Boolean);
+    let offered = 0;
+    for (const group of field.form.querySelectorAll("details.choices")) {
+      const title = group.querySelector("summary").textContent;
+      for (const label of group.querySelectorAll("label")) {
+        const box = label.querySelector("input");
+        const text = `${title} ${label.textContent} ${box.value}`.toLowerCase();
+        label.hidden = !box.checked && !words.every((word) => text.includes(word));
+      }
+      const some = Boolean(group.querySelector("label:not([hidden])"));
+      offered += Number(some);
+      group.hidden = !some;
+      group.open = some && words.length > 0;
+    }
+    field.form.querySelector("[data-none]").hidden = offered > 0;
+  }
+
+  document.addEventListener("input", (event) => {
+    if (event.target.matches?.("[data-find-column]")) find(event.target);
+  });
+  document.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" && event.target.matches?.("[data-find-column]")) event.preventDefault();
+  });
   document.addEventListener("click", (event) => {
     const link = event.target.closest?.("a[data-layout]");
     if (!link) return;

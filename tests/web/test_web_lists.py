@@ -6,6 +6,7 @@ import html
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,10 +17,13 @@ from werkzeug.test import TestResponse
 from slamhive.domain.metrics import Direction
 from slamhive.domain.run import RunState
 from slamhive.project import project_root
+from slamhive.search.fields import Kind as FieldKind
+from slamhive.search.fields import ParameterKind, vocabulary_of
 from slamhive.services.runs import Samples
 from slamhive.store.records import RunSort, SavedSearchRecord
 from slamhive.web.columns import DEFAULT_COLUMNS, all_columns
 from slamhive.web.presenters.arrangement import arranged
+from slamhive.web.presenters.column_groups import OTHERS, SHARED, column_groups
 from slamhive.web.presenters.heat import WORST, levels
 from slamhive.web.sparks import MOST_POINTS, error_image
 from tests.web import web_world as world
@@ -100,6 +104,40 @@ def test_the_chooser_keeps_the_order_of_columns(shown: Web) -> None:
     text = shown.client.get("/runs?columns=state,ate.rmse,id,nFeatures").text
     chosen = re.findall(r'name="columns" value="([^"]+)" checked', text)
     assert chosen == ["state", "ate.rmse", "id", "nFeatures"]
+
+
+def test_the_chooser_offers_every_column_once_and_in_groups(shown: Web) -> None:
+    text = shown.client.get("/runs?columns=id,state").text
+    offered = re.findall(r'name="columns" value="([^"]+)"> ', text)
+    assert len(offered) == len(set(offered))
+    assert {*all_columns(), "nFeatures"} - {"id", "state"} <= set(offered)
+    groups = {part.partition(" <")[0]: part for part in text.split('<details class="choices"><summary>')[1:]}
+    assert 'value="ate.rmse"' in groups["Metrics: absolute error"]
+    assert 'value="nFeatures"' in groups[SHARED], "two packages of these tests have it"
+    assert 'value="dataset"' in groups["Run"]
+
+
+def test_offered_parameters_can_be_shown(shown: Web) -> None:
+    services = shown.hive
+    searches = services.searches
+    found = column_groups((), services.catalogue.algorithms(), searches.vocabulary(), searches.parameters())
+    keys = [entry.key for group in found if group.title.startswith("Parameters") for entry in group.columns]
+    assert keys
+    text = shown.client.get("/runs?columns=" + ",".join(keys)).text
+    assert headings(text) == list(dict.fromkeys(keys))
+
+
+def test_parameters_are_grouped_by_where_they_come_from(own: Web) -> None:
+    one = next(entry for entry in own.hive.catalogue.algorithms() if len(entry.parameters) > 1)
+    first, second = (entry.key for entry in one.parameters[:2])
+    alone = replace(one, parameters=one.parameters[:2])
+    also = replace(one, package=replace(one.package, name="also"), parameters=one.parameters[:1])
+    names = [first, second, "gone", "seed", "variant.rate.hz", "unused"]
+    words = vocabulary_of(ParameterKind(name, FieldKind.NUMBER) for name in names)
+    found = column_groups((), (alone, also), words, names[:-1])
+    parameters = {group.title: [entry.key for entry in group.columns] for group in found if "Param" in group.title}
+    own_title = f"Parameters: {one.package.name}"
+    assert parameters == {own_title: [second], SHARED: [first], OTHERS: ["gone", "parameter.seed"]}
 
 
 def test_the_standard_columns_are_one_click_away(shown: Web) -> None:

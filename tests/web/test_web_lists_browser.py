@@ -74,7 +74,7 @@ def test_columns_are_moved_by_dragging_and_by_keyboard_and_stay_so(browsing: Pag
     with browsing.expect_navigation():
         heading.drag_to(browsing.locator("#list th[data-column='algorithm']"), target_position={"x": 4, "y": 8})
     assert headings(browsing) == ["id", "ate.rmse", "algorithm", "dataset", "state"]
-    browsing.locator("#columns summary").press("Enter")
+    browsing.locator("#columns > summary").press("Enter")
     for _ in range(2):
         with browsing.expect_navigation():
             browsing.locator("#left-state").press("Enter")
@@ -86,10 +86,31 @@ def test_columns_are_moved_by_dragging_and_by_keyboard_and_stay_so(browsing: Pag
     assert headings(browsing) == ["id", "ate.rmse", "state", "algorithm", "dataset"]
     browsing.goto("/runs?columns=id,seed")
     assert headings(browsing) == ["id", "seed"]
-    browsing.locator("#columns summary").click()
+    browsing.locator("#columns > summary").click()
     browsing.get_by_role("link", name="Standard columns").click()
     browsing.goto("/runs")
     assert len(headings(browsing)) > 10
+
+
+def test_columns_are_found_by_name(browsing: Page) -> None:
+    browsing.goto("/runs?columns=id,state")
+    browsing.locator("#columns > summary").click()
+    groups = browsing.locator("#columns details.choices:visible")
+    assert groups.count() > 5
+    field = browsing.get_by_label("Find a column")
+    field.fill("no such column")
+    assert groups.count() == 0
+    assert browsing.get_by_text("No column has this name").is_visible()
+    field.fill("rmse absolute")
+    assert groups.count() == 1
+    field.press("Enter")
+    browsing.locator("#columns input[value='ate.rmse']").check()
+    field.fill("nfeatures")
+    browsing.locator("#columns input[value='nFeatures']").check()
+    assert browsing.locator("#columns input[value='ate.rmse']").is_visible()
+    with browsing.expect_navigation():
+        browsing.get_by_role("button", name="Apply").click()
+    assert headings(browsing) == ["id", "state", "ate.rmse", "nFeatures"]
 
 
 def test_a_kept_column_that_no_longer_exists_locks_nobody_out(chromium: Browser, server: str) -> None:
@@ -117,7 +138,7 @@ def test_pinned_columns_stay_and_widths_are_kept(browsing: Page) -> None:
     after = [left_of(browsing, name) for name in ("id", "algorithm", "dataset")]
     assert after[:2] == pytest.approx(before[:2], abs=1)
     assert after[2] == pytest.approx(before[2] - 300, abs=1)
-    browsing.locator("#columns summary").click()
+    browsing.locator("#columns > summary").click()
     browsing.get_by_label("Width of Algorithm in pixels").fill("61")
     browsing.get_by_label("Width of Algorithm in pixels").press("Tab")
     browsing.reload()

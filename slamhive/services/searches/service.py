@@ -96,6 +96,10 @@ class Searches:
             me=self._store.account,
         )
 
+    def parameters(self) -> list[str]:
+        """The parameters that configurations have, by key and by general name, and their variant options."""
+        return [kind.name for kind in self._store.read(lambda t: t.searches.parameters())]
+
     def read(self, text: str) -> Search:
         """Parse a filter; raises FilterError with the position of the error."""
         return read_search(text, self.vocabulary())

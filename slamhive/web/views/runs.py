@@ -26,18 +26,20 @@ from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.errors import NotFound
 from slamhive.schema.api_requests import LARGEST_RUN_ID
+from slamhive.search.fields import Vocabulary
 from slamhive.search.reader import FilterError
 from slamhive.services.evaluations import ToolFigures, evaluation_notes
 from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import MOST_RUNS
 from slamhive.services.runs import list_downloads, open_download
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
-from slamhive.web.columns import Column, all_columns, column
+from slamhive.web.columns import column
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
 from slamhive.web.formatting import plural
 from slamhive.web.presenters import arrangement, heat, matching, protocols, scripts, search
 from slamhive.web.presenters import runs as presenter
+from slamhive.web.presenters.column_groups import column_groups
 from slamhive.web.presenters.live import progress_json
 from slamhive.web.request_input import form_text
 from slamhive.web.run_query import RunQuery, filled, summary
@@ -62,10 +64,12 @@ def index() -> Response:
     except FilterError as error:
         if wants_json():
             raise
-        return make_response(_search_page(services, RunQuery.unread(request.args), error=error), status_of(error))
-    shown = [column(key, vocabulary) for key in query.columns]
+        return make_response(
+            _search_page(services, RunQuery.unread(request.args), vocabulary, error=error), status_of(error)
+        )
     if query.grouped:
-        return make_response(_group_page(services, query, shown))
+        return make_response(_group_page(services, query, vocabulary))
+    shown = [column(key, vocabulary) for key in query.columns]
     page = services.runs.page(query.search, query.sort, query.after, query.limit)
     left_out = services.searches.left_out(query.search, page.count)
     mixed = search.mixed_protocols(run.protocol for run in page.records)
@@ -74,6 +78,7 @@ def index() -> Response:
         _search_page(
             services,
             query,
+            vocabulary,
             rows=heat.coloured_runs(rows) if query.look.colours else rows,
             columns=shown,
             next_key=page.next_key,
@@ -85,7 +90,7 @@ def index() -> Response:
     )
 
 
-def _group_page(services: Hive, query: RunQuery, shown: list[Column]) -> str:
+def _group_page(services: Hive, query: RunQuery, vocabulary: Vocabulary) -> str:
     figures = search.group_columns(query.columns)
     page = services.searches.groups(
         query.search, query.sort, query.after, query.limit, [entry.metric.key for entry in figures]
@@ -99,9 +104,10 @@ def _group_page(services: Hive, query: RunQuery, shown: list[Column]) -> str:
     return _search_page(
         services,
         query,
+        vocabulary,
         groups=heat.coloured_groups(rows, figures) if query.look.colours else rows,
         group_columns=figures,
-        columns=shown,
+        columns=[column(key, vocabulary) for key in query.columns],
         next_key=page.next_key,
         summary=summary(query, len(page.records), page.runs, left_out),
         warning=search.protocol_warning(mixed),
@@ -115,22 +121,22 @@ def _analysis_url(query: RunQuery) -> str:
     return address("analyses.new", where=query.search.text)
 
 
-def _search_page(services: Hive, query: RunQuery, **content: Any) -> str:
+def _search_page(services: Hive, query: RunQuery, vocabulary: Vocabulary, **content: Any) -> str:
     """Render the search page. Without rows it shows why the query is invalid."""
-    saved = services.searches.saved()
+    saved, algorithms = services.searches.saved(), services.catalogue.algorithms()
     base = list_address({**query.args(), "open": "columns", "columns": [], "pinned": []})
     return render_template(
         "runs/index.html",
         query=query,
         rule=DEFAULT_RULE.words,
-        all_columns=all_columns(),
+        column_groups=column_groups(query.columns, algorithms, vocabulary, services.searches.parameters()),
         saved=[(entry, search.saved_args(entry)) for entry in saved],
         current_view=search.place_of(query, saved),
         arranged=arrangement.arranged(base, content.get("columns", ()), query.look.pinned),
         unevaluated=services.searches.unevaluated(),
         choices=search.choices(
             query.fields,
-            services.catalogue.algorithms(),
+            algorithms,
             services.catalogue.datasets(),
             services.searches.names(),
         ),
