@@ -13,6 +13,7 @@ import click
 from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.domain.list_look import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput
 from slamhive.search.binding import Search, bind, read_search
@@ -173,6 +174,9 @@ def search_group() -> None:
 @click.option("--sort", default="id", show_default=True, help="Column, metric or parameter.")
 @click.option("--ascending", is_flag=True, help="Smallest first.")
 @click.option("--group", is_flag=True, help="Group by configuration, with mean and spread.")
+@click.option("--pinned", type=click.IntRange(0, MOST_PINNED), default=0, help="On pages, columns that stay in view.")
+@click.option("--colours", is_flag=True, help="On pages, colour metrics by their value.")
+@click.option("--sparks", is_flag=True, help="On pages, draw the error of each run over time.")
 @pass_cli
 def save(cli: CliContext, /, name: str, where: str, **options: Any) -> None:
     """Save the filter WHERE as NAME, replacing a search of that name."""
@@ -180,7 +184,14 @@ def save(cli: CliContext, /, name: str, where: str, **options: Any) -> None:
     chosen = tuple(split_columns(options["columns"]))
     RunExport(chosen, hive.searches.vocabulary())
     record = SavedSearchRecord(
-        name, where, chosen, RunSort(options["sort"], not options["ascending"]), options["group"]
+        name,
+        where,
+        chosen,
+        RunSort(options["sort"], not options["ascending"]),
+        options["group"],
+        options["pinned"],
+        options["colours"],
+        options["sparks"],
     )
     click.echo(f"search {name} {'saved' if hive.searches.save(record) else 'replaced'}")
 

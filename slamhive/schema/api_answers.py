@@ -14,6 +14,7 @@ from slamhive.schema.collection import PublicSequence
 from slamhive.schema.experiment import Cell, ExperimentStatus, Grid
 from slamhive.schema.fields import described
 from slamhive.schema.finding import FoundThing
+from slamhive.schema.list_look import Colours, Pinned, Sparks
 from slamhive.schema.model import Document
 from slamhive.schema.run import Run
 from slamhive.schema.types import Moment
@@ -144,6 +145,9 @@ class SavedSearch(Document):
     group: Annotated[bool, described("One row for each configuration.")] = Field(
         validation_alias=AliasChoices("grouped", "group")
     )
+    pinned: Pinned
+    colours: Colours
+    sparks: Sparks
 
 
 class SavedSearches(Document):

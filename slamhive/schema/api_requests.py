@@ -12,6 +12,7 @@ from slamhive.domain.parameters import Value
 from slamhive.domain.variant import Variant
 from slamhive.domain.visibility import Visibility
 from slamhive.schema.fields import described
+from slamhive.schema.list_look import Colours, Pinned, Sparks
 from slamhive.schema.submission import MAX_REPEATS, Submission
 
 LARGEST_RUN_ID = 2**53 - 1
@@ -102,6 +103,9 @@ class SearchRequest(Request):
     sort: Annotated[str, described("A column, metric or parameter.")] = "id"
     descending: bool = True
     group: Annotated[bool, described("One row for each configuration.")] = False
+    pinned: Pinned = 0
+    colours: Colours = False
+    sparks: Sparks = False
 
 
 class ExperimentRequest(Request):

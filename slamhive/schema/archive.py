@@ -13,6 +13,7 @@ from slamhive.domain.names import check_name
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.visibility import Visibility
 from slamhive.schema.fields import described
+from slamhive.schema.list_look import Pinned
 from slamhive.schema.model import Document
 from slamhive.schema.protocol import StatedProtocol
 from slamhive.schema.record import ConfigurationContent
@@ -166,6 +167,9 @@ class SearchLine(Document):
         described("Key, and whether the largest value comes first."),
     ]
     grouped: Flag
+    pinned: Pinned = 0
+    colours: Flag = False
+    sparks: Flag = False
     created_at: Moment
 
 

@@ -368,6 +368,9 @@ class SavedSearch(Base):
     sort = column(String(190))
     descending = column(Boolean)
     grouped = column(Boolean)
+    pinned = column(Integer, server_default=text("0"))
+    colours = column(Boolean, server_default=text("0"))
+    sparks = column(Boolean, server_default=text("0"))
     created_at = column(UtcDateTime)
 
 

@@ -364,13 +364,20 @@ Repeats = dict[tuple[int, str | None, str], list[float]]
 
 @dataclass(frozen=True, slots=True)
 class SavedSearchRecord:
-    """A search with a name: its filter, columns and order."""
+    """A search with a name: its filter, columns and order, and how the list looks.
+
+    ``pinned``: so many of the first columns stay in view. ``colours``: metrics have a background by their value.
+    ``sparks``: errors over time, or the repeats of a configuration, are drawn in the list.
+    """
 
     name: str
     filter_text: str
     columns: tuple[str, ...]
     sort: RunSort
     grouped: bool
+    pinned: int = 0
+    colours: bool = False
+    sparks: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -132,6 +132,9 @@ def _saved(row: Row[Any]) -> SavedSearchRecord:
         columns=tuple(row.shown_columns),
         sort=RunSort(row.sort, row.descending),
         grouped=row.grouped,
+        pinned=row.pinned,
+        colours=row.colours,
+        sparks=row.sparks,
     )
 
 
@@ -143,4 +146,7 @@ def saved_columns(record: SavedSearchRecord) -> dict[str, Any]:
         "sort": record.sort.key,
         "descending": record.sort.descending,
         "grouped": record.grouped,
+        "pinned": record.pinned,
+        "colours": record.colours,
+        "sparks": record.sparks,
     }

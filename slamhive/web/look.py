@@ -7,10 +7,10 @@ from typing import Any
 
 from werkzeug.datastructures import MultiDict
 
+from slamhive.domain.list_look import MOST_PINNED
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import whole_number
-
-MOST_PINNED = 20
+from slamhive.store.records import SavedSearchRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +31,15 @@ class Look:
         text = args.get("pinned", "").strip()
         pinned = whole_number(text, "pinned", 0, MOST_PINNED) if text else 0
         return cls(pinned, _chosen(args, "colours"), _chosen(args, "sparks"))
+
+    @classmethod
+    def of(cls, saved: SavedSearchRecord) -> Look:
+        """The look of a saved search."""
+        return cls(saved.pinned, saved.colours, saved.sparks)
+
+    def given_args(self) -> dict[str, Any]:
+        """The arguments of an address, without defaults."""
+        return {name: values for name, values in self.args().items() if values}
 
     def args(self) -> dict[str, Any]:
         """The arguments of an address, empty ones for defaults."""

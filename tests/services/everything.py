@@ -129,7 +129,9 @@ def _cancel_one_that_runs(hive: Hive) -> None:
 
 def _save_searches(hive: Hive) -> None:
     for name, descending in (("first", True), ("second", False), ("third", True)):
-        record = SavedSearchRecord(name, "state = succeeded", ("duration",), RunSort("duration", descending), True)
+        record = SavedSearchRecord(
+            name, "state = succeeded", ("duration",), RunSort("duration", descending), True, 2, True, True
+        )
         hive.searches.save(record)
     hive.searches.delete("second")
 

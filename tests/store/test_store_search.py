@@ -257,7 +257,7 @@ def test_what_was_left_out_is_counted(filled: World):
 
 def test_searches_are_saved_replaced_listed_and_deleted(filled: World):
     sort = RunSort("ate.rmse", descending=False)
-    record = SavedSearchRecord("best", "ate.rmse < 0.1", ("id", "ate.rmse"), sort, grouped=False)
+    record = SavedSearchRecord("best", "ate.rmse < 0.1", ("id", "ate.rmse"), sort, False, 3, colours=True, sparks=True)
     other = SavedSearchRecord("best", "", ("id",), RunSort(), grouped=True)
     store = filled.store
     assert store.write(lambda tx: tx.searches.save(record, BEGIN))

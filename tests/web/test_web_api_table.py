@@ -220,10 +220,11 @@ def test_notes_tags_deletion_and_the_way_back(web: Web):
 @pytest.mark.integration
 def test_a_saved_search(web: Web):
     wanted: dict[str, Any] = {"name": "best", "where": "id > 1", "columns": ["id", "ate.rmse"], "sort": "ate.rmse"}
-    wanted |= {"descending": False, "group": False}
+    wanted |= {"descending": False, "group": False, "pinned": 2, "colours": True, "sparks": False}
     assert post(web, "/searches", wanted).get_json() == wanted
     assert get(web, "/searches")["searches"] == [wanted]
     assert post(web, "/searches", {**wanted, "columns": ["nothing"]}).status_code == 404
+    assert post(web, "/searches", {**wanted, "pinned": 21}).status_code == 400
     assert post(web, "/searches/best/delete").get_json() == {"removed": "best"}
     assert "ate.rmse" in {field["name"] for field in get(web, "/fields")["fields"]}
 

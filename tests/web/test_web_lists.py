@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 import pytest
@@ -275,6 +276,28 @@ def test_selected_runs_are_exported_in_the_columns_shown(shown: Web) -> None:
     assert [line.split(",")[:2] for line in lines] == [["id", "state"], ["3", "failed"], ["1", "succeeded"]]
     assert shown.client.get("/runs/export").location == "/runs"
     assert shown.client.get("/runs/export?run=x").status_code == 400
+
+
+def test_a_saved_search_keeps_the_whole_view(own: Web) -> None:
+    view = {
+        "where": "state = succeeded",
+        "columns": "id,seed,ate.rmse",
+        "pinned": "2",
+        "colours": "yes",
+        "sparks": "yes",
+    }
+    shown = send(own, "/searches", name="mine", **view, group="configuration", sort="ate.rmse", order="asc")
+    assert shown.status_code == 303
+    text = own.client.get("/runs").text
+    views = text.partition('aria-label="Saved searches"')[2].partition("</nav>")[0]
+    address = re.search(r'href="([^"]+)">mine</a>', views)
+    assert address is not None
+    opened = dict(parse_qsl(urlsplit(html.unescape(address[1])).query))
+    assert opened == {**view, "group": "configuration", "sort": "ate.rmse", "order": "asc"}
+    page = own.client.get(html.unescape(address[1])).text
+    assert 'aria-current="page">mine</a>' in page
+    other = own.client.get(html.unescape(address[1]).replace("sparks=yes", "sparks=no")).text
+    assert 'aria-current="page">mine</a>' not in other
 
 
 def test_saved_searches_are_offered_above_the_list(own: Web) -> None:

@@ -128,7 +128,8 @@ def dataset_from_line(content: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
 def search_from_line(content: Mapping[str, Any]) -> tuple[SavedSearchRecord, datetime]:
     """The saved search of a line, and when it was saved; raises InvalidInput for anything else."""
     line = read_line(SearchLine, content)
-    record = SavedSearchRecord(line.name, line.filter, line.columns, RunSort(*line.sort), line.grouped)
+    look = line.pinned, line.colours, line.sparks
+    record = SavedSearchRecord(line.name, line.filter, line.columns, RunSort(*line.sort), line.grouped, *look)
     return record, line.created_at
 
 

@@ -47,7 +47,8 @@ def save_search(body: SearchRequest) -> SavedSearch:
     services.check_writable()
     RunExport(body.columns, services.searches.vocabulary())  # refuses unknown columns
     sort = RunSort(body.sort, descending=body.descending)
-    record = SavedSearchRecord(body.name, body.where, body.columns, sort, body.group)
+    look = body.pinned, body.colours, body.sparks
+    record = SavedSearchRecord(body.name, body.where, body.columns, sort, body.group, *look)
     services.searches.save(record)
     return SavedSearch.of(services.searches.saved_named(body.name))
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from urllib.parse import quote
 
+from slamhive.domain.list_look import MOST_PINNED
 from slamhive.web.columns import Column
-from slamhive.web.look import MOST_PINNED
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from slamhive.services.exports import by_protocol
 from slamhive.services.hive import Hive
 from slamhive.store.records import GroupRecord, ProtocolLabel, Repeats, RunRecord, SavedSearchRecord, Spread
 from slamhive.web.formatting import DASH, Cell, display_unit, mean_text, median_text, plural, significant, value_text
+from slamhive.web.look import Look
 from slamhive.web.run_query import RunQuery
 from slamhive.web.sparks import repeats_path, repeats_words
 
@@ -106,20 +107,20 @@ def ranges(fields: Mapping[str, tuple[str, ...]], stored: Iterable[str]) -> dict
     return found
 
 
-def saved_args(record: SavedSearchRecord) -> dict[str, str]:
+def saved_args(record: SavedSearchRecord) -> dict[str, Any]:
     """The address of a saved search."""
     args = {"where": record.filter_text, "columns": ",".join(record.columns), "sort": record.sort.key}
     args["order"] = "desc" if record.sort.descending else "asc"
     if record.grouped:
         args["group"] = "configuration"
-    return {name: text for name, text in args.items() if text}
+    return {name: text for name, text in args.items() if text} | Look.of(record).given_args()
 
 
 def place_of(query: RunQuery, saved: Sequence[SavedSearchRecord]) -> int | None:
     """The place of the saved search that the page shows; None if it shows another one."""
-    shown = (query.search.text, query.columns, query.sort, query.grouped)
-    places = (n for n, e in enumerate(saved) if (e.filter_text, e.columns, e.sort, e.grouped) == shown)
-    return next(places, None)
+    shown = (query.search.text, query.columns, query.sort, query.grouped, query.look)
+    known = [(entry.filter_text, entry.columns, entry.sort, entry.grouped, Look.of(entry)) for entry in saved]
+    return known.index(shown) if shown in known else None
 
 
 def filter_fields(vocabulary: Vocabulary, names: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:

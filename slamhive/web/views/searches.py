@@ -40,7 +40,10 @@ def save() -> Response:
     query = RunQuery.from_args(args, services.searches.vocabulary())
     if not name:
         raise InvalidInput("the search has no name", "enter a name next to the button")
-    record = SavedSearchRecord(name, query.search.text, query.columns, query.sort, query.grouped)
+    look = query.look
+    record = SavedSearchRecord(
+        name, query.search.text, query.columns, query.sort, query.grouped, look.pinned, look.colours, look.sparks
+    )
     new = services.searches.save(record)
     flash(f"Search {name} is {'saved' if new else 'replaced'}.", "success")
     return make_response(redirect(address("runs.index", **query.args()), 303))
