@@ -75,7 +75,7 @@
       const x = timestamp - origin;
       const line = { type: "line", x0: x, x1: x, yref: "paper", y0: 0, y1: 1, line: { dash: "dot", width: 1.5, color: "#8a929a" } };
       const areas = (content.figures[key].layout.shapes ?? []);
-      if (place) Plotly.relayout(place, { shapes: [...areas, line] });
+      if (place) Plotly.relayout(place, { shapes: [line, ...areas] });
     }
   }
 

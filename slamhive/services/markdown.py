@@ -32,7 +32,8 @@ def markdown_html(text: str, link: Callable[[str], str] | None = None) -> str:
                 elif child.type == "image":
                     child.attrSet("src", link(str(child.attrGet("src") or "")))
                     child.attrSet("loading", "lazy")
-    return str(markdown.renderer.render(tokens, markdown.options, {}))
+    html = str(markdown.renderer.render(tokens, markdown.options, {}))
+    return html.replace("<pre>", '<pre tabindex="0">')  # text is escaped; wide code is scrolled by keyboard
 
 
 def slug(heading: str) -> str:
