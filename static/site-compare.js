@@ -128,12 +128,11 @@
   }
 
   const RECORDING = "recording time [s]";
-  const axisOf = (key) => (run) => run.figures[key]?.layout.xaxis?.title.text;
 
   /** The runs with data for a plot. Runs of older versions lack the time of the recording, so they are left out beside others. */
   function withData(key, runs) {
     const having = runs.filter((run) => run.figures[key]);
-    const onRecording = having.filter((run) => axisOf(key)(run) === RECORDING);
+    const onRecording = having.filter((run) => run.figures[key].layout.xaxis?.title.text === RECORDING);
     return onRecording.length ? onRecording : having;
   }
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING
 
 from slamhive.clock import utc_now
 from slamhive.domain.notes import NotesChange
+from slamhive.domain.protocol_request import ProtocolRequest
 from slamhive.errors import Conflict, NotFound
 from slamhive.store import Store
 
@@ -23,6 +24,10 @@ REASONS_KEPT = 5
 
 Progress = Callable[[int], None]
 """Takes the number of runs that are done."""
+
+
+def silent(_done: int) -> None:
+    """The progress of an action that nobody watches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,32 +71,30 @@ class SearchActions:
         self._sharings = sharings
         self._trash = trash
 
-    def evaluate(self, run_ids: Sequence[int], protocol: str | None, progress: Progress) -> Acted:
-        """Queue an evaluation of each run that succeeded; raises NotFound for an unknown protocol."""
-        self._evaluations.queue([], protocol)  # which every batch would refuse
+    def evaluate(self, run_ids: Sequence[int], protocol: ProtocolRequest | None, progress: Progress = silent) -> Acted:
+        """Queue an evaluation of each run that succeeded; None is the protocol that each run was submitted with."""
         return in_batches(run_ids, lambda batch: self._evaluations.queue(batch, protocol), progress)
 
-    def retry(self, run_ids: Sequence[int], progress: Progress) -> Acted:
+    def retry(self, run_ids: Sequence[int], progress: Progress = silent) -> Acted:
         """Queue a new run for each run that has ended."""
         return in_batches(run_ids, self._runs.retry_all, progress)
 
-    def tag(self, run_ids: Sequence[int], change: NotesChange, progress: Progress) -> Acted:
+    def tag(self, run_ids: Sequence[int], change: NotesChange, progress: Progress = silent) -> Acted:
         """Change the tags of each run that has a folder."""
         return in_batches(run_ids, lambda batch: self._notes.change(batch, change), progress)
 
-    def share(self, run_ids: Sequence[int], change: SharingChange, progress: Progress) -> Acted:
+    def share(self, run_ids: Sequence[int], change: SharingChange, progress: Progress = silent) -> Acted:
         """Change owner and visibility; raises Forbidden for runs of others."""
         return in_batches(run_ids, lambda batch: self._sharings.runs(batch, change), progress)
 
-    def delete(self, run_ids: Sequence[int], progress: Progress) -> Acted:
+    def delete(self, run_ids: Sequence[int], progress: Progress = silent) -> Acted:
         """Move each run that has ended, and is not being evaluated, to the trash.
 
         ``at`` of the result restores them together.
         """
         at = utc_now()
         placed = self._store.read(lambda t: t.deleted_runs.by_configuration(run_ids))
-        acted = in_batches(placed, lambda batch: self._trash.delete(batch, at), progress)
-        return Acted(acted.done, acted.left_out, acted.reasons, at)
+        return replace(in_batches(placed, lambda batch: self._trash.delete(batch, at), progress), at=at)
 
 
 def in_batches(run_ids: Sequence[int], act: Callable[[Sequence[int]], object], progress: Progress) -> Acted:

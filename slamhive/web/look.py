@@ -37,17 +37,11 @@ class Look:
         """The look of a saved search."""
         return cls(saved.pinned, saved.colours, saved.sparks)
 
-    def given_args(self) -> dict[str, Any]:
-        """The arguments of an address, without defaults."""
-        return {name: values for name, values in self.args().items() if values}
-
     def args(self) -> dict[str, Any]:
-        """The arguments of an address, empty ones for defaults."""
-        return {
-            "pinned": [str(self.pinned)] if self.pinned else [],
-            "colours": ["yes"] if self.colours else [],
-            "sparks": ["yes"] if self.sparks else [],
-        }
+        """The arguments of an address, without defaults."""
+        pinned = {"pinned": [str(self.pinned)]} if self.pinned else {}
+        chosen = {"colours": self.colours, "sparks": self.sparks}
+        return pinned | {name: ["yes"] for name, value in chosen.items() if value}
 
 
 def _chosen(args: MultiDict[str, str], name: str) -> bool:

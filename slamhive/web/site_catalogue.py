@@ -12,25 +12,21 @@ from typing import Any
 
 from jinja2 import Environment
 
-from slamhive.analysis.colours import OKABE_ITO
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.names import check_name
 from slamhive.errors import NotFound, SlamHiveError
-from slamhive.services.datasets import ground_truth_motion
 from slamhive.services.experiments import ExperimentStatus
 from slamhive.services.hive import Hive
 from slamhive.services.reports import script_json
-from slamhive.services.runs import read_dataset_path
-from slamhive.web.figures import best_plane, motion_figures, path_figures
 from slamhive.web.formatting import display_unit, significant
 from slamhive.web.presenters import catalogue, rankings
-from slamhive.web.presenters.experiments import varying
+from slamhive.web.presenters.ground_truths import ground_truth_figures
+from slamhive.web.site_runs import path_once
 
 FOLDERS = {"experiment": "experiments", "algorithm": "algorithms", "dataset": "datasets"}
 """Where the pages lie, by the column of the list that names them."""
 ERROR = "ate.rmse"
-_LARGEST_EXPERIMENT = 5000
 _POINTS = 600
 
 Row = Mapping[str, Any]
@@ -70,11 +66,7 @@ class CataloguePages:
         """Write a page for each dataset, algorithm and experiment that a run names."""
         makers = {"dataset": self._dataset, "algorithm": self._algorithm, "experiment": self._experiment}
         for column, make in makers.items():
-            by_name: dict[str, list[Row]] = defaultdict(list)
-            for row in rows:
-                if row[column] is not None:
-                    by_name[row[column]].append(row)
-            for name, its_rows in by_name.items():
+            for name, its_rows in _by(rows, column).items():
                 (folder / FOLDERS[column]).mkdir(exist_ok=True)
                 make(folder / FOLDERS[column] / check_name(column, name), name, its_rows)
 
@@ -99,8 +91,7 @@ class CataloguePages:
         if self._whole:
             with suppress(NotFound):  # public runs of an experiment that is not
                 status = self._hive.experiments.status(name)
-        datasets = dict.fromkeys(sorted(row["dataset"] for row in rows))
-        shares = {name: _shares([row for row in rows if row["dataset"] == name], "algorithm") for name in datasets}
+        shares = {dataset: _shares(found, "algorithm") for dataset, found in sorted(_by(rows, "dataset").items())}
         self._render(
             "experiment",
             place,
@@ -113,14 +104,9 @@ class CataloguePages:
         )
 
     def _rankings(self, status: ExperimentStatus) -> list[rankings.RankingView]:
-        """As on the page of the experiment; none for one that is too large."""
-        if status.cells > _LARGEST_EXPERIMENT:
-            return []
-        experiments = self._hive.experiments
-        counts = {axis: len(values) for axis, values in experiments.axes(status.name).items()}
-        shown = [axis for axis in counts if axis in {"algorithm", "dataset", *varying(counts)}]
-        installed = [algorithm.name for algorithm in self._hive.catalogue.algorithms()]
-        return rankings.views(experiments.rankings(status.name), shown, installed)
+        """As on the page of the experiment."""
+        counts = {axis: len(values) for axis, values in self._hive.experiments.axes(status.name).items()}
+        return rankings.of_experiment(self._hive, status, rankings.naming_axes(counts))
 
     def _render(self, kind: str, place: Path, **content: Any) -> None:
         template = self._environment.get_template(f"published/{kind}.html")
@@ -130,24 +116,29 @@ class CataloguePages:
 
 
 def _drawing(dataset: Dataset) -> dict[str, Any] | None:
-    """The path of the ground truth, its speed and angular rate; None without one that can be read."""
-    track = read_dataset_path(dataset)
-    if dataset.groundtruth is None or track is None:
+    """The path of the ground truth, its speed and angular rate; None without one that can be read.
+
+    The path is stored once, in 3D; the page makes its planes.
+    """
+    found = ground_truth_figures(dataset, most_points=_POINTS)
+    if found is None:
         return None
-    motion = ground_truth_motion(dataset)
-    positions_only = dataset.groundtruth.positions_only
-    moving = {} if motion is None else motion_figures(motion, OKABE_ITO[0], positions_only=positions_only)
-    path = path_figures(track.thinned(_POINTS), None)["path_3d"]
-    reasons = dict.fromkeys(("speed", "angular_rate"), "The ground truth does not say.")
-    return {"figures": {"path": path, **moving}, "plane": best_plane(track), "reasons": reasons}
+    kept = path_once(found["figures"])
+    return {"figures": kept, "plane": found["best_plane"], "reasons": found["reasons"]}
 
 
 def _shares(rows: Sequence[Row], column: str) -> list[Share]:
     """The runs by the name in ``column``."""
-    by_name: dict[str, list[Row]] = defaultdict(list)
+    return [_share(name, found) for name, found in sorted(_by(rows, column).items())]
+
+
+def _by(rows: Sequence[Row], column: str) -> dict[str, list[Row]]:
+    """{value in ``column``: its rows}, without rows that have none."""
+    found: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
-        by_name[row[column]].append(row)
-    return [_share(name, found) for name, found in sorted(by_name.items())]
+        if row[column] is not None:
+            found[row[column]].append(row)
+    return found
 
 
 def _share(name: str, rows: Sequence[Row]) -> Share:

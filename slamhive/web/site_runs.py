@@ -51,13 +51,18 @@ def drawing(run: RunRecord, series: RunSeries, colour: str) -> dict[str, Any]:
     shown = series.groundtruth or series.estimate
     texts = captions(series, None if run.protocol is None else run.protocol.label)
     reasons = {"path" if key == "estimate" else key: text for key, text in series.reasons.items()}
-    kept = {"path" if key == "path_3d" else key: figure for key, figure in figures.items() if key not in _FLAT}
+    kept = path_once(figures)
     return {
         "figures": kept,
         "plane": None if shown is None else best_plane(shown),
         "captions": texts,
         "reasons": {key: reasons.get(key, "No data for this plot.") for key, _ in FIGURES if key not in kept},
     }
+
+
+def path_once(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """The plots with one of the path, that in 3D: pages make its planes."""
+    return {"path" if key == "path_3d" else key: figure for key, figure in figures.items() if key not in _FLAT}
 
 
 def run_script(run: RunRecord, record: Mapping[str, Any], drawn: Mapping[str, Any]) -> str:

@@ -12,6 +12,7 @@ from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.domain.parameters import Value
 from slamhive.domain.trust import TrustLevel
 from slamhive.services.experiments import RANKED_BY, ExperimentStatus, RankedCell, Ranking
+from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from slamhive.web.formatting import (
     DASH,
@@ -24,9 +25,11 @@ from slamhive.web.formatting import (
     thousands,
     value_text,
 )
-from slamhive.web.presenters.experiments import selection
+from slamhive.web.presenters.experiments import selection, varying
 from slamhive.web.strips import Axis, axis_of, failure_places
 
+LARGEST = 5000
+"""An experiment with more configurations has no ranking: reading their runs takes too long for a page."""
 BESIDE = ("cpu.mean", "ram.max")
 """Metrics beside the one that the ranking is by."""
 _LEVELS = (TrustLevel.LOW, TrustLevel.LIMITED)
@@ -83,6 +86,19 @@ def title(status: ExperimentStatus) -> str:
 def columns() -> list[tuple[Metric, str]]:
     """The metrics of the table with their units, that of the ranking first."""
     return [(CATALOGUE[key], display_unit(CATALOGUE[key]).unit) for key in (RANKED_BY, *BESIDE)]
+
+
+def naming_axes(axes: Mapping[str, int]) -> list[str]:
+    """The axes that name configurations, from {axis: number of values}."""
+    return [axis for axis in axes if axis in {"algorithm", "dataset", *varying(axes)}]
+
+
+def of_experiment(services: Hive, status: ExperimentStatus, axes: Sequence[str]) -> list[RankingView]:
+    """The tables of an experiment; none while no run has ended, or if it is too large."""
+    if status.cells > LARGEST:
+        return []
+    installed = [algorithm.name for algorithm in services.catalogue.algorithms()]
+    return views(services.experiments.rankings(status.name), axes, installed)
 
 
 def views(found: Iterable[Ranking], axes: Sequence[str], installed: Sequence[str]) -> list[RankingView]:

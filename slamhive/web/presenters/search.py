@@ -113,7 +113,7 @@ def saved_args(record: SavedSearchRecord) -> dict[str, Any]:
     args["order"] = "desc" if record.sort.descending else "asc"
     if record.grouped:
         args["group"] = "configuration"
-    return {name: text for name, text in args.items() if text} | Look.of(record).given_args()
+    return {name: text for name, text in args.items() if text} | Look.of(record).args()
 
 
 def place_of(query: RunQuery, saved: Sequence[SavedSearchRecord]) -> int | None:

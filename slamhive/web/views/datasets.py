@@ -11,15 +11,14 @@ from slamhive.domain.variant import Variant
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.schema.model import load
 from slamhive.search.build import matching
-from slamhive.services.datasets import MotionSummary, ground_truth_motion, strip_times_s
-from slamhive.services.runs import read_dataset_path
+from slamhive.services.datasets import MotionSummary, strip_times_s
 from slamhive.store.records import RunSort
-from slamhive.trajectory.motion import WINDOW_S
 from slamhive.web import dataset_work
 from slamhive.web.context import dataset_checker, hive, variant_maker
-from slamhive.web.figures import best_plane, motion_figures, path_figures, sweep_figure
+from slamhive.web.figures import sweep_figure
 from slamhive.web.formatting import plural
 from slamhive.web.presenters.catalogue import lacking, step_kinds
+from slamhive.web.presenters.ground_truths import ground_truth_figures
 from slamhive.web.presenters.scripts import dataset_scripts
 from slamhive.web.run_form import read_steps
 
@@ -122,23 +121,10 @@ def drop_variant(name: str, key: str) -> Response:
 def figures(name: str) -> Response:
     """The ground truth: its path in all planes and in 3D, speed and angular rate."""
     dataset = hive().catalogue.dataset(name)
-    track, motion = read_dataset_path(dataset), ground_truth_motion(dataset)
-    if track is None or motion is None or dataset.groundtruth is None:
+    found = ground_truth_figures(dataset)
+    if found is None:
         raise NotFound(f"dataset {name} has no ground truth to draw")
-    positions_only = dataset.groundtruth.positions_only
-    unknown = "The ground truth has no orientations." if positions_only else "The poses are too far apart in time."
-    return make_response(
-        jsonify(
-            figures=path_figures(track, None) | motion_figures(motion, _COLOUR, positions_only=positions_only),
-            captions={
-                "path": f"Ground truth, {plural(track.poses, 'pose')}.",
-                "speed": f"Mean over {WINDOW_S:g} s.",
-                "angular_rate": "" if positions_only else f"Mean over {WINDOW_S:g} s.",
-            },
-            reasons={"speed": "The poses are too far apart in time.", "angular_rate": unknown},
-            best_plane=best_plane(track),
-        )
-    )
+    return make_response(jsonify(found))
 
 
 @blueprint.get("/<name>/frames/<sensor>.jpg")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
@@ -26,7 +26,7 @@ from slamhive.web.presenters.scripts import experiment_scripts
 blueprint = Blueprint("experiments", __name__, url_prefix="/experiments")
 
 PAGE_LENGTH = 50
-LARGE = 5000
+LARGE = rankings.LARGEST
 """With more configurations than this, a second request computes the grid."""
 
 ACTION = "<any('pause', 'resume', 'cancel', 'retry-failed', 'add-repeats'):action>"
@@ -65,7 +65,7 @@ def show(name: str) -> str:
     page = experiments.cells(name, cells.after, cells.limit)
     grid = GridQuery.from_args(request.args, axes)
     metrics = [CATALOGUE[key] for key in METRICS]
-    shown_axes = [axis for axis in axes if axis in {"algorithm", "dataset", *presenter.varying(axes)}]
+    shown_axes = rankings.naming_axes(axes)
     return render_template(
         "experiments/show.html",
         status=status,
@@ -82,17 +82,10 @@ def show(name: str) -> str:
         metrics=metrics,
         lines=presenter.cell_lines(name, page.cells, shown_axes, metrics, _protocol_labels(page.cells)),
         scripts=experiment_scripts(name, hive().settings),
-        rankings=[] if status.cells > LARGE else _rankings(name, shown_axes),
+        rankings=rankings.of_experiment(hive(), status, shown_axes),
         ranking_title=rankings.title(status),
         ranking_columns=rankings.columns(),
     )
-
-
-def _rankings(name: str, axes: Sequence[str]) -> list[rankings.RankingView]:
-    """The configurations of an experiment in order, for each dataset; empty while no run has ended."""
-    services = hive()
-    installed = [algorithm.name for algorithm in services.catalogue.algorithms()]
-    return rankings.views(services.experiments.rankings(name), axes, installed)
 
 
 @blueprint.get(f"/<name>/cells/{CELL_NUMBER}")

@@ -46,14 +46,16 @@ def show() -> str:
 @blueprint.post("/evaluate")
 def evaluate() -> Response:
     """Evaluate all runs of the search that succeeded."""
-    acted = hive().search_actions.evaluate(_run_ids(), request.form.get("protocol") or None, _unseen)
+    name = request.form.get("protocol")
+    protocol = hive().protocols.named(name) if name else None
+    acted = hive().search_actions.evaluate(_run_ids(), protocol)
     return _to_list(acted, f"Evaluations of {plural(acted.done, 'run')} queued.")
 
 
 @blueprint.post("/retry")
 def retry() -> Response:
     """Queue a new run for each run of the search that has ended."""
-    acted = hive().search_actions.retry(_run_ids(), _unseen)
+    acted = hive().search_actions.retry(_run_ids())
     return _to_list(acted, f"{plural(acted.done, 'run')} queued again.")
 
 
@@ -64,7 +66,7 @@ def tag() -> Response:
     change = NotesChange(add=split_tags(form.get("add", "")), remove=split_tags(form.get("remove", "")))
     if not change.add and not change.remove:
         raise InvalidInput("no tag is named", "write tags to add, or to remove")
-    acted = hive().search_actions.tag(_run_ids(), change, _unseen)
+    acted = hive().search_actions.tag(_run_ids(), change)
     return _to_list(acted, f"The tags of {plural(acted.done, 'run')} are stored.")
 
 
@@ -72,14 +74,14 @@ def tag() -> Response:
 def share() -> Response:
     """Choose who may see all runs of the search."""
     visibility = Visibility.named(request.form.get("visibility", ""))
-    acted = hive().search_actions.share(_run_ids(), SharingChange(visibility), _unseen)
+    acted = hive().search_actions.share(_run_ids(), SharingChange(visibility))
     return _to_list(acted, f"{plural(acted.done, 'run')} set to {visibility}.")
 
 
 @blueprint.post("/delete")
 def delete() -> Response:
     """Move all runs of the search to the trash."""
-    acted = hive().search_actions.delete(_run_ids(), _unseen)
+    acted = hive().search_actions.delete(_run_ids())
     return _to_list(acted, f"{plural(acted.done, 'run')} moved to the trash.")
 
 
@@ -104,10 +106,6 @@ def _to_list(acted: Acted, words: str) -> Response:
     """Back to the list, which says what was done."""
     flash(f"{words} {_left_out(acted)}".strip(), _category(acted))
     return make_response(redirect(list_address(filled(request.args)), 303))
-
-
-def _unseen(done: int) -> None:
-    """A page shows no progress: its limit keeps the request short."""
 
 
 def _asked() -> RunQuery:
