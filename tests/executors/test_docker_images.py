@@ -20,7 +20,9 @@ from slamhive.executors.base import ExecutorContext, ImageMissing
 from slamhive.executors.cgroup import cgroup_of
 from slamhive.executors.docker import build as docker_build
 from slamhive.executors.docker.build import choose_base, follow_build, packed_context
+from slamhive.executors.docker.engine import closing_chunks
 from slamhive.executors.docker.executor import DockerExecutor
+from slamhive.executors.docker.foreign_images import DockerImages
 from slamhive.executors.docker.image import find_image, make_image
 from slamhive.executors.docker.kept_images import kept_name
 
@@ -106,6 +108,37 @@ def test_image_without_the_mapping_script_is_refused_every_time(engine, name, ba
     dockerfile.write_text("ARG BASE_IMAGE\nFROM ${BASE_IMAGE}\nCOPY package/mapping.py /slamhive/mapping.py\n")
     digest = make_image(engine, package, context, lambda line: None)
     assert find_image(engine, package, ROOT) == digest
+
+
+def open_sockets() -> int:
+    return sum(path.is_socket() for path in Path("/proc/self/fd").iterdir())
+
+
+@pytest.mark.docker
+def test_what_is_refused_leaves_no_connection_open(engine, base_image, tmp_path):
+    """Closing a client closes the connections at rest; an answer that was left in the middle keeps its own."""
+    (tmp_path / "Dockerfile").write_text(f"FROM {base_image}\nRUN exit 3\n")
+    container = engine.containers.create(base_image, ["true"], network_mode="none")
+    open_before = open_sockets()
+    kept: list[object] = []
+    with contextlib.closing(docker.from_env()) as client:
+        images = DockerImages(client, "test")
+        with pytest.raises(ImageMissing, match="exit 3") as refused:
+            images.build(tmp_path, "bad", lambda line: None)
+        kept.append(refused)
+        with pytest.raises(ImageMissing, match="pulling") as refused:
+            images.pull("127.0.0.1:9/nothing:none", lambda line: None)
+        kept.append(refused)
+        stream = client.containers.get(container.id).get_archive("/etc")[0]
+        kept.append(stream)
+        with closing_chunks(stream) as chunks:
+            assert next(chunks)
+        stream = client.containers.get(container.id).get_archive("/etc/hostname")[0]
+        kept.append(stream)
+        with closing_chunks(stream):
+            pass
+    assert open_sockets() == open_before, kept
+    container.remove()
 
 
 @pytest.mark.docker

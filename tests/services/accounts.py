@@ -12,6 +12,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from slamhive.store.records import EvaluationState
+from tests.services.tiny_project import executions
 
 IN_DATA_ROOT = {
     "analyses", "datasets", "environments", "experiments", "installation", "ledger", "runs", "slamhive.db", "variants",
@@ -76,15 +77,14 @@ def settle_accounts(hive: Hive) -> Accounts:
 def _account_for(hive: Hive, run: RunRecord, found: Accounts) -> None:
     found.runs += 1
     found.states[run.state.value if run.reason is None else f"{run.state.value} ({run.reason.value})"] += 1
-    marker = hive.runs.folder(run.id).result / "starts.txt"  # each execution of the test algorithm adds a line
-    executions = len(marker.read_text().splitlines()) if marker.exists() else 0
-    found.executions += executions
+    times = executions(hive.runs.folder(run.id).result)
+    found.executions += times
     if not run.state.ended:
         found.open.append(run.id)
         return
-    if executions > 1:
+    if times > 1:
         found.twice.append(run.id)
-    if executions == 0 and run.reason is not FailureReason.LOST:
+    if times == 0 and run.reason is not FailureReason.LOST:
         found.never.append(run.id)
     record = hive.runs.record(run.id)
     last = (record.get("events") or [{}])[-1]

@@ -21,7 +21,7 @@ from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.worker import worker as worker_module
 from tests.services.docker_base import run_docker
-from tests.services.tiny_project import environment, make_dataset, make_project
+from tests.services.tiny_project import environment, executions, make_dataset, make_project
 
 pytestmark = [
     pytest.mark.integration,
@@ -118,9 +118,9 @@ def test_a_run_survives_in_the_books_when_its_daemon_is_killed(hive, daemon):
     worker = hive.worker()
     thread = threading.Thread(target=worker.run, kwargs={"until_idle": True}, daemon=True)
     thread.start()
-    started = hive.runs.folder(victim.id).result / "starts.txt"
+    result = hive.runs.folder(victim.id).result
     deadline = time.monotonic() + START_S
-    while not started.exists() and time.monotonic() < deadline:
+    while executions(result) == 0 and time.monotonic() < deadline:
         time.sleep(0.05)
     daemon.end(signal.SIGKILL)
     time.sleep(1)
@@ -129,6 +129,6 @@ def test_a_run_survives_in_the_books_when_its_daemon_is_killed(hive, daemon):
     assert not thread.is_alive()
     lost = hive.runs.get(victim.id)
     assert (lost.state, lost.reason) in {(RunState.FAILED, FailureReason.LOST), (RunState.SUCCEEDED, None)}
-    assert len(started.read_text().splitlines()) == 1
+    assert executions(result) == 1
     assert hive.runs.get(next_one.id).state is RunState.SUCCEEDED
     assert run_docker("--host", daemon.url, "ps", "--all", "--quiet").stdout == ""

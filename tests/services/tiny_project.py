@@ -44,8 +44,7 @@ result = pathlib.Path(os.environ.get("SLAMHIVE_RESULT", "/slamhive/result"))
 config = pathlib.Path(os.environ.get("SLAMHIVE_CONFIG", "/slamhive/config.yaml")).read_text()
 def setting(key):
     return re.search(rf"\\b{key}: ([\\w.]+)", config)[1]
-with (result / "starts.txt").open("a") as stream:
-    stream.write(f"{os.getpid()}\\n")
+(result / f"start-{time.time_ns()}-{os.getpid()}").touch(exist_ok=False)
 print("tiny says hello", flush=True)
 behaviour = setting("behaviour")
 if behaviour == "lost":
@@ -73,6 +72,11 @@ if behaviour != "silent":
 if behaviour == "linger":
     time.sleep(60)
 """
+
+
+def executions(result: Path) -> int:
+    """How many times the test algorithm was executed. Each time leaves an empty file, which a full disk still takes."""
+    return len(list(result.glob("start-*")))
 
 
 def make_project(root: Path) -> Path:

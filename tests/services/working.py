@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from tests.services.tiny_project import executions
+
 if TYPE_CHECKING:
     from slamhive.services.hive import Hive
 
@@ -25,5 +27,5 @@ def working(hive: Hive) -> Iterator[None]:
 
 
 def started_times(hive: Hive, run_id: int) -> int:
-    """Each execution of the test algorithm adds a line."""
-    return len((hive.runs.folder(run_id).result / "starts.txt").read_text().splitlines())
+    """How many times a run of the test algorithm was executed."""
+    return executions(hive.runs.folder(run_id).result)

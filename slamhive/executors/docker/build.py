@@ -152,8 +152,10 @@ _STEP_CHARACTERS = 120
 def follow_build(events: Iterable[dict[str, Any]], name: str, progress: ProgressCallback) -> str | None:
     """Pass the lines of a build on; the digest of what was built, None if the engine does not say.
 
-    Raises ImageMissing naming the step that failed and its last lines.
+    Raises ImageMissing naming the step that failed and its last lines. It reads on to the end before: an answer that
+    is left in the middle keeps its connection.
     """
+    problem: str | None = None
     step = "the first step"
     digest: str | None = None
     last: deque[str] = deque(maxlen=_LAST_LINES)
@@ -169,7 +171,9 @@ def follow_build(events: Iterable[dict[str, Any]], name: str, progress: Progress
                 last.append(line)
             progress(f"{name}: {line}")
         if "error" in event:
-            raise ImageMissing(f"building {name} failed at {step}: {' | '.join([*last, str(event['error'])])}")
+            problem = f"building {name} failed at {step}: {' | '.join([*last, str(event['error'])])}"
         if "ID" in (event.get("aux") or {}):
             digest = str(event["aux"]["ID"])
+    if problem is not None:
+        raise ImageMissing(problem)
     return digest

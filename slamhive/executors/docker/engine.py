@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import itertools
 import os
 import re
 import socket
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, cast
 
 import docker
 import docker.errors
@@ -84,6 +86,15 @@ def connect(timeout_s: int = _TIMEOUT_S) -> docker.DockerClient:
     _check_socket()
     with engine_errors("connecting to Docker", EngineUnavailable):
         return docker.from_env(timeout=timeout_s)
+
+
+@contextmanager
+def closing_chunks(answer: Iterator[bytes]) -> Iterator[Iterator[bytes]]:
+    """The chunks of an answer. Leaving closes its connection: the SDK's generator does so only if it was started."""
+    chunks = cast("Generator[bytes, None, None]", answer)
+    with contextlib.closing(chunks):
+        first = next(chunks, None)
+        yield iter(()) if first is None else itertools.chain((first,), chunks)
 
 
 def container_name(key: str) -> str:

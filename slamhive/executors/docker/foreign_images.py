@@ -19,7 +19,7 @@ import requests
 from slamhive.catalogue.image_context import BuildContext
 from slamhive.executors.base import ImageMissing, ProgressCallback
 from slamhive.executors.docker.build import build_packed, get_image, name_image, packed_context
-from slamhive.executors.docker.engine import HARDENING, engine_errors, labels_of_helper
+from slamhive.executors.docker.engine import HARDENING, closing_chunks, engine_errors, labels_of_helper
 from slamhive.executors.docker.kept_images import load_image
 from slamhive.executors.images import CompletedImage
 from slamhive.files import temporary_folder
@@ -79,11 +79,13 @@ class DockerImages:
     def pull(self, name: str, progress: ProgressCallback) -> str:
         """Get an image from its registry; its digest."""
         repository, tag = repository_and_tag(name)
+        problem: str | None = None
         with engine_errors(f"pulling {name}", ImageMissing):
             for event in self._client.api.pull(repository, tag=tag, stream=True, decode=True):
-                if "error" in event:
-                    raise ImageMissing(f"pulling {name}: {event['error']}", "load it from an archive: --image FILE.tar")
+                problem = event.get("error", problem)
                 progress(f"{name}: {event.get('status', '')} {event.get('progress', '')}".strip())
+        if problem is not None:
+            raise ImageMissing(f"pulling {name}: {problem}", "load it from an archive: --image FILE.tar")
         digest = self.find(name)
         if digest is None:
             raise ImageMissing(f"{name} was pulled, but the engine does not have it", "try again")
@@ -140,7 +142,8 @@ class DockerImages:
             except docker.errors.NotFound:
                 return False
             else:
-                _unpack(stream, target)
+                with closing_chunks(stream) as chunks:
+                    _unpack(chunks, target)
                 return True
             finally:
                 container.remove(force=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import docker
 import docker.errors
@@ -14,7 +13,7 @@ from slamhive.catalogue.image_context import context_hash, dockerfile_of, images
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import ExecutorContext, ImageMissing, ProgressCallback
 from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
-from slamhive.executors.docker.engine import engine_errors, labels_of_helper
+from slamhive.executors.docker.engine import closing_chunks, engine_errors, labels_of_helper
 from slamhive.executors.docker.pinned import find_pinned, pull_pinned
 from slamhive.files import temporary_folder
 
@@ -70,8 +69,8 @@ def check_mapping_script(client: docker.DockerClient, digest: str, name: str, in
         labels = labels_of_helper("check", installation)
         container = client.containers.create(digest, command=["true"], network_mode="none", labels=labels)
         try:
-            stream: Any = container.get_archive(MAPPING_SCRIPT)[0]
-            stream.close()
+            with closing_chunks(container.get_archive(MAPPING_SCRIPT)[0]):
+                pass
         except docker.errors.NotFound:
             raise ImageMissing(
                 f"image {name} lacks {MAPPING_SCRIPT}", "its Dockerfile must copy the package's slamhive/ to /slamhive"
