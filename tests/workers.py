@@ -22,19 +22,28 @@ from _pytest.junitxml import xml_key
 
 Files = list[list[pytest.Item]]
 
+POLL_S = 1.0
+"""So often the first process looks whether others may begin."""
+
 
 @dataclass
 class Worker:
-    """One process, ``connection`` to it, and ``left``: what it has still to report of its file, by identifier."""
+    """One process, ``connection`` to it, and ``left``: what it has still to report of its file, by identifier.
+
+    ``begun``: it may ask for files.
+    """
 
     pid: int
     connection: Connection
+    begun: bool = False
     left: dict[str, pytest.Item] = field(default_factory=dict)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The number of processes."""
     parser.addoption("--workers", type=int, default=1, metavar="N", help="run files of tests in N processes")
+    help_text = "a file with the number of processes that may work; it may grow meanwhile"
+    parser.addoption("--workers-now", type=Path, metavar="FILE", help=help_text)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -55,10 +64,13 @@ def run(session: pytest.Session, count: int) -> None:
     files = list(by_file.values())
     workers = start(session, files, min(count, len(files)))
     remaining = iter(range(len(files)))
+    allowed: Path | None = session.config.getoption("workers_now")
     try:
-        while open_ones := {worker.connection: worker for worker in workers if not worker.connection.closed}:
-            for connection in wait(list(open_ones)):
-                listen(session, open_ones[connection], files, remaining)  # type: ignore[index]
+        while heard := may_work(workers, allowed):
+            patience_s = POLL_S if any(not worker.begun for worker in workers) else None
+            connections = {worker.connection: worker for worker in heard}
+            for connection in wait(list(connections), patience_s):
+                listen(session, connections[connection], files, remaining)  # type: ignore[index]
     finally:
         for worker in workers:
             worker.connection.close()
@@ -66,6 +78,16 @@ def run(session: pytest.Session, count: int) -> None:
                 os.waitpid(worker.pid, 0)
     if session.shouldfail:
         raise session.Failed(session.shouldfail)
+
+
+def may_work(workers: list[Worker], allowed: Path | None) -> list[Worker]:
+    """The processes that may ask for files now: those that have begun, and more if the file ``allowed`` has room."""
+    there = sorted((worker for worker in workers if not worker.connection.closed), key=lambda worker: not worker.begun)
+    begun = sum(worker.begun for worker in there)
+    heard = there if allowed is None else there[: max(1, begun, int(allowed.read_text()))]
+    for worker in heard:
+        worker.begun = True
+    return heard
 
 
 def start(session: pytest.Session, files: Files, count: int) -> list[Worker]:

@@ -55,6 +55,8 @@ LONG_FILE_S = 10.0
 NO_BYTECODE = "PYTHONDONTWRITEBYTECODE"
 SHARED_FOLDER = "TESTS_SHARE_IN"
 """The variable that names the folder in which all tiers share what takes long to make, see ``tests/sharing.py``."""
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+"""The tests use all processors as it is. More threads would only wait for each other."""
 NO_TESTS = 5
 """The exit code of pytest if it found no tests."""
 NO_ENGINE = "unix:///nonexistent/docker.sock"
@@ -88,7 +90,8 @@ class Outcome:
 class Tier:
     """One tier: what must be there first, the commands, or the pytest marks that select its tests.
 
-    Each of the ``workers`` takes the next file when it is free. ``limit_s`` is the time that the tier may take if each
+    Each of the ``workers`` takes the next file when it is free. One more begins whenever another tier of the group has
+    ended, up to ``most_workers``. ``limit_s`` is the time that the tier may take if each
     process has a core.
     It fails if it uses more CPU time than that, and warns if it only takes longer.
     Tests of a tier without ``engine`` see no Docker engine, so that they behave the same on every machine.
@@ -100,6 +103,7 @@ class Tier:
     commands: tuple[tuple[str, ...], ...] = ()
     marks: str = ""
     workers: int = 1
+    most_workers: int = 0
     limit_s: float | None = None
     engine: bool = False
     prepare: Callable[[], str] = lambda: ""
@@ -153,6 +157,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
             "integration",
             marks="integration and not docker and not mysql and not cluster and not browser and not pictures",
             workers=3,  # on two cores: the tests often wait, and the other tiers of the group end sooner
+            most_workers=6,
             prepare=prepare_libraries,
             group="processes",
         ),
@@ -203,20 +208,41 @@ def run_group(tiers: Sequence[Tier]) -> dict[str, Outcome]:
 def run_together(tiers: Sequence[Tier]) -> dict[str, Outcome]:
     """Run tiers for which everything is there. The first prints as it goes, each other one when it has ended."""
     printing = threading.Lock()
+    growing = [tier for tier in tiers if tier.most_workers]
+    ended = 0
 
     def run_one(tier: Tier) -> Outcome:
+        nonlocal ended
         if tier is tiers[0]:
             return run_timed(tier)
         with tempfile.TemporaryFile() as output:
             outcome = run_timed(tier, output)
             output.seek(0)
             with printing:
+                ended += 1
+                for other in growing:
+                    allow_workers(other, ended)
                 print(f"\n--- {tier.name} ".ljust(100, "-"))
                 _write(output.read(), None)
         return outcome
 
+    for tier in growing:
+        allow_workers(tier, 0)
     with ThreadPoolExecutor(max(1, len(tiers))) as pool:
         return dict(zip([tier.name for tier in tiers], pool.map(run_one, tiers), strict=True))
+
+
+def allow_workers(tier: Tier, more: int) -> None:
+    """Let ``more`` than the first workers of a tier begin."""
+    path = workers_file(tier)
+    aside = path.with_suffix(".part")
+    aside.write_text(str(min(tier.workers + more, tier.most_workers)))
+    aside.rename(path)
+
+
+def workers_file(tier: Tier) -> Path:
+    """Holds how many workers of the tier may work now."""
+    return Path(os.environ[SHARED_FOLDER], f"workers-of-{tier.name}")
 
 
 def run_timed(tier: Tier, output: IO[bytes] | None = None) -> Outcome:
@@ -278,8 +304,10 @@ def run_pytest(tier: Tier, output: IO[bytes] | None) -> Outcome:
         command = [sys.executable, "-m", "pytest", "-q", "--durations=8", "-m", tier.marks]
         command += [f"--junitxml={report_path}"]
         if (os.cpu_count() or 1) > 1:
-            command.append(f"--workers={tier.workers}")
-        environment = os.environ if tier.engine else {**os.environ, "DOCKER_HOST": NO_ENGINE}
+            command.append(f"--workers={tier.most_workers or tier.workers}")
+        if tier.most_workers:
+            command.append(f"--workers-now={workers_file(tier)}")
+        environment = {**os.environ, **ONE_THREAD} | ({} if tier.engine else {"DOCKER_HOST": NO_ENGINE})
         code, cpu_s = run_measured(command, environment, output)
         outcome = read_report(report_path)
         outcome.cpu_s = cpu_s

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import textwrap
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -85,6 +86,27 @@ def test_all_reports_arrive_and_a_dead_process_is_a_failure(tmp_path: Path):
     assert "3 failed, 6 passed, 1 skipped" in said
     assert len(list(tmp_path.glob("imported-*"))) == 1, "no process imports for itself"
     assert list(tmp_path.glob("torn-down-*")), "what tests of several files share is torn down in the end"
+
+
+def test_more_processes_begin_when_there_is_room(tmp_path: Path):
+    """The first test ends only when it sees another process at work, which the file allows while the test waits."""
+    allowed = tmp_path / "allowed"
+    allowed.write_text("1")
+    first = f"""
+        import os, time, pathlib
+        def test_waits_for_another():
+            begun = time.monotonic()
+            assert not list(pathlib.Path().glob("worker-*"))
+            time.sleep(1.5)
+            assert not list(pathlib.Path().glob("worker-*")), "only one process may work"
+            pathlib.Path({str(allowed)!r}).write_text("2")
+            while not list(pathlib.Path().glob("worker-*")) and time.monotonic() < begun + 60: time.sleep(0.05)
+            assert list(pathlib.Path().glob("worker-*")), "nobody else began"
+        def test_after(): "Before its last test, a process asks for its next file."
+    """
+    (tmp_path / "test_0.py").write_text(textwrap.dedent(first))
+    code, said, outcomes = ran(tmp_path, "--workers=3", f"--workers-now={allowed}", "test_0.py", "test_b.py")
+    assert (code, set(outcomes.values())) == (0, {"passed"}), said
 
 
 def test_no_file_begins_after_as_many_failures_as_were_allowed(tmp_path: Path):
