@@ -58,12 +58,13 @@ LONGEST = (
     "end_to_end/test_hostile_algorithms.py",
     "cli/test_cli_import_run.py",
     "deploy/test_wheel.py",
+    "algorithms/test_algorithm_images.py",
 )
 """The files that take longest begin first, so that no worker is still busy with one when the others have ended.
 
 The first of all renders the room that other tiers need.
 """
-LATEST = ("end_to_end/test_variants_real.py",)
+LATEST = ("algorithms/test_bounds.py", "end_to_end/test_variants_real.py")
 """Files that need what another tier makes meanwhile."""
 
 

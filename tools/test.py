@@ -168,7 +168,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("pictures", marks="pictures and not docker and not mysql", prepare=prepare_pictures, group="processes"),
         Tier("docker", marks=f"docker and not alone and {CHEAP}", engine=True, prepare=with_engine, group="processes"),
         # Builds images: some 400 s of CPU time where none has been built before. Its runs are played slowly.
-        Tier("images", marks="images", engine=True, prepare=with_engine, group="processes"),
+        Tier("images", marks="images", workers=2, engine=True, prepare=with_engine, group="processes"),
         Tier("systems", marks=f"docker and alone and {CHEAP}", engine=True, prepare=with_engine),
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
         Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),

@@ -9,12 +9,13 @@ import pytest
 
 from slamhive.services.hive import Hive
 from tests.algorithms.from_sources import FROM_SOURCES
+from tests.sharing import one_at_a_time
 
 pytestmark = [pytest.mark.integration, pytest.mark.docker, pytest.mark.images]
 
 PACKAGES = [
-    *("kiss-icp", "rko-lio", "orb-slam3"),
     *(pytest.param(name, marks=FROM_SOURCES) for name in ("aloam", "orb-slam2")),
+    *("kiss-icp", "rko-lio", "orb-slam3"),
 ]
 
 
@@ -23,7 +24,8 @@ PACKAGES = [
 def test_an_image_is_made_once(systems: Hive, name: str) -> None:
     package = systems.catalogue.package(name)
     executor = systems.executors.get("docker")
-    digest = executor.build(package, lambda _line: None)
+    with one_at_a_time(f"image-{name}"):
+        digest = executor.build(package, lambda _line: None)
     lines: list[str] = []
     assert executor.build(package, lines.append) == digest
     assert lines == []

@@ -22,6 +22,7 @@ from slamhive.trajectory.transforms import move_sensor, rigid_transform
 from slamhive.trajectory.tum import read_tum
 from tests.algorithms.from_sources import FROM_SOURCES
 from tests.real_datasets import dataset
+from tests.sharing import one_at_a_time
 
 pytestmark = [pytest.mark.integration, pytest.mark.docker]
 
@@ -72,6 +73,8 @@ def test_each_algorithm_keeps_its_bounds(systems: Hive, entry: BoundTest, reques
     if request.node.get_closest_marker("images") is not None:
         parameters = {**submission.parameters, **WITH_IMAGES[f"{entry.algorithm.name}-{entry.bound.dataset}"]}
         submission = replace(submission, playback_rate=SLOW_RATE, parameters=parameters)
+        with one_at_a_time(f"image-{entry.algorithm.package.name}"):
+            systems.executors.get("docker").build(entry.algorithm.package, lambda _line: None)
     (queued,) = systems.runs.submit(submission)
     systems.worker(only=[queued.id]).run(until_idle=True)
     result = entry.result(systems.runs.get(queued.id))
