@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from slamhive.domain.visibility import Visibility
     from slamhive.schema import experiment as experiment_schema
     from slamhive.schema import run as run_schema
+    from slamhive.schema.api_answers import ActedOn
     from slamhive.schema.challenge import ChallengeSubmission
     from slamhive.schema.submission import Submission
     from slamhive.schema.uploads import Imported
@@ -28,6 +29,16 @@ class Change(StrEnum):
     RESUME = "resume"
     CANCEL = "cancel"
     RETRY_FAILED = "retry-failed"
+
+
+class FoundAction(StrEnum):
+    """What can be done to all runs of a search."""
+
+    EVALUATE = "evaluate"
+    RETRY = "retry"
+    TAGS = "tags"
+    SHARE = "share"
+    DELETE = "delete"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +95,15 @@ class Backend(Protocol):
 
     def retry(self, run_id: int) -> run_schema.Run:
         """Queue the same again as a new run."""
+
+    def act(self, query: RunQuery, action: FoundAction, options: Mapping[str, Any]) -> ActedOn:
+        """Do something to all matching runs. ``options`` are the other fields of the request for the action.
+
+        Raises InvalidInput for a bad filter or option, Forbidden where nothing may change.
+        """
+
+    def restore(self, deleted_at: str) -> tuple[int, ...]:
+        """Take what was deleted together out of the trash; returns the numbers of the runs. Raises NotFound."""
 
     def experiments(self) -> tuple[experiment_schema.ExperimentStatus, ...]:
         """All experiments, the newest first."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from slamhive.client import requests
-from slamhive.client.backend import LOG_BYTES, Change, RunQuery
+from slamhive.client.backend import LOG_BYTES, Change, FoundAction, RunQuery
 from slamhive.client.requests import HEADERS, PREFIX, Request, raise_for
 from slamhive.client.uploading import import_from, send_file
 from slamhive.client.waiting import percent_bar
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import httpx
 
     from slamhive.domain.visibility import Visibility
-    from slamhive.schema.api_answers import CellPage, RunPage
+    from slamhive.schema.api_answers import ActedOn, CellPage, RunPage
     from slamhive.schema.challenge import ChallengeSubmission
     from slamhive.schema.experiment import Cell, ExperimentStatus
     from slamhive.schema.run import Run, RunWith
@@ -136,6 +136,14 @@ class HttpBackend:
     def retry(self, run_id: int) -> Run:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.retry(run_id))
+
+    def act(self, query: RunQuery, action: FoundAction, options: Mapping[str, Any]) -> ActedOn:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.act(query, action, self.count(query), options))
+
+    def restore(self, deleted_at: str) -> tuple[int, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.restore(deleted_at)).runs
 
     def experiments(self) -> tuple[ExperimentStatus, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""

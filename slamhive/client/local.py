@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.client.backend import LOG_BYTES, Change, RunQuery
+from slamhive.client.backend import LOG_BYTES, Change, FoundAction, RunQuery
 from slamhive.client.waiting import percent_bar
 from slamhive.errors import Forbidden
 from slamhive.schema.challenge_requests import ImageEntry
@@ -22,6 +22,7 @@ from slamhive.store import RunRecord, RunSort
 
 if TYPE_CHECKING:
     from slamhive.domain.visibility import Visibility
+    from slamhive.schema.api_answers import ActedOn
     from slamhive.schema.challenge import ChallengeSubmission
     from slamhive.schema.submission import Submission
 
@@ -128,6 +129,21 @@ class LocalBackend:
     def retry(self, run_id: int) -> Run:
         """See :class:`~slamhive.client.backend.Backend`."""
         return Run.of(self._writing().runs.retry(run_id))
+
+    def act(self, query: RunQuery, action: FoundAction, options: Mapping[str, Any]) -> ActedOn:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.schema.api_answers import ActedOn  # noqa: PLC0415 - reading needs none of this
+        from slamhive.services.found_runs import ACTIONS, change_found  # noqa: PLC0415
+
+        hive = self._writing()
+        run_ids = hive.searches.find(query.where)
+        body = parse(ACTIONS[action.value][0], {"where": query.where, "count": len(run_ids), **options})
+        return ActedOn.of(change_found(hive, action.value, run_ids, body))
+
+    def restore(self, deleted_at: str) -> tuple[int, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        trash = self._writing().trash
+        return tuple(trash.restore(trash.deleted_together(deleted_at)))
 
     def experiments(self) -> tuple[ExperimentStatus, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from urllib.parse import parse_qs, quote, urlsplit
 
 from slamhive.errors import SlamHiveError, Unavailable
-from slamhive.schema.api_answers import CellPage, Experiments, Problem, Progress, RunFiles, RunPage, Runs
+from slamhive.schema.api_answers import (
+    ActedOn,
+    CellPage,
+    Experiments,
+    Problem,
+    Progress,
+    RunFiles,
+    RunNumbers,
+    RunPage,
+    Runs,
+)
 from slamhive.schema.challenge import ChallengeSubmission, ChallengeSubmissions
 from slamhive.schema.experiment import ExperimentStatus
 from slamhive.schema.model import Document, dump
@@ -20,7 +30,7 @@ from slamhive.schema.submission import Submission
 from slamhive.schema.uploads import Upload
 
 if TYPE_CHECKING:
-    from slamhive.client.backend import Change, RunQuery
+    from slamhive.client.backend import Change, FoundAction, RunQuery
     from slamhive.domain.visibility import Visibility
 
 T = TypeVar("T")
@@ -132,6 +142,16 @@ def share(run_id: int, visibility: Visibility) -> Request[Runs]:
 def retry(run_id: int) -> Request[Run]:
     """Queue the same again."""
     return _post(f"/runs/{run_id}/retry", Run)
+
+
+def act(query: RunQuery, action: FoundAction, count: int, options: Mapping[str, Any]) -> Request[ActedOn]:
+    """Do something to all matching runs, of which there are ``count``."""
+    return _post(f"/runs/search/{action.value}", ActedOn, {"where": query.where, "count": count, **options})
+
+
+def restore(deleted_at: str) -> Request[RunNumbers]:
+    """Take what was deleted together out of the trash."""
+    return _post("/trash/restore-together", RunNumbers, {"deleted_at": deleted_at})
 
 
 def experiments() -> Request[Experiments]:

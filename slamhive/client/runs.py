@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, overload
 
-from slamhive.client.backend import Backend, RunQuery
-from slamhive.errors import NotFound
+from slamhive.client.backend import Backend, FoundAction, RunQuery
+from slamhive.errors import InvalidInput, NotFound
 
 if TYPE_CHECKING:
     from slamhive.client.trajectory import RunTrajectory
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from slamhive.domain.run import RunState
     from slamhive.domain.visibility import Visibility
     from slamhive.schema import run as run_schema
+    from slamhive.schema.api_answers import ActedOn
     from slamhive.schema.submission import Submission
 
 ESTIMATE = "traj.txt"
@@ -188,6 +190,35 @@ class RunList:
         """The same ones in the order of a column, metric or parameter."""
         return RunList(self._backend, replace(self._query, sort=key, descending=descending))
 
+    def evaluate(self, protocol: str | None = None) -> ActedOn:
+        """Queue an evaluation of each that succeeded; None is the protocol that each was submitted with."""
+        return self._act(FoundAction.EVALUATE, {"protocol": protocol})
+
+    def retry(self) -> ActedOn:
+        """Queue a new run for each that has ended."""
+        return self._act(FoundAction.RETRY)
+
+    def tag(self, add: Sequence[str] = (), remove: Sequence[str] = ()) -> ActedOn:
+        """Add and remove tags."""
+        return self._act(FoundAction.TAGS, {"add": list(add), "remove": list(remove)})
+
+    def share(self, visibility: str) -> ActedOn:
+        """Choose who may see them: ``private``, ``team`` or ``public``. Raises Forbidden for those of others."""
+        return self._act(FoundAction.SHARE, {"visibility": visibility})
+
+    def delete(self) -> ActedOn:
+        """Move those that have ended to the trash; ``deleted_at`` of the answer restores them."""
+        return self._act(FoundAction.DELETE)
+
+    def _act(self, action: FoundAction, options: Mapping[str, Any] = MappingProxyType({})) -> ActedOn:
+        """Do something to all of them. Those that it does not fit are left out, and the answer says why.
+
+        Raises InvalidInput without a filter, and for more runs than a server changes in one request (2,000).
+        """
+        if not self._query.where:
+            raise InvalidInput("all runs are meant, without a filter", "choose with where(...); id > 0 matches all")
+        return self._backend.act(self._query, action, options)
+
     def to_pandas(self, columns: Sequence[str] = ()) -> Any:
         """A pandas data frame with a row for each run; see :func:`slamhive.client.table.frame_of`."""
         from slamhive.client.table import frame_of  # noqa: PLC0415 - loads pandas
@@ -204,6 +235,10 @@ class Runs(RunList):
     def get(self, run_id: int) -> Run:
         """The run of a number; raises NotFound."""
         return Run(self._backend, self._backend.run(run_id))
+
+    def restore(self, deleted_at: str) -> tuple[int, ...]:
+        """Take what was deleted together out of the trash; returns the numbers of the runs. Raises NotFound."""
+        return self._backend.restore(deleted_at)
 
     def submit(
         self, algorithm: str, dataset: str, parameters: Mapping[str, Value] | None = None, **options: Any

@@ -132,6 +132,19 @@ class Queued(Document):
     queued: int
 
 
+class ActedOn(Document):
+    """What an action on all runs of a search has changed."""
+
+    done: Annotated[int, described("Runs that were changed.")]
+    left_out: Annotated[int, described("Runs that the action does not fit.")]
+    reasons: Annotated[tuple[str, ...], described("Why runs were left out, each reason once.")] = Field(
+        validation_alias=AliasChoices("words", "reasons")
+    )
+    deleted_at: Annotated[str | None, described("Restores what was deleted together; null after other actions.")] = (
+        Field(validation_alias=AliasChoices("deleted_at_text", "deleted_at"))
+    )
+
+
 class SavedSearch(Document):
     """A search under a name."""
 

@@ -52,6 +52,26 @@ class TagsRequest(Request):
     remove: Tags = ()
 
 
+class FoundRuns(Request):
+    """All runs that a filter finds, of which there are as many as the caller expects."""
+
+    where: Annotated[str, described("The filter; empty for all runs.", max_length=64_000)]
+    count: Annotated[int, described("How many runs it finds. Nothing is changed if there are more or fewer.", ge=0)]
+
+
+class FoundEvaluation(FoundRuns):
+    """How to evaluate what a filter finds."""
+
+    protocol: Annotated[str | None, described("Name or fingerprint of a protocol; null: that of each run.")] = None
+
+
+class FoundTags(FoundRuns):
+    """Tags to give what a filter finds, and to take from it."""
+
+    add: Tags = ()
+    remove: Tags = ()
+
+
 class VisibilityRequest(Request):
     """Who may see something from now on."""
 
@@ -62,6 +82,16 @@ class SharingRequest(VisibilityRequest):
     """Who may see some runs from now on."""
 
     runs: RunIds
+
+
+class FoundSharing(VisibilityRequest, FoundRuns):
+    """Who may see what a filter finds."""
+
+
+class DeletionRequest(Request):
+    """Runs that one action deleted."""
+
+    deleted_at: Annotated[str, described("The time in its answer.", max_length=40)]
 
 
 class NotesRequest(Request):

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from slamhive.clock import utc_now
 from slamhive.domain.notes import NotesChange
+from slamhive.domain.numbers import plural
 from slamhive.domain.protocol_request import ProtocolRequest
-from slamhive.errors import Conflict, NotFound
+from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.store import Store
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from slamhive.services.trash import Trash
 
 BATCH = 500
+MOST_OF_A_REQUEST = 2000
+"""Runs that one request to a server changes, which takes some milliseconds each. The command line has no limit."""
 REASONS_KEPT = 5
 
 Progress = Callable[[int], None]
@@ -47,6 +50,11 @@ class Acted:
         """Why runs were left out, in lines; the last one says if there are more reasons."""
         others = ("and other reasons",) if len(self.reasons) == REASONS_KEPT < self.left_out else ()
         return (*self.reasons, *others)
+
+    @property
+    def deleted_at_text(self) -> str | None:
+        """``at`` as ``deleted_together`` of the trash takes it."""
+        return None if self.at is None else self.at.isoformat()
 
 
 class SearchActions:
@@ -95,6 +103,23 @@ class SearchActions:
         at = utc_now()
         placed = self._store.read(lambda t: t.deleted_runs.by_configuration(run_ids))
         return replace(in_batches(placed, lambda batch: self._trash.delete(batch, at), progress), at=at)
+
+
+def as_expected(run_ids: Sequence[int], expected: int) -> Sequence[int]:
+    """The runs of a search that somebody has seen to match ``expected`` runs.
+
+    Raises Conflict if there are more or fewer by now, InvalidInput if they are too many for a request.
+    """
+    if len(run_ids) != expected:
+        raise Conflict(
+            f"the search matches {plural(len(run_ids), 'run')} now, not {expected}", "look at them, then try again"
+        )
+    if expected > MOST_OF_A_REQUEST:
+        raise InvalidInput(
+            f"{plural(expected, 'run')} are too many for one request",
+            f"choose at most {MOST_OF_A_REQUEST}, or use slamhive runs on the server",
+        )
+    return run_ids
 
 
 def in_batches(run_ids: Sequence[int], act: Callable[[Sequence[int]], object], progress: Progress) -> Acted:

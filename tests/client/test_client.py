@@ -104,6 +104,8 @@ def test_what_only_reads_changes_nothing(client: Hive) -> None:
     with pytest.raises(Forbidden):
         client.runs.get(RUNS["queued"]).cancel()
     with pytest.raises(Forbidden):
+        client.runs.where("id > 0").delete()
+    with pytest.raises(Forbidden):
         client.experiments.start("name: nothing\n")
 
 

@@ -57,6 +57,34 @@ def address(data: Path) -> Iterator[str]:
     opened.close()
 
 
+@pytest.mark.parametrize("over", ["files", "server"])
+def test_all_runs_of_a_search_are_changed(data: Path, address: str, over: str) -> None:
+    with Hive.open(data, writable=True) if over == "files" else Hive.connect(address) as hive:
+        hive.runs.submit("tiny", "room", {"seconds": 0.0}, repeat=3)
+        found = hive.runs.where("algorithm = tiny")
+        assert found.tag(add=["one", "two"]).left_out == 3, "a run that is queued has no folder"
+        hive.runs.get(1).cancel()
+        changed = found.delete()
+        assert (changed.done, changed.left_out, [run.id for run in found.sort("id")]) == (1, 2, [2, 3])
+        assert "run 2 has not ended, it is queued" in changed.reasons
+        assert changed.deleted_at is not None
+        assert hive.runs.restore(changed.deleted_at) == (1,)
+        changed = found.retry()
+        assert (changed.done, changed.deleted_at, len(found)) == (1, None, 4)
+        assert (found.evaluate().done, found.share("public").left_out) == (0, 4)
+        for refused, words in (
+            (hive.runs.delete, "all runs are meant"),
+            (found.tag, "no tag is named"),
+            (lambda: found.share("nobody"), "visibility"),
+            (hive.runs.where("no_such = 1").retry, "no_such"),
+        ):
+            with pytest.raises(InvalidInput, match=words):
+                refused()
+        for unknown in (lambda: found.evaluate("no-protocol"), lambda: hive.runs.restore("2026-05-04T12:00:00+00:00")):
+            with pytest.raises(NotFound):
+                unknown()
+
+
 def test_the_examples_of_the_documentation_work(address: str, capsys: pytest.CaptureFixture[str]) -> None:
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     found: dict[str, object] = {}

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import html
+import json
 import re
 
 import pytest
 
+from slamhive.services import search_actions as actions
 from slamhive.web.views import search_actions
 from tests.services.test_trash import end
 from tests.web import web_world as world
@@ -69,7 +71,8 @@ def test_a_search_that_matches_others_by_now_changes_nothing(many: Web) -> None:
 
 
 def test_too_many_runs_are_left_to_the_command_line(many: Web, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(search_actions, "MOST_RUNS", 6)
+    for module in (search_actions, actions):
+        monkeypatch.setattr(module, "MOST_OF_A_REQUEST", 6)
     text = many.client.get("/runs/search?where=id+>%3D+6").text
     assert "slamhive runs delete --where &#39;id &gt;= 6&#39;" in text
     assert '<form method="post" action="/runs/search' not in text
@@ -99,3 +102,25 @@ def test_all_runs_are_retried_or_evaluated(many: Web) -> None:
     assert sum(many.hive.runs.counts().values()) == count + 7
     answer = act(many, "evaluate", "id+between+3+and+8", 6)
     assert message(many, answer.location).startswith("Evaluations of 3 runs queued. 3 runs left out: run 3 is failed")
+
+
+def test_programs_change_what_they_expect(many: Web) -> None:
+    def ask(action: str, **body: object):
+        return many.client.post(f"/api/v1/runs/search/{action}", json=body, headers={"X-SLAM-Hive": "1"})
+
+    assert ask("tags", where="id >= 5", count=8, add=["paper"]).json == {
+        "done": 7,
+        "left_out": 1,
+        "reasons": ["run 5 has no folder yet"],
+        "deleted_at": None,
+    }
+    answer = ask("delete", where="id >= 6", count=6)
+    assert answer.status_code == 409
+    assert "the search matches 7 runs now, not 6" in answer.text
+    assert len(many.hive.searches.find("tag = paper")) == 7
+    deleted = json.loads(ask("delete", where="id >= 6", count=7).text)
+    assert deleted["done"] == 7
+    together = {"deleted_at": deleted["deleted_at"]}
+    answer = many.client.post("/api/v1/trash/restore-together", json=together, headers={"X-SLAM-Hive": "1"})
+    assert answer.json == {"runs": [6, 7, 8, 9, 10, 11, 12]}
+    assert ask("tags", where="id >= 6", count=7).status_code == 400

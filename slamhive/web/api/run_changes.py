@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from slamhive.domain.notes import NotesChange
 from slamhive.errors import InvalidInput
-from slamhive.schema.api_answers import DeletedRun, Queued, Removed, RunNumbers, Runs, TrashedRuns
+from slamhive.schema.api_answers import ActedOn, DeletedRun, Queued, Removed, RunNumbers, Runs, TrashedRuns
 from slamhive.schema.api_requests import (
+    DeletionRequest,
     EvaluationRequest,
+    FoundEvaluation,
+    FoundRuns,
+    FoundSharing,
+    FoundTags,
     NotesRequest,
     RunSelection,
     SharingRequest,
@@ -16,6 +21,8 @@ from slamhive.schema.api_requests import (
 from slamhive.schema.matching import Match
 from slamhive.schema.run import Run
 from slamhive.schema.submission import OPTIONS, Submission
+from slamhive.services.found_runs import change_found
+from slamhive.services.search_actions import as_expected
 from slamhive.services.sharing import SharingChange
 from slamhive.web.api.operation import Section
 from slamhive.web.api.table import TABLE
@@ -118,3 +125,46 @@ def restore(body: RunSelection) -> RunNumbers:
 def empty_trash() -> Removed:
     """Remove the files of all deleted runs for good."""
     return Removed(removed=hive().trash.empty())
+
+
+@TABLE.post(Section.RUN_CHANGES, "/runs/search/evaluate", ActedOn, body=FoundEvaluation, status=202)
+def evaluate_found(body: FoundEvaluation) -> ActedOn:
+    """Queue an evaluation of each run of a search that succeeded."""
+    return _change_found("evaluate", body)
+
+
+@TABLE.post(Section.RUN_CHANGES, "/runs/search/retry", ActedOn, body=FoundRuns, status=201)
+def retry_found(body: FoundRuns) -> ActedOn:
+    """Queue a new run for each run of a search that has ended."""
+    return _change_found("retry", body)
+
+
+@TABLE.post(Section.RUN_CHANGES, "/runs/search/tags", ActedOn, body=FoundTags)
+def tag_found(body: FoundTags) -> ActedOn:
+    """Add and remove tags of all runs of a search."""
+    return _change_found("tags", body)
+
+
+@TABLE.post(Section.RUN_CHANGES, "/runs/search/share", ActedOn, body=FoundSharing)
+def share_found(body: FoundSharing) -> ActedOn:
+    """Choose who may see all runs of a search; their owner may, and admins."""
+    return _change_found("share", body)
+
+
+@TABLE.post(Section.RUN_CHANGES, "/runs/search/delete", ActedOn, body=FoundRuns)
+def delete_found(body: FoundRuns) -> ActedOn:
+    """Move all runs of a search that have ended to the trash."""
+    return _change_found("delete", body)
+
+
+@TABLE.post(Section.RUN_CHANGES, "/trash/restore-together", RunNumbers, body=DeletionRequest)
+def restore_together(body: DeletionRequest) -> RunNumbers:
+    """Take out of the trash what was deleted together."""
+    trash = hive().trash
+    return RunNumbers(runs=tuple(trash.restore(trash.deleted_together(body.deleted_at))))
+
+
+def _change_found(action: str, body: FoundRuns) -> ActedOn:
+    services = hive()
+    run_ids = as_expected(services.searches.find(body.where), body.count)
+    return ActedOn.of(change_found(services, action, run_ids, body))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
 
 from slamhive.domain.notes import NotesChange, split_tags
 from slamhive.domain.visibility import Visibility
-from slamhive.errors import Conflict, InvalidInput
+from slamhive.errors import InvalidInput
 from slamhive.input_bounds import whole_number
-from slamhive.services.search_actions import Acted
+from slamhive.services.search_actions import MOST_OF_A_REQUEST, Acted, as_expected
 from slamhive.services.sharing import SharingChange
 from slamhive.web.context import hive
 from slamhive.web.formatting import plural
@@ -19,8 +21,6 @@ from slamhive.web.views.runs import list_address
 
 blueprint = Blueprint("search_actions", __name__, url_prefix="/runs/search")
 
-MOST_RUNS = 2000
-"""Of one request: it deletes a run in some milliseconds. The command line shows its progress and has no such limit."""
 UNDO_TOGETHER = "undo-together"
 """The category of a message with a button that restores what was deleted together at the time behind it."""
 _LARGEST_COUNT = 2**53
@@ -36,7 +36,7 @@ def show() -> str:
         "runs/search_actions.html",
         query=query,
         count=services.searches.exact_count(query.search),
-        most=MOST_RUNS,
+        most=MOST_OF_A_REQUEST,
         known=services.notes.tags(),
         protocol_groups=protocol_groups(),
         commands=search_commands(query.search.text),
@@ -85,21 +85,11 @@ def delete() -> Response:
     return _to_list(acted, f"{plural(acted.done, 'run')} moved to the trash.")
 
 
-def _run_ids() -> list[int]:
-    """The runs of the search.
-
-    Raises Conflict if they are not as many as the page said, InvalidInput if they are too many for a request.
-    """
+def _run_ids() -> Sequence[int]:
+    """The runs of the search, as many as the page said."""
     hive().check_writable()
-    run_ids = hive().searches.run_ids(_asked().search)
     expected = whole_number(request.form.get("count", ""), "count", 0, _LARGEST_COUNT)
-    if len(run_ids) != expected:
-        raise Conflict(
-            f"the search matches {plural(len(run_ids), 'run')} now, not {expected}", "look at them, then try again"
-        )
-    if len(run_ids) > MOST_RUNS:
-        raise InvalidInput(f"{plural(len(run_ids), 'run')} are too many for a page", "use slamhive runs on the server")
-    return run_ids
+    return as_expected(hive().searches.run_ids(_asked().search), expected)
 
 
 def _to_list(acted: Acted, words: str) -> Response:
@@ -118,5 +108,5 @@ def _left_out(acted: Acted) -> str:
 
 def _category(acted: Acted) -> str:
     if acted.at is not None and acted.done:
-        return f"{UNDO_TOGETHER} {acted.at.isoformat()}"
+        return f"{UNDO_TOGETHER} {acted.deleted_at_text}"
     return "success" if acted.done else "warning"
