@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from contextlib import nullcontext
+from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
+from packaging.specifiers import SpecifierSet
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 sys.path.insert(0, str(TOOLS))
@@ -149,6 +152,29 @@ def test_finder_prefers_the_chosen_python():
         ["sh", TOOLS / "find-python.sh"], check=True, capture_output=True, text=True, env=environment
     ).stdout.strip()
     assert Path(found).resolve() == Path(sys.executable).resolve()
+
+
+def test_finder_passes_over_a_python_without_optimisation(tmp_path):
+    for name, says in (("python3", "*ensurepip*) exit 1;; *) echo /slow;;"), ("python3.11", "*) echo /fast;;")):
+        (tmp_path / name).write_text(f'#!/bin/sh\ncase "$*" in {says} esac\n')
+        (tmp_path / name).chmod(0o755)
+    command = ["/bin/sh", str(TOOLS / "find-python.sh")]
+    found = subprocess.run(command, check=True, capture_output=True, text=True, env={"PATH": str(tmp_path)})
+    assert found.stdout == "/fast\n"
+    chosen = {"PATH": str(tmp_path), "PYTHON": "python3"}
+    found = subprocess.run(command, check=True, capture_output=True, text=True, env=chosen)
+    assert found.stdout == "/slow\n"
+
+
+def test_every_pinned_version_is_for_the_oldest_python():
+    """Debian 12 has 3.11.2, so 3.11.5 is asking too much."""
+    pins = dict(re.findall(r"^([\w.-]+)==(\S+)", (TOOLS.parent / "constraints.txt").read_text(), re.MULTILINE))
+    installed = {found.name.lower().replace("_", "-"): found for found in distributions()}
+    asked = {name: str(installed[name].metadata["Requires-Python"]) for name in pins if name in installed}
+    asked = {name: needs for name, needs in asked.items() if needs != "None"}
+    assert len(asked) > 100
+    too_new = [f"{name}: {needs}" for name, needs in asked.items() if not SpecifierSet(needs).contains("3.11.0")]
+    assert too_new == []
 
 
 def test_no_file_names_a_package_index():
