@@ -171,6 +171,18 @@
     slamhiveDraw({ figures, reasons, plane: runs.find((run) => run.plane)?.plane });
   }
 
+  /** What the 3D view loads when it is opened. */
+  function offerScene(runs, datasets) {
+    const panel = document.querySelector("[data-viewer]");
+    const look = (run) => {
+      const [colour, dark] = colours[runs.indexOf(run)];
+      return { address: `runs/${run.id}.scene.js`, name: `run ${run.id}, ${run.algorithm}`, colour, dark };
+    };
+    const having = runs.filter((run) => run.scene);
+    panel.parentElement.hidden = datasets.size > 1 || !having.length;
+    panel.dataset.scene = JSON.stringify(having.map(look));
+  }
+
   function show(runs) {
     const datasets = new Set(runs.map((run) => run.dataset));
     const protocols = new Map(runs.filter((run) => run.protocol).map((run) => run.protocol));
@@ -186,6 +198,7 @@
     document.querySelector("[data-comparison]").hidden = false;
     showMetrics(runs, unmarked);
     showPlots(runs, datasets);
+    offerScene(runs, datasets);
     showSettings(runs);
   }
 

@@ -15,6 +15,9 @@
     }
   }
 
+  /** The address of a module; a static site makes it of a script. */
+  const moduleOf = window.slamhiveModuleOf ?? ((address) => address);
+
   async function show(panel, button) {
     if (!hasWebgl()) {
       button.hidden = true;
@@ -24,7 +27,7 @@
     button.disabled = true;
     say(panel, "Loading the 3D view.");
     try {
-      const { open } = await import(panel.dataset.module);
+      const { open } = await import(await moduleOf(panel.dataset.module));
       await open(panel, (text) => say(panel, text));
       button.hidden = true;
     } catch (error) {
@@ -32,6 +35,10 @@
       say(panel, `The 3D view could not be opened: ${error.message}`);
     }
   }
+
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    if (!document.documentElement.dataset.bsTheme) document.dispatchEvent(new Event("themechange"));
+  });
 
   for (const panel of document.querySelectorAll("[data-viewer]")) {
     const button = panel.querySelector("[data-open]");

@@ -49,6 +49,16 @@ class PointCloud:
         values = (self.positions_m, self.intensities, self.errors_m)
         return sum(array.nbytes for array in values if array is not None)
 
+    def some(self, most: int) -> PointCloud:
+        """At most ``most`` of the points, chosen at random. Two calls choose the same."""
+        count = len(self.positions_m)
+        if count <= most:
+            return self
+        kept = np.sort(np.random.default_rng(0).choice(count, most, replace=False))
+        intensities = None if self.intensities is None else self.intensities[kept]
+        errors_m = None if self.errors_m is None else self.errors_m[kept]
+        return PointCloud(self.positions_m[kept], intensities, self.total, None, errors_m)
+
 
 def sampled_cloud(path: Path, name: str, most: int = MOST_POINTS) -> PointCloud:
     """One point, chosen at random, of every so many in the order of the file; all of a map that is small enough.

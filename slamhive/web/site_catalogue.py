@@ -23,6 +23,7 @@ from slamhive.web.formatting import display_unit, significant
 from slamhive.web.presenters import catalogue, rankings
 from slamhive.web.presenters.ground_truths import ground_truth_figures
 from slamhive.web.site_runs import path_once
+from slamhive.web.site_scenes import SiteScenes, scene_name
 
 FOLDERS = {"experiment": "experiments", "algorithm": "algorithms", "dataset": "datasets"}
 """Where the pages lie, by the column of the list that names them."""
@@ -53,11 +54,15 @@ class CataloguePages:
         hive: Catalogue and experiments; its store shows only what is published.
         environment: Templates.
         site: What each page says of the site.
+        scenes: Writes what 3D views show.
         whole: All runs are published. Rankings use every run of an experiment, so a part of them has none.
     """
 
-    def __init__(self, hive: Hive, environment: Environment, site: Mapping[str, Any], *, whole: bool) -> None:
+    def __init__(
+        self, hive: Hive, environment: Environment, site: Mapping[str, Any], scenes: SiteScenes, *, whole: bool
+    ) -> None:
         self._hive = hive
+        self._scenes = scenes
         self._environment = environment
         self._site = site
         self._whole = whole
@@ -78,7 +83,10 @@ class CataloguePages:
         if drawn is not None:
             script = f"window.slamhiveDraw({script_json(drawn)});\n"
             place.with_name(f"{place.name}.js").write_text(script, encoding="utf-8")
-        self._render("dataset", place, name=name, dataset=dataset, shares=_shares(rows, "algorithm"), drawn=drawn)
+        scene = scene_name(name) if dataset is not None and self._scenes.write_dataset(place.parent, dataset) else None
+        self._render(
+            "dataset", place, name=name, dataset=dataset, shares=_shares(rows, "algorithm"), drawn=drawn, scene=scene
+        )
 
     def _algorithm(self, place: Path, name: str, rows: Sequence[Row]) -> None:
         algorithm = None

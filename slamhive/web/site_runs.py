@@ -65,13 +65,14 @@ def path_once(figures: Mapping[str, Any]) -> dict[str, Any]:
     return {"path" if key == "path_3d" else key: figure for key, figure in figures.items() if key not in _FLAT}
 
 
-def run_script(run: RunRecord, record: Mapping[str, Any], drawn: Mapping[str, Any]) -> str:
+def run_script(run: RunRecord, record: Mapping[str, Any], drawn: Mapping[str, Any], *, scene: bool) -> str:
     """A run as a script: what was measured and set, and its plots.
 
     Args:
         run: With its metrics.
         record: The content of its ``run.json``.
         drawn: As :func:`drawing` returns it.
+        scene: Whether the site has a 3D view of it.
     """
     rows = [row for needs in (True, False) for row in metric_rows(run, needs_protocol=needs)]
     figures = run.metrics or {}
@@ -88,6 +89,7 @@ def run_script(run: RunRecord, record: Mapping[str, Any], drawn: Mapping[str, An
         "protocol": None if run.protocol is None else [run.protocol.fingerprint, run.protocol.label],
         "metrics": {row.metric.key: [figures[row.metric.key], row.cell.text, row.cell.exact] for row in rows},
         "settings": settings_of(run, record),
+        "scene": scene,
         **drawn,
     }
     return f"window.slamhiveRun({script_json(content)});\n"

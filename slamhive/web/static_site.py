@@ -42,6 +42,7 @@ from slamhive.web.site_runs import (
     table_script,
     thinned,
 )
+from slamhive.web.site_scenes import SiteScenes, module_script, scene_name
 
 BATCH = 100
 _MOST_ANALYSES = 1000
@@ -52,7 +53,12 @@ LISTED_WITHOUT_SCRIPTS = 2000
 _RUN_PAGE = "../runs/{}.html"
 LOG_BYTES = 16_000
 """Of the end of the log of each run."""
-_ASSETS = ("report.css", "print.css", "report.js", "site.css", "site-list.js", "site-plots.js", "site-compare.js")
+_ASSETS = (
+    *("report.css", "print.css", "report.js", "site.css", "site-list.js", "site-plots.js", "site-compare.js"),
+    *("viewer.css", "viewer.js", "site-viewer.js"),
+)
+MODULES = "viewer-modules.js"
+"""The asset that holds the modules of the 3D view."""
 
 Progress = Callable[[int, int], None]
 """Receives the number of finished runs and the total."""
@@ -81,6 +87,7 @@ class StaticSite:
         self._algorithms = {algorithm.name: algorithm for algorithm in hive.catalogue.algorithms()}
         self._matches: dict[int, Match | None] = {}
         self._root = hive.catalogue.project_root
+        self._scenes = SiteScenes(hive, list(self._algorithms))
 
     def write(self, progress: Progress) -> int:
         """Write the site to a temporary folder and move it into place; returns its number of runs.
@@ -123,6 +130,7 @@ class StaticSite:
         shutil.copyfile(PLOTLY_FILE, folder / "assets" / "plotly.min.js")
         for name in _ASSETS:
             shutil.copyfile(self._root / "static" / name, folder / "assets" / name)
+        (folder / "assets" / MODULES).write_text(module_script(self._root / "static"), encoding="utf-8")
         site = {
             "title": self._request.title,
             "query": self._request.query,
@@ -140,7 +148,8 @@ class StaticSite:
             measured |= {row.metric.key for needs in (True, False) for row in metric_rows(run, needs_protocol=needs)}
             progress(done, len(run_ids))
         (folder / "assets" / "runs.js").write_text(table_script(rows), encoding="utf-8")
-        CataloguePages(self._hive, environment, site, whole=self._request.run_ids is None).write(folder, rows)
+        whole = self._request.run_ids is None
+        CataloguePages(self._hive, environment, site, self._scenes, whole=whole).write(folder, rows)
         content: dict[str, Any] = {
             "analyses": self._analyses(folder, environment.get_template("published/analysis.html"), site),
             "parts": _parts(rows),
@@ -179,6 +188,7 @@ class StaticSite:
         series = thinned(run_series(run, RunFolder(self._hive.settings.runs_folder / str(run.id))))
         drawn = drawing(run, series, colour_of(run.algorithm, self._algorithms))
         algorithm = self._algorithms.get(run.algorithm)
+        has_scene = self._scenes.write_run(folder, run)
         text = page.render(
             site=site,
             root="../",
@@ -193,9 +203,10 @@ class StaticSite:
             parameters=parameter_rows(run, algorithm, self._match(run, record)),
             facts=_facts(run, algorithm),
             log=self._log(run),
+            scene=scene_name(run.id) if has_scene else None,
         )
         (folder / f"{run.id}.html").write_text(text, encoding="utf-8")
-        (folder / f"{run.id}.js").write_text(run_script(run, record, drawn), encoding="utf-8")
+        (folder / f"{run.id}.js").write_text(run_script(run, record, drawn, scene=has_scene), encoding="utf-8")
 
     def _log(self, run: RunRecord) -> str:
         """The end of the log of a run."""

@@ -8,7 +8,11 @@ const MAPS = {
 const SHOWN = { light: [0, 0.88], dark: [0.16, 1] };
 const UNKNOWN = { light: [0.72, 0.74, 0.76], dark: [0.35, 0.38, 0.41] };
 
-export const isDark = () => document.documentElement.dataset.bsTheme === "dark";
+/** As the page says; one of a static site follows the system. */
+export function isDark() {
+  const theme = document.documentElement.dataset.bsTheme;
+  return theme ? theme === "dark" : window.matchMedia("(prefers-color-scheme: dark)").matches;
+}
 
 /** "#0072B2" as [red, green, blue], 0 to 1. */
 export function parts(colour) {

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from slamhive.services.experiments import ExperimentSource
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 pytestmark = BROWSER
 
+MAP_POINTS = 20_000
 ANALYSIS = """\
 name: All runs
 select: {all: {where: "id >= 1"}}
@@ -45,11 +47,20 @@ def site(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         world.evaluate_run(hive, run_id, 0.02 * (1 + place))
     hive.experiments.start(ExperimentSource(TRIAL))
     end(hive, *hive.experiments.run_ids("trial")[:2])
+    write_map(hive.runs.folder(world.RUNS["done"]).map)
     hive.stored_analyses.create(ANALYSIS)
     assert hive.analysis_jobs.work_once("tests", threading.Event())
     StaticSite(hive, SiteRequest(folder / "site", title="Published")).write(lambda _done, _total: None)
     hive.close()
     return folder / "site"
+
+
+def write_map(path: Path) -> None:
+    """Two walls around the path of the run, with more points than a site shows."""
+    points = np.random.default_rng(2).uniform((-12, -8, -2), (12, 8, 3), (2 * MAP_POINTS, 3))
+    points[::2, 1] = 8
+    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS {n}\nWIDTH {n}\nDATA binary\n"
+    path.write_bytes(head.format(n=len(points)).encode() + points.astype("<f4").tobytes())
 
 
 class Quiet(http.server.SimpleHTTPRequestHandler):
@@ -104,7 +115,7 @@ def test_runs_are_found_ordered_and_compared(chromium: Browser, place: str) -> N
         path = "document.querySelector('[data-plot=path]').data"
         names = page.evaluate(f"{path}.map((trace) => [trace.type, trace.name])")
         assert {("scatter", "Run 6"), ("scatter", "Run 7"), ("scatter", "ground truth")} <= set(map(tuple, names))
-        page.get_by_role("button", name="3D").click()
+        page.get_by_role("button", name="3D", exact=True).click()
         page.wait_for_function(f"{path}[0].type === 'scatter3d'")
         time = "document.querySelector('[data-plot=cpu]').layout"
         assert page.evaluate(f"{time}.xaxis.title.text") == "time since the start of the run [s]"
@@ -133,6 +144,43 @@ def test_a_run_is_drawn_in_every_view(chromium: Browser, site: Path) -> None:
         assert page.evaluate(titles) == ["x [m]", "z [m]"]
         page.locator("[data-plot=cpu] + details summary").press("Enter")
         page.locator("[data-plot=cpu] + details tbody tr").wait_for()
+
+
+def test_runs_are_looked_at_in_3d(chromium: Browser, place: str, site: Path) -> None:
+    """From a folder too, where no module can be loaded and nothing fetched."""
+    assert (site / "runs" / "1.scene.js").stat().st_size < 100_000
+    assert (site / "runs" / "1.map.js").stat().st_size < 500_000
+    with faultless(chromium, place) as page:
+        page.goto(f"{place}/runs/1.html")
+        page.get_by_role("button", name="Open 3D view").click()
+        panel = page.locator("[data-viewer]")
+        page.wait_for_selector("[data-viewer][data-ready]", timeout=60_000)
+        assert panel.get_attribute("data-points") == f"sample {MAP_POINTS}"
+        assert panel.locator("[data-paths] li").all_inner_texts() == [
+            "eye-slam-stereo (400 poses)",
+            "ground truth (400 poses)",
+        ]
+        page.get_by_role("slider", name="Time").fill("10")
+        assert panel.locator("output").inner_text() == "10.00 s"
+        assert panel.get_attribute("data-at")
+        page.goto(f"{place}/datasets/room.html")
+        page.get_by_role("button", name="Open 3D view").click()
+        page.wait_for_selector("[data-viewer][data-ready]", timeout=60_000)
+        assert panel.locator("[data-paths] li").count() == 1
+
+
+def test_compared_runs_share_a_3d_view_and_its_clock(chromium: Browser, site: Path) -> None:
+    with faultless(chromium, site.as_uri()) as page:
+        page.goto(f"{site.as_uri()}/compare.html?runs=1,2,6")
+        page.get_by_role("button", name="Open 3D view").click()
+        page.wait_for_selector("[data-viewer][data-ready]", timeout=60_000)
+        panel = page.locator("[data-viewer]")
+        names = [text.partition(" (")[0] for text in panel.locator("[data-paths] li").all_inner_texts()]
+        assert names == ["run 1, eye-slam-stereo", "run 6, eye-slam-stereo", "ground truth"]
+        assert "where they are: run 2, eye-slam-stereo." in panel.locator("[data-says]").inner_text()
+        page.goto(f"{site.as_uri()}/compare.html?runs=3,8")
+        page.wait_for_selector("[data-settings] table")
+        assert page.get_by_role("button", name="Open 3D view").count() == 0
 
 
 def test_what_cannot_be_compared_is_named(chromium: Browser, site: Path) -> None:

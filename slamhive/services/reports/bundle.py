@@ -191,7 +191,7 @@ def _table_files(place: int, table: ResultTable) -> Iterator[tuple[str, bytes]]:
             yield f"tables/{file_name(place, table.key, ending)}", table_file(table, ending)
 
 
-def script_json(content: dict[str, Any]) -> Markup:
+def script_json(content: Any) -> Markup:
     """JSON for a script element, escaped so that it cannot end the element."""
     text = json.dumps(content, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - escaped

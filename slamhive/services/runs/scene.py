@@ -48,6 +48,12 @@ class ScenePath:
     speeds_mps: Array
     errors_m: Array | None = None
 
+    def thinned(self, most: int) -> ScenePath:
+        """At most ``most`` poses, evenly spaced, with the first and the last."""
+        kept = self.track.even_places(most)
+        errors_m = None if self.errors_m is None else self.errors_m[kept]
+        return ScenePath(self.kind, self.track.thinned(most), self.speeds_mps[kept], errors_m)
+
 
 @dataclass(frozen=True, slots=True)
 class RunScene:

@@ -43,8 +43,13 @@ class Track:
 
     def thinned(self, most: int) -> Track:
         """At most ``most`` poses, evenly spaced, with the first and the last."""
-        kept = np.unique(np.linspace(0, len(self.times_s) - 1, min(len(self.times_s), most)).astype(np.int64))
+        kept = self.even_places(most)
         return Track(self.times_s[kept], self.positions_m[kept], self.poses, self.pieces[kept])
+
+    def even_places(self, most: int) -> Places:
+        """Which poses :meth:`thinned` keeps."""
+        found: Places = np.unique(np.linspace(0, len(self.times_s) - 1, min(len(self.times_s), most)).astype(np.int64))
+        return found
 
 
 @dataclass(frozen=True, slots=True)

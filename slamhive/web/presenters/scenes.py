@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.colours import on_dark
+from slamhive.analysis.colours import OKABE_ITO, colour_of, on_dark
 from slamhive.analysis.plotly_values import numbers
+from slamhive.domain.dataset import Dataset
+from slamhive.errors import NotFound
 from slamhive.runs.point_cloud import PointCloud
-from slamhive.services.runs import Array, ScenePath, Track
+from slamhive.services.runs import Array, RunScene, ScenePath, Track
 from slamhive.trajectory.alignment import IDENTITY, Similarity
 from slamhive.web.figures import best_plane
+
+if TYPE_CHECKING:
+    from slamhive.services.hive import Hive
 
 TRUTH = "ground truth"
 TRUTH_COLOUR, TRUTH_ON_DARK = "#3d4247", "#c3c9d0"
@@ -88,6 +94,45 @@ def scene_json(
 def truth_path(path: ScenePath) -> ShownPath:
     """The ground truth, which looks the same on all pages."""
     return ShownPath(TRUTH, TRUTH_COLOUR, path)
+
+
+def truth_paths(scene: RunScene) -> list[ShownPath]:
+    """The ground truth of a run, if it has one."""
+    return [] if scene.groundtruth is None else [truth_path(scene.groundtruth)]
+
+
+def run_paths(algorithm: str, scene: RunScene, algorithms: Iterable[str]) -> list[ShownPath]:
+    """The paths of a run: the first in the algorithm's colour, the others in further ones."""
+    colour = colour_of(algorithm, algorithms)
+    colours = [colour, *(other for other in OKABE_ITO if other != colour)]
+    several = len(scene.paths) > 1
+    return [
+        ShownPath(f"{algorithm}, {path.kind}" if several else algorithm, colours[place], path)
+        for place, path in enumerate(scene.paths)
+    ]
+
+
+def algorithm_names(services: Hive) -> Iterator[str]:
+    """Those of the catalogue, on which colours depend."""
+    return (entry.name for entry in services.catalogue.algorithms())
+
+
+def dataset_of(services: Hive, name: str) -> Dataset | None:
+    """The dataset of a run; None if it no longer exists."""
+    try:
+        return services.catalogue.dataset(name)
+    except NotFound:
+        return None
+
+
+def reference_of(dataset: Dataset | None) -> Path | None:
+    """The reference map of a dataset."""
+    return None if dataset is None or dataset.reference_map is None else dataset.folder / dataset.reference_map
+
+
+def is_z_up(dataset: Dataset | None) -> bool:
+    """Whether z of the ground truth is known to point up."""
+    return dataset is not None and dataset.groundtruth is not None and dataset.groundtruth.gravity_aligned
 
 
 def cloud_bytes(cloud: PointCloud, to_scene: Similarity = IDENTITY) -> bytes:
