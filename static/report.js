@@ -155,18 +155,53 @@
     if (details.open) fill(details, details.figure);
   }
 
+  const LOG_ICON = { width: 24, height: 24, path: "M2 2h2.5v17.5H22V22H2zM7 15h15v2H7zM7 11.5h15v1.5H7zM7 6h15v1.5H7z" };
+  const MOST_ZEROS = 0.05;
+
+  /** Whether the heights of a plot can be shown on a logarithmic axis: numbers above zero, but for a few. */
+  function offersLog({ data, layout }) {
+    const { scaleanchor, type } = layout.yaxis || {};
+    if (layout.scene || layout.yaxis2 || scaleanchor || type === "category" || type === "date") return false;
+    if (!data.length || data.some((trace) => !["scatter", "scattergl", undefined].includes(trace.type))) return false;
+    const values = data.flatMap(({ y }) => list(y)).filter((value) => value !== null && !Number.isNaN(value));
+    if (!values.length || !values.every((value) => typeof value === "number" && value >= 0)) return false;
+    return values.filter((value) => value === 0).length <= MOST_ZEROS * values.length;
+  }
+
+  /** The figure with its heights on the axis that somebody has chosen for this place. */
+  function scaled(place, figure) {
+    const type = place.dataset.scale;
+    if (!type || !offersLog(figure)) return figure;
+    const { range, rangemode, autorange, ...yaxis } = figure.layout.yaxis || {};
+    return { ...figure, layout: { ...figure.layout, yaxis: { ...yaxis, type, autorange: true, uirevision: type } } };
+  }
+
+  function logButton(figure) {
+    const first = figure.layout.yaxis?.type === "log" ? "log" : "linear";
+    return {
+      name: "log",
+      title: "Logarithmic or linear axis",
+      icon: LOG_ICON,
+      click: (place) => {
+        place.dataset.scale = (place.dataset.scale || first) === "log" ? "linear" : "log";
+        show(place, ...shown.get(place));
+      },
+    };
+  }
+
   const shown = new Map();
 
   /** Draws a figure anew; its bar of buttons does not offer Plotly's own, to upload the chart to a server. */
   function show(place, figure, margin, options) {
     shown.set(place, [figure, margin, options]);
     withTable(place, figure);
-    const { data, layout } = themed(figure, margin);
+    const { data, layout } = themed(scaled(place, figure), margin);
     const drawn = Plotly.react(place, data, layout, {
       responsive: true,
       displaylogo: false,
       plotlyServerURL: "",
       modeBarButtonsToRemove: ["sendChartToCloud", "select2d", "lasso2d", "autoScale2d"],
+      modeBarButtonsToAdd: offersLog(figure) ? [logButton(figure)] : [],
       ...options,
     });
     return drawn.then(() => asToolbar(place));

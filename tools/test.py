@@ -49,6 +49,8 @@ ENGINE_PACKAGES = ("docker.io", "iptables")
 BESIDE_THE_ENGINE = ("debootstrap", "docker-registry")
 COMPOSE_PACKAGES = ("docker-compose-v2", "docker-compose-plugin", "docker-compose")
 CLIENT_PACKAGE = "docker-cli"
+AT_ONCE = 4
+"""Tiers at once. With more, processes take each other's caches, and the same tests a fifth more CPU time."""
 LONGEST_FILES = 6
 LONG_FILE_S = 10.0
 """Tiers in which no module takes longer do not say which take longest."""
@@ -91,7 +93,7 @@ class Tier:
     """One tier: what must be there first, the commands, or the pytest marks that select its tests.
 
     Each of the ``workers`` takes the next file when it is free. One more begins whenever another tier of the group has
-    ended, up to ``most_workers``. ``limit_s`` is the time that the tier may take if each
+    ended and none waits, up to ``most_workers``. ``limit_s`` is the time that the tier may take if each
     process has a core.
     It fails if it uses more CPU time than that, and warns if it only takes longer.
     Tests of a tier without ``engine`` see no Docker engine, so that they behave the same on every machine.
@@ -156,19 +158,19 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier(
             "integration",
             marks="integration and not docker and not mysql and not cluster and not browser and not pictures",
-            workers=3,  # on two cores: the tests often wait, and the other tiers of the group end sooner
-            most_workers=6,
+            workers=2,
+            most_workers=5,  # on two cores: the tests often wait
             prepare=prepare_libraries,
             group="processes",
         ),
-        Tier("types", ((str(BIN / "mypy"),),), group="processes"),  # a minute on one core, so something runs beside
-        Tier("mysql", marks="mysql and not docker", prepare=prepare_database, group="processes"),
-        Tier("browser", marks="browser and not docker and not mysql", prepare=prepare_browser, group="processes"),
-        # Runs the experiment of `slamhive demo` without the engine, in environments that other tiers need as well.
-        Tier("pictures", marks="pictures and not docker and not mysql", prepare=prepare_pictures, group="processes"),
-        Tier("docker", marks=f"docker and not alone and {CHEAP}", engine=True, prepare=with_engine, group="processes"),
         # Builds images: some 400 s of CPU time where none has been built before. Its runs are played slowly.
         Tier("images", marks="images", workers=2, engine=True, prepare=with_engine, group="processes"),
+        Tier("docker", marks=f"docker and not alone and {CHEAP}", engine=True, prepare=with_engine, group="processes"),
+        # Runs the experiment of `slamhive demo` without the engine, in environments that other tiers need as well.
+        Tier("pictures", marks="pictures and not docker and not mysql", prepare=prepare_pictures, group="processes"),
+        Tier("mysql", marks="mysql and not docker", prepare=prepare_database, group="processes"),
+        Tier("browser", marks="browser and not docker and not mysql", prepare=prepare_browser, group="processes"),
+        Tier("types", ((str(BIN / "mypy"),),), group="processes"),
         Tier("systems", marks=f"docker and alone and {CHEAP}", engine=True, prepare=with_engine),
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
         Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),
@@ -206,7 +208,10 @@ def run_group(tiers: Sequence[Tier]) -> dict[str, Outcome]:
 
 
 def run_together(tiers: Sequence[Tier]) -> dict[str, Outcome]:
-    """Run tiers for which everything is there. The first prints as it goes, each other one when it has ended."""
+    """Run tiers for which everything is there, a few at once and in their order.
+
+    The first prints as it goes, each other one when it has ended.
+    """
     printing = threading.Lock()
     growing = [tier for tier in tiers if tier.most_workers]
     ended = 0
@@ -221,14 +226,14 @@ def run_together(tiers: Sequence[Tier]) -> dict[str, Outcome]:
             with printing:
                 ended += 1
                 for other in growing:
-                    allow_workers(other, ended)
+                    allow_workers(other, max(0, ended - max(0, len(tiers) - AT_ONCE)))
                 print(f"\n--- {tier.name} ".ljust(100, "-"))
                 _write(output.read(), None)
         return outcome
 
     for tier in growing:
         allow_workers(tier, 0)
-    with ThreadPoolExecutor(max(1, len(tiers))) as pool:
+    with ThreadPoolExecutor(AT_ONCE) as pool:
         return dict(zip([tier.name for tier in tiers], pool.map(run_one, tiers), strict=True))
 
 

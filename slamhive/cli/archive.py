@@ -129,21 +129,24 @@ def import_archive(cli: CliContext, file: Path, as_json: bool) -> None:
 @click.option("--experiment", metavar="NAME", help="Only the runs of this experiment.")
 @click.option("--title", default="SLAM Hive", show_default=True, help="Title of the pages.")
 @click.option("--unpublished", is_flag=True, help=_UNPUBLISHED)
+@click.option("--afresh", is_flag=True, help="Write all pages again, also of runs that have not changed.")
 @pass_cli
-def site(
-    cli: CliContext, folder: Path, where: str | None, experiment: str | None, title: str, unpublished: bool
-) -> None:
-    """Write static pages of runs into FOLDER; they need no server and no network."""
+def site(cli: CliContext, folder: Path, title: str, unpublished: bool, afresh: bool, **chosen: str | None) -> None:
+    """Write static pages of runs into FOLDER; they need no server and no network.
+
+    If FOLDER has an older site, the pages of runs that have not changed are taken over.
+    """
     from slamhive.web.static_site import SiteRequest, StaticSite  # noqa: PLC0415 - Plotly takes a second
 
     hive = cli.hive()
+    where, experiment = chosen["where"], chosen["experiment"]
     run_ids = _chosen(hive, where is None and experiment is None, where, experiment)
     query = where or (f"experiment = {experiment}" if experiment else "")
     with progress_bar("writing") as show:
-        written = StaticSite(hive, SiteRequest(folder, run_ids, title, query, unpublished)).write(
-            lambda done, total: show(done / total, f"{done}/{total} runs")
-        )
-    click.echo(f"{written} runs published in {folder}; open {folder / 'index.html'}")
+        site = StaticSite(hive, SiteRequest(folder, run_ids, title, query, unpublished, afresh))
+        written = site.write(lambda done, total: show(done / total, f"{done}/{total} runs"))
+    kept = f", {site.kept} of them unchanged" if site.kept else ""
+    click.echo(f"{written} runs published in {folder}{kept}; open {folder / 'index.html'}")
 
 
 def _chosen(hive: Hive, everything: bool, where: object, experiment: object) -> Sequence[int] | None:

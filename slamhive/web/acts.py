@@ -63,7 +63,8 @@ def _selected() -> list[str]:
     except InvalidInput:  # the view says so
         return []
     visibility = [f"visibility {body['visibility']}"] if body.get("visibility") in list(Visibility) else []
-    return [*visibility, in_ranges(sorted(runs))] if runs else visibility
+    found = [f"search {body['where']}"] if isinstance(body.get("where"), str) else []
+    return [*visibility, *found, *([in_ranges(sorted(runs))] if runs else [])]
 
 
 def _runs_of_form() -> set[int]:

@@ -32,7 +32,9 @@ from slamhive.web.assets import PLOTLY_FILE
 from slamhive.web.formatting import duration, exact_time, plural, significant, size, thousands, value_text
 from slamhive.web.presenters.matching import match_of_configuration, match_of_run
 from slamhive.web.presenters.runs import metric_rows, outcome, parameter_rows, wall_time_s
+from slamhive.web.presenters.scenes import dataset_of, reference_of
 from slamhive.web.site_catalogue import FOLDERS, CataloguePages
+from slamhive.web.site_kept import KeptPages, digest_of, stamps
 from slamhive.web.site_runs import (
     FIGURES,
     drawing,
@@ -51,6 +53,14 @@ MARK = "site.json"
 LISTED_WITHOUT_SCRIPTS = 2000
 """Runs that the list names where scripts are off, since it then has neither pages nor a search."""
 _RUN_PAGE = "../runs/{}.html"
+_TEMPLATES = (
+    "published/run.html",
+    "published/base.html",
+    "published/_view3d.html",
+    "published/_views.html",
+    "viewer.html",
+)
+"""Those of the page of a run."""
 LOG_BYTES = 16_000
 """Of the end of the log of each run."""
 _ASSETS = (
@@ -68,7 +78,8 @@ Progress = Callable[[int, int], None]
 class SiteRequest:
     """What to publish: finished runs with these numbers (None: all). ``query`` describes the selection.
 
-    ``unpublished``: also what is not public, if the installation has accounts.
+    ``unpublished``: also what is not public, if the installation has accounts. ``afresh``: write each page again, also
+    of runs that have not changed since the site was written before.
     """
 
     folder: Path
@@ -76,6 +87,7 @@ class SiteRequest:
     title: str = "SLAM Hive"
     query: str = ""
     unpublished: bool = False
+    afresh: bool = False
 
 
 class StaticSite:
@@ -88,6 +100,15 @@ class StaticSite:
         self._matches: dict[int, Match | None] = {}
         self._root = hive.catalogue.project_root
         self._scenes = SiteScenes(hive, list(self._algorithms))
+        self._pages = KeptPages(request.folder.absolute() / "runs")
+        self._of_all = digest_of(
+            [request.title, [_template(self._root, name) for name in _TEMPLATES], [*self._algorithms]]
+        )
+
+    @property
+    def kept(self) -> int:
+        """How many pages of runs were taken over from the site that was there before."""
+        return self._pages.kept
 
     def write(self, progress: Progress) -> int:
         """Write the site to a temporary folder and move it into place; returns its number of runs.
@@ -143,10 +164,11 @@ class StaticSite:
         rows: list[dict[str, Any]] = []
         measured: set[str] = set()
         for done, run in enumerate(self._runs(run_ids), start=1):
-            self._write_run(folder / "runs", page, site, run)
+            self._put_run(folder / "runs", page, site, run)
             rows.append(table_row(run))
             measured |= {row.metric.key for needs in (True, False) for row in metric_rows(run, needs_protocol=needs)}
             progress(done, len(run_ids))
+        self._pages.write(folder / "runs")
         (folder / "assets" / "runs.js").write_text(table_script(rows), encoding="utf-8")
         whole = self._request.run_ids is None
         CataloguePages(self._hive, environment, site, self._scenes, whole=whole).write(folder, rows)
@@ -181,6 +203,18 @@ class StaticSite:
         for start in range(0, len(run_ids), BATCH):
             part = run_ids[start : start + BATCH]
             yield from self._hive.store.read(lambda t: t.runs.get_many(part, with_metrics=True))  # noqa: B023
+
+    def _put_run(self, folder: Path, page: Template, site: dict[str, Any], run: RunRecord) -> None:
+        """Take over the page of a run, or write it."""
+        files = RunFolder(self._hive.settings.runs_folder / str(run.id))
+        evaluation = [] if run.protocol is None else [files.evaluation(run.protocol.fingerprint)]
+        dataset = dataset_of(self._hive, run.dataset)
+        reference = reference_of(dataset)
+        read = [files.record, files.log, files.profiling, files.frames, files.map, *evaluation]
+        parts = [self._of_all, run, self._algorithms.get(run.algorithm), dataset]
+        digest = digest_of([*parts, stamps([*read, *([] if reference is None else [reference])])])
+        if self._request.afresh or not self._pages.take(run.id, digest, folder):
+            self._write_run(folder, page, site, run)
 
     def _write_run(self, folder: Path, page: Template, site: dict[str, Any], run: RunRecord) -> None:
         """Write the page of a run, and the script with what it draws."""
@@ -219,6 +253,10 @@ class StaticSite:
         if run.configuration_id not in self._matches:
             self._matches[run.configuration_id] = match_of_configuration(self._hive, run.configuration_id)
         return self._matches[run.configuration_id]
+
+
+def _template(project_root: Path, name: str) -> str:
+    return (project_root / "templates" / name).read_text(encoding="utf-8")
 
 
 def _environment(project_root: Path) -> Environment:

@@ -33,13 +33,13 @@ def pod_installation(
         settings = {"shared_storage": "false", "node_cache": str(cluster.cache), **address, **settings}
     assert run_docker("tag", image, TINY_IMAGE).returncode == 0
     with installation(folder, monkeypatch, executor="kubernetes", **settings) as made:  # type: ignore[arg-type]
-        _record_checksum(made.machine.data)
+        record_checksum(made.machine.data)
         made.build()
         yield made
     run_docker("rmi", TINY_IMAGE)
 
 
-def _record_checksum(data: Path) -> None:
+def record_checksum(data: Path) -> None:
     """Nodes check what they get: so the dataset has to say what its recording really holds."""
     (recording,) = data.glob("datasets/*/*.bag")
     (described,) = data.glob("datasets/*/dataset.yaml")

@@ -116,6 +116,11 @@ class Cluster:
         self.run("slurmctld")
         eventually(lambda: self.run("scontrol", "ping", check=False).returncode == 0, "the controller")
 
+    @property
+    def apart(self) -> bool:
+        """Whether its nodes see no file of the tests."""
+        return self._hidden is not None
+
     def start_node(self, node: str) -> None:
         """Start a ``slurmd``, and wait until its node takes jobs."""
         if self._hidden is None:

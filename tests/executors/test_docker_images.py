@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import subprocess
 import tarfile
 import tempfile
@@ -119,6 +120,7 @@ def test_what_is_refused_leaves_no_connection_open(engine, base_image, tmp_path)
     """Closing a client closes the connections at rest; an answer that was left in the middle keeps its own."""
     (tmp_path / "Dockerfile").write_text(f"FROM {base_image}\nRUN exit 3\n")
     container = engine.containers.create(base_image, ["true"], network_mode="none")
+    gc.collect()  # what tests before this one have left
     open_before = open_sockets()
     kept: list[object] = []
     with contextlib.closing(docker.from_env()) as client:
@@ -137,7 +139,7 @@ def test_what_is_refused_leaves_no_connection_open(engine, base_image, tmp_path)
         kept.append(stream)
         with closing_chunks(stream):
             pass
-    assert open_sockets() == open_before, kept
+    assert open_sockets() <= open_before, kept
     container.remove()
 
 

@@ -22,11 +22,12 @@ SLOTS = 4
 CONTROL_PLANE = ("etcd", "kube-scheduler", "kube-controller-manager")
 
 
-@pytest.fixture
-def made(kubernetes_cluster, base_image: str, tmp_path, monkeypatch) -> Iterator[Installation]:
-    """An installation whose runs are pods."""
+@pytest.fixture(params=["shared", "apart"])
+def made(request, kubernetes_cluster, base_image: str, tmp_path, monkeypatch) -> Iterator[Installation]:
+    """An installation whose runs are pods, on nodes that share its storage or see no file of it."""
     settings = {"worker_slots": str(SLOTS), "run_cpu_cores": "0.4"}
-    with pod_installation(kubernetes_cluster, base_image, tmp_path, monkeypatch, **settings) as made:  # type: ignore[arg-type]
+    apart = request.param == "apart"
+    with pod_installation(kubernetes_cluster, base_image, tmp_path, monkeypatch, apart=apart, **settings) as made:
         yield made
 
 

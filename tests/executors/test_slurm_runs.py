@@ -12,9 +12,11 @@ from slamhive.domain.run import RunState
 from slamhive.executors.registry import installation_id
 from slamhive.executors.slurm import command
 from slamhive.executors.slurm.job import comment_of
+from tests.executors.pod_installation import record_checksum
 from tests.executors.random_kills import PATIENCE_S, RUNS, RandomKills, check_accounts
-from tests.executors.slurm_cluster import NODES, Cluster
-from tests.services.installation import Installation, installation
+from tests.executors.slurm_cluster import NODES, Cluster, free_ports
+from tests.services.docker_base import run_docker
+from tests.services.installation import TINY_IMAGE, Installation, installation
 from tests.services.machine import wait_s
 from tests.waiting import eventually
 
@@ -23,14 +25,32 @@ pytestmark = [pytest.mark.cluster, pytest.mark.timeout(1500)]
 SEED = 20_261_123
 SECONDS = (0.2, 0.5, 1.5)
 AWAY_S = 2.0
+SHARED = "slurm_cluster"
 
 
 @pytest.fixture
-def made(slurm_cluster: Cluster, tmp_path, monkeypatch) -> Iterator[Installation]:
-    """An installation whose runs are jobs, without containers: what is killed is the same."""
-    with installation(tmp_path, monkeypatch, executor="slurm", worker_slots="4", slurm_containers="none") as made:
+def cluster(request) -> Cluster:
+    """The Slurm of a test, by the name of its fixture."""
+    found: Cluster = request.getfixturevalue(getattr(request, "param", SHARED))
+    return found
+
+
+@pytest.fixture
+def made(request, cluster: Cluster, tmp_path, monkeypatch) -> Iterator[Installation]:
+    """An installation whose runs are jobs; where storage is shared, without containers: what is killed is the same."""
+    settings = {"slurm_containers": "none"}
+    if cluster.apart:
+        (port,) = free_ports(1)
+        settings = {"shared_storage": "false", "node_address": f"127.0.0.1:{port}", "node_cache": str(cluster.cache)}
+        assert run_docker("tag", request.getfixturevalue("base_image"), TINY_IMAGE).returncode == 0
+    with installation(tmp_path, monkeypatch, executor="slurm", worker_slots="4", **settings) as made:  # type: ignore[arg-type]
+        if cluster.apart:
+            (made.hive.catalogue.project_root / "algorithms" / "tiny" / "Dockerfile").unlink()
+            record_checksum(made.machine.data)
         made.build()
         yield made
+    if cluster.apart:
+        run_docker("rmi", TINY_IMAGE)
 
 
 def check_all(made: Installation, runs: int, most_lost: int) -> None:
@@ -40,45 +60,46 @@ def check_all(made: Installation, runs: int, most_lost: int) -> None:
     assert not [job for job in command.list_jobs() if job.comment.startswith(prefix) and not job.over]
 
 
-def test_an_experiment_while_a_node_goes_down_and_the_controller_is_killed(made, slurm_cluster):
+def test_an_experiment_while_a_node_goes_down_and_the_controller_is_killed(made, cluster):
     """Only runs on the node that goes down may be lost."""
     made.submit(RUNS, SECONDS)
     began_s = time.monotonic()
     made.machine.start_worker()
     eventually(lambda: made.hive.runs.counts()[RunState.SUCCEEDED] >= 5, "the first runs")
-    slurm_cluster.run("scontrol", "update", "nodename=two", "state=down", "reason=test")
+    cluster.run("scontrol", "update", "nodename=two", "state=down", "reason=test")
     wait_s(AWAY_S)
-    slurm_cluster.wait_until_saved()
-    slurm_cluster.kill("slurmctld")
+    cluster.wait_until_saved()
+    cluster.kill("slurmctld")
     wait_s(AWAY_S)
-    slurm_cluster.start_controller()
-    slurm_cluster.bring_back("two")
+    cluster.start_controller()
+    cluster.bring_back("two")
     eventually(made.finished, "the end of all runs", PATIENCE_S)
     sys.stdout.write(f"\n{RUNS} runs in {time.monotonic() - began_s:.1f} s\n")
     check_all(made, RUNS, most_lost=4)
 
 
-def test_everything_is_killed_at_random_moments(made, slurm_cluster):
+@pytest.mark.parametrize("cluster", [SHARED, "apart_cluster"], indirect=True)
+def test_everything_is_killed_at_random_moments(made, cluster):
     """The worker, the controller, the daemons of the nodes, and whole nodes."""
     kills = RandomKills(made, SEED, SECONDS)
 
     def kill_controller() -> None:
-        slurm_cluster.kill("slurmctld")
+        cluster.kill("slurmctld")
         kills.pause()
-        slurm_cluster.start_controller()
+        cluster.start_controller()
 
     def kill_daemon() -> None:
         node = kills.rng.choice(NODES)
-        slurm_cluster.kill(f"slurmd-{node}")
-        slurm_cluster.start_node(node)
+        cluster.kill(f"slurmd-{node}")
+        cluster.start_node(node)
 
     def kill_node() -> None:
         node = kills.rng.choice(NODES)
-        slurm_cluster.kill_node(node)
-        slurm_cluster.start_node(node)
+        cluster.kill_node(node)
+        cluster.start_node(node)
 
     parts = {"controller": kill_controller, "daemon of a node": kill_daemon, "node": kill_node}
-    kills.kill(parts, slurm_cluster.forgive_duplicates)
+    kills.kill(parts, cluster.forgive_duplicates)
     killed = kills.killed
     # A controller that has not saved a start ends the job when it is back, see Cluster.wait_until_saved.
     check_all(made, kills.submitted, most_lost=4 * (killed["node"] + killed["controller"]))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.domain.notes import NotesChange
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.web.static_site import SiteRequest, StaticSite
@@ -53,6 +54,32 @@ def test_a_failed_run_has_the_end_of_its_log(hive: Hive) -> None:
     hive.runs.folder(1).log.write_text("x" * 100_000)
     site = published(hive)
     assert len((site / "runs" / "1.html").read_text()) < 60_000
+
+
+def test_pages_of_runs_that_have_not_changed_are_taken_over(hive: Hive) -> None:
+    folder = hive.settings.data / "site"
+
+    def write(**options: bool) -> int:
+        site = StaticSite(hive, SiteRequest(folder, **options))  # type: ignore[arg-type]
+        site.write(lambda _done, _total: None)
+        return site.kept
+
+    assert write() == 0
+    pages = {path.name: path.read_bytes() for path in (folder / "runs").glob("*.html")}
+    assert write() == len(pages) == 3
+    assert {path.name: path.read_bytes() for path in (folder / "runs").glob("*.html")} == pages
+    assert (folder / "runs" / "1.scene.js").is_file()
+    hive.notes.change([1], NotesChange(add=("paper",)))
+    hive.runs.folder(3).log.write_text("another end")
+    assert write() == 1
+    assert "paper" in (folder / "runs" / "1.html").read_text()
+    assert "another end" in (folder / "runs" / "3.html").read_text()
+    shutil.rmtree(hive.catalogue.dataset("room").folder)
+    assert write() == 0, "the page says what the dataset has"
+    assert write(afresh=True) == 0
+    (folder / "runs" / "pages.json").write_text("[")
+    assert write() == 0
+    assert write() == 3
 
 
 def test_what_is_not_installed_has_a_page_of_its_runs(hive: Hive) -> None:

@@ -22,6 +22,7 @@ from slamhive.web.live import LiveHub
 from slamhive.web.serve import WebServer
 from slamhive.web.sign_in_limits import MOST_OF_ADDRESS, MOST_OF_BOTH, SignInLimits, network_of
 from slamhive.web.views.accounts import is_own_address
+from slamhive.web.views.administration import in_words
 from tests.web.account_world import NAMES, PASSWORD, AccountWeb, account_web, token_of
 from tests.web.web_world import HOSTILE, RUNS, Web
 
@@ -373,6 +374,20 @@ def test_changes_through_the_api_are_in_the_audit_log_too(site: AccountWeb) -> N
     body = {"runs": [1, 2], "add": ["paper"]}
     assert client.post("/api/v1/runs/tags", json=body, headers=headers).status_code == 200
     assert last_lines(site, 1) == [("max", "api.tag", "runs 1 to 2")]
+    body = {"where": "id <= 2", "count": 2, "add": ["paper"]}
+    assert client.post("/api/v1/runs/search/tags", json=body, headers=headers).status_code == 200
+    assert last_lines(site, 1) == [("max", "api.tag_found", "search id <= 2")]
+
+
+def test_the_audit_log_says_in_words_what_was_done(site: AccountWeb) -> None:
+    client = site.of(Role.ADMIN)
+    csrf = {"csrf_token": token_of(client, "/account")}
+    assert client.post("/runs/tags", data={**csrf, "run": ["1", "2"], "add": "paper"}).status_code == 303
+    text = client.get("/audit").text
+    assert '<td class="prose" title="selected_runs.tag">Add and remove tags of the selected runs</td>' in text
+    actions = {rule.endpoint for rule in site.web.app.url_map.iter_rules() if "POST" in (rule.methods or ())}
+    with site.web.app.app_context():
+        assert [action for action in sorted(actions) if in_words(action) in {"", action}] == []
 
 
 def test_callers_do_not_share_the_keys_of_their_requests(site: AccountWeb) -> None:
@@ -410,7 +425,7 @@ def test_admins_see_accounts_and_the_log(site: AccountWeb) -> None:
     csrf = {"csrf_token": token_of(client, "/account")}
     client.post("/configurations/1/describe", data={**csrf, "name": "plain", "note": HOSTILE})
     page = client.get("/audit?account=ada").text
-    assert "<code>configurations.describe</code>" in page
+    assert 'title="configurations.describe">' in page
     assert "configuration 1; name plain" in page
     assert HOSTILE not in page
     newest = site.web.hive.accounts.audit(1)[0].id

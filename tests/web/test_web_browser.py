@@ -512,6 +512,21 @@ def test_a_click_on_a_peak_shows_what_the_sensors_saw(browsing: Page) -> None:
     assert shapes == pytest.approx(5.0)
 
 
+def test_the_axis_of_a_plot_can_be_logarithmic(browsing: Page) -> None:
+    browsing.goto("/runs/1")
+    browsing.wait_for_selector("[data-figure=error].js-plotly-plot", timeout=60_000)
+    plot, button = "document.querySelector('[data-figure=error]')", "[data-title^=Logarithmic]"
+    assert not browsing.locator(f"[data-figure=path] {button}").count(), "metres on both axes are of equal length"
+    for kind in ("log", "linear"):
+        browsing.locator(f"[data-figure=error] {button}").evaluate("button => button.dispatchEvent(new Event('click'))")
+        browsing.wait_for_function(f"{plot}.layout.yaxis.type === '{kind}'")
+    browsing.locator(f"[data-figure=error] {button}").evaluate("button => button.dispatchEvent(new Event('click'))")
+    browsing.evaluate("document.dispatchEvent(new Event('themechange'))")
+    browsing.wait_for_function(f"{plot}.layout.yaxis.type === 'log'")
+    ends = browsing.evaluate(f"{plot}.layout.yaxis.range")
+    assert -4 < ends[0] < ends[1] < 0, "powers of ten of an error of some centimetres"
+
+
 def test_runs_are_exported(browsing: Page) -> None:
     browsing.goto("/runs")
     with browsing.expect_download() as download:

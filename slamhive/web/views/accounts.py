@@ -34,7 +34,7 @@ def form() -> Response:
 
 @blueprint.post("/login")
 def sign_in() -> Response:
-    """Begin a session, and go on to the page that was asked for."""
+    """Sign in. Goes on to the page that was asked for."""
     name, services = request.form.get("name", "").strip(), hive()
     try:
         with sign_in_limits().attempt(name, request.remote_addr or ""), acts.signing_in(services.store, name):
@@ -54,7 +54,7 @@ def to_provider() -> Response:
 
 @blueprint.get("/login/provider/back")
 def from_provider() -> Response:
-    """Begin a session for whom the provider vouches for, and go on to the page that was asked for."""
+    """Sign in whom the provider vouches for. Goes on to the page that was asked for."""
     services, following = hive(), session.get(_NEXT, "")
     try:
         identity = _provider().returned()
@@ -68,7 +68,7 @@ def from_provider() -> Response:
 
 @blueprint.post("/logout")
 def sign_out() -> Response:
-    """End this session, wherever its cookie may be."""
+    """Sign out. The session ends wherever its cookie may be."""
     callers().end()
     return make_response(redirect(address("accounts.form"), 303))
 
@@ -81,7 +81,7 @@ def show() -> Response:
 
 @blueprint.post("/account/password")
 def change_password() -> Response:
-    """Replace one's own password; all other sessions end."""
+    """Replace one's own password. All other sessions end."""
     services, name, form_ = hive(), caller().account, request.form
     try:
         if form_.get("new", "") != form_.get("again", ""):
@@ -98,7 +98,7 @@ def change_password() -> Response:
 
 @blueprint.post("/account/tokens")
 def create_token() -> Response:
-    """Make an API token, and show its text once."""
+    """Make an API token. The page shows its text once."""
     form_ = request.form
     try:
         scopes = [Scope(text) for text in form_.getlist("scope") if text in list(Scope)]

@@ -24,7 +24,7 @@ UNDO = "undo"
 
 @blueprint.post("/evaluate")
 def evaluate() -> Response:
-    """Evaluate the selected runs, or all that are not evaluated, and return to the list."""
+    """Evaluate the selected runs, or all that are not evaluated. Goes back to the list."""
     runs = _selected(request.form.getlist("run"))
     if not runs and not request.form.get("all"):
         return _nothing_selected()
@@ -36,7 +36,7 @@ def evaluate() -> Response:
 
 @blueprint.post("/retry")
 def retry() -> Response:
-    """Queue a new run for each of the selected ones, or none, and return to the list."""
+    """Queue a new run for each of the selected ones, or none. Goes back to the list."""
     runs = _selected(request.form.getlist("run"))
     if not runs:
         return _nothing_selected()
@@ -99,7 +99,7 @@ def sharing() -> Response:
 
 @blueprint.post("/share")
 def share() -> Response:
-    """Choose who may see the selected runs, and return to the one that it came from, or to the list."""
+    """Choose who may see the selected runs. Goes back to the one that it came from, or to the list."""
     runs = _selected(request.form.getlist("run"))
     if not runs:
         return _nothing_selected()
