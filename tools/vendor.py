@@ -82,8 +82,11 @@ def adapted(content: bytes, name: str) -> bytes:
 
 
 def _packed(package: str, entry: dict[str, Any], scratch: Path) -> Path:
-    """The package as npm has it; ends the program if its content is not the listed one."""
-    wanted = f"{package}@{entry['version']}"
+    """The package as npm has it; ends the program if its content is not the listed one.
+
+    It is called as its folder, unless the list says what npm calls it.
+    """
+    wanted = f"{entry.get('npm', package)}@{entry['version']}"
     subprocess.run(["npm", "pack", wanted, "--silent"], cwd=scratch, check=True, stdout=subprocess.DEVNULL)
     (archive,) = scratch.glob("*.tgz")
     found = "sha512-" + base64.b64encode(hashlib.sha512(archive.read_bytes()).digest()).decode()

@@ -38,6 +38,7 @@ TOUCH = RESULT + (
     "    except OSError: break\n"
     "time.sleep(0.8)\n"
     "for child in children:\n    child.kill()\n    child.wait()\n"
+    "time.sleep(2.0)\n"  # the counter of a container ends with it, and a busy machine looks at it late
 )
 LINGERING = RESULT + (
     "import subprocess\n"
