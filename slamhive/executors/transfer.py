@@ -15,7 +15,7 @@ from typing import IO, Any
 from slamhive.executors.packing import MOST_LIVE_BYTES, PLAIN_FILE, Bounds
 from slamhive.executors.spec import RunOutput, RunSpec
 from slamhive.files import write_aside
-from slamhive.tree import DEEPEST_FOLDERS, remove_tree
+from slamhive.tree import DEEPEST_FOLDERS, remove_tree, unpack_trusted
 
 _INPUTS, _OUTPUTS, _WORK, _PACKAGE = "inputs", "outputs", "work", "package"
 _LONGEST_NAME_BYTES, _LONGEST_PATH_BYTES = 255, 2000
@@ -34,7 +34,7 @@ def pack_inputs(spec: RunSpec, stream: IO[bytes]) -> None:
 def unpack_inputs(stream: IO[bytes], root: Path) -> None:
     """Unpack what :func:`pack_inputs` wrote, and make the run's other folders. Raises OSError, tarfile.TarError."""
     with tarfile.open(fileobj=stream, mode="r|") as archive:
-        archive.extractall(root, filter="data")
+        unpack_trusted(archive, root)
     for name in (_OUTPUTS, _WORK, _PACKAGE):
         (root / name).mkdir(exist_ok=True)
 

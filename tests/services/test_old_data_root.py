@@ -18,6 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 from slamhive.cli import main
+from slamhive.tree import unpack_trusted
 
 pytestmark = pytest.mark.integration
 
@@ -37,7 +38,7 @@ LISTED = {
 def old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The unpacked data root, in force; ``listed`` lies beside it."""
     with tarfile.open(OLD / "data-root.tar.xz") as packed:
-        packed.extractall(tmp_path, filter="data")
+        unpack_trusted(packed, tmp_path)
     monkeypatch.setenv("SLAMHIVE_ROOT", str(CHECKOUT))
     monkeypatch.setenv("SLAMHIVE_DATA", str(tmp_path / "data"))
     monkeypatch.setenv("SLAMHIVE_EXECUTOR", "process")

@@ -36,7 +36,7 @@ from slamhive.executors.status import Exited, Gone, RunHandle, Running, UsageSou
 from slamhive.executors.transfer import relocated, unpack_inputs
 from slamhive.files import temporary_folder, write_aside
 from slamhive.project import project_root
-from slamhive.tree import remove_tree, walk
+from slamhive.tree import remove_tree, unpack_trusted, walk
 from slamhive_remote.wire import error_to_json, receive_json, receive_stream, send_json, send_stream
 
 SPEC = TypeAdapter(RunSpec)
@@ -98,7 +98,7 @@ class Agent:
             with tempfile.TemporaryFile() as archive:
                 receive_stream(connection, archive)
                 with tarfile.open(fileobj=archive, mode="r|") as tar:
-                    tar.extractall(aside / "package", filter="data")
+                    unpack_trusted(tar, aside / "package")
             if not package.folder.is_dir():
                 package.folder.parent.mkdir(parents=True, exist_ok=True)
                 (aside / "package").rename(package.folder)
