@@ -106,6 +106,11 @@ def test_answers_of_another_kind(text):
             EngineUnavailable,
             "does not answer",
         ),
+        (
+            "sbatch: error: Batch job submission failed: Unexpected missing socket error\n",
+            EngineUnavailable,
+            "does not answer",
+        ),
         ("sbatch: fatal: Could not establish a configuration source\n", EngineUnavailable, "no configuration"),
         ("sbatch: error: invalid partition specified: nope\n", StartFailed, "refuses: invalid partition specified"),
         ("", StartFailed, "says nothing"),

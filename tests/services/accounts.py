@@ -15,8 +15,8 @@ from slamhive.store.records import EvaluationState
 from tests.services.tiny_project import executions
 
 IN_DATA_ROOT = {
-    "analyses", "datasets", "environments", "experiments", "installation", "ledger", "runs", "slamhive.db", "variants",
-    "versions",
+    "analyses", "datasets", "environments", "experiments", "image-folders", "installation", "ledger", "node-archives",
+    "node-caches", "node-runs", "runs", "slamhive.db", "variants", "versions",
 }  # fmt: skip
 LOCKS = re.compile(r"worker-.*\.lock|\..*\.lock|slamhive\.db-(wal|shm)")
 IN_RUN_FOLDER = {

@@ -24,6 +24,7 @@ _CONTROLLER_AWAY = (
     "unable to contact slurm controller", "connection refused", "timed out", "connection timeout",
     # It was killed while it was asked.
     "transport endpoint is not connected", "connection reset by peer", "broken pipe", "zero bytes were transmitted",
+    "missing socket error",
 )  # fmt: skip
 _NO_CONFIGURATION = ("could not establish a configuration", "unable to process configuration")
 _WAITING = frozenset(("PENDING", "CONFIGURING", "REQUEUED", "REQUEUE_HOLD", "SPECIAL_EXIT"))
