@@ -245,7 +245,7 @@ class SlurmExecutor(ProcessExecutor):
     def _why_not_started(
         self, spec: RunSpec, work: Path, over: Collection[int] = ()
     ) -> EngineUnavailable | StartFailed:
-        """Why the run has not begun. What became of the jobs ``over``, which had ended before, does not count."""
+        """Why the run did not start. The jobs ``over`` had ended before, so how they ended does not count."""
         jobs = self._jobs(spec.key, 0.0)
         active = [job for job in jobs if not job.over]
         said = "; ".join(job.text for job in active or jobs) or "Slurm does not know its job"
