@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -116,13 +116,12 @@ class SlurmExecutor(ProcessExecutor):
     def start(self, spec: RunSpec) -> RunHandle:
         """Submit a job unless there is one, and wait a little. Raises EngineUnavailable while it waits for a node."""
         work = spec.work.resolve()
-        over: frozenset[int] = frozenset()
         if not _begun(work):
-            over = self._submit(spec, work)
+            self._submit(spec, work)
             wait_until(lambda: _begun(work) or self._is_stuck(spec.key), START_WAIT_S)
         identity = read_json(work / IDENTITY_FILE)
         if identity is None:
-            raise self._why_not_started(spec, work, over)
+            raise self._why_not_started(spec, work)
         place = Place.load(work)
         data = {name: str(identity[name]) for name in ("pid", "birth", "started_at")}
         data |= {"work": str(work), "key": spec.key, "timeout_s": str(spec.timeout_s)}
@@ -173,19 +172,12 @@ class SlurmExecutor(ProcessExecutor):
         """End the jobs of this installation whose runs are over, and remove the remains of environments."""
         self._environments.sweep()
         prefix = comment_of(self._context.installation, "")
-        found = [job for job in self._living() if job.comment.startswith(prefix)]
+        found = [job for job in self._queue.jobs(0.0) if not job.over and job.comment.startswith(prefix)]
         live = live_keys()
         stale = [job for job in found if job.comment.removeprefix(prefix) not in live]
         for job in stale:
             command.cancel(job)
-        cancelled = {job.number for job in stale}
-        if cancelled:  # or the next start of a run would take a job that is about to end for its own
-            wait_until(lambda: cancelled.isdisjoint(job.number for job in self._living()), KILL_WAIT_S)
         return [f"job {job.number}" for job in stale]
-
-    def _living(self) -> list[command.Job]:
-        """The jobs that wait or run."""
-        return [job for job in self._queue.jobs(0.0) if not job.over]
 
     def usage_source(self, handle: RunHandle) -> UsageSource | None:
         """What the job measures on its node; None if the run has ended."""
@@ -203,21 +195,15 @@ class SlurmExecutor(ProcessExecutor):
         """What the job measures on its node."""
         return use_of(_measured(handle).get(GPU_KEY))
 
-    def _submit(self, spec: RunSpec, work: Path) -> frozenset[int]:
-        """Submit the job of the run unless Slurm has one. A second job would find the lock of the first and end.
-
-        Returns the numbers of its jobs that were over before: those that a worker cancelled, for example.
-        """
-        jobs = self._jobs(spec.key, 0.0)
-        over = frozenset(job.number for job in jobs if job.over)
-        if any(not job.over for job in jobs):
-            return over
+    def _submit(self, spec: RunSpec, work: Path) -> None:
+        """Submit the job of the run unless Slurm has one. A second job would find the lock of the first and end."""
+        if any(not job.over for job in self._jobs(spec.key, 0.0)):
+            return
         self._check_nodes(spec)
         script = self._script(replace(spec, limits=job_limits(spec.limits)), work)
         options = job_options(spec, self._context.installation, self._options, self._gpu, self._printed)
         command.submit(options, script)
         self._queue.forget()
-        return over
 
     def _script(self, spec: RunSpec, work: Path) -> str:
         """The script of the job, which finds its orders in the work folder. Raises ImageMissing."""
@@ -242,10 +228,7 @@ class SlurmExecutor(ProcessExecutor):
         jobs = self._jobs(key)
         return all(job.over or job.never_starts for job in jobs)
 
-    def _why_not_started(
-        self, spec: RunSpec, work: Path, over: Collection[int] = ()
-    ) -> EngineUnavailable | StartFailed:
-        """Why the run did not start. The jobs ``over`` had ended before, so how they ended does not count."""
+    def _why_not_started(self, spec: RunSpec, work: Path) -> EngineUnavailable | StartFailed:
         jobs = self._jobs(spec.key, 0.0)
         active = [job for job in jobs if not job.over]
         said = "; ".join(job.text for job in active or jobs) or "Slurm does not know its job"
@@ -254,7 +237,7 @@ class SlurmExecutor(ProcessExecutor):
         if active:
             return EngineUnavailable(f"run {spec.run_id} waits in Slurm: {said}", "see squeue")
         printed = last_line(work)
-        if not printed and len(jobs) < _MOST_JOBS and all(job.number in over or _is_blameless(job) for job in jobs):
+        if not printed and len(jobs) < _MOST_JOBS and all(_is_blameless(job) for job in jobs):
             # A controller that is killed forgets the jobs of the last 5 s; a node may fail before the run begins.
             return EngineUnavailable(f"run {spec.run_id} did not start and is submitted again: {said}", "see squeue")
         return StartFailed(f"the job of run {spec.run_id} did not start: {said}{printed}")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Collection
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -173,9 +172,7 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
         self._queue.forget()
         return True
 
-    def _why_not_started(
-        self, spec: RunSpec, work: Path, over: Collection[int] = ()
-    ) -> EngineUnavailable | StartFailed:
+    def _why_not_started(self, spec: RunSpec, work: Path) -> EngineUnavailable | StartFailed:
         progress, said = _progress(work), claimed_by(work)
         active = self._active(spec.key)
         if any(job.runs for job in active):
@@ -186,7 +183,7 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
                 found = active[0].text
                 url = "see whether the node reaches NODE_URL, and has this version of SLAM Hive (SLURM_PYTHON)"
                 return EngineUnavailable(f"run {spec.run_id} has not heard of its node: {found}", url)
-        return super()._why_not_started(spec, work, over)
+        return super()._why_not_started(spec, work)
 
 
 def _progress(work: Path) -> dict[str, Any]:
