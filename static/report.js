@@ -159,13 +159,21 @@
   const MOST_ZEROS = 0.05;
 
   /** Whether the heights of a plot can be shown on a logarithmic axis: numbers above zero, but for a few. */
-  function offersLog({ data, layout }) {
+  function canBeLog({ data, layout }) {
     const { scaleanchor, type } = layout.yaxis || {};
     if (layout.scene || layout.yaxis2 || scaleanchor || type === "category" || type === "date") return false;
     if (!data.length || data.some((trace) => !["scatter", "scattergl", undefined].includes(trace.type))) return false;
     const values = data.flatMap(({ y }) => list(y)).filter((value) => value !== null && !Number.isNaN(value));
     if (!values.length || !values.every((value) => typeof value === "number" && value >= 0)) return false;
     return values.filter((value) => value === 0).length <= MOST_ZEROS * values.length;
+  }
+
+  const checked = new WeakMap();
+
+  /** As canBeLog, which reads all values of a figure once. */
+  function offersLog(figure) {
+    if (!checked.has(figure)) checked.set(figure, canBeLog(figure));
+    return checked.get(figure);
   }
 
   /** The figure with its heights on the axis that somebody has chosen for this place. */

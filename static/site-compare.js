@@ -10,15 +10,7 @@
   const loaded = new Map();
   window.slamhiveRun = (run) => loaded.set(String(run.id), run);
 
-  function load(id) {
-    return new Promise((resolve, reject) => {
-      const script = document.createElement("script");
-      script.src = `runs/${id}.js`;
-      script.onload = resolve;
-      script.onerror = () => reject(new Error(`Run ${id} is not on this site.`));
-      document.head.append(script);
-    });
-  }
+  const load = (id) => slamhiveLoad(`runs/${id}.js`).catch(() => { throw new Error(`Run ${id} is not on this site.`); });
 
   function element(tag, text = "", attributes = {}) {
     const made = document.createElement(tag);

@@ -3,16 +3,6 @@
 (() => {
   let made = null;
 
-  function loaded(address) {
-    return new Promise((resolve, reject) => {
-      const script = document.createElement("script");
-      script.src = address;
-      script.onload = resolve;
-      script.onerror = () => reject(new Error(`${address} is missing`));
-      document.head.append(script);
-    });
-  }
-
   /** The address of the last module, which imports the others. Each comes after those that it imports. */
   function addressOf(modules) {
     const addresses = {};
@@ -27,7 +17,7 @@
 
   window.slamhiveModuleOf = async (address) => {
     if (!made) {
-      await loaded(address);
+      await slamhiveLoad(address);
       made = addressOf(window.slamhiveModules);
     }
     return made;

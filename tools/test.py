@@ -92,8 +92,8 @@ class Outcome:
 class Tier:
     """One tier: what must be there first, the commands, or the pytest marks that select its tests.
 
-    Each of the ``workers`` takes the next file when it is free. One more begins whenever another tier of the group has
-    ended and none waits, up to ``most_workers``. ``limit_s`` is the time that the tier may take if each
+    Each of the ``workers`` takes the next file when it is free. One more begins for each place that the other tiers of
+    the group leave free, up to ``most_workers``. ``limit_s`` is the time that the tier may take if each
     process has a core.
     It fails if it uses more CPU time than that, and warns if it only takes longer.
     Tests of a tier without ``engine`` see no Docker engine, so that they behave the same on every machine.
@@ -226,22 +226,22 @@ def run_together(tiers: Sequence[Tier]) -> dict[str, Outcome]:
             with printing:
                 ended += 1
                 for other in growing:
-                    allow_workers(other, max(0, ended - max(0, len(tiers) - AT_ONCE)))
+                    allow_workers(other, len(tiers) - 1 - ended)
                 print(f"\n--- {tier.name} ".ljust(100, "-"))
                 _write(output.read(), None)
         return outcome
 
     for tier in growing:
-        allow_workers(tier, 0)
+        allow_workers(tier, len(tiers) - 1)
     with ThreadPoolExecutor(AT_ONCE) as pool:
         return dict(zip([tier.name for tier in tiers], pool.map(run_one, tiers), strict=True))
 
 
-def allow_workers(tier: Tier, more: int) -> None:
-    """Let ``more`` than the first workers of a tier begin."""
+def allow_workers(tier: Tier, others: int) -> None:
+    """Let the workers of a tier work: its first ones, and one more for each place that ``others`` leave free."""
     path = workers_file(tier)
     aside = path.with_suffix(".part")
-    aside.write_text(str(min(tier.workers + more, tier.most_workers)))
+    aside.write_text(str(min(tier.workers + max(0, AT_ONCE - 1 - others), tier.most_workers)))
     aside.rename(path)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
+    from slamhive.domain.found_action import FoundAction
     from slamhive.domain.visibility import Visibility
     from slamhive.schema import experiment as experiment_schema
     from slamhive.schema import run as run_schema
@@ -29,16 +30,6 @@ class Change(StrEnum):
     RESUME = "resume"
     CANCEL = "cancel"
     RETRY_FAILED = "retry-failed"
-
-
-class FoundAction(StrEnum):
-    """What can be done to all runs of a search."""
-
-    EVALUATE = "evaluate"
-    RETRY = "retry"
-    TAGS = "tags"
-    SHARE = "share"
-    DELETE = "delete"
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from slamhive.client import requests
-from slamhive.client.backend import LOG_BYTES, Change, FoundAction, RunQuery
+from slamhive.client.backend import LOG_BYTES, Change, RunQuery
 from slamhive.client.requests import HEADERS, PREFIX, Request, raise_for
 from slamhive.client.uploading import import_from, send_file
 from slamhive.client.waiting import percent_bar
@@ -19,6 +19,7 @@ from slamhive.schema.uploads import OCTETS
 if TYPE_CHECKING:
     import httpx
 
+    from slamhive.domain.found_action import FoundAction
     from slamhive.domain.visibility import Visibility
     from slamhive.schema.api_answers import ActedOn, CellPage, RunPage
     from slamhive.schema.challenge import ChallengeSubmission

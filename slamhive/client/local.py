@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.client.backend import LOG_BYTES, Change, FoundAction, RunQuery
+from slamhive.client.backend import LOG_BYTES, Change, RunQuery
 from slamhive.client.waiting import percent_bar
 from slamhive.errors import Forbidden
 from slamhive.schema.challenge_requests import ImageEntry
@@ -21,6 +21,7 @@ from slamhive.settings import Mode
 from slamhive.store import RunRecord, RunSort
 
 if TYPE_CHECKING:
+    from slamhive.domain.found_action import FoundAction
     from slamhive.domain.visibility import Visibility
     from slamhive.schema.api_answers import ActedOn
     from slamhive.schema.challenge import ChallengeSubmission
@@ -137,8 +138,8 @@ class LocalBackend:
 
         hive = self._writing()
         run_ids = hive.searches.find(query.where)
-        body = parse(ACTIONS[action.value][0], {"where": query.where, "count": len(run_ids), **options})
-        return ActedOn.of(change_found(hive, action.value, run_ids, body))
+        body = parse(ACTIONS[action][0], {"where": query.where, "count": len(run_ids), **options})
+        return ActedOn.of(change_found(hive, action, run_ids, body))
 
     def restore(self, deleted_at: str) -> tuple[int, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""

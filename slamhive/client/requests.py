@@ -30,7 +30,8 @@ from slamhive.schema.submission import Submission
 from slamhive.schema.uploads import Upload
 
 if TYPE_CHECKING:
-    from slamhive.client.backend import Change, FoundAction, RunQuery
+    from slamhive.client.backend import Change, RunQuery
+    from slamhive.domain.found_action import FoundAction
     from slamhive.domain.visibility import Visibility
 
 T = TypeVar("T")

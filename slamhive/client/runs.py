@@ -7,7 +7,8 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, overload
 
-from slamhive.client.backend import Backend, FoundAction, RunQuery
+from slamhive.client.backend import Backend, RunQuery
+from slamhive.domain.found_action import FoundAction
 from slamhive.errors import InvalidInput, NotFound
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from slamhive.domain.found_action import FoundAction
 from slamhive.domain.notes import NotesChange
 from slamhive.errors import InvalidInput
 from slamhive.schema.api_requests import FoundEvaluation, FoundRuns, FoundSharing, FoundTags
@@ -41,19 +42,19 @@ def _delete(hive: Hive, run_ids: Sequence[int], _body: FoundRuns) -> Acted:
     return hive.search_actions.delete(run_ids)
 
 
-ACTIONS: Mapping[str, tuple[type[FoundRuns], Carry]] = MappingProxyType(
+ACTIONS: Mapping[FoundAction, tuple[type[FoundRuns], Carry]] = MappingProxyType(
     {
-        "evaluate": (FoundEvaluation, _evaluate),
-        "retry": (FoundRuns, _retry),
-        "tags": (FoundTags, _tag),
-        "share": (FoundSharing, _share),
-        "delete": (FoundRuns, _delete),
+        FoundAction.EVALUATE: (FoundEvaluation, _evaluate),
+        FoundAction.RETRY: (FoundRuns, _retry),
+        FoundAction.TAGS: (FoundTags, _tag),
+        FoundAction.SHARE: (FoundSharing, _share),
+        FoundAction.DELETE: (FoundRuns, _delete),
     }
 )
-"""What a request says, and what carries it out, by the last part of its address."""
+"""What a request says, and what carries it out."""
 
 
-def change_found(hive: Hive, action: str, run_ids: Sequence[int], body: FoundRuns) -> Acted:
+def change_found(hive: Hive, action: FoundAction, run_ids: Sequence[int], body: FoundRuns) -> Acted:
     """Carry out the action for these runs. Raises InvalidInput or NotFound naming the value, Forbidden."""
     hive.check_writable()
     _, carry = ACTIONS[action]

@@ -44,11 +44,12 @@ class KeptPages:
 
     Args:
         folder: With the pages; it need not exist.
+        afresh: Take over none of them.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, afresh: bool) -> None:
         self._folder = folder
-        self._known = _read(folder / PAGES)
+        self._known = {} if afresh else _read(folder / PAGES)
         self._digests: dict[str, str] = {}
         self.kept = 0
 

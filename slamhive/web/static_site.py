@@ -65,7 +65,7 @@ LOG_BYTES = 16_000
 """Of the end of the log of each run."""
 _ASSETS = (
     *("report.css", "print.css", "report.js", "site.css", "site-list.js", "site-plots.js", "site-compare.js"),
-    *("viewer.css", "viewer.js", "site-viewer.js"),
+    *("viewer.css", "viewer.js", "site-load.js", "site-viewer.js"),
 )
 MODULES = "viewer-modules.js"
 """The asset that holds the modules of the 3D view."""
@@ -100,7 +100,7 @@ class StaticSite:
         self._matches: dict[int, Match | None] = {}
         self._root = hive.catalogue.project_root
         self._scenes = SiteScenes(hive, list(self._algorithms))
-        self._pages = KeptPages(request.folder.absolute() / "runs")
+        self._pages = KeptPages(request.folder.absolute() / "runs", afresh=request.afresh)
         self._of_all = digest_of(
             [request.title, [_template(self._root, name) for name in _TEMPLATES], [*self._algorithms]]
         )
@@ -213,7 +213,7 @@ class StaticSite:
         read = [files.record, files.log, files.profiling, files.frames, files.map, *evaluation]
         parts = [self._of_all, run, self._algorithms.get(run.algorithm), dataset]
         digest = digest_of([*parts, stamps([*read, *([] if reference is None else [reference])])])
-        if self._request.afresh or not self._pages.take(run.id, digest, folder):
+        if not self._pages.take(run.id, digest, folder):
             self._write_run(folder, page, site, run)
 
     def _write_run(self, folder: Path, page: Template, site: dict[str, Any], run: RunRecord) -> None:

@@ -7,15 +7,10 @@ const bufferOf = (base64) => Uint8Array.from(atob(base64), (character) => charac
 /** Packed numbers, as the plots have them, as a typed array; null stays null. */
 const unpacked = (packed) => packed ? new ARRAYS[packed.dtype](bufferOf(packed.bdata)) : null;
 
-/** What the script at an address puts into slamhiveData under its name. A page in a folder cannot fetch files, but has scripts. */
-function fromScript(address) {
-  return new Promise((resolve, reject) => {
-    const script = document.createElement("script");
-    script.src = address;
-    script.onload = () => resolve(window.slamhiveData[address.split("/").pop()]);
-    script.onerror = () => reject(new Error(`${address} is missing`));
-    document.head.append(script);
-  });
+/** What the script at an address of a static site puts into slamhiveData under its name. */
+async function fromScript(address) {
+  await window.slamhiveLoad(address);
+  return window.slamhiveData[address.split("/").pop()];
 }
 
 const isScript = (address) => address.endsWith(".js");

@@ -77,6 +77,7 @@ def test_pages_of_runs_that_have_not_changed_are_taken_over(hive: Hive) -> None:
     shutil.rmtree(hive.catalogue.dataset("room").folder)
     assert write() == 0, "the page says what the dataset has"
     assert write(afresh=True) == 0
+    assert write() == 3, "pages that were written afresh are taken over the next time"
     (folder / "runs" / "pages.json").write_text("[")
     assert write() == 0
     assert write() == 3

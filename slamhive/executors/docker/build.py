@@ -109,6 +109,21 @@ def name_image(client: docker.DockerClient, digest: str, name: str) -> None:
         client.api.tag(digest, repository, tag)
 
 
+def follow_pull(
+    client: docker.DockerClient, repository: str, tag: str, name: str, progress: ProgressCallback
+) -> str | None:
+    """Pull an image, and pass on how far it is under ``name``; what the engine could not do, None if nothing.
+
+    It reads on to the end, as :func:`follow_build` does.
+    """
+    problem: str | None = None
+    for event in client.api.pull(repository, tag=tag, stream=True, decode=True):
+        if "error" in event:
+            problem = str(event["error"])
+        progress(f"{name}: {event.get('status', '')} {event.get('progress', '')}".strip())
+    return problem
+
+
 def choose_base(client: docker.DockerClient, project_root: Path, progress: ProgressCallback) -> str:
     """The image to build on: the public one if it is here or a registry answers, else one made with debootstrap.
 

@@ -18,7 +18,7 @@ import requests
 
 from slamhive.catalogue.image_context import BuildContext
 from slamhive.executors.base import ImageMissing, ProgressCallback
-from slamhive.executors.docker.build import build_packed, get_image, name_image, packed_context
+from slamhive.executors.docker.build import build_packed, follow_pull, get_image, name_image, packed_context
 from slamhive.executors.docker.engine import HARDENING, closing_chunks, engine_errors, labels_of_helper
 from slamhive.executors.docker.kept_images import load_image
 from slamhive.executors.images import CompletedImage
@@ -79,11 +79,8 @@ class DockerImages:
     def pull(self, name: str, progress: ProgressCallback) -> str:
         """Get an image from its registry; its digest."""
         repository, tag = repository_and_tag(name)
-        problem: str | None = None
         with engine_errors(f"pulling {name}", ImageMissing):
-            for event in self._client.api.pull(repository, tag=tag, stream=True, decode=True):
-                problem = event.get("error", problem)
-                progress(f"{name}: {event.get('status', '')} {event.get('progress', '')}".strip())
+            problem = follow_pull(self._client, repository, tag, name, progress)
         if problem is not None:
             raise ImageMissing(f"pulling {name}: {problem}", "load it from an archive: --image FILE.tar")
         digest = self.find(name)

@@ -12,7 +12,7 @@ from slamhive.catalogue.base_images import BaseImage
 from slamhive.catalogue.image_context import context_hash, dockerfile_of, images_of, stage_base_context, stage_context
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import ExecutorContext, ImageMissing, ProgressCallback
-from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
+from slamhive.executors.docker.build import build_image, content_of, follow_pull, get_image, name_image
 from slamhive.executors.docker.engine import closing_chunks, engine_errors, labels_of_helper
 from slamhive.executors.docker.pinned import find_pinned, pull_pinned
 from slamhive.files import temporary_folder
@@ -107,9 +107,7 @@ def _pull(client: docker.DockerClient, package: AlgorithmPackage, progress: Prog
     problem = "the registry does not have it"
     try:
         with engine_errors(f"pulling {package.image}", ImageMissing):
-            for event in client.api.pull(name, tag=tag, stream=True, decode=True):
-                problem = str(event.get("error", problem))
-                progress(f"{package.image}: {event.get('status', '')} {event.get('progress', '')}".strip())
+            problem = follow_pull(client, name, tag, package.image, progress) or problem
     except ImageMissing as error:
         problem = error.message
     image = get_image(client, package.image)

@@ -8,7 +8,7 @@ import docker
 
 from slamhive.domain.pinned_image import PinnedImage
 from slamhive.executors.base import ImageMissing, ProgressCallback
-from slamhive.executors.docker.build import get_image
+from slamhive.executors.docker.build import follow_pull, get_image
 from slamhive.executors.docker.engine import engine_errors
 
 _DIGITS = 19
@@ -33,9 +33,7 @@ def pull_pinned(client: docker.DockerClient, package: str, pinned: PinnedImage, 
     progress(f"pulling {pinned.reference}")
     try:
         with engine_errors(f"pulling {pinned.reference}", ImageMissing):
-            for event in client.api.pull(pinned.repository, tag=pinned.digest, stream=True, decode=True):
-                problem = str(event.get("error", problem))
-                progress(f"{package}: {event.get('status', '')} {event.get('progress', '')}".strip())
+            problem = follow_pull(client, pinned.repository, pinned.digest, package, progress) or problem
     except ImageMissing as error:
         problem = error.message
     found = find_pinned(client, pinned)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from slamhive.domain.found_action import FoundAction
 from slamhive.domain.notes import NotesChange
 from slamhive.errors import InvalidInput
 from slamhive.schema.api_answers import ActedOn, DeletedRun, Queued, Removed, RunNumbers, Runs, TrashedRuns
@@ -127,34 +128,34 @@ def empty_trash() -> Removed:
     return Removed(removed=hive().trash.empty())
 
 
-@TABLE.post(Section.RUN_CHANGES, "/runs/search/evaluate", ActedOn, body=FoundEvaluation, status=202)
+@TABLE.post(Section.RUN_CHANGES, f"/runs/search/{FoundAction.EVALUATE}", ActedOn, body=FoundEvaluation, status=202)
 def evaluate_found(body: FoundEvaluation) -> ActedOn:
     """Queue an evaluation of each run of a search that succeeded."""
-    return _change_found("evaluate", body)
+    return _change_found(FoundAction.EVALUATE, body)
 
 
-@TABLE.post(Section.RUN_CHANGES, "/runs/search/retry", ActedOn, body=FoundRuns, status=201)
+@TABLE.post(Section.RUN_CHANGES, f"/runs/search/{FoundAction.RETRY}", ActedOn, body=FoundRuns, status=201)
 def retry_found(body: FoundRuns) -> ActedOn:
     """Queue a new run for each run of a search that has ended."""
-    return _change_found("retry", body)
+    return _change_found(FoundAction.RETRY, body)
 
 
-@TABLE.post(Section.RUN_CHANGES, "/runs/search/tags", ActedOn, body=FoundTags)
+@TABLE.post(Section.RUN_CHANGES, f"/runs/search/{FoundAction.TAGS}", ActedOn, body=FoundTags)
 def tag_found(body: FoundTags) -> ActedOn:
     """Add and remove tags of all runs of a search."""
-    return _change_found("tags", body)
+    return _change_found(FoundAction.TAGS, body)
 
 
-@TABLE.post(Section.RUN_CHANGES, "/runs/search/share", ActedOn, body=FoundSharing)
+@TABLE.post(Section.RUN_CHANGES, f"/runs/search/{FoundAction.SHARE}", ActedOn, body=FoundSharing)
 def share_found(body: FoundSharing) -> ActedOn:
     """Choose who may see all runs of a search; their owner may, and admins."""
-    return _change_found("share", body)
+    return _change_found(FoundAction.SHARE, body)
 
 
-@TABLE.post(Section.RUN_CHANGES, "/runs/search/delete", ActedOn, body=FoundRuns)
+@TABLE.post(Section.RUN_CHANGES, f"/runs/search/{FoundAction.DELETE}", ActedOn, body=FoundRuns)
 def delete_found(body: FoundRuns) -> ActedOn:
     """Move all runs of a search that have ended to the trash."""
-    return _change_found("delete", body)
+    return _change_found(FoundAction.DELETE, body)
 
 
 @TABLE.post(Section.RUN_CHANGES, "/trash/restore-together", RunNumbers, body=DeletionRequest)
@@ -164,7 +165,7 @@ def restore_together(body: DeletionRequest) -> RunNumbers:
     return RunNumbers(runs=tuple(trash.restore(trash.deleted_together(body.deleted_at))))
 
 
-def _change_found(action: str, body: FoundRuns) -> ActedOn:
+def _change_found(action: FoundAction, body: FoundRuns) -> ActedOn:
     services = hive()
     run_ids = as_expected(services.searches.find(body.where), body.count)
     return ActedOn.of(change_found(services, action, run_ids, body))
