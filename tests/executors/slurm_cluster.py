@@ -184,6 +184,18 @@ class Cluster:
             shutil.rmtree(kept)
         self.start_controller()
 
+    @contextmanager
+    def frozen_nodes(self) -> Iterator[None]:
+        """Nodes that get jobs and launch none."""
+        daemons = [int((self.folder / f"slurmd-{node}.pid").read_text()) for node in NODES]
+        for pid in daemons:
+            os.kill(pid, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            for pid in daemons:
+                os.kill(pid, signal.SIGCONT)
+
     def set_nodes(self, *changes: str) -> None:
         """Change both nodes, as ``scontrol update`` does."""
         self.run("scontrol", "update", f"nodename={','.join(NODES)}", *changes)

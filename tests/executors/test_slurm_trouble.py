@@ -137,6 +137,22 @@ def test_a_job_that_the_controller_has_forgotten_is_submitted_again(bench, slurm
     assert len(jobs_of(spec)) == 1
 
 
+def test_a_job_that_its_node_could_not_launch_is_submitted_again(bench, slurm_cluster):
+    """A node cancels such a job itself, which happens when its daemon is killed. Here it is stopped until then."""
+    spec = bench.spec(UNTIL_TOLD)
+    with ThreadPoolExecutor(1) as other:
+        with slurm_cluster.frozen_nodes():
+            starting = other.submit(bench.executor.start, spec)
+            eventually(lambda: [job for job in jobs_of(spec) if job.runs], "a node for the job")
+            (job,) = jobs_of(spec)
+            command.cancel(job)
+        with pytest.raises(EngineUnavailable, match=r"run 1 did not start and is submitted again: job .* is CANCELLED"):
+            starting.result()
+    bench.handles.append(bench.executor.start(spec))
+    bench.wait_for(spec, bench.handles[0], "starts")
+    assert len(jobs_of(spec)) == 2
+
+
 def jobs_of(spec):
     """The jobs of a run that Slurm knows."""
     return [job for job in command.list_jobs() if spec.key in job.comment]

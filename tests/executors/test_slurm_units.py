@@ -65,6 +65,14 @@ def test_jobs_that_are_not_to_blame_for_their_end(state, reason, slurm_ended_it)
     assert Job(1, "", (state,), reason, "one").ended_by_slurm is slurm_ended_it
 
 
+def test_a_node_cancels_a_job_that_it_could_not_launch():
+    """Who cancels a job that waits does so on purpose: it has no node yet."""
+    assert Job(1, "", ("CANCELLED",), "None", "one").cancelled_on_a_node
+    assert not Job(1, "", ("CANCELLED",), "None", "").cancelled_on_a_node
+    assert not Job(1, "", ("FAILED",), "NonZeroExitCode", "one").cancelled_on_a_node
+    assert not Job(1, "", ("CANCELLED", "COMPLETING"), "None", "one").cancelled_on_a_node
+
+
 def test_jobs_that_the_accounting_database_remembers():
     text = (
         "7|CANCELLED by 1000|None|one\n7.batch|CANCELLED||one\n8|OUT_OF_MEMORY|OutOfMemory|two\n9|COMPLETED\nno job\n\n"

@@ -72,6 +72,11 @@ class Job:
         return self.over and not _SLURM_ENDED.isdisjoint(self.states)
 
     @property
+    def cancelled_on_a_node(self) -> bool:
+        """It was cancelled after it got a node: a node does so itself with a job that it could not launch."""
+        return self.over and bool(self.node) and "CANCELLED" in self.states
+
+    @property
     def never_starts(self) -> bool:
         """It asks for what no node of its partition has."""
         return self.waits and self.reason in _NEVER

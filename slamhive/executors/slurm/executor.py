@@ -347,7 +347,7 @@ def _exit_of(handle: RunHandle) -> Exited | None:
 
 def _is_blameless(job: command.Job) -> bool:
     """Whether another job may do better. One that completes without a run has found the supervisor of another job."""
-    return job.ended_by_slurm or "COMPLETED" in job.states
+    return job.ended_by_slurm or job.cancelled_on_a_node or "COMPLETED" in job.states
 
 
 def last_line(work: Path) -> str:
