@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from slamhive.client.analyses import Analyses, Analysis
     from slamhive.client.asynchronous import AsyncHive
     from slamhive.client.experiments import Experiment, Experiments
     from slamhive.client.hive import Hive
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from slamhive.client.trajectory import RunTrajectory
 
 __all__ = [
+    "Analyses",
+    "Analysis",
     "AsyncHive",
     "Batch",
     "Experiment",

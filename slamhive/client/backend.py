@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from slamhive.domain.visibility import Visibility
     from slamhive.schema import experiment as experiment_schema
     from slamhive.schema import run as run_schema
-    from slamhive.schema.api_answers import ActedOn
+    from slamhive.schema.api_answers import ActedOn, Analysis, AnalysisWithFile
+    from slamhive.schema.catalogue import Algorithm, Dataset
     from slamhive.schema.challenge import ChallengeSubmission
     from slamhive.schema.submission import Submission
     from slamhive.schema.uploads import Imported
@@ -87,6 +88,9 @@ class Backend(Protocol):
     def retry(self, run_id: int) -> run_schema.Run:
         """Queue the same again as a new run."""
 
+    def annotate(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> run_schema.Run:
+        """Replace the note and the tags of a run; None keeps them. Raises InvalidInput naming what cannot be kept."""
+
     def act(self, query: RunQuery, action: FoundAction, options: Mapping[str, Any]) -> ActedOn:
         """Do something to all matching runs. ``options`` are the other fields of the request for the action.
 
@@ -110,6 +114,42 @@ class Backend(Protocol):
 
     def change(self, name: str, change: Change) -> experiment_schema.ExperimentStatus:
         """Pause, resume or cancel an experiment, or queue its failed runs again."""
+
+    def datasets(self) -> tuple[Dataset, ...]:
+        """All datasets, by name."""
+
+    def dataset(self, name: str) -> Dataset:
+        """One dataset; raises NotFound."""
+
+    def algorithms(self) -> tuple[Algorithm, ...]:
+        """All algorithms, by name."""
+
+    def algorithm(self, name: str) -> Algorithm:
+        """One algorithm; raises NotFound."""
+
+    def analyses(self) -> tuple[Analysis, ...]:
+        """The listed analyses, the newest first."""
+
+    def analysis(self, token: str) -> AnalysisWithFile:
+        """One analysis; raises NotFound."""
+
+    def analysis_report(self, token: str) -> dict[str, Any]:
+        """The report of an analysis as data; raises NotFound before it is done."""
+
+    def analysis_file(self, token: str, name: str) -> bytes:
+        """One file of the report; raises NotFound."""
+
+    def create_analysis(self, text: str, *, listed: bool) -> Analysis:
+        """Queue an analysis file. Raises InvalidInput naming the line."""
+
+    def recompute_analysis(self, token: str) -> Analysis:
+        """Queue an analysis again."""
+
+    def share_analysis(self, token: str, visibility: Visibility) -> Analysis:
+        """Choose who may see an analysis. Raises Forbidden unless it is one's own."""
+
+    def delete_analysis(self, token: str) -> None:
+        """Delete an analysis for good."""
 
     def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
         """Make a dataset of a recording on this machine. ``options`` are those of :class:`DatasetUpload`.
@@ -136,6 +176,9 @@ class Backend(Protocol):
 
         Yields a function that raises what ended this work, if anything did.
         """
+
+    def computing(self) -> AbstractContextManager[object]:
+        """While somebody waits for an analysis: compute those that are queued, if this process may."""
 
     def close(self) -> None:
         """Close what was opened."""

@@ -7,9 +7,12 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
+    from slamhive.client.analyses import Analyses
     from slamhive.client.backend import Backend
+    from slamhive.client.catalogue import Named
     from slamhive.client.experiments import Experiments
     from slamhive.client.runs import Runs
+    from slamhive.schema.catalogue import Algorithm, Dataset
     from slamhive.schema.challenge import ChallengeSubmission
     from slamhive.schema.uploads import Imported
 
@@ -58,6 +61,27 @@ class Hive:
         from slamhive.client.experiments import Experiments  # noqa: PLC0415 - on first use
 
         return Experiments(self._backend)
+
+    @property
+    def analyses(self) -> Analyses:
+        """All listed analyses."""
+        from slamhive.client.analyses import Analyses  # noqa: PLC0415 - on first use
+
+        return Analyses(self._backend)
+
+    @property
+    def datasets(self) -> Named[Dataset]:
+        """All datasets: their sensors, durations and ground truth (``docs/schemas/dataset.schema.json``)."""
+        from slamhive.client.catalogue import Named  # noqa: PLC0415 - on first use
+
+        return Named(self._backend.datasets, self._backend.dataset)
+
+    @property
+    def algorithms(self) -> Named[Algorithm]:
+        """All algorithms: what they need, and their parameters (``docs/schemas/algorithm.schema.json``)."""
+        from slamhive.client.catalogue import Named  # noqa: PLC0415 - on first use
+
+        return Named(self._backend.algorithms, self._backend.algorithm)
 
     def import_dataset(self, path: Path | str, *, progress: bool = True, **options: Any) -> Imported:
         """Make a dataset of the recording at ``path``, a file or a folder of this machine.

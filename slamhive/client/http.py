@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
     from slamhive.domain.found_action import FoundAction
     from slamhive.domain.visibility import Visibility
-    from slamhive.schema.api_answers import ActedOn, CellPage, RunPage
+    from slamhive.schema.api_answers import ActedOn, Analysis, AnalysisWithFile, CellPage, RunPage
+    from slamhive.schema.catalogue import Algorithm, Dataset
     from slamhive.schema.challenge import ChallengeSubmission
     from slamhive.schema.experiment import Cell, ExperimentStatus
     from slamhive.schema.run import Run, RunWith
@@ -138,6 +139,10 @@ class HttpBackend:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.retry(run_id))
 
+    def annotate(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> Run:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.annotate(run_id, note, tags))
+
     def act(self, query: RunQuery, action: FoundAction, options: Mapping[str, Any]) -> ActedOn:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.act(query, action, self.count(query), options))
@@ -166,6 +171,54 @@ class HttpBackend:
     def change(self, name: str, change: Change) -> ExperimentStatus:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.change(name, change))
+
+    def datasets(self) -> tuple[Dataset, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.datasets()).datasets
+
+    def dataset(self, name: str) -> Dataset:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.dataset(name))
+
+    def algorithms(self) -> tuple[Algorithm, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.algorithms()).algorithms
+
+    def algorithm(self, name: str) -> Algorithm:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.algorithm(name))
+
+    def analyses(self) -> tuple[Analysis, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.analyses()).analyses
+
+    def analysis(self, token: str) -> AnalysisWithFile:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.analysis(token))
+
+    def analysis_report(self, token: str) -> dict[str, Any]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.analysis_report(token))
+
+    def analysis_file(self, token: str, name: str) -> bytes:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.analysis_file(token, name))
+
+    def create_analysis(self, text: str, *, listed: bool) -> Analysis:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.create_analysis(text, listed=listed))
+
+    def recompute_analysis(self, token: str) -> Analysis:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.recompute_analysis(token))
+
+    def share_analysis(self, token: str, visibility: Visibility) -> Analysis:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._send(requests.share_analysis(token, visibility))
+
+    def delete_analysis(self, token: str) -> None:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        self._send(requests.delete_analysis(token))
 
     def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
         """See :class:`~slamhive.client.backend.Backend`."""
@@ -202,6 +255,10 @@ class HttpBackend:
     def working(self, what: Sequence[int] | str) -> Iterator[Callable[[], None]]:  # noqa: ARG002 - servers have workers
         """See :class:`~slamhive.client.backend.Backend`."""
         yield lambda: None
+
+    def computing(self) -> AbstractContextManager[object]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return nullcontext()
 
     def close(self) -> None:
         """See :class:`~slamhive.client.backend.Backend`."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.client.backend import LOG_BYTES, Change, RunQuery
 from slamhive.client.waiting import percent_bar
 from slamhive.errors import Forbidden
+from slamhive.schema.catalogue import Algorithm, Dataset
 from slamhive.schema.challenge_requests import ImageEntry
 from slamhive.schema.experiment import Cell, ExperimentStatus
 from slamhive.schema.model import parse
@@ -23,9 +24,10 @@ from slamhive.store import RunRecord, RunSort
 if TYPE_CHECKING:
     from slamhive.domain.found_action import FoundAction
     from slamhive.domain.visibility import Visibility
-    from slamhive.schema.api_answers import ActedOn
+    from slamhive.schema.api_answers import ActedOn, Analysis, AnalysisWithFile
     from slamhive.schema.challenge import ChallengeSubmission
     from slamhive.schema.submission import Submission
+    from slamhive.store import AnalysisRecord
 
 PAGE = 1000
 _NO_UPLOAD = "0" * 32
@@ -131,6 +133,12 @@ class LocalBackend:
         """See :class:`~slamhive.client.backend.Backend`."""
         return Run.of(self._writing().runs.retry(run_id))
 
+    def annotate(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> Run:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        hive = self._writing()
+        hive.notes.replace(run_id, note, tags)
+        return Run.of(hive.runs.get(run_id))
+
     def act(self, query: RunQuery, action: FoundAction, options: Mapping[str, Any]) -> ActedOn:
         """See :class:`~slamhive.client.backend.Backend`."""
         from slamhive.schema.api_answers import ActedOn  # noqa: PLC0415 - reading needs none of this
@@ -175,6 +183,60 @@ class LocalBackend:
         }
         changes[change](name)
         return self.experiment(name)
+
+    def datasets(self) -> tuple[Dataset, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.services.datasets import dataset_document  # noqa: PLC0415 - on first use
+
+        return tuple(map(dataset_document, self._hive.catalogue.datasets()))
+
+    def dataset(self, name: str) -> Dataset:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.services.datasets import dataset_document  # noqa: PLC0415 - on first use
+
+        return dataset_document(self._hive.catalogue.dataset(name))
+
+    def algorithms(self) -> tuple[Algorithm, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return tuple(map(Algorithm.of, self._hive.catalogue.algorithms()))
+
+    def algorithm(self, name: str) -> Algorithm:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return Algorithm.of(self._hive.catalogue.algorithm(name))
+
+    def analyses(self) -> tuple[Analysis, ...]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return tuple(map(_analysis_of, self._hive.stored_analyses.listed()))
+
+    def analysis(self, token: str) -> AnalysisWithFile:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._hive.analysis_files.document(token)
+
+    def analysis_report(self, token: str) -> dict[str, Any]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._hive.analysis_files.report(token)
+
+    def analysis_file(self, token: str, name: str) -> bytes:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return self._hive.analysis_files.get(token, name)
+
+    def create_analysis(self, text: str, *, listed: bool) -> Analysis:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return _analysis_of(self._writing().stored_analyses.create(text, listed=listed))
+
+    def recompute_analysis(self, token: str) -> Analysis:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        return _analysis_of(self._writing().stored_analyses.recompute(token))
+
+    def share_analysis(self, token: str, visibility: Visibility) -> Analysis:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        from slamhive.services.sharing import SharingChange  # noqa: PLC0415 - reading needs none of this
+
+        return _analysis_of(self._writing().sharings.analysis(token, SharingChange(visibility)))
+
+    def delete_analysis(self, token: str) -> None:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        self._writing().stored_analyses.delete(token)
 
     def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
         """See :class:`~slamhive.client.backend.Backend`."""
@@ -235,6 +297,14 @@ class LocalBackend:
         with WorkingMeanwhile(self._hive.worker, run_ids) as worker:
             yield worker.check
 
+    def computing(self) -> AbstractContextManager[object]:
+        """See :class:`~slamhive.client.backend.Backend`."""
+        if not self._writable:
+            return nullcontext()
+        computer = self._hive.analysis_computer()
+        computer.wake()
+        return closing(computer)
+
     def close(self) -> None:
         """See :class:`~slamhive.client.backend.Backend`."""
         self._hive.close()
@@ -258,3 +328,9 @@ class LocalBackend:
         if not self._writable:
             raise Forbidden(f"{self.label} was opened to read only", "open it with writable=True to change it")
         return self._hive
+
+
+def _analysis_of(record: AnalysisRecord) -> Analysis:
+    from slamhive.schema.api_answers import Analysis  # noqa: PLC0415 - on first use
+
+    return Analysis.of(record)

@@ -12,15 +12,22 @@ from urllib.parse import parse_qs, quote, urlsplit
 from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.schema.api_answers import (
     ActedOn,
+    Algorithms,
+    Analyses,
+    Analysis,
+    AnalysisWithFile,
     CellPage,
+    Datasets,
     Experiments,
     Problem,
     Progress,
+    Removal,
     RunFiles,
     RunNumbers,
     RunPage,
     Runs,
 )
+from slamhive.schema.catalogue import Algorithm, Dataset
 from slamhive.schema.challenge import ChallengeSubmission, ChallengeSubmissions
 from slamhive.schema.experiment import ExperimentStatus
 from slamhive.schema.model import Document, dump
@@ -145,6 +152,11 @@ def retry(run_id: int) -> Request[Run]:
     return _post(f"/runs/{run_id}/retry", Run)
 
 
+def annotate(run_id: int, note: str | None, tags: Sequence[str] | None) -> Request[Run]:
+    """Replace the note and the tags of a run."""
+    return _post(f"/runs/{run_id}/notes", Run, {"note": note, "tags": None if tags is None else list(tags)})
+
+
 def act(query: RunQuery, action: FoundAction, count: int, options: Mapping[str, Any]) -> Request[ActedOn]:
     """Do something to all matching runs, of which there are ``count``."""
     return _post(f"/runs/search/{action.value}", ActedOn, {"where": query.where, "count": count, **options})
@@ -181,6 +193,66 @@ def change(name: str, change: Change) -> Request[ExperimentStatus]:
     return _post(f"/experiments/{quote(name, safe='')}/{change.value}", ExperimentStatus)
 
 
+def datasets() -> Request[Datasets]:
+    """All datasets."""
+    return _get("/datasets", Datasets)
+
+
+def dataset(name: str) -> Request[Dataset]:
+    """One dataset."""
+    return _get(f"/datasets/{quote(name, safe='')}", Dataset)
+
+
+def algorithms() -> Request[Algorithms]:
+    """All algorithms."""
+    return _get("/algorithms", Algorithms)
+
+
+def algorithm(name: str) -> Request[Algorithm]:
+    """One algorithm."""
+    return _get(f"/algorithms/{quote(name, safe='')}", Algorithm)
+
+
+def analyses() -> Request[Analyses]:
+    """The listed analyses."""
+    return _get("/analyses", Analyses)
+
+
+def analysis(token: str) -> Request[AnalysisWithFile]:
+    """One analysis."""
+    return _get(_analysis(token), AnalysisWithFile)
+
+
+def analysis_report(token: str) -> Request[dict[str, Any]]:
+    """The report of an analysis as data."""
+    return Request(f"{_analysis(token)}/report", json.loads)
+
+
+def analysis_file(token: str, name: str) -> Request[bytes]:
+    """One file of a report."""
+    return Request(f"{_analysis(token)}/files/{quote(name, safe='')}", bytes)
+
+
+def create_analysis(text: str, *, listed: bool) -> Request[Analysis]:
+    """Queue an analysis file."""
+    return _post("/analyses", Analysis, {"yaml": text, "listed": listed})
+
+
+def recompute_analysis(token: str) -> Request[Analysis]:
+    """Queue an analysis again."""
+    return _post(f"{_analysis(token)}/recompute", Analysis)
+
+
+def share_analysis(token: str, visibility: Visibility) -> Request[Analysis]:
+    """Choose who may see an analysis."""
+    return _post(f"{_analysis(token)}/share", Analysis, {"visibility": visibility.value})
+
+
+def delete_analysis(token: str) -> Request[Removal]:
+    """Delete an analysis for good."""
+    return _post(f"{_analysis(token)}/delete", Removal)
+
+
 def create_upload(name: str, size_bytes: int, sha256: str) -> Request[Upload]:
     """Begin an upload."""
     return _post("/uploads", Upload, {"name": name, "size_bytes": size_bytes, "sha256": sha256})
@@ -215,6 +287,10 @@ def import_upload(kind: str, token: str, options: Mapping[str, Any]) -> Request[
 def cursor(following: str | None) -> str | None:
     """The cursor in the address of the next page. Nothing else of that address is used."""
     return None if following is None else parse_qs(urlsplit(following).query)["after"][0]
+
+
+def _analysis(token: str) -> str:
+    return f"/analyses/{quote(token, safe='')}"
 
 
 def _get(path: str, kind: type[D], arguments: Mapping[str, str] | None = None) -> Request[D]:

@@ -109,6 +109,20 @@ class Run:
         """Wait until it has ended and been evaluated; returns it as it is then."""
         return Batch(self._backend, [self]).wait(progress=progress)[0]
 
+    @property
+    def note(self) -> str:
+        """What somebody wrote about it; empty for nothing."""
+        return self.document.note or ""
+
+    @property
+    def tags(self) -> tuple[str, ...]:
+        """Its tags."""
+        return self.document.tags
+
+    def annotate(self, note: str | None = None, tags: Sequence[str] | None = None) -> Run:
+        """Replace its note and its tags; None keeps them. Raises InvalidInput naming what cannot be kept."""
+        return Run(self._backend, self._backend.annotate(self.id, note, tags))
+
     def cancel(self) -> Run:
         """Cancel a queued run, or ask for the end of an active one."""
         return Run(self._backend, self._backend.cancel(self.id))

@@ -11,6 +11,7 @@ from slamhive.client.backend import Backend
 from slamhive.clock import monotonic_s
 
 if TYPE_CHECKING:
+    from slamhive.schema.api_answers import AnalysisWithFile
     from slamhive.schema.experiment import ExperimentStatus
     from slamhive.schema.run import RunWith
 
@@ -18,6 +19,8 @@ Show = Callable[[int, str], None]
 PAUSE_S = 0.3
 _OPEN = frozenset({"queued", "running"})
 """States of evaluations that will change."""
+_ANALYSED = frozenset({"done", "failed"})
+"""States of analyses that have ended."""
 
 
 def wait_for_runs(backend: Backend, run_ids: Sequence[int], *, progress: bool) -> tuple[RunWith, ...]:
@@ -49,6 +52,18 @@ def wait_for_experiment(backend: Backend, name: str, *, progress: bool) -> Exper
             time.sleep(max(PAUSE_S, 5 * (monotonic_s() - began)))
         show(_ended(status), "")
     return status
+
+
+def wait_for_analysis(backend: Backend, token: str, *, progress: bool) -> AnalysisWithFile:
+    """Wait until an analysis is done or has failed."""
+    found = backend.analysis(token)
+    with percent_bar(f"analysis {found.name}", progress=progress) as show, backend.computing():
+        while found.state not in _ANALYSED:
+            show(found.fraction, found.doing or found.state)
+            time.sleep(PAUSE_S)
+            found = backend.analysis(token)
+        show(1.0, found.state)
+    return found
 
 
 def is_complete(run: RunWith) -> bool:

@@ -22,7 +22,13 @@ if TYPE_CHECKING:
     from slamhive.foreign.numbers import Numbers
     from slamhive.services.accounts import Accounts
     from slamhive.services.algorithms import AlgorithmImports
-    from slamhive.services.analyses import AnalysisJobs, AnalysisPreviews, StoredAnalyses
+    from slamhive.services.analyses import (
+        AnalysisComputer,
+        AnalysisFiles,
+        AnalysisJobs,
+        AnalysisPreviews,
+        StoredAnalyses,
+    )
     from slamhive.services.challenges import ChallengeJudge, Challenges, ImageWork
     from slamhive.services.citations import Citations
     from slamhive.services.clouds import Clouds
@@ -283,6 +289,19 @@ class Hive:
         from slamhive.services.analyses import AnalysisJobs
 
         return AnalysisJobs(self.settings, self.store, self.project_root)
+
+    @cached_property
+    def analysis_files(self) -> AnalysisFiles:
+        """The files of stored analyses."""
+        from slamhive.services.analyses import AnalysisFiles
+
+        return AnalysisFiles(self.stored_analyses, self.project_root)
+
+    def analysis_computer(self) -> AnalysisComputer:
+        """A thread that computes analyses; the caller closes it."""
+        from slamhive.services.analyses import AnalysisComputer
+
+        return AnalysisComputer(self.store, self.analysis_jobs)
 
     @cached_property
     def analysis_previews(self) -> AnalysisPreviews:

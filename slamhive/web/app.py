@@ -16,14 +16,12 @@ from slamhive.analysis.colours import on_dark
 from slamhive.clock import utc_now
 from slamhive.domain.accounts import Action, Caller, Role
 from slamhive.domain.run import RunState
-from slamhive.services.analyses import may_analyse
+from slamhive.services.analyses import AnalysisComputer, may_analyse
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
 from slamhive.settings import Mode
 from slamhive.store import Store
 from slamhive.web import api, assets, context, formatting
-from slamhive.web.analysis_computer import AnalysisComputer
-from slamhive.web.analysis_files import AnalysisFiles
 from slamhive.web.caching import PageCache, add_caching, keep_pages
 from slamhive.web.challenge_files import MOST_SENT_BYTES
 from slamhive.web.columns import Kind
@@ -127,7 +125,6 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.extensions[context.CHECKS_EXTENSION] = DatasetChecker(hive)
     app.extensions[context.UPLOADS_EXTENSION] = UploadWork(hive)
     app.extensions[context.COMPUTER_EXTENSION] = _analysis_computer(hive)
-    app.extensions[context.FILES_EXTENSION] = AnalysisFiles(hive)
     app.extensions[context.RATES_EXTENSION] = visitor_limits(hive.settings.analyses_per_hour_per_address)
     app.jinja_options["trim_blocks"] = True
     app.jinja_options["lstrip_blocks"] = True
@@ -202,7 +199,7 @@ def _analysis_computer(hive: Hive) -> AnalysisComputer | None:
     """On a view-only server that accepts analyses, the web server computes them, because no worker runs."""
     if hive.settings.mode is not Mode.VIEW_ONLY or not may_analyse(hive.settings):
         return None
-    return AnalysisComputer(hive)
+    return hive.analysis_computer()
 
 
 def _algorithm_names(hive: Hive) -> frozenset[str]:

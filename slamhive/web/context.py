@@ -8,9 +8,8 @@ from flask import current_app, g
 
 if TYPE_CHECKING:
     from slamhive.domain.accounts import Caller
+    from slamhive.services.analyses import AnalysisComputer
     from slamhive.services.hive import Hive
-    from slamhive.web.analysis_computer import AnalysisComputer
-    from slamhive.web.analysis_files import AnalysisFiles
     from slamhive.web.callers import Callers
     from slamhive.web.dataset_work import DatasetChecker, VariantMaker
     from slamhive.web.live import LiveHub
@@ -26,7 +25,6 @@ CHECKS_EXTENSION = "slamhive-dataset-checks"
 PROVIDER_EXTENSION = "slamhive-oidc"
 UPLOADS_EXTENSION = "slamhive-uploads"
 COMPUTER_EXTENSION = "slamhive-analyses"
-FILES_EXTENSION = "slamhive-analysis-files"
 RATES_EXTENSION = "slamhive-rates"
 CALLERS_EXTENSION = "slamhive-callers"
 SIGN_IN_EXTENSION = "slamhive-sign-in"
@@ -60,11 +58,6 @@ def upload_work() -> UploadWork:
 def analysis_computer() -> AnalysisComputer | None:
     """The thread that computes analyses; None where a worker does."""
     return cast("AnalysisComputer | None", current_app.extensions[COMPUTER_EXTENSION])
-
-
-def analysis_files() -> AnalysisFiles:
-    """The creator of analysis files."""
-    return cast("AnalysisFiles", current_app.extensions[FILES_EXTENSION])
 
 
 def rate_limit(name: str) -> RateLimit:

@@ -11,8 +11,8 @@ from types import FrameType
 from typing import Any, cast
 
 from slamhive.http_server import HttpServer, listen
+from slamhive.services.analyses import AnalysisComputer
 from slamhive.services.hive import Hive
-from slamhive.web.analysis_computer import AnalysisComputer
 from slamhive.web.app import BODY_LIMITS, MOST_STREAMS, MOST_UPLOAD_BYTES, create_app
 from slamhive.web.context import COMPUTER_EXTENSION, LIVE_EXTENSION
 from slamhive.web.live import LiveHub

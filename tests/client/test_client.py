@@ -83,6 +83,18 @@ def test_no_runs_are_an_empty_data_frame(client: Hive) -> None:
     assert "algorithm" in frame
 
 
+def test_datasets_and_algorithms_are_documents(client: Hive) -> None:
+    (name,) = [dataset.name for dataset in client.datasets if dataset.name == "room"]
+    room = client.datasets.get(name)
+    assert room.duration_s > 0
+    assert {sensor.kind for sensor in room.sensors}
+    assert client.algorithms.get("eye-slam-stereo") in list(client.algorithms)
+    with pytest.raises(NotFound, match="no-such"):
+        client.datasets.get("no-such")
+    with pytest.raises(NotFound, match="no-such"):
+        client.algorithms.get("no-such")
+
+
 def test_mistakes_name_the_value(client: Hive) -> None:
     with pytest.raises(NotFound, match="99"):
         client.runs.get(99)
@@ -107,6 +119,8 @@ def test_what_only_reads_changes_nothing(client: Hive) -> None:
         client.runs.where("id > 0").delete()
     with pytest.raises(Forbidden):
         client.experiments.start("name: nothing\n")
+    with pytest.raises(Forbidden):
+        client.runs.get(RUNS["done"]).annotate("a note")
 
 
 def test_unknown_options_are_refused(client: Hive) -> None:

@@ -85,6 +85,47 @@ def test_all_runs_of_a_search_are_changed(data: Path, address: str, over: str) -
                 unknown()
 
 
+ANALYSIS = """name: Errors
+select: {tiny: {where: algorithm = tiny}}
+forms:
+  - {form: table, metrics: [ate.rmse], columns: algorithms}
+"""
+
+
+@pytest.mark.parametrize("over", ["files", "server"])
+def test_notes_and_analyses(data: Path, address: str, over: str) -> None:
+    with Hive.open(data, writable=True) as local:
+        local.runs.submit("tiny", "room", {"seconds": 0.0}, playback_mode="sequential").wait(progress=False)
+    with Hive.open(data, writable=True) if over == "files" else Hive.connect(address) as hive:
+        run = hive.runs.get(1).annotate("drifts at the stairs", ["stairs", "paper"])
+        assert (run.note, run.tags) == ("drifts at the stairs", ("paper", "stairs"))
+        run = run.annotate(tags=["paper"])
+        assert (run.note, run.tags) == ("drifts at the stairs", ("paper",))
+        assert run.annotate("").refresh().note == ""
+        with pytest.raises(InvalidInput, match="tag"):
+            run.annotate(tags=["no tag"])
+        with pytest.raises(InvalidInput, match="line 4"):
+            hive.analyses.create(ANALYSIS.replace("table", "nope"))
+        found = hive.analyses.create(ANALYSIS)
+        assert (found.name, found.state, found.files) == ("Errors", "queued", ())
+        with pytest.raises(NotFound):
+            found.report()
+        if over == "server":
+            with Hive.open(data, writable=True) as local:
+                assert local.analyses.get(found.token).wait(progress=False).state == "done"
+        found = found.wait()
+        assert (found.state, found.reason, found.yaml) == ("done", None, ANALYSIS)
+        assert found.report()["name"] == "Errors"
+        table = next(name for name in found.files if name.endswith(".csv"))
+        assert b"tiny" in found.file(table)
+        assert [entry.token for entry in hive.analyses] == [found.token]
+        assert found.share("public").visibility == "public"
+        assert found.recompute().state == "queued"
+        found.delete()
+        with pytest.raises(NotFound):
+            found.refresh()
+
+
 def test_the_examples_of_the_documentation_work(address: str, capsys: pytest.CaptureFixture[str]) -> None:
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     found: dict[str, object] = {}

@@ -19,13 +19,13 @@ from flask import Response
 
 from slamhive.analysis.plot_types import PLOT_TYPES
 from slamhive.errors import Unavailable
-from slamhive.services.analyses import REPORT, AnalysisFolder
+from slamhive.services.analyses import REPORT, AnalysisFiles, AnalysisFolder
+from slamhive.services.analyses.files import MOST_WAITING
 from slamhive.services.analyses.jobs import AnalysisJobs
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
 from slamhive.store import AnalysisState
 from slamhive.web.analysis_builder import cards
-from slamhive.web.analysis_files import MOST_WAITING, AnalysisFiles
 from slamhive.web.analysis_text import ALL, first_text
 from slamhive.web.caching import PageCache
 from slamhive.web.context import COMPUTER_EXTENSION
@@ -144,7 +144,7 @@ def test_only_known_files_come(computed: tuple[Web, str], name: str):
 @pytest.mark.integration
 def test_few_wait_for_files_and_what_was_made_comes_at_once(computed: tuple[Web, str], monkeypatch: pytest.MonkeyPatch):
     web, token = computed
-    files = AnalysisFiles(web.hive)
+    files = AnalysisFiles(web.hive.stored_analyses, web.hive.project_root)
     made = files.get(token, "report.html")
     go_on, read = threading.Event(), AnalysisFolder.read_result
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from slamhive.services.analyses.computer import AnalysisComputer
+    from slamhive.services.analyses.files import MEDIA_TYPES, AnalysisFiles
     from slamhive.services.analyses.folder import FIGURES, PAGE, PREVIEWS, REPORT, SOURCE, AnalysisFolder
     from slamhive.services.analyses.jobs import AnalysisJobs
     from slamhive.services.analyses.previews import MOST_PREVIEWED_RUNS, AnalysisPreviews, Preview
@@ -15,11 +17,14 @@ if TYPE_CHECKING:
 __all__ = [
     "FIGURES",
     "MAX_TEXT_BYTES",
+    "MEDIA_TYPES",
     "MOST_PREVIEWED_RUNS",
     "PAGE",
     "PREVIEWS",
     "REPORT",
     "SOURCE",
+    "AnalysisComputer",
+    "AnalysisFiles",
     "AnalysisFolder",
     "AnalysisJobs",
     "AnalysisPreviews",

@@ -42,6 +42,13 @@ class Notes:
         self._store.write(lambda t: t.notes.put(changed))
         return changed
 
+    def replace(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> RunNotes:
+        """Replace the note and the tags of a run; None keeps them. Raises as :meth:`change`."""
+        before = self._store.read(lambda t: t.runs.get(run_id)).notes.tags
+        kept = before if tags is None else tuple(tags)
+        removed = tuple(tag for tag in before if tag not in kept)
+        return self.change([run_id], NotesChange(note, kept, removed))[run_id]
+
     def tags(self) -> list[str]:
         """Every tag that some run has."""
         return self._store.read(lambda t: t.notes.tags())

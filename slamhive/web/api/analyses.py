@@ -6,11 +6,9 @@ from flask import Response
 
 from slamhive.schema.api_answers import Analyses, Analysis, AnalysisWithFile, CheckedFile, Removal
 from slamhive.schema.api_requests import AnalysisRequest, ListingRequest, VisibilityRequest, YamlRequest
-from slamhive.services.analyses import PAGE, REPORT, AnalysisFolder
+from slamhive.services.analyses import MEDIA_TYPES
 from slamhive.services.sharing import SharingChange
-from slamhive.store.analysis_records import AnalysisState
 from slamhive.web import context
-from slamhive.web.analysis_files import ALWAYS, MEDIA_TYPES
 from slamhive.web.api.operation import Section
 from slamhive.web.api.table import TABLE
 from slamhive.web.context import hive
@@ -42,31 +40,19 @@ def check_analysis(body: YamlRequest) -> CheckedFile:
 @TABLE.get(Section.ANALYSES, "/analyses/{token}", AnalysisWithFile)
 def analysis(token: str) -> AnalysisWithFile:
     """One analysis: its state, its file, and the files of its report."""
-    services = hive().stored_analyses
-    record, folder = services.get(token), services.folder(token)
-    fraction, doing = folder.read_progress()
-    done = record.state is AnalysisState.DONE
-    return AnalysisWithFile.of(
-        record,
-        yaml=folder.source,
-        fraction=1.0 if done else fraction,
-        doing="" if record.state.ended else doing,
-        files=_files(folder) if done else (),
-    )
+    return hive().analysis_files.document(token)
 
 
 @TABLE.get(Section.ANALYSES, "/analyses/{token}/report", ("application/json",))
 def analysis_report(token: str) -> Response:
     """The whole report of one analysis: its plots and tables as data (`report.schema.json`)."""
-    services = hive().stored_analyses
-    services.get(token)
-    return answer(services.folder(token).read_result(REPORT))
+    return answer(hive().analysis_files.report(token))
 
 
 @TABLE.get(Section.ANALYSES, "/analyses/{token}/files/{key}", tuple(sorted(set(MEDIA_TYPES.values()))))
 def analysis_file(token: str, key: str) -> Response:
     """One file of the report: a plot for print, a table, the self-contained page, or everything as a zip file."""
-    content = context.analysis_files().get(token, key)
+    content = hive().analysis_files.get(token, key)
     response = Response(content, mimetype=MEDIA_TYPES[key.rpartition(".")[2]])
     response.headers["Content-Disposition"] = f'attachment; filename="{key}"'
     return response
@@ -95,8 +81,3 @@ def delete_analysis(token: str) -> Removal:
     """Delete one analysis for good."""
     hive().stored_analyses.delete(token)
     return Removal(removed=token)
-
-
-def _files(folder: AnalysisFolder) -> tuple[str, ...]:
-    """The names of the files of a report."""
-    return (*ALWAYS, *folder.read_result(PAGE)["files"])

@@ -84,9 +84,7 @@ def show_protocol(run_id: int, body: ShownProtocolRequest) -> Run:
 def annotate(run_id: int, body: NotesRequest) -> Run:
     """Replace the note or the tags of one run."""
     services = hive()
-    kept = services.runs.get(run_id).tags if body.tags is None else body.tags
-    removed = tuple(tag for tag in services.runs.get(run_id).tags if tag not in kept)
-    services.notes.change([run_id], NotesChange(body.note, kept, removed))
+    services.notes.replace(run_id, body.note, body.tags)
     return Run.of(services.runs.get(run_id))
 
 

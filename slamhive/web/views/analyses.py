@@ -13,13 +13,12 @@ from slamhive.domain.accounts import Action
 from slamhive.domain.bibliography import bibtex
 from slamhive.domain.visibility import Visibility
 from slamhive.errors import Forbidden, InvalidInput, SlamHiveError, Unavailable, unknown
-from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, MOST_PREVIEWED_RUNS, PAGE, may_analyse
+from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, MEDIA_TYPES, MOST_PREVIEWED_RUNS, PAGE, may_analyse
 from slamhive.services.sharing import SharingChange
 from slamhive.settings import Mode
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.web import context
 from slamhive.web.analysis_builder import cards, entry_of
-from slamhive.web.analysis_files import MEDIA_TYPES
 from slamhive.web.analysis_text import BOUNDS, experiment_text, first_text, selector_text, with_form
 from slamhive.web.context import caller, hive
 from slamhive.web.errors import status_of
@@ -154,7 +153,7 @@ def figures(token: str) -> Response:
 @blueprint.get("/<token>/files/<name>")
 def file(token: str, name: str) -> Response:
     """A plot for print, a table, the self-contained page, or everything as a zip file."""
-    content = context.analysis_files().get(token, name)
+    content = hive().analysis_files.get(token, name)
     response = Response(content, mimetype=MEDIA_TYPES[name.rpartition(".")[2]])
     response.headers["Content-Disposition"] = f'attachment; filename="{name}"'
     return response

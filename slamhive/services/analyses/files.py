@@ -1,4 +1,4 @@
-"""Creates the files of a stored analysis on request, one at a time: printing a plot takes a second."""
+"""The files of a stored analysis, created on request, one at a time: printing a plot takes a second."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 from slamhive.analysis.report import ReportPage
 from slamhive.domain.bibliography import bibtex
 from slamhive.errors import NotFound, Unavailable
-from slamhive.services.analyses import PAGE, REPORT, SOURCE, AnalysisFolder
-from slamhive.services.hive import Hive
+from slamhive.schema.api_answers import AnalysisWithFile
+from slamhive.services.analyses.folder import PAGE, REPORT, SOURCE, AnalysisFolder
+from slamhive.services.analyses.stored import StoredAnalyses
+from slamhive.store.analysis_records import AnalysisState
 
 MOST_WAIT_S = 30.0
 MOST_WAITING = 3
@@ -36,19 +40,43 @@ ALWAYS = (SOURCE, PAGE_FILE, ZIP_FILE, BIBLIOGRAPHY)
 
 
 class AnalysisFiles:
-    """Creates files and keeps the latest ones in memory; writes nothing to disk."""
+    """Creates files and keeps the latest ones in memory; writes nothing to disk.
 
-    def __init__(self, hive: Hive) -> None:
-        self._hive = hive
+    Args:
+        stored: The analyses.
+        project_root: The folder with ``algorithms/``.
+    """
+
+    def __init__(self, stored: StoredAnalyses, project_root: Path) -> None:
+        self._stored = stored
+        self._project_root = project_root
         self._making = threading.Lock()
         self._places = threading.BoundedSemaphore(1 + MOST_WAITING)
         self._kept: OrderedDict[tuple[str, str, str], bytes] = OrderedDict()
         self._kept_bytes = 0
 
+    def document(self, token: str) -> AnalysisWithFile:
+        """One analysis with its text, its progress, and the names of its files; raises NotFound."""
+        record, folder = self._stored.get(token), self._stored.folder(token)
+        fraction, doing = folder.read_progress()
+        done = record.state is AnalysisState.DONE
+        return AnalysisWithFile.of(
+            record,
+            yaml=folder.source,
+            fraction=1.0 if done else fraction,
+            doing="" if record.state.ended else doing,
+            files=(*ALWAYS, *folder.read_result(PAGE)["files"]) if done else (),
+        )
+
+    def report(self, token: str) -> dict[str, Any]:
+        """The whole report of one analysis as data; raises NotFound before it is done."""
+        self._stored.get(token)
+        report: dict[str, Any] = self._stored.folder(token).read_result(REPORT)
+        return report
+
     def get(self, token: str, name: str) -> bytes:
         """One file; raises NotFound for an unknown name, and Unavailable while too many files are being created."""
-        record = self._hive.stored_analyses.get(token)
-        folder = self._hive.stored_analyses.folder(token)
+        record, folder = self._stored.get(token), self._stored.folder(token)
         if name == SOURCE:
             return folder.source.encode()
         if name == BIBLIOGRAPHY:
@@ -75,7 +103,7 @@ class AnalysisFiles:
         from slamhive.services.reports import Printing, file_name, report_page, table_file, zipped  # noqa: PLC0415
 
         report = Report.stored(folder.read_result(REPORT))
-        root = self._hive.catalogue.project_root
+        root = self._project_root
         if place is None:
             printing = Printing((*PRINT_FORMATS, *PAPER_FORMATS))
             return zipped(report, root, printing) if name == ZIP_FILE else report_page(report, root).encode()

@@ -1,4 +1,4 @@
-"""Computes the analyses of visitors on a view-only server, where no worker runs: one thread, one process at a time."""
+"""Computes analyses where no worker runs, as on a view-only server: one thread, one process at a time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import threading
 
 from slamhive.errors import SlamHiveError
 from slamhive.executors.identity import owner_is_dead, worker_identity
-from slamhive.services.hive import Hive
+from slamhive.services.analyses.jobs import AnalysisJobs
+from slamhive.store import Store
 
 logger = logging.getLogger(__name__)
 
@@ -16,10 +17,16 @@ TROUBLE_S = 5.0
 
 
 class AnalysisComputer:
-    """Takes analyses from the queue as a worker does. The thread starts with the first :meth:`wake`."""
+    """Takes analyses from the queue as a worker does. The thread starts with the first :meth:`wake`.
 
-    def __init__(self, hive: Hive) -> None:
-        self._hive = hive
+    Args:
+        store: The queue.
+        jobs: What computes an analysis of the queue.
+    """
+
+    def __init__(self, store: Store, jobs: AnalysisJobs) -> None:
+        self._store = store
+        self._jobs = jobs
         self._owner = worker_identity()
         self._asked = threading.Event()
         self._stopping = threading.Event()
@@ -48,7 +55,7 @@ class AnalysisComputer:
         while not self._stopping.is_set():
             self._asked.clear()
             try:
-                while not self._stopping.is_set() and self._hive.analysis_jobs.work_once(self._owner, self._stopping):
+                while not self._stopping.is_set() and self._jobs.work_once(self._owner, self._stopping):
                     pass
             except SlamHiveError as error:
                 logger.warning("analyses: %s; retrying in %.0f s", error, TROUBLE_S)
@@ -62,8 +69,8 @@ class AnalysisComputer:
 
     def _free_what_the_dead_hold(self) -> None:
         try:
-            for owner in self._hive.store.read(lambda t: t.analyses.owners()):
+            for owner in self._store.read(lambda t: t.analyses.owners()):
                 if owner != self._owner and owner_is_dead(owner):
-                    self._hive.store.write(lambda t, owner=owner: t.analyses.release_all(owner))  # type: ignore[misc]
+                    self._store.write(lambda t, owner=owner: t.analyses.release_all(owner))  # type: ignore[misc]
         except SlamHiveError as error:
             logger.warning("analyses: %s", error)

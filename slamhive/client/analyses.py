@@ -1,0 +1,118 @@
+"""Analyses: written as a file, computed, and read as plots and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from slamhive.client.backend import Backend
+
+if TYPE_CHECKING:
+    from slamhive.domain.visibility import Visibility
+    from slamhive.schema import api_answers
+
+
+class Analysis:
+    """One stored analysis, as it was when it was read; :meth:`refresh` reads it again."""
+
+    def __init__(self, backend: Backend, document: api_answers.Analysis) -> None:
+        self._backend = backend
+        self.document = document
+
+    def __repr__(self) -> str:
+        return f"<analysis {self.name}: {self.state}>"
+
+    @property
+    def token(self) -> str:
+        """What its permanent address ends with."""
+        return self.document.token
+
+    @property
+    def name(self) -> str:
+        """The name in its file."""
+        return self.document.name
+
+    @property
+    def state(self) -> str:
+        """``queued``, ``running``, ``done`` or ``failed``."""
+        return self.document.state
+
+    @property
+    def reason(self) -> str | None:
+        """Why it failed; None if it did not."""
+        return self.document.reason
+
+    @property
+    def visibility(self) -> Visibility | None:
+        """Who may see it, besides admins; None for everybody who is signed in."""
+        return self.document.visibility
+
+    @property
+    def yaml(self) -> str:
+        """The analysis file."""
+        return self._backend.analysis(self.token).yaml
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The names of its files: plots, tables, the page, and everything as a zip file. None before it is done."""
+        return self._backend.analysis(self.token).files
+
+    def file(self, name: str) -> bytes:
+        """The content of one of its files; raises NotFound."""
+        return self._backend.analysis_file(self.token, name)
+
+    def report(self) -> dict[str, Any]:
+        """The whole report as data: ``docs/schemas/report.schema.json``. Raises NotFound before it is done."""
+        return self._backend.analysis_report(self.token)
+
+    def refresh(self) -> Analysis:
+        """The analysis as it is now."""
+        return Analysis(self._backend, self._backend.analysis(self.token))
+
+    def wait(self, *, progress: bool = True) -> Analysis:
+        """Wait until it is done or has failed; returns it as it is then.
+
+        On a data root that is open for changes, this process computes it, unless a worker does.
+        """
+        from slamhive.client.waiting import wait_for_analysis  # noqa: PLC0415 - reading needs none of this
+
+        return Analysis(self._backend, wait_for_analysis(self._backend, self.token, progress=progress))
+
+    def recompute(self) -> Analysis:
+        """Queue it again, to be computed of the runs that there are now."""
+        return Analysis(self._backend, self._backend.recompute_analysis(self.token))
+
+    def share(self, visibility: str) -> Analysis:
+        """Choose who may see it: ``private``, ``team`` or ``public``. It is computed again.
+
+        Raises Forbidden unless it is one's own.
+        """
+        from slamhive.domain.visibility import Visibility  # noqa: PLC0415 - reading needs none of this
+
+        return Analysis(self._backend, self._backend.share_analysis(self.token, Visibility.named(visibility)))
+
+    def delete(self) -> None:
+        """Delete it for good."""
+        self._backend.delete_analysis(self.token)
+
+
+class Analyses:
+    """The listed analyses of an installation, the newest first."""
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+
+    def __iter__(self) -> Iterator[Analysis]:
+        return (Analysis(self._backend, document) for document in self._backend.analyses())
+
+    def get(self, token: str) -> Analysis:
+        """The analysis of a token, listed or not; raises NotFound."""
+        return Analysis(self._backend, self._backend.analysis(token))
+
+    def create(self, file: Path | str, *, listed: bool = True) -> Analysis:
+        """Queue an analysis, given as the path of its file or as its text. Raises InvalidInput naming the line."""
+        from slamhive import strict_yaml  # noqa: PLC0415 - reading needs none of this
+
+        text = strict_yaml.read_text(file) if isinstance(file, Path) else file
+        return Analysis(self._backend, self._backend.create_analysis(text, listed=listed))
