@@ -17,7 +17,7 @@ import pytest
 from slamhive.executors.base import NodeAccess
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.archive import courier_archive
-from slamhive.executors.kubernetes.courier import PodFolders, copy_own
+from slamhive.executors.kubernetes.courier import PodFolders, copy_own, main
 from slamhive.executors.kubernetes.courier_manifest import (
     COURIER_BYTES,
     node_job_manifest,
@@ -28,9 +28,17 @@ from slamhive.executors.kubernetes.courier_manifest import (
 from slamhive.executors.kubernetes.manifest import Who, job_name
 from slamhive.executors.kubernetes.node_runs import HandedOut, NodeRunFiles, hand_out
 from slamhive.executors.kubernetes.options import Options
+from slamhive.executors.kubernetes.pod_files import (
+    NODE_VARIABLE,
+    OLD_TICKET_EXIT,
+    POD_VARIABLE,
+    REFUSED_EXIT,
+    TICKET_FILE,
+)
 from slamhive.executors.node_store.controller import NodeStore
 from slamhive.executors.node_store.on_node.cache import Cache, Item
-from slamhive.executors.node_store.registrations import Registrations
+from slamhive.executors.node_store.on_node.run import Ticket
+from slamhive.executors.node_store.registrations import Registration, Registrations
 from slamhive.executors.process.exit_file import reserve, write_exit
 from slamhive.executors.spec import RunInput, RunOutput, RunSpec
 from slamhive.executors.status import Exited
@@ -141,8 +149,42 @@ def test_why_a_pod_waits_that_gets_its_data():
     assert not answers.data_refused(waiting(running={}))
 
 
+def test_a_ticket_that_the_worker_does_not_know_is_no_reason_for_the_next_pod(tmp_path, monkeypatch):
+    """Another pod gets the ticket that counts; what else is refused would be refused again."""
+    registrations = Registrations(tmp_path)
+    token = registrations.add(Registration("run-1", tmp_path / "work", {}, {}, {}))
+    (tmp_path / "courier").mkdir()
+    for name in ("COURIER_FOLDER", "WORK_FOLDER"):
+        monkeypatch.setattr(f"slamhive.executors.kubernetes.courier.{name}", str(tmp_path / "courier"))
+    monkeypatch.setattr("slamhive.executors.kubernetes.courier._TERMINATION_LOG", tmp_path / "why")
+    monkeypatch.setenv(POD_VARIABLE, "pod")
+    monkeypatch.setenv(NODE_VARIABLE, "node1")
+
+    def fetched(token: str) -> tuple[int, str]:
+        ticket = Ticket(server.url, "run-1", token, str(tmp_path / "cache"), 1000)
+        (tmp_path / "courier" / TICKET_FILE).write_text(json.dumps(ticket._asdict()))
+        return main("fetch"), (tmp_path / "why").read_text()
+
+    with serving(tmp_path) as server:
+        assert fetched("of-an-earlier-pod") == (OLD_TICKET_EXIT, "no run that goes on has this name and token")
+        registrations.remove("run-1")
+        assert fetched(token) == (REFUSED_EXIT, "the run is over")
+    for code in (OLD_TICKET_EXIT, REFUSED_EXIT):
+        failed = waiting(terminated={"exitCode": code, "reason": "Error", "message": "no"})
+        assert answers.data_refused(failed) is (code == REFUSED_EXIT)
+
+
 def test_a_container_that_its_node_has_forgotten_is_noticed_also_before_the_run():
     assert answers.why_not_started(waiting(terminated={"exitCode": 255, "reason": "Unknown"})).created
+    pod = waiting(terminated={"exitCode": 0, "reason": "Completed"})
+    assert answers.why_not_started(pod).created, "the courier should follow at once"
+    courier = {"name": "courier", "state": {"running": {}}}
+    pod["status"]["initContainerStatuses"].append(courier)
+    assert not answers.why_not_started(pod).created
+    courier["state"] = {"waiting": {"reason": "ErrImagePull"}}
+    assert not answers.why_not_started(pod).created
+    courier["state"] = {"waiting": {"reason": "PodInitializing"}}
+    assert answers.why_not_started(pod).created
     pod = waiting(waiting={"reason": "PodInitializing"})
     assert not answers.why_not_started(pod).created
     pod["status"]["initContainerStatuses"][0]["state"] = {"waiting": {}}

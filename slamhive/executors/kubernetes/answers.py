@@ -271,15 +271,26 @@ def _shown(name: str, value: Decimal) -> str:
 
 
 def _made(pod: Document) -> bool:
-    """Whether a container was made and not started, or has failed before the run while the pod is not over.
+    """Whether a container was made and not started, or has ended before the run while the pod is not over.
 
-    After a power cut of its node, a pod may keep a container whose end nobody knows, and never go on.
+    After a power cut of its node, a pod may keep a container whose end nobody knows, and never go on. Nor does a pod
+    that is never restarted, if its containers lose their common namespaces between one and the next.
     """
-    if _failed_before(pod) is not None:
+    if _failed_before(pod) is not None or _is_between_containers(pod):
         return True
     status = pod.get("status", {})
     statuses = [*(status.get("initContainerStatuses") or ()), *(status.get("containerStatuses") or ())]
     return any((entry.get("state") or {}).get("waiting") is not None and entry.get("containerID") for entry in statuses)
+
+
+def _is_between_containers(pod: Document) -> bool:
+    """Whether what comes before the run has ended well, and nothing has followed yet."""
+    status = pod.get("status", {})
+    entries = [*(status.get("initContainerStatuses") or ()), *(status.get("containerStatuses") or ())]
+    states = [entry.get("state") or {} for entry in entries]
+    ended = [state for state in states if state.get("terminated") is not None]
+    waiting = [state for state in states if (state.get("waiting") or {}).get("reason") == _INITIALISING]
+    return bool(ended and waiting) and len(ended) + len(waiting) == len(states)
 
 
 def _before(pod: Document) -> Iterable[Document]:

@@ -14,6 +14,7 @@ import shutil
 import signal
 import sys
 import time
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from slamhive.executors.kubernetes.pod_files import (
     DISK_FILE,
     LOG_FOLDER,
     NODE_VARIABLE,
+    OLD_TICKET_EXIT,
     ORDER_FILE,
     OVER_FILE,
     OWN_FOLDER,
@@ -247,6 +249,8 @@ def main(mode: str) -> int:
         return _AWAY_EXIT
     except (Refused, WrongNode, WrongContent, CacheFull, OSError) as error:
         explain(str(error))
+        if isinstance(error, Refused) and error.status == HTTPStatus.UNAUTHORIZED:
+            return OLD_TICKET_EXIT
     else:
         return 0
     return REFUSED_EXIT

@@ -24,6 +24,8 @@ POD_VARIABLE = "SLAMHIVE_POD"
 
 REFUSED_EXIT = 75
 """The courier has ended for a reason that will be the same the next time."""
+OLD_TICKET_EXIT = 76
+"""The worker does not know the ticket. A node that was cut off may give a new pod the ticket of the one before."""
 
 ORDER_FILE = "order.json"
 CLAIM_FILE = "claimed"
