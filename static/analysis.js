@@ -1,5 +1,5 @@
-// The editor of analysis files: line numbers, a check while typing, and previews of a text that is valid. Also reloads a
-// page that waits for its report.
+// The editor of analysis files: line numbers, a check and the list of plots while typing, and previews of a text that is
+// valid. Also reloads a page that waits for its report.
 "use strict";
 (() => {
   const DELAY_MS = 500;
@@ -13,6 +13,7 @@
   let timer = null;
   let last = 0;
   let bad = null;
+  let listed = null;
 
   function number() {
     const count = text.value.split("\n").length;
@@ -36,6 +37,10 @@
     const said = await answer.json();
     const found = said.error ? { ok: false, line: null, ...said.error } : said;
     bad = found.line;
+    if (found.plots && found.plots !== listed) {
+      listed = found.plots;
+      document.getElementById("plots").replaceChildren(...new DOMParser().parseFromString(listed, "text/html").body.childNodes);
+    }
     verdict.textContent = [found.message, found.remedy].filter(Boolean).join("; ");
     verdict.classList.toggle("bad", !found.ok);
     text.toggleAttribute("aria-invalid", !found.ok);

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 from pydantic_core import PydanticUndefined
@@ -89,6 +89,22 @@ def entry_of(card: Card, form: Form) -> dict[str, Any]:
         if values:
             entry[field.option] = values if field.several else values[0]
     return _example(card) if entry == {"form": card.key} else entry
+
+
+def choosing(card: Card, content: Mapping[str, Any]) -> Card:
+    """The card with the choices of an entry that somebody has written; what its fields do not offer is offered too."""
+    return replace(card, fields=tuple(_choosing(field, content) for field in card.fields))
+
+
+def _choosing(field: CardField, content: Mapping[str, Any]) -> CardField:
+    if field.option not in content:
+        return field
+    value = content[field.option]
+    wanted = [str(entry) for entry in (value if isinstance(value, list) else [value])]
+    offered = [(choice.value, choice.label) for choice in field.choices]
+    missing = [(key, key) for key in wanted if key not in dict(offered)]
+    choices = tuple(Choice(key, label, key in wanted) for key, label in [*offered, *missing])
+    return replace(field, choices=choices)
 
 
 def _example(card: Card) -> dict[str, Any]:

@@ -72,24 +72,6 @@ def experiment_text(
     return strict_yaml.dump(content)
 
 
-def with_form(text: str, added: Mapping[str, Any]) -> str:
-    """An analysis file with one more entry at the end of ``forms``; raises InvalidInput if its list is in one line."""
-    entry = [line for line in strict_yaml.dump({"forms": [dict(added)]}).splitlines() if line and line != "forms:"]
-    lines = text.rstrip().split("\n") if text.strip() else []
-    start = next((place for place, line in enumerate(lines) if line.startswith("forms:")), None)
-    if start is None:
-        return "\n".join([*lines, "forms:", *entry]) + "\n"
-    if lines[start].partition(":")[2].partition("#")[0].strip():
-        raise InvalidInput("'forms' is written in one line", "write each plot in a line of its own, beginning with '-'")
-    end = start + 1
-    while end < len(lines) and (not lines[end].strip() or lines[end][0] in " -#"):
-        end += 1
-    written = next((line for line in lines[start + 1 : end] if line.lstrip().startswith("- ")), entry[0])
-    indent, own = (len(line) - len(line.lstrip()) for line in (written, entry[0]))
-    shifted = [" " * indent + line[own:] for line in entry]
-    return "\n".join([*lines[:end], *shifted, *lines[end:]]) + "\n"
-
-
 def selector_text(fields: Mapping[str, str], sensors: list[str], datasets: list[str]) -> str:
     """An analysis file that asks for configurations within limits; raises InvalidInput naming the field.
 

@@ -82,6 +82,57 @@ def test_a_card_writes_its_choices_into_the_text(trial: Web) -> None:
     assert strict_yaml.parse(text, "text")["forms"][1] == {"form": "pareto", "metrics": ["ram.max", "ate.rmse"]}
 
 
+def press(web: Web, button: str, text: str, **fields: Any) -> tuple[int, str]:
+    """The answer to a button of the editor: its status and the page."""
+    answer = web.client.post("/analyses", data={"csrf_token": web.token, "yaml": text, "do": button, **fields})
+    return answer.status_code, html.unescape(answer.text)
+
+
+def test_plots_are_edited_moved_and_removed(trial: Web) -> None:
+    text = TEXT + "  - {form: line, x: nFeatures, metric: cpu.mean, title: Mine}\n"
+    status, page = press(trial, "edit:2", text)
+    assert (status, typed(page)) == (200, "\n" + text)
+    (card,) = re.findall(r'<details class="card-form" open>.*?</details>', page, re.DOTALL)
+    assert '<option value="cpu.mean" selected>' in card
+    assert 'value="replace:2:line"' in card
+    assert "replace:" not in press(trial, "", text)[1].replace(card, "")
+    changed = typed(press(trial, "replace:2:line", text, **{"line.x": "nFeatures", "line.metric": "ate.rmse"})[1])
+    assert forms_of(changed)[1] == {"form": "line", "title": "Mine", "x": "nFeatures", "metric": "ate.rmse"}
+    other = typed(press(trial, "replace:2:scatter", text, **{"scatter.x": "cpu.mean", "scatter.y": "ate.rmse"})[1])
+    assert forms_of(other)[1] == {"form": "scatter", "x": "cpu.mean", "y": "ate.rmse"}
+    assert [form["form"] for form in forms_of(typed(press(trial, "earlier:2", text)[1]))] == ["line", "table"]
+    assert [form["form"] for form in forms_of(typed(press(trial, "later:1", text)[1]))] == ["line", "table"]
+    status, page = press(trial, "remove:1", text)
+    assert [form["form"] for form in forms_of(typed(page))] == ["line"]
+    assert "Plot 1 was removed." in page
+
+
+def forms_of(text: str) -> list[Any]:
+    return list(strict_yaml.parse(text, "text")["forms"])
+
+
+@pytest.mark.parametrize(
+    ("button", "status", "words"),
+    [
+        ("remove:3", 404, "the text has no plot 3"),
+        ("earlier:1", 404, "the text has no plot 0"),
+        ("edit:x", 400, "'x' is not the number of a plot"),
+        ("replace:1:nope", 404, "unknown plot type 'nope'"),
+    ],
+)
+def test_buttons_for_plots_that_are_not_there_are_refused(trial: Web, button: str, status: int, words: str) -> None:
+    answered, page = press(trial, button, TEXT)
+    assert (answered, words in page) == (status, True)
+
+
+def test_the_check_lists_the_plots(trial: Web) -> None:
+    body = {"csrf_token": trial.token, "yaml": TEXT + "  - {form: line, x: <b>}\n"}
+    answer = trial.client.post("/analyses/check", data=body).get_json()
+    assert answer["plots"].count("<li>") == 2
+    assert "x: &lt;b&gt;" in answer["plots"]
+    assert 'value="remove:2"' in answer["plots"]
+
+
 def test_every_card_that_fits_writes_an_entry_that_is_understood(trial: Web) -> None:
     for card in cards(trial.hive.analyses.offered(TEXT)):
         if not card.lacking:

@@ -417,6 +417,23 @@ def test_a_plot_type_is_inserted_into_a_new_analysis(browsing: Page) -> None:
     browsing.locator("#verdict.bad", has_text="nope").wait_for()
 
 
+def test_the_plots_of_a_text_are_edited(browsing: Page) -> None:
+    browsing.goto("/analyses/new")
+    plots, text = browsing.locator("#plots li"), browsing.locator("#yaml")
+    before = plots.count()
+    text.fill(text.input_value().rstrip() + "\n  - {form: scatter, x: ate.rmse, y: cpu.mean}\n")
+    eventually(lambda: plots.count() == before + 1, "the plot in the list")
+    plots.last.get_by_role("button", name="Edit").click()
+    browsing.locator('[name="scatter.y"]').select_option("rpe.rmse")
+    browsing.get_by_role("button", name=f"Replace plot {before + 1}").click()
+    eventually(lambda: "rpe.rmse" in text.input_value(), "the other metric")
+    plots.last.get_by_role("button", name="Up").click()
+    eventually(lambda: "rpe.rmse" not in plots.last.inner_text(), "the other order")
+    plots.nth(before - 1).get_by_role("button", name="Remove").click()
+    eventually(lambda: "rpe.rmse" not in text.input_value(), "the text without the plot")
+    assert plots.count() == before
+
+
 def test_previews_follow_a_valid_text(browsing: Page) -> None:
     browsing.goto("/analyses/new")
     browsing.get_by_role("button", name="Preview").click()

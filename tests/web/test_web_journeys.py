@@ -19,7 +19,8 @@ from slamhive.services.experiments import ExperimentSource
 from slamhive.services.reports import Analyses
 from slamhive.store import Lease
 from slamhive.web.analysis_builder import cards, entry_of
-from slamhive.web.analysis_text import experiment_text, first_text, with_form
+from slamhive.web.analysis_entries import with_entry
+from slamhive.web.analysis_text import experiment_text, first_text
 from tests.store.store_samples import result
 from tests.web import web_world as world
 from tests.web.test_web_experiments import TRIAL
@@ -123,9 +124,9 @@ def test_every_plot_type_can_be_inserted(key: str) -> None:
     before = first_text("")
     (card,) = (card for card in cards() if card.key == key)
     entry = entry_of(card, MultiDict())
-    after = with_form(before, entry)
+    after = with_entry(before, entry)
     assert forms_of(after) == [*forms_of(before), key]
-    assert forms_of(with_form(after, entry)) == [*forms_of(after), key]
+    assert forms_of(with_entry(after, entry)) == [*forms_of(after), key]
 
 
 @pytest.mark.parametrize(
@@ -139,12 +140,12 @@ def test_every_plot_type_can_be_inserted(key: str) -> None:
     ],
 )
 def test_an_entry_goes_to_the_end_of_the_list_wherever_that_is(text: str, forms: list[str]) -> None:
-    assert forms_of(with_form(text, {"form": "table"})) == forms
+    assert forms_of(with_entry(text, {"form": "table"})) == forms
 
 
 def test_what_cannot_be_inserted_is_refused_in_words() -> None:
     with pytest.raises(InvalidInput, match="in one line"):
-        with_form("forms: [{form: table}]\n", {"form": "table"})
+        with_entry("forms: [{form: table}]\n", {"form": "table"})
 
 
 def test_a_button_inserts_a_plot_type_without_scripts(shown: Web) -> None:

@@ -12,14 +12,16 @@ from slamhive.analysis.report import ReportPage
 from slamhive.domain.accounts import Action
 from slamhive.domain.bibliography import bibtex
 from slamhive.domain.visibility import Visibility
-from slamhive.errors import Forbidden, InvalidInput, SlamHiveError, Unavailable, unknown
+from slamhive.errors import Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, MEDIA_TYPES, MOST_PREVIEWED_RUNS, PAGE, may_analyse
 from slamhive.services.sharing import SharingChange
 from slamhive.settings import Mode
 from slamhive.store.analysis_records import AnalysisState
 from slamhive.web import context
-from slamhive.web.analysis_builder import cards, entry_of
-from slamhive.web.analysis_text import BOUNDS, experiment_text, first_text, selector_text, with_form
+from slamhive.web.analysis_builder import cards, choosing
+from slamhive.web.analysis_changes import Changes
+from slamhive.web.analysis_entries import entries
+from slamhive.web.analysis_text import BOUNDS, experiment_text, first_text, selector_text
 from slamhive.web.context import caller, hive
 from slamhive.web.errors import status_of
 from slamhive.web.rates import CHECKS, CREATIONS
@@ -28,11 +30,10 @@ from slamhive.web.security import FIGURES_POLICY
 
 if TYPE_CHECKING:
     from slamhive.services.reports import OfferedColumns
+    from slamhive.web.analysis_entries import Entry
 
 blueprint = Blueprint("analyses", __name__, url_prefix="/analyses")
 
-INSERT = "insert:"
-"""What a button sends before the key of the plot type that it adds."""
 _LINE = re.compile(r" line (\d+)")
 
 
@@ -53,15 +54,17 @@ def new() -> str:
 
 @blueprint.post("/check")
 def check() -> Response:
-    """Check an analysis file without saving it; returns its name, or the error and its line."""
+    """Check an analysis file without saving it; returns its name or the error and its line, and the list of plots."""
     _count(CHECKS, "checks")
+    text = _text()
+    plots = render_template("analyses/_plots.html", plots=entries(text), taken=_taken())
     try:
-        name = hive().stored_analyses.check(_text())
+        name = hive().stored_analyses.check(text)
     except SlamHiveError as error:
         found = _LINE.search(error.message)
         line = int(found[1]) if found else None
-        return make_response(jsonify(ok=False, message=error.message, remedy=error.remedy, line=line))
-    return make_response(jsonify(ok=True, message=f"{name}: valid.", remedy=None, line=None))
+        return make_response(jsonify(ok=False, message=error.message, remedy=error.remedy, line=line, plots=plots))
+    return make_response(jsonify(ok=True, message=f"{name}: valid.", remedy=None, line=None, plots=plots))
 
 
 @blueprint.post("/previews")
@@ -82,12 +85,13 @@ def create() -> Response:
     if do == "preview":
         _count(CHECKS, "checks")
         return make_response(_editor(text, **_previews(text)))
-    if do.startswith(INSERT):
-        return _inserted(text, do.removeprefix(INSERT))
-    _count(CREATIONS, "analyses")
     try:
+        changed = Changes(text, lambda: cards(_offered(text)), request.form).made(do)
+        if changed is not None:
+            return make_response(_editor(changed.text, notice=changed.notice, editing=changed.editing))
+        _count(CREATIONS, "analyses")
         record = services.stored_analyses.create(text, listed="unlisted" not in request.form)
-    except InvalidInput as error:
+    except (InvalidInput, NotFound) as error:
         return make_response(_editor(text, error), status_of(error))
     computer = context.analysis_computer()
     if computer is not None:
@@ -207,14 +211,25 @@ def _previews(text: str) -> dict[str, Any]:
         return {"previews": None, "problem": str(error)}
 
 
-def _editor(text: str, error: InvalidInput | None = None, notice: str | None = None, **previews: Any) -> str:
+def _editor(
+    text: str,
+    error: SlamHiveError | None = None,
+    notice: str | None = None,
+    editing: Entry | None = None,
+    **previews: Any,
+) -> str:
     offered = _offered(text)
+    known = cards(offered)
+    if editing is not None:
+        known = [choosing(card, editing.content) if card.key == editing.key else card for card in known]
     return render_template(
         "analyses/new.html",
         text=text,
         error=error,
         notice=notice,
-        cards=cards(offered),
+        cards=known,
+        plots=entries(text),
+        editing=editing,
         most_previews=MOST_PREVIEWED_RUNS,
         **previews,
         offered=offered,
@@ -244,18 +259,6 @@ def _checked(text: str) -> Response:
     except InvalidInput as error:
         return make_response(_editor(text, error), status_of(error))
     return make_response(_editor(text, notice=f"{name}: valid."))
-
-
-def _inserted(text: str, key: str) -> Response:
-    """The editor with an entry of a plot type, as its card says, at the end of the list; raises NotFound."""
-    known = {card.key: card for card in cards(_offered(text))}
-    if key not in known:
-        raise unknown("plot type", key, list(known))
-    try:
-        longer = with_form(text, entry_of(known[key], request.form))
-    except InvalidInput as error:
-        return make_response(_editor(text, error), status_of(error))
-    return make_response(_editor(longer, notice=f"An entry {key} was added at the end of 'forms'."))
 
 
 def _text() -> str:
