@@ -81,6 +81,7 @@
   const ARRAYS = { f4: Float32Array, i4: Int32Array };
   const numbers = ({ dtype, bdata }) => new ARRAYS[dtype](Uint8Array.from(atob(bdata), (letter) => letter.charCodeAt(0)).buffer);
   const list = (values) => values?.bdata ? [...numbers(values)] : Array.isArray(values) ? values.flat() : [];
+  window.slamhiveNumbers = list;
   const plain = (text) => String(text ?? "").replace(/<br>/g, " ").replace(/<[^>]*>/g, "");
   const figureOf = (value) => typeof value === "number" ? (Number.isFinite(value) ? String(Number(value.toPrecision(5))) : "–") : plain(value ?? "–");
 

@@ -133,6 +133,11 @@ def compare_means(first: Numbers, second: Numbers, confidence: float = CONFIDENC
     )
 
 
+def student_factors(most: int) -> list[float]:
+    """Factors of Student's interval at :data:`CONFIDENCE`, for 1 to ``most`` degrees of freedom."""
+    return [round(float(scipy.special.stdtrit(freedom, (1 + CONFIDENCE) / 2)), 5) for freedom in range(1, most + 1)]
+
+
 def means_differ(first: tuple[int, float, float], second: tuple[int, float, float]) -> bool:
     """What :func:`compare_means` decides, from number (>= 2), mean and sample variance of each group."""
     half_width = _half_width((first[2], second[2]), (first[0], second[0]), CONFIDENCE)

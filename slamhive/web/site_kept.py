@@ -16,13 +16,15 @@ from slamhive.web.site_scenes import map_name, scene_name
 
 PAGES = "pages.json"
 """The file beside the pages that says of what each was made."""
+LAYOUT = 2
+"""Counts up when pages of runs of this version have another content than those of the commits before."""
 _MOST_BYTES = 500_000_000
 _DIGITS = 32
 
 
 def digest_of(parts: Iterable[object]) -> str:
     """What changes with any of the parts."""
-    text = "\0".join([__version__, *map(str, parts)])
+    text = "\0".join([__version__, str(LAYOUT), *map(str, parts)])
     return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
 
 

@@ -64,7 +64,7 @@ _TEMPLATES = (
 LOG_BYTES = 16_000
 """Of the end of the log of each run."""
 _ASSETS = (
-    *("report.css", "print.css", "report.js", "site.css", "site-list.js", "site-plots.js", "site-compare.js"),
+    *("report.css", "print.css", "report.js", "site.css", "site-list.js", "site-plots.js", "site-groups.js", "site-compare.js"),
     *("viewer.css", "viewer.js", "site-load.js", "site-viewer.js"),
 )
 MODULES = "viewer-modules.js"
@@ -268,10 +268,13 @@ def _environment(project_root: Path) -> Environment:
 
 def _compared(measured: set[str]) -> dict[str, Any]:
     """What a comparison in the browser needs to know besides the runs; each colour with the one for dark pages."""
+    from slamhive.analysis.statistics import student_factors  # noqa: PLC0415 - scipy takes half a second to load
+
     return {
         "most": MOST_RUNS,
         "colours": [(colour, on_dark(colour)) for colour in RUN_COLOURS],
         "metrics": metric_definitions(sorted(measured)),
+        "students": student_factors(2 * MOST_RUNS),
     }
 
 

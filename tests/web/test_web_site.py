@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 pytestmark = BROWSER
 
 MAP_POINTS = 20_000
+REPEATED_ATE_M = {20: 0.021, 21: 0.019, 22: 0.02, 23: 0.041}
+"""Repeats of runs 6 (the first three) and 7."""
 ANALYSIS = """\
 name: All runs
 select: {all: {where: "id >= 1"}}
@@ -47,12 +49,25 @@ def site(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         world.evaluate_run(hive, run_id, 0.02 * (1 + place))
     hive.experiments.start(ExperimentSource(TRIAL))
     end(hive, *hive.experiments.run_ids("trial")[:2])
+    for run_id, ate_m in REPEATED_ATE_M.items():
+        assert world.add_runs(hive, 1, nFeatures=1000 if ate_m < 0.03 else 1500) == [run_id]
+        world.finish_run(hive, run_id, {"cpu.mean": 1.0, "ram.max": 3e8})
+        world.evaluate_run(hive, run_id, ate_m)
+    scale_errors(hive.runs.folder(21).root)
     write_map(hive.runs.folder(world.RUNS["done"]).map)
     hive.stored_analyses.create(ANALYSIS)
     assert hive.analysis_jobs.work_once("tests", threading.Event())
     StaticSite(hive, SiteRequest(folder / "site", title="Published")).write(lambda _done, _total: None)
     hive.close()
     return folder / "site"
+
+
+def scale_errors(run: Path) -> None:
+    """Other errors than its repeats have."""
+    (errors,) = run.glob("**/errors.csv")
+    head, *rows = errors.read_text().splitlines()
+    scaled = [f"{at},{2 * float(error):.9f}" for at, error in (row.split(",") for row in rows)]
+    errors.write_text("\n".join([head, *scaled]) + "\n")
 
 
 def write_map(path: Path) -> None:
@@ -90,8 +105,10 @@ def rows(page: Page) -> list[str]:
 def test_runs_are_found_ordered_and_compared(chromium: Browser, place: str) -> None:
     with faultless(chromium, place) as page:
         page.goto(f"{place}/index.html")
-        assert rows(page) == ["1", "2", "3", "6", "7", "8", "9"]
+        assert rows(page) == ["1", "2", "3", "6", "7", "8", "9", "20", "21", "22", "23"]
         page.get_by_label("Search").fill("ate.rmse<0.045")
+        assert rows(page) == ["6", "7", "20", "21", "22", "23"]
+        page.get_by_label("Search").fill("ate.rmse<0.045 run<20")
         assert rows(page) == ["6", "7"]
         page.get_by_role("button", name="ATE RMSE").click()
         page.get_by_role("button", name="ATE RMSE").click()
@@ -120,6 +137,30 @@ def test_runs_are_found_ordered_and_compared(chromium: Browser, place: str) -> N
         time = "document.querySelector('[data-plot=cpu]').layout"
         assert page.evaluate(f"{time}.xaxis.title.text") == "time since the start of the run [s]"
         assert page.evaluate(f"{time}.shapes ?? []") == []
+
+
+def test_repeats_are_one_column_with_mean_and_band(chromium: Browser, site: Path) -> None:
+    with faultless(chromium, site.as_uri()) as page:
+        page.goto(f"{site.as_uri()}/compare.html?runs=6,7,20,21,22,23")
+        page.get_by_role("link", name="Group by configuration").click()
+        page.wait_for_selector("[data-plot=memory].js-plotly-plot", timeout=60_000)
+        assert page.url.endswith("compare.html?runs=6,7,20,21,22,23&group=configuration")
+        assert page.locator("h1").inner_text() == "Comparison of 2 configurations"
+        heads = page.locator("[data-metrics] table").first.locator("thead th").all_inner_texts()
+        assert "runs 6, 20, 21, 22" in heads[1]
+        values = page.locator("tr", has_text="ATE RMSE").locator("td").all_inner_texts()
+        assert values == ["★ 0.02000\n0.01870 to 0.02130", "0.04050\n0.03415 to 0.04685"]
+        traces = page.evaluate("document.querySelector('[data-plot=error]').data.map((trace) => trace.name)")
+        assert [name.partition(" ")[0] for name in traces] == ["Configuration"] * 6
+        assert "mean of 4" in traces[2]
+        band = "document.querySelector('[data-plot=error]').data.slice(0, 3).map((trace) => trace.y)"
+        low, high, mean = map(np.array, page.evaluate(band))
+        np.testing.assert_allclose(high, 2 * low, rtol=1e-6)
+        np.testing.assert_allclose(mean, 1.25 * low, rtol=1e-6)
+        seeds = page.locator("[data-settings] details tr", has_text="nFeatures")
+        assert seeds.count() == 0, "it differs between the columns"
+        page.get_by_role("link", name="Show single runs").click()
+        page.locator("h1", has_text="Comparison of 6 runs").wait_for()
 
 
 def test_runs_are_compared_over_the_time_of_the_recording(chromium: Browser, site: Path) -> None:
