@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.domain.dataset import Dataset
-from slamhive.errors import SlamHiveError
+from slamhive.errors import NotFound, SlamHiveError
 from slamhive.runs.point_cloud import PointCloud
 from slamhive.services.hive import Hive
 from slamhive.services.reports import script_json
@@ -92,12 +92,12 @@ class SiteScenes:
         scene = self._hive.runs.scene(run.id)
         paths = [*run_paths(run.algorithm, scene, self._algorithms), *truth_paths(scene)]
         dataset = dataset_of(self._hive, run.dataset)
-        cloud = self._cloud(run, scene, dataset)
-        if not paths and cloud is None:
+        cloud, why_not = self._cloud(run, scene, dataset)
+        if not paths and cloud is None and not why_not:
             return False
         shown = None if cloud is None else _write_map(folder, run.id, cloud, scene.to_scene or IDENTITY)
-        z_up = scene.aligned and is_z_up(dataset)
-        _write(folder, run.id, scene_json(f"Run {run.id}", _thinned(paths), shown, scene.reasons, z_up=z_up))
+        z_up, notes = scene.aligned and is_z_up(dataset), [*scene.reasons, *why_not]
+        _write(folder, run.id, scene_json(f"Run {run.id}", _thinned(paths), shown, notes, z_up=z_up))
         return True
 
     def write_dataset(self, folder: Path, dataset: Dataset) -> bool:
@@ -106,30 +106,32 @@ class SiteScenes:
         if path is None:
             return False
         reference, views = reference_of(dataset), self._hive.map_views
-        cloud = None if reference is None else _read(lambda: views.thinned(reference, reference.name))
+        cloud, why_not = (None, []) if reference is None else _read(lambda: views.thinned(reference, reference.name))
         shown = None if cloud is None else _write_map(folder, dataset.name, cloud, IDENTITY)
-        content = scene_json(f"Dataset {dataset.name}", _thinned([truth_path(path)]), shown, z_up=is_z_up(dataset))
-        _write(folder, dataset.name, content)
+        paths, z_up = _thinned([truth_path(path)]), is_z_up(dataset)
+        _write(folder, dataset.name, scene_json(f"Dataset {dataset.name}", paths, shown, why_not, z_up=z_up))
         return True
 
-    def _cloud(self, run: RunRecord, scene: RunScene, dataset: Dataset | None) -> PointCloud | None:
-        """The map of a run, with its error where there is a reference map; None without one that can be shown."""
+    def _cloud(self, run: RunRecord, scene: RunScene, dataset: Dataset | None) -> tuple[PointCloud | None, list[str]]:
+        """The map of a run, with its error where there is a reference map; None, and why, if it cannot be shown."""
         to_scene, views = scene.to_scene, self._hive.map_views
         if to_scene is None:
-            return None
+            return None, []
         path, reference = self._hive.runs.folder(run.id).map, reference_of(dataset) if scene.aligned else None
         if reference is None:
             return _read(lambda: views.thinned(path, path.name))
-        compared = _read(lambda: views.compared(path, path.name, reference, to_scene))
-        return compared or _read(lambda: views.thinned(path, path.name))
+        compared, _ = _read(lambda: views.compared(path, path.name, reference, to_scene))
+        return (compared, []) if compared is not None else _read(lambda: views.thinned(path, path.name))
 
 
-def _read(read: Callable[[], PointCloud]) -> PointCloud | None:
-    """A map; None without one that can be shown."""
+def _read(read: Callable[[], PointCloud]) -> tuple[PointCloud | None, list[str]]:
+    """A map; None without one, with the reason if there is one that cannot be shown."""
     try:
-        return read()
-    except SlamHiveError:
-        return None
+        return read(), []
+    except NotFound:
+        return None, []
+    except SlamHiveError as error:
+        return None, [f"The map is not shown: {error}."]
 
 
 def _thinned(paths: Sequence[ShownPath]) -> list[ShownPath]:

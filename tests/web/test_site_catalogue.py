@@ -83,6 +83,14 @@ def test_pages_of_runs_that_have_not_changed_are_taken_over(hive: Hive) -> None:
     assert write() == 3
 
 
+def test_a_map_that_cannot_be_read_says_why(hive: Hive) -> None:
+    assert "The map" not in (published(hive) / "runs" / "1.scene.js").read_text()
+    hive.runs.folder(1).map.write_text("VERSION .7\nFIELDS x y z\nno more")
+    site = published(hive)
+    assert "The map is not shown: Map.pcd" in (site / "runs" / "1.scene.js").read_text()
+    assert not (site / "runs" / "1.map.js").exists()
+
+
 def test_what_is_not_installed_has_a_page_of_its_runs(hive: Hive) -> None:
     shutil.rmtree(hive.catalogue.dataset("room").folder)
     page = (published(hive) / "datasets" / "room.html").read_text()
