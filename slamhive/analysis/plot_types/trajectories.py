@@ -30,6 +30,8 @@ from slamhive.errors import InvalidInput
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 _AXES = "xyz"
+_TRUTH_COLOURS = (REFERENCE, "#8f8f8f", "#b08d57")
+"""Of the ground truth in the frames of up to three sensors; further ones look like the third."""
 _SINCE_GROUND_TRUTH = Axis("time since the start of the ground truth", "s")
 
 
@@ -85,6 +87,7 @@ class _GroundTruth:
     """The ground truth in the frame of some runs' sensor: timestamps (n,) in s, positions (n, 3) in m."""
 
     name: str
+    colour: str
     timestamps_s: Array
     positions_m: Array
 
@@ -122,10 +125,11 @@ def _ground_truths(tracks: list[base.RunTrack], table: RunTable) -> list[_Ground
     return [
         _GroundTruth(
             "ground truth" if alone else f"ground truth for {', '.join(sorted(names))}",
+            _TRUTH_COLOURS[min(place, len(_TRUTH_COLOURS) - 1)],
             track.reference_stamps_s,
             track.reference_positions_m,
         )
-        for track, names in found
+        for place, (track, names) in enumerate(found)
     ]
 
 
@@ -170,7 +174,7 @@ def _path(drawn: _Drawn, plane: str, title: str) -> Chart:
         marks.append(Points(x=x[:1], y=y[:1], **_start(look)))
     for truth in drawn.truths:
         x, y = truth.positions_m[:, first], truth.positions_m[:, second]
-        marks.append(Line(truth.name, x, y, colour=REFERENCE, dashed=True))
+        marks.append(Line(truth.name, x, y, colour=truth.colour, dashed=True))
     return Chart(
         key=f"trajectories_{plane}",
         title=title,
@@ -197,7 +201,7 @@ def _space(drawn: _Drawn) -> Chart:
         marks.append(Points(x=x[:1], y=y[:1], z=z[:1], **_start(look)))
     for truth in drawn.truths:
         x, y, z = truth.positions_m.T
-        marks.append(Line(truth.name, x, y, z=z, colour=REFERENCE, dashed=True))
+        marks.append(Line(truth.name, x, y, z=z, colour=truth.colour, dashed=True))
     return Chart(
         key="trajectories_3d",
         title="In three dimensions",
@@ -224,7 +228,7 @@ def _coordinate(drawn: _Drawn, axis: int) -> Chart:
     ]
     for truth in drawn.truths:
         times_s, values = truth.timestamps_s - start_s, truth.positions_m[:, axis]
-        lines.append(Line(truth.name, times_s, values, colour=REFERENCE, dashed=True))
+        lines.append(Line(truth.name, times_s, values, colour=truth.colour, dashed=True))
     return Chart(
         key=f"trajectories_{_AXES[axis]}",
         title=f"{_AXES[axis]} over time",
