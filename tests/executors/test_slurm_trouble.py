@@ -96,6 +96,20 @@ def test_a_drained_node_takes_no_further_run(bench):
     eventually(lambda: node("one").takes_runs, "the node that is back")
 
 
+def test_a_run_on_a_node_that_is_set_down_is_lost_with_it(bench, slurm_cluster):
+    """Slurm ends its processes by SIGTERM first, of which the supervisor leaves a record."""
+    spec, handle = bench.start(UNTIL_TOLD)
+    node = handle.data["node"]
+    slurm_cluster.run("scontrol", "update", f"nodename={node}", "state=down", "reason=test")
+    try:
+        eventually((spec.work / "exit.json").exists, "the record of the end")
+        status = bench.executor.poll(handle)
+        assert isinstance(status, Gone)
+        assert f"its node failed: job {handle.data['job']} is NODE_FAIL" in status.why
+    finally:
+        slurm_cluster.bring_back(node)
+
+
 def test_a_job_that_waits_forever(bench):
     spec = bench.spec(UNTIL_TOLD, Limits(cpu_cores=5000.0))
     with pytest.raises(StartFailed, match=r"no node meets what run 1 asks for: job .* is PENDING"):

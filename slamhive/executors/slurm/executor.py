@@ -54,6 +54,8 @@ _SHORT_AGE_S = 0.25
 _MOST_JOBS = 3
 """A run fails to start when Slurm remembers so many jobs of it that have ended by no fault of theirs."""
 _SLURM_SAYS = "slurmstepd"
+_BY_SIGNAL = (137, 143)
+"""Exit codes of what was ended by SIGKILL or SIGTERM."""
 
 
 class SlurmExecutor(ProcessExecutor):
@@ -135,11 +137,18 @@ class SlurmExecutor(ProcessExecutor):
         """``exit.json`` says how the run ended. Without it, Slurm knows whether the job goes on or what ended it."""
         exited = _exit_of(handle)
         if exited is not None:
-            return exited
+            return self._lost_with_its_node(handle, exited) or exited
         jobs = self._jobs(handle.data["key"])
         if any(job.runs or job.waits for job in jobs):
             return self._running(handle)
         return _exit_of(handle) or self._without_end(handle, jobs)
+
+    def _lost_with_its_node(self, handle: RunHandle, exited: Exited) -> Gone | None:
+        """Whether the run was ended because its node fails: Slurm ends jobs of a node that is set down by signals."""
+        if exited.exit_code not in _BY_SIGNAL or exited.timed_out or exited.out_of_memory:
+            return None
+        job = next((job for job in self._jobs(handle.data["key"], 0.0) if job.lost_its_node), None)
+        return None if job is None else Gone(f"Slurm has ended it, because its node failed: {job.text}")
 
     def _running(self, handle: RunHandle) -> Running:  # noqa: ARG002 - not all know it better
         """What is known of a run whose job goes on."""
@@ -342,7 +351,7 @@ def _exit_of(handle: RunHandle) -> Exited | None:
     if exited is None or exited.started_at is None or exited.ended_at is None:
         return exited
     late = exited.ended_at - exited.started_at > timedelta(seconds=float(handle.data["timeout_s"]))
-    return replace(exited, timed_out=late and exited.exit_code in (137, 143))
+    return replace(exited, timed_out=late and exited.exit_code in _BY_SIGNAL)
 
 
 def _is_blameless(job: command.Job) -> bool:
