@@ -9,7 +9,7 @@ help:
 	@echo "make demo              install, run a small experiment, serve it on http://127.0.0.1:5000"
 	@echo "make demo SERVE=0      the same, ends after the table of results"
 	@echo "make test              everything that this machine can test; names what it cannot"
-	@echo "make test TIERS='...'  only some of: types lint imports docs unit quick integration mysql browser docker images systems"
+	@echo "make test TIERS='...'  only some of: types lint imports docs unit quick integration mysql browser docker images clusters systems"
 	@echo "make environment       .venv with all development tools, nothing else"
 	@echo "make docs-serve        the documentation on http://127.0.0.1:8000"
 	@echo "make clean             remove .venv and everything that was built (keeps data/)"

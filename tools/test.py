@@ -170,11 +170,13 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("pictures", marks="pictures and not docker and not mysql", prepare=prepare_pictures, group="processes"),
         Tier("mysql", marks="mysql and not docker", prepare=prepare_database, group="processes"),
         Tier("browser", marks="browser and not docker and not mysql", prepare=prepare_browser, group="processes"),
+        # Mostly waits: 150 s of CPU time in 300 s.
+        Tier("clusters", marks="cluster and not long", engine=True, prepare=with_clusters, group="processes"),
         Tier("types", ((str(BIN / "mypy"),),), group="processes"),
         Tier("systems", marks=f"docker and alone and {CHEAP}", engine=True, prepare=with_engine),
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
         Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),
-        Tier("cluster", marks="cluster", engine=True, prepare=with_clusters, asked_only=True),
+        Tier("long", marks="cluster and long", engine=True, prepare=with_clusters, asked_only=True),
     ]
 
 

@@ -267,8 +267,9 @@ LIVE = ("ready", "starts", "alive", "used")
 HOLDING = tuple(kind for kind in KINDS if _holds(kind))
 """The containments that can be had on this machine by who runs the tests."""
 _DOCKER = pytest.param("docker", marks=pytest.mark.docker)
+_LONG = (pytest.mark.cluster, pytest.mark.long)
 _KUBERNETES = pytest.param("kubernetes", marks=pytest.mark.cluster)
-_KUBERNETES_APART = pytest.param("kubernetes-apart", marks=pytest.mark.cluster)
+_KUBERNETES_APART = pytest.param("kubernetes-apart", marks=_LONG)
 EVERYWHERE = [*(f"process-{kind}" for kind in HOLDING), _DOCKER]
 """The parameters of ``bench`` for all of them, and for containers."""
 REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
@@ -277,7 +278,7 @@ REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
 
 _SLURM = pytest.param("slurm", marks=pytest.mark.cluster)
 _SLURM_ENVIRONMENT = pytest.param("slurm-none", marks=pytest.mark.cluster)
-_SLURM_APART = pytest.param("slurm-apart", marks=pytest.mark.cluster)
+_SLURM_APART = pytest.param("slurm-apart", marks=_LONG)
 ALL = [
     *("process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, _SLURM_APART, _KUBERNETES, _KUBERNETES_APART),
     *("remote", "plain"),

@@ -16,7 +16,7 @@ from tests.burning import busy_machine
 from tests.executors.pod_installation import pod_installation
 from tests.services.installation import Installation, installation
 
-pytestmark = [pytest.mark.cluster, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.cluster, pytest.mark.long, pytest.mark.timeout(900)]
 
 SECONDS = 4.0
 

@@ -24,7 +24,7 @@ from tests.executors.test_contract import RESULT
 from tests.services.installation import installation
 from tests.waiting import eventually
 
-pytestmark = [pytest.mark.cluster, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.cluster, pytest.mark.long, pytest.mark.timeout(600)]
 
 UNTIL_STOPPED = RESULT + (
     "(result / 'ready').write_text(os.environ.get('CUDA_VISIBLE_DEVICES', 'none'))\ntime.sleep(120)\n"

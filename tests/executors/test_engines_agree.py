@@ -24,7 +24,7 @@ from slamhive.services.hive import Hive, open_hive
 from tests.executors.kubernetes_cluster import KubernetesCluster
 from tests.executors.slurm_cluster import Cluster
 
-pytestmark = [pytest.mark.cluster, pytest.mark.timeout(3600)]
+pytestmark = [pytest.mark.cluster, pytest.mark.long, pytest.mark.timeout(3600)]
 
 FILE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "engines.yaml"
 ENGINES = ("docker", "slurm", "kubernetes")

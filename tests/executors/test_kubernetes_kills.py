@@ -14,7 +14,7 @@ from tests.executors.random_kills import RandomKills, check_accounts
 from tests.services.installation import Installation
 from tests.waiting import eventually
 
-pytestmark = [pytest.mark.cluster, pytest.mark.timeout(3000)]
+pytestmark = [pytest.mark.cluster, pytest.mark.long, pytest.mark.timeout(3000)]
 
 SEED = 20_261_124
 SECONDS = (1.0, 3.0, 6.0)

@@ -23,7 +23,7 @@ from tests.services.tiny_project import environment, make_dataset, make_project
 from tests.services.working import started_times, working
 from tests.waiting import eventually
 
-pytestmark = [pytest.mark.cluster, pytest.mark.timeout(3000)]
+pytestmark = [pytest.mark.cluster, pytest.mark.long, pytest.mark.timeout(3000)]
 
 DEPLOYMENT = Path(__file__).resolve().parents[2] / "deploy" / "kubernetes"
 RUNS = 40

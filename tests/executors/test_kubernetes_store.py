@@ -25,7 +25,7 @@ from tests.services.installation import Installation
 from tests.services.working import started_times
 from tests.waiting import eventually
 
-pytestmark = [pytest.mark.cluster, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.cluster, pytest.mark.long, pytest.mark.timeout(900)]
 
 
 @pytest.fixture

@@ -34,7 +34,7 @@ from tests.services.machine import Machine, wait_s
 from tests.services.tiny_project import environment, make_dataset, make_project
 from tests.waiting import eventually
 
-pytestmark = pytest.mark.cluster
+pytestmark = [pytest.mark.cluster, pytest.mark.long]
 
 apart = pytest.mark.parametrize("maker", ["slurm-apart"], indirect=True)
 

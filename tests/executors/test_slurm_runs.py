@@ -78,6 +78,7 @@ def test_an_experiment_while_a_node_goes_down_and_the_controller_is_killed(made,
     check_all(made, RUNS, most_lost=4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cluster", [SHARED, "apart_cluster"], indirect=True)
 def test_everything_is_killed_at_random_moments(made, cluster):
     """The worker, the controller, the daemons of the nodes, and whole nodes."""
