@@ -203,11 +203,12 @@ def test_a_browser_that_is_there_is_used(runner, monkeypatch, there: str, instal
 def test_every_test_belongs_to_exactly_one_tier(runner):
     tiers = [tier for tier in runner.all_tiers(runner.machine.Engine()) if tier.marks]
     asked = ("images", "packages", "classical", "cluster", "browser", "pictures")
-    names = ("docker", "mysql", "integration", "quick", "alone", *asked)
+    names = ("docker", "mysql", "integration", "quick", "alone", "long", *asked)
     for values in itertools.product((False, True), repeat=len(names)):
         marks = dict(zip(names, values, strict=True))
-        long = sum(marks[name] for name in asked)
-        if marks["docker"] >= max(marks["alone"], long - marks["browser"] - marks["pictures"]) and long <= 1:
+        tools = sum(marks[name] for name in asked)
+        engine = max(marks["alone"], tools - marks["browser"] - marks["pictures"])
+        if marks["docker"] >= engine and tools <= 1 and marks["long"] <= marks["cluster"]:
             assert sum(eval(tier.marks, {}, marks) for tier in tiers) == 1
 
 
