@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import cast
 
+from cachetools import TTLCache, cached
 from flask import Flask, request, session
 from flask_login import LoginManager, UserMixin, current_user, login_user, logout_user
 
+from slamhive.clock import monotonic_s
 from slamhive.domain.accounts import EVERYTHING, NOBODY_MAY, VISITOR_MAY, Action, Caller, Role
 from slamhive.domain.visibility import ANYBODY, Viewer
 from slamhive.errors import SlamHiveError
@@ -15,6 +18,7 @@ from slamhive.services.accounts import Session
 from slamhive.services.analyses import may_analyse
 from slamhive.services.hive import Hive
 from slamhive.settings import Mode
+from slamhive.web.caching import KEPT_S
 
 NOBODY = Caller(NOBODY_MAY)
 _LOCAL = Caller(EVERYTHING)
@@ -49,6 +53,8 @@ class Callers:
     def __init__(self, app: Flask, hive: Hive, *, needed: bool) -> None:
         self._hive = hive
         self.needed = needed
+        # Asked with each request, also for pages that are kept: the answer may be as old as they are.
+        self._accounts_in_use = cached(TTLCache(1, KEPT_S, monotonic_s), lock=threading.Lock())(hive.accounts.in_use)
         self.unknown = NOBODY if needed else _LOCAL
         """Whom pages are shown to that refuse a request before its caller is looked for."""
         if needed:
@@ -75,8 +81,7 @@ class Callers:
         """
         if self.needed:
             return None if caller.role is Role.ADMIN else Viewer(caller.account, signed_in=caller.role is not None)
-        visitors = self._hive.settings.mode is Mode.VIEW_ONLY and self._hive.accounts.in_use()
-        return ANYBODY if visitors else None
+        return ANYBODY if self._hive.settings.mode is Mode.VIEW_ONLY and self._accounts_in_use() else None
 
     def watch(self) -> Callable[[], bool]:
         """A function that says, also after this request, whether its caller would still be let in."""

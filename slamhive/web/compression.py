@@ -6,12 +6,13 @@ import gzip
 import threading
 
 from cachetools import LRUCache
-from flask import Flask, Response, request
+from flask import Flask, Response, g, request
 
 LEAST_BYTES = 1_000
 """A shorter answer fits into one packet."""
 _PAGE_LEVEL, _FILE_LEVEL = 5, 9
 _MOST_FILES = 64
+_MOST_PAGES_BYTES = 30_000_000
 _FILES = frozenset({"static", "bootstrap.static", "assets.plotly_js"})
 """Endpoints that send files as they are."""
 _TEXTS = ("text/", "application/json", "application/javascript", "application/yaml", "image/svg+xml")
@@ -19,7 +20,8 @@ _TEXTS = ("text/", "application/json", "application/javascript", "application/ya
 
 def add_compression(app: Flask) -> None:
     """Compress what is worth it; register before everything that changes or keeps answers, so that it comes last."""
-    files = _Files()
+    files = _Compressed(LRUCache(_MOST_FILES), _FILE_LEVEL)
+    pages = _Compressed(LRUCache(_MOST_PAGES_BYTES, len), _PAGE_LEVEL)
 
     @app.after_request
     def compress(response: Response) -> Response:
@@ -34,6 +36,8 @@ def add_compression(app: Flask) -> None:
         if request.endpoint in _FILES and tag is not None:
             response.close()
             response.set_data(files.get((request.path, tag), content))
+        elif g.get("kept") and tag is not None:
+            response.set_data(pages.get((request.full_path, tag), content))
         else:
             response.set_data(gzip.compress(content, _PAGE_LEVEL, mtime=0))
         response.content_encoding = "gzip"
@@ -42,18 +46,20 @@ def add_compression(app: Flask) -> None:
         return response
 
 
-class _Files:
-    """Compressed files by address and tag: each is compressed once."""
+class _Compressed:
+    """Compressed answers by address and tag: what is sent again is compressed once."""
 
-    def __init__(self) -> None:
+    def __init__(self, kept: LRUCache[tuple[str, str], bytes], level: int) -> None:
         self._lock = threading.Lock()
-        self._kept: LRUCache[tuple[str, str], bytes] = LRUCache(_MOST_FILES)
+        self._kept = kept
+        self._level = level
 
     def get(self, key: tuple[str, str], content: bytes) -> bytes:
         with self._lock:
-            if key not in self._kept:
-                self._kept[key] = gzip.compress(content, _FILE_LEVEL, mtime=0)
-            return self._kept[key]
+            found = self._kept.get(key)
+            if found is None:
+                found = self._kept[key] = gzip.compress(content, self._level, mtime=0)
+            return found
 
 
 def _worth_it(response: Response) -> bool:

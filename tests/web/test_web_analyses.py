@@ -291,6 +291,21 @@ def test_a_server_that_only_shows_keeps_pages_for_seconds(web: Web, tmp_path: Pa
     viewing.hive.close()
 
 
+@pytest.mark.integration
+def test_a_page_that_is_kept_costs_neither_a_query_nor_its_compression(
+    web: Web, tmp_path: Path, compiled: Path, monkeypatch: pytest.MonkeyPatch
+):
+    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+    accepting = {"Accept-Encoding": "gzip"}
+    first, second = (viewing.client.get("/runs", headers=accepting) for _ in range(2))
+    monkeypatch.setattr("slamhive.web.compression.gzip.compress", lambda *_args, **_more: pytest.fail("packed again"))
+    monkeypatch.setattr(viewing.hive.store, "read", lambda _work: pytest.fail("the database is asked"))
+    third = viewing.client.get("/runs", headers=accepting)
+    assert first.data == second.data == third.data
+    assert third.headers["Content-Encoding"] == "gzip"
+    viewing.hive.close()
+
+
 def test_kept_pages_grow_old_and_few():
     now = [0.0]
     cache = PageCache(5.0, lambda: now[0])
