@@ -444,7 +444,7 @@ def test_every_run_is_drawn_with_the_ground_truth_of_its_own_sensor():
                 assert np.array_equal(mark.x, own.x)
                 assert np.array_equal(mark.y, own.y)
         assert "follow 2 different sensors" in chart.caption
-        assert len({mark.colour for mark in chart.marks if mark.name in truths}) == 2
+        assert len({mark.colour for mark in truths.values()}) == 2
 
 
 def test_a_parameter_of_one_algorithm_counts_within_it():

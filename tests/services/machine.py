@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 import psutil
 
 from slamhive.executors.process import shim
+from slamhive.services.worker import WorkerLock
 from tests.services.mariadb import DatabaseServer
 from tests.waiting import PATIENCE_S, eventually
 
@@ -94,12 +95,22 @@ class Machine:
         executing = len(self._containers()) + sum(SUPERVISOR in line for line in self.processes())
         if self.database is not None:
             self.database.kill()
-        for pid in known:
+        self._end(known)
+        self._workers.clear()
+        eventually(self._is_dead, "the end of all processes")
+        return Killed(len(known), executing)
+
+    def _is_dead(self) -> bool:
+        """Whether nothing is left. A process that was just becoming another program had no name that could be found."""
+        left = set(self._own())
+        self._end(left)
+        return not left and not WorkerLock(self.data).held_elsewhere()
+
+    @staticmethod
+    def _end(pids: Iterable[int]) -> None:
+        for pid in pids:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-        self._workers.clear()
-        eventually(lambda: not set(self._own()) & known, "the end of all processes")
-        return Killed(len(known), executing)
 
     def kill_worker(self, pid: int) -> None:
         """Kill one worker; what it has started goes on."""
