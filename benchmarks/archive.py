@@ -29,6 +29,7 @@ from slamhive.services.archive.exporting import ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport
 from slamhive.services.archive.layout import CHECKSUMS
 from slamhive.services.hive import Hive, open_hive
+from slamhive.tree import unpack_trusted
 from slamhive.web.static_site import SiteRequest, StaticSite
 from tests.services.archive_world import all_files, all_rows, make_runs
 from tests.services.tiny_project import environment, make_dataset, make_project
@@ -67,9 +68,9 @@ def pack(folder: Path, path: Path) -> None:
 def unpack(path: Path, folder: Path) -> None:
     """The plain copy, in."""
     with tarfile.open(path) as archive:
-        for member in archive:
-            archive.extract(member, folder, filter="data")
-            hashlib.sha256((folder / member.name).read_bytes())
+        unpack_trusted(archive, folder)
+    for file in sorted(entry for entry in folder.rglob("*") if entry.is_file()):
+        hashlib.sha256(file.read_bytes())
 
 
 def hashes(hive: Hive) -> dict[str, str]:
