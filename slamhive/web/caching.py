@@ -10,6 +10,7 @@ from cachetools import TTLCache
 from flask import Flask, Response, g, request, session
 
 from slamhive.clock import monotonic_s
+from slamhive.web.compression import accepts_gzip, compressed_page, worth_compressing
 
 YEAR_S = 365 * 86_400
 KEPT_S = 5.0
@@ -21,11 +22,26 @@ _ASSETS = "static"
 Key = tuple[str, str]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Page:
+    """A page, and the same compressed once somebody has asked for that; ``shrinks`` says if it is worth it."""
+
     content: bytes
     headers: tuple[tuple[str, str], ...]
+    shrinks: bool
     size_bytes: int
+    compressed: Response | None = None
+
+    def whole(self) -> Response:
+        return Response(self.content, headers=list(self.headers))
+
+    def small(self) -> Response:
+        if self.compressed is None:
+            response = Response(compressed_page(self.content), headers=list(self.headers))
+            response.content_encoding = "gzip"
+            response.vary.add("Accept-Encoding")
+            self.compressed = response
+        return Response(self.compressed.get_data(), headers=list(self.compressed.headers.items()))
 
 
 class PageCache:
@@ -40,20 +56,28 @@ class PageCache:
         self._lock = threading.Lock()
         self._pages: TTLCache[Key, _Page] = TTLCache(MOST_KEPT_BYTES, kept_s, clock, lambda page: page.size_bytes)
 
-    def get(self, key: Key) -> Response | None:
-        """The page, if it is kept and young enough."""
+    def get(self, key: Key, *, compressed: bool = False) -> Response | None:
+        """The page, if it is kept and young enough; ``compressed`` by gzip if that is worth it."""
         with self._lock:
             page = self._pages.get(key)
-        return None if page is None else Response(page.content, headers=list(page.headers))
+        if page is None:
+            return None
+        return page.small() if compressed and page.shrinks else page.whole()
 
-    def put(self, key: Key, response: Response) -> None:
+    def put(self, key: Key, response: Response, *, shrinks: bool = False) -> None:
         """Keep a page; it replaces those that were used least recently if there are too many bytes."""
         content, headers = response.get_data(), tuple(response.headers.items())
         # An address may be longer than its page.
-        size_bytes = _ENTRY_BYTES + len(content) + sum(map(len, key)) + sum(len(name + text) for name, text in headers)
+        size_bytes = (
+            _ENTRY_BYTES
+            + len(content)
+            + shrinks * len(content) // 2
+            + sum(map(len, key))
+            + sum(len(name + text) for name, text in headers)
+        )
         if size_bytes <= MOST_PAGE_BYTES:
             with self._lock:
-                self._pages[key] = _Page(content, headers, size_bytes)
+                self._pages[key] = _Page(content, headers, shrinks, size_bytes)
 
 
 def add_caching(app: Flask) -> None:
@@ -79,7 +103,7 @@ def keep_pages(app: Flask, cache: PageCache) -> None:
 
     @app.before_request
     def kept() -> Response | None:
-        found = cache.get(_key()) if request.method == "GET" else None
+        found = cache.get(_key(), compressed=accepts_gzip()) if request.method == "GET" else None
         g.kept = found is not None
         return found
 
@@ -90,7 +114,7 @@ def keep_pages(app: Flask, cache: PageCache) -> None:
         if request.method == "GET" and _plain(response) and not own and not g.get("kept", True):
             if response.get_etag()[0] is None:
                 response.add_etag(weak=True)
-            cache.put(_key(), response)
+            cache.put(_key(), response, shrinks=worth_compressing(response))
         return response
 
 

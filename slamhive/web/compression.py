@@ -6,13 +6,12 @@ import gzip
 import threading
 
 from cachetools import LRUCache
-from flask import Flask, Response, g, request
+from flask import Flask, Response, request
 
 LEAST_BYTES = 1_000
 """A shorter answer fits into one packet."""
 _PAGE_LEVEL, _FILE_LEVEL = 5, 9
 _MOST_FILES = 64
-_MOST_PAGES_BYTES = 30_000_000
 _FILES = frozenset({"static", "bootstrap.static", "assets.plotly_js"})
 """Endpoints that send files as they are."""
 _TEXTS = ("text/", "application/json", "application/javascript", "application/yaml", "image/svg+xml")
@@ -20,15 +19,14 @@ _TEXTS = ("text/", "application/json", "application/javascript", "application/ya
 
 def add_compression(app: Flask) -> None:
     """Compress what is worth it; register before everything that changes or keeps answers, so that it comes last."""
-    files = _Compressed(LRUCache(_MOST_FILES), _FILE_LEVEL)
-    pages = _Compressed(LRUCache(_MOST_PAGES_BYTES, len), _PAGE_LEVEL)
+    files = _Files()
 
     @app.after_request
     def compress(response: Response) -> Response:
-        if not _worth_it(response):
+        if not worth_compressing(response):
             return response
         response.vary.add("Accept-Encoding")
-        if not request.accept_encodings["gzip"]:
+        if not accepts_gzip():
             return response
         response.direct_passthrough = False
         tag, _ = response.get_etag()
@@ -36,33 +34,40 @@ def add_compression(app: Flask) -> None:
         if request.endpoint in _FILES and tag is not None:
             response.close()
             response.set_data(files.get((request.path, tag), content))
-        elif g.get("kept") and tag is not None:
-            response.set_data(pages.get((request.full_path, tag), content))
         else:
-            response.set_data(gzip.compress(content, _PAGE_LEVEL, mtime=0))
+            response.set_data(compressed_page(content))
         response.content_encoding = "gzip"
         if tag is not None:
             response.set_etag(tag, weak=True)
         return response
 
 
-class _Compressed:
-    """Compressed answers by address and tag: what is sent again is compressed once."""
+class _Files:
+    """Compressed files by address and tag: each is compressed once."""
 
-    def __init__(self, kept: LRUCache[tuple[str, str], bytes], level: int) -> None:
+    def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._kept = kept
-        self._level = level
+        self._kept: LRUCache[tuple[str, str], bytes] = LRUCache(_MOST_FILES)
 
     def get(self, key: tuple[str, str], content: bytes) -> bytes:
         with self._lock:
-            found = self._kept.get(key)
-            if found is None:
-                found = self._kept[key] = gzip.compress(content, self._level, mtime=0)
-            return found
+            if key not in self._kept:
+                self._kept[key] = gzip.compress(content, _FILE_LEVEL, mtime=0)
+            return self._kept[key]
 
 
-def _worth_it(response: Response) -> bool:
+def accepts_gzip() -> bool:
+    """Whether whoever asks takes gzip."""
+    said = request.headers.get("Accept-Encoding", "")
+    return "gzip" in said and (";" not in said or bool(request.accept_encodings["gzip"]))
+
+
+def compressed_page(content: bytes) -> bytes:
+    """A page as it is sent to those who take gzip."""
+    return gzip.compress(content, _PAGE_LEVEL, mtime=0)
+
+
+def worth_compressing(response: Response) -> bool:
     """Whether an answer is text of some length; downloads and streams are not, which may be large."""
     is_file = request.endpoint in _FILES
     if request.method != "GET" or response.status_code != 200 or response.content_encoding:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import html
 import io
@@ -303,6 +304,12 @@ def test_a_page_that_is_kept_costs_neither_a_query_nor_its_compression(
     third = viewing.client.get("/runs", headers=accepting)
     assert first.data == second.data == third.data
     assert third.headers["Content-Encoding"] == "gzip"
+    assert int(third.headers["Content-Length"]) == len(third.data)
+    assert third.headers["ETag"] == first.headers["ETag"]
+    assert third.headers["Vary"] == first.headers["Vary"]
+    whole = viewing.client.get("/runs", headers={"Accept-Encoding": "br, gzip;q=0"})
+    assert gzip.decompress(third.data) == whole.data
+    assert "Content-Encoding" not in whole.headers
     viewing.hive.close()
 
 
