@@ -232,7 +232,7 @@ def _document_events(content: dict[str, Any]) -> Iterator[events.Event]:
     yield events.StreamEndEvent()
 
 
-def _events(value: Any) -> Iterator[events.Event]:
+def _events(value: Any, *, in_one_line: bool = False) -> Iterator[events.Event]:
     if isinstance(value, dict):
         yield events.MappingStartEvent(None, None, implicit=True, flow_style=not value)
         for key, item in value.items():
@@ -243,13 +243,14 @@ def _events(value: Any) -> Iterator[events.Event]:
         plain = not any(isinstance(item, dict | list | tuple) for item in value)  # a matrix, on one line
         yield events.SequenceStartEvent(None, None, implicit=True, flow_style=plain)
         for item in value:
-            yield from _events(item)
+            yield from _events(item, in_one_line=plain)
         yield events.SequenceEndEvent()
     elif isinstance(value, str):
         style = '"' if _LINE_BREAKS.search(value) else None
-        yield events.ScalarEvent(
-            None, _text_tag(), (not _NEEDS_QUOTES.fullmatch(value), True, True), value, style=style
-        )
+        # In a list on one line, the C parser takes these for signs. The emitter does not know that.
+        sign = in_one_line and ("?" in value or value.startswith(":"))
+        bare = not (sign or _NEEDS_QUOTES.fullmatch(value))
+        yield events.ScalarEvent(None, _text_tag(), (bare, True, True), value, style=style)
     else:
         yield events.ScalarEvent(None, None, (True, False, True), _scalar(value))
 

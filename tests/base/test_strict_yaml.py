@@ -163,6 +163,15 @@ def test_a_power_of_ten_needs_no_point_to_be_a_number(text):
     assert strict_yaml.parse(f"key: {text}", "f")["key"] == float(text)
 
 
+@pytest.mark.parametrize("text", ["what?", "?0", ":0", ":", "a?b"])
+def test_text_in_a_list_on_one_line_is_read_back(text):
+    """The C parser takes question marks and leading colons there for signs."""
+    assert strict_yaml.parse(strict_yaml.dump({"list": [text, "b"], "text": text}), "f") == {
+        "list": [text, "b"],
+        "text": text,
+    }
+
+
 def test_text_that_looks_like_a_power_of_ten_stays_text():
     assert strict_yaml.parse(strict_yaml.dump({"key": "1e5"}), "f") == {"key": "1e5"}
 
