@@ -3,14 +3,7 @@
 (() => {
   const MOST_ROWS = 200;
   const MOST_LISTED = 500;
-  const ARRAYS = { f4: Float32Array, i4: Int32Array };
   const { run: runAddress, list: listAddress } = document.getElementById("figures").dataset;
-
-  /** Numbers as they are, or as base64 of a typed array. */
-  function numbers(values) {
-    if (!values.bdata) return values;
-    return new ARRAYS[values.dtype](Uint8Array.from(atob(values.bdata), (letter) => letter.charCodeAt(0)).buffer);
-  }
 
   /** The ranges of an axis: none, one as [low, high], or several. */
   function ranges({ constraintrange: chosen }) {
@@ -35,7 +28,7 @@
 
   function axesOf(trace) {
     return trace.dimensions.map((entry) => ({
-      label: plain(entry.label), values: numbers(entry.values), words: entry.ticktext?.map(plain), ranges: ranges(entry),
+      label: plain(entry.label), values: window.slamhiveNumbers(entry.values), words: entry.ticktext?.map(plain), ranges: ranges(entry),
     }));
   }
 
@@ -63,7 +56,7 @@
 
   function fill(part, chart) {
     const [trace] = chart.data;
-    const runs = numbers(trace.customdata);
+    const runs = window.slamhiveNumbers(trace.customdata);
     const axes = axesOf(trace);
     const shown = within(axes, runs.length);
     const more = shown.length > MOST_ROWS ? `, the first ${MOST_ROWS} in the table` : "";

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.client.backend import Backend
+from slamhive.client.backend import Backend, text_of
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from slamhive.domain.visibility import Visibility
     from slamhive.schema import api_answers
 
@@ -112,7 +113,4 @@ class Analyses:
 
     def create(self, file: Path | str, *, listed: bool = True) -> Analysis:
         """Queue an analysis, given as the path of its file or as its text. Raises InvalidInput naming the line."""
-        from slamhive import strict_yaml  # noqa: PLC0415 - reading needs none of this
-
-        text = strict_yaml.read_text(file) if isinstance(file, Path) else file
-        return Analysis(self._backend, self._backend.create_analysis(text, listed=listed))
+        return Analysis(self._backend, self._backend.create_analysis(text_of(file), listed=listed))

@@ -24,6 +24,13 @@ LOG_BYTES = 200_000
 """How much of the end of a log is read."""
 
 
+def text_of(file: Path | str) -> str:
+    """The text of a file that is given by its path, or as its text. Raises InvalidInput if it cannot be read."""
+    from slamhive import strict_yaml  # noqa: PLC0415 - reading needs none of this
+
+    return strict_yaml.read_text(file) if isinstance(file, Path) else file
+
+
 class Change(StrEnum):
     """What can be done to an experiment that was started."""
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamhive.client.backend import Backend, Change, RunQuery
+from slamhive.client.backend import Backend, Change, RunQuery, text_of
 from slamhive.client.runs import RunList
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from slamhive.schema import experiment as experiment_schema
 
 
@@ -93,7 +94,4 @@ class Experiments:
         The same again completes an interrupted start; no run is queued twice. Raises InvalidInput or NotFound naming
         the line.
         """
-        from slamhive import strict_yaml  # noqa: PLC0415 - reading needs none of this
-
-        text = strict_yaml.read_text(file) if isinstance(file, Path) else file
-        return Experiment(self._backend, self._backend.start(text, executor))
+        return Experiment(self._backend, self._backend.start(text_of(file), executor))

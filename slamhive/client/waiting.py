@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 Show = Callable[[int, str], None]
 PAUSE_S = 0.3
 _OPEN = frozenset({"queued", "running"})
-"""States of evaluations that will change."""
-_ANALYSED = frozenset({"done", "failed"})
-"""States of analyses that have ended."""
+"""States of evaluations and analyses that will change."""
 
 
 def wait_for_runs(backend: Backend, run_ids: Sequence[int], *, progress: bool) -> tuple[RunWith, ...]:
@@ -58,7 +56,7 @@ def wait_for_analysis(backend: Backend, token: str, *, progress: bool) -> Analys
     """Wait until an analysis is done or has failed."""
     found = backend.analysis(token)
     with percent_bar(f"analysis {found.name}", progress=progress) as show, backend.computing():
-        while found.state not in _ANALYSED:
+        while found.state in _OPEN:
             show(found.fraction, found.doing or found.state)
             time.sleep(PAUSE_S)
             found = backend.analysis(token)

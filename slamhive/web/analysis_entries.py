@@ -94,8 +94,7 @@ def replaced_entry(text: str, number: int, content: Mapping[str, Any]) -> str:
 
 def moved_entry(text: str, number: int, steps: int) -> str:
     """The text with one entry ``steps`` places later, or earlier if negative. Raises NotFound."""
-    first, second = sorted((number, number + steps))
-    lines, one, other = text.split("\n"), find_entry(text, first), find_entry(text, second)
+    lines, (one, other) = text.split("\n"), _find(text, *sorted((number, number + steps)))
     between = lines[one.end : other.begin]
     swapped = [*lines[other.begin : other.end], *between, *lines[one.begin : one.end]]
     return "\n".join([*lines[: one.begin], *swapped, *lines[other.end :]])
@@ -103,12 +102,18 @@ def moved_entry(text: str, number: int, steps: int) -> str:
 
 def find_entry(text: str, number: int) -> Entry:
     """One entry, counted from 1. Raises NotFound."""
+    return _find(text, number)[0]
+
+
+def _find(text: str, *numbers: int) -> list[Entry]:
+    """Several entries, of a text that is parsed once. Raises NotFound."""
     found = {entry.number: entry for entry in entries(text)}
-    if number not in found:
-        if _is_in_one_line(text.split("\n")):
-            raise _one_line()
-        raise NotFound(f"the text has no plot {number}", f"it has {len(found)}")
-    return found[number]
+    for number in numbers:
+        if number not in found:
+            if _is_in_one_line(text.split("\n")):
+                raise _one_line()
+            raise NotFound(f"the text has no plot {number}", f"it has {len(found)}")
+    return [found[number] for number in numbers]
 
 
 def _written(content: Mapping[str, Any], indent: int | None = None) -> list[str]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cachetools import TTLCache
 from flask import Flask, Response, g, request, session
 
 from slamhive.clock import monotonic_s
-from slamhive.web.compression import accepts_gzip, compressed_page, worth_compressing
+from slamhive.web.compression import accepts_gzip, compress_page, worth_compressing
 
 YEAR_S = 365 * 86_400
 KEPT_S = 5.0
@@ -24,24 +24,22 @@ Key = tuple[str, str]
 
 @dataclass(slots=True)
 class _Page:
-    """A page, and the same compressed once somebody has asked for that; ``shrinks`` says if it is worth it."""
+    """A page; ``shrinks`` says if compressing is worth it, and ``small`` is compressed once somebody has asked."""
 
     content: bytes
     headers: tuple[tuple[str, str], ...]
     shrinks: bool
     size_bytes: int
-    compressed: Response | None = None
+    small: _Page | None = None
 
-    def whole(self) -> Response:
+    def answer(self, *, compressed: bool) -> Response:
+        if compressed and self.shrinks:
+            if self.small is None:
+                response = self.answer(compressed=False)
+                compress_page(response)
+                self.small = replace(self, content=response.get_data(), headers=tuple(response.headers.items()))
+            return self.small.answer(compressed=False)
         return Response(self.content, headers=list(self.headers))
-
-    def small(self) -> Response:
-        if self.compressed is None:
-            response = Response(compressed_page(self.content), headers=list(self.headers))
-            response.content_encoding = "gzip"
-            response.vary.add("Accept-Encoding")
-            self.compressed = response
-        return Response(self.compressed.get_data(), headers=list(self.compressed.headers.items()))
 
 
 class PageCache:
@@ -60,9 +58,7 @@ class PageCache:
         """The page, if it is kept and young enough; ``compressed`` by gzip if that is worth it."""
         with self._lock:
             page = self._pages.get(key)
-        if page is None:
-            return None
-        return page.small() if compressed and page.shrinks else page.whole()
+        return None if page is None else page.answer(compressed=compressed)
 
     def put(self, key: Key, response: Response, *, shrinks: bool = False) -> None:
         """Keep a page; it replaces those that were used least recently if there are too many bytes."""

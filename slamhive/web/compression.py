@@ -33,10 +33,9 @@ def add_compression(app: Flask) -> None:
         content = response.get_data()
         if request.endpoint in _FILES and tag is not None:
             response.close()
-            response.set_data(files.get((request.path, tag), content))
+            _send_as_gzip(response, files.get((request.path, tag), content))
         else:
-            response.set_data(compressed_page(content))
-        response.content_encoding = "gzip"
+            compress_page(response)
         if tag is not None:
             response.set_etag(tag, weak=True)
         return response
@@ -62,9 +61,15 @@ def accepts_gzip() -> bool:
     return "gzip" in said and (";" not in said or bool(request.accept_encodings["gzip"]))
 
 
-def compressed_page(content: bytes) -> bytes:
-    """A page as it is sent to those who take gzip."""
-    return gzip.compress(content, _PAGE_LEVEL, mtime=0)
+def compress_page(response: Response) -> None:
+    """Make an answer that of those who take gzip."""
+    _send_as_gzip(response, gzip.compress(response.get_data(), _PAGE_LEVEL, mtime=0))
+
+
+def _send_as_gzip(response: Response, compressed: bytes) -> None:
+    response.set_data(compressed)
+    response.content_encoding = "gzip"
+    response.vary.add("Accept-Encoding")
 
 
 def worth_compressing(response: Response) -> bool:

@@ -278,19 +278,22 @@ def _made(pod: Document) -> bool:
     """
     if _failed_before(pod) is not None or _is_between_containers(pod):
         return True
-    status = pod.get("status", {})
-    statuses = [*(status.get("initContainerStatuses") or ()), *(status.get("containerStatuses") or ())]
-    return any((entry.get("state") or {}).get("waiting") is not None and entry.get("containerID") for entry in statuses)
+    entries = _containers(pod)
+    return any((entry.get("state") or {}).get("waiting") is not None and entry.get("containerID") for entry in entries)
 
 
 def _is_between_containers(pod: Document) -> bool:
     """Whether what comes before the run has ended well, and nothing has followed yet."""
-    status = pod.get("status", {})
-    entries = [*(status.get("initContainerStatuses") or ()), *(status.get("containerStatuses") or ())]
-    states = [entry.get("state") or {} for entry in entries]
+    states = [entry.get("state") or {} for entry in _containers(pod)]
     ended = [state for state in states if state.get("terminated") is not None]
     waiting = [state for state in states if (state.get("waiting") or {}).get("reason") == _INITIALISING]
     return bool(ended and waiting) and len(ended) + len(waiting) == len(states)
+
+
+def _containers(pod: Document) -> list[Document]:
+    """What is known of all containers of a pod, those that come before the run first."""
+    status = pod.get("status", {})
+    return [*(status.get("initContainerStatuses") or ()), *(status.get("containerStatuses") or ())]
 
 
 def _before(pod: Document) -> Iterable[Document]:

@@ -247,10 +247,11 @@ def main(mode: str) -> int:
     except Away as error:
         explain("the worker does not answer at {}: {}; see NODE_URL".format(ticket.url, error))
         return _AWAY_EXIT
-    except (Refused, WrongNode, WrongContent, CacheFull, OSError) as error:
+    except Refused as error:
         explain(str(error))
-        if isinstance(error, Refused) and error.status == HTTPStatus.UNAUTHORIZED:
-            return OLD_TICKET_EXIT
+        return OLD_TICKET_EXIT if error.status == HTTPStatus.UNAUTHORIZED else REFUSED_EXIT
+    except (WrongNode, WrongContent, CacheFull, OSError) as error:
+        explain(str(error))
     else:
         return 0
     return REFUSED_EXIT

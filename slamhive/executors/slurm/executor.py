@@ -135,20 +135,21 @@ class SlurmExecutor(ProcessExecutor):
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """``exit.json`` says how the run ended. Without it, Slurm knows whether the job goes on or what ended it."""
-        exited = _exit_of(handle)
-        if exited is not None:
-            return self._lost_with_its_node(handle, exited) or exited
+        ended = self._ended(handle)
+        if ended is not None:
+            return ended
         jobs = self._jobs(handle.data["key"])
         if any(job.runs or job.waits for job in jobs):
             return self._running(handle)
-        return _exit_of(handle) or self._without_end(handle, jobs)
+        return self._ended(handle) or self._without_end(handle, jobs)  # it may have been recorded meanwhile
 
-    def _lost_with_its_node(self, handle: RunHandle, exited: Exited) -> Gone | None:
-        """Whether the run was ended because its node fails: Slurm ends jobs of a node that is set down by signals."""
-        if exited.exit_code not in _BY_SIGNAL or exited.timed_out or exited.out_of_memory:
-            return None
+    def _ended(self, handle: RunHandle) -> Exited | Gone | None:
+        """How the run ended, as far as that is recorded. Slurm ends jobs of a node that is set down by signals."""
+        exited = _exit_of(handle)
+        if exited is None or exited.exit_code not in _BY_SIGNAL or exited.timed_out or exited.out_of_memory:
+            return exited
         job = next((job for job in self._jobs(handle.data["key"], 0.0) if job.lost_its_node), None)
-        return None if job is None else Gone(f"Slurm has ended it, because its node failed: {job.text}")
+        return exited if job is None else Gone(f"Slurm has ended it, because its node failed: {job.text}")
 
     def _running(self, handle: RunHandle) -> Running:  # noqa: ARG002 - not all know it better
         """What is known of a run whose job goes on."""
