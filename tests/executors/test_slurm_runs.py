@@ -12,11 +12,10 @@ from slamhive.domain.run import RunState
 from slamhive.executors.registry import installation_id
 from slamhive.executors.slurm import command
 from slamhive.executors.slurm.job import comment_of
-from tests.executors.pod_installation import record_checksum
 from tests.executors.random_kills import PATIENCE_S, RUNS, RandomKills, check_accounts
-from tests.executors.slurm_cluster import NODES, Cluster, free_ports
-from tests.services.docker_base import run_docker
-from tests.services.installation import TINY_IMAGE, Installation, installation
+from tests.executors.slurm_cluster import NODES, Cluster
+from tests.executors.slurm_installation import slurm_installation
+from tests.services.installation import Installation
 from tests.services.machine import wait_s
 from tests.waiting import eventually
 
@@ -37,20 +36,10 @@ def cluster(request) -> Cluster:
 
 @pytest.fixture
 def made(request, cluster: Cluster, tmp_path, monkeypatch) -> Iterator[Installation]:
-    """An installation whose runs are jobs; where storage is shared, without containers: what is killed is the same."""
-    settings = {"slurm_containers": "none"}
-    if cluster.apart:
-        (port,) = free_ports(1)
-        settings = {"shared_storage": "false", "node_address": f"127.0.0.1:{port}", "node_cache": str(cluster.cache)}
-        assert run_docker("tag", request.getfixturevalue("base_image"), TINY_IMAGE).returncode == 0
-    with installation(tmp_path, monkeypatch, executor="slurm", worker_slots="4", **settings) as made:  # type: ignore[arg-type]
-        if cluster.apart:
-            (made.hive.catalogue.project_root / "algorithms" / "tiny" / "Dockerfile").unlink()
-            record_checksum(made.machine.data)
-        made.build()
+    """An installation whose runs are jobs."""
+    image = lambda: request.getfixturevalue("base_image")  # noqa: E731
+    with slurm_installation(cluster, image, tmp_path, monkeypatch, worker_slots="4") as made:
         yield made
-    if cluster.apart:
-        run_docker("rmi", TINY_IMAGE)
 
 
 def check_all(made: Installation, runs: int, most_lost: int) -> None:
