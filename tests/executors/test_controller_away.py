@@ -27,13 +27,15 @@ SHORT_S = 2.0
 RUNS = 12
 SLOTS = 8
 """Some runs wait in the engine when the controller goes away, and the last ones have not been submitted."""
+CORES = {"slurm": "1", "kubernetes": "0.4"}
+"""Four runs at a time on two nodes."""
 
 pytestmark = [pytest.mark.cluster, pytest.mark.long, pytest.mark.timeout(600 + int(6 * AWAY_S))]
 
 
 @pytest.fixture(params=["slurm", "kubernetes"])
 def made(request, tmp_path, monkeypatch) -> Iterator[Installation]:
-    settings = {"worker_slots": str(SLOTS), "run_cpu_cores": "1"}
+    settings = {"worker_slots": str(SLOTS), "run_cpu_cores": CORES[request.param]}
     if request.param == "slurm":
         cluster = request.getfixturevalue("apart_cluster")
         image = lambda: request.getfixturevalue("base_image")  # noqa: E731

@@ -13,7 +13,7 @@ from slamhive.executors.kubernetes.manifest import resources
 from slamhive.executors.kubernetes.options import Options, read_options
 from slamhive.executors.slurm.command import Node, parse_nodes
 from slamhive.executors.slurm.gres import given_gpus, offers, read_gpu, with_gpu
-from slamhive.executors.slurm.job import job_options
+from slamhive.executors.slurm.job import job_request
 from slamhive.executors.slurm.runtimes import ContainerOrders, apptainer, charliecloud, podman
 from slamhive.web.presenters.runs import gpu as gpu_cell
 from tests.executors.test_slurm_units import SPEC
@@ -23,8 +23,9 @@ WANTS = replace(SPEC, asks_gpu=True)
 
 
 def test_a_job_asks_for_a_gpu_only_if_its_run_does():
-    assert "--gres=gpu:a100:1" in job_options(WANTS, "home", [], "gpu:a100:1")
-    assert not [option for option in job_options(SPEC, "home", [], "gpu:a100:1") if "gres" in option]
+    assert "--gres=gpu:a100:1" in job_request(WANTS, "home", [], "gpu:a100:1", "true\n").options
+    options = job_request(SPEC, "home", [], "gpu:a100:1", "true\n").options
+    assert not [option for option in options if "gres" in option]
 
 
 def test_other_resources_of_the_user_stay():

@@ -11,7 +11,9 @@ import pytest
 from slamhive.executors.base import EngineUnavailable, StartFailed
 from slamhive.executors.registry import open_executor
 from slamhive.executors.slurm import command
+from slamhive.executors.slurm.arrays import Submission
 from slamhive.executors.slurm.executor import SlurmExecutor
+from slamhive.executors.slurm.queue import Queue
 from slamhive.executors.spec import Limits
 from slamhive.executors.status import Gone, Running
 from tests.executors.conftest import wait_for_end
@@ -169,7 +171,72 @@ def test_a_job_that_its_node_could_not_launch_is_submitted_again(bench, slurm_cl
 
 def jobs_of(spec):
     """The jobs of a run that Slurm knows."""
-    return [job for job in command.list_jobs() if spec.key in job.comment]
+    return [job for job in command.list_jobs() if job.comment.endswith(f":{spec.key}")]
+
+
+def start_together(bench, specs):
+    """Start all runs in one array: the first one to come waits for the others."""
+
+    def send(sent: Submission) -> None:
+        eventually(everybody, "the others")
+        command.submit(sent)
+
+    queue = bench.executor._queue = Queue(send=send)
+
+    def everybody() -> bool:
+        return len(queue._waiting) >= len(specs) - 1 or any(jobs_of(spec) for spec in specs)
+
+    with ThreadPoolExecutor(len(specs)) as pool:
+        return list(pool.map(lambda spec: start_unless_it_waits(bench, spec), specs))
+
+
+def start_unless_it_waits(bench, spec):
+    try:
+        handle = bench.executor.start(spec)
+    except EngineUnavailable:
+        return None
+    bench.handles.append(handle)
+    return handle
+
+
+def test_runs_that_are_started_together_share_an_array(bench):
+    specs = [bench.spec(RESULT + f"(result / 'number').write_text('{number}')\n") for number in range(6)]
+    handles = start_together(bench, specs)
+    assert len({job.task[0] for spec in specs for job in jobs_of(spec) if job.task}) == 1
+    assert sum(job.task is not None for spec in specs for job in jobs_of(spec)) == 5
+    for number, (spec, handle) in enumerate(zip(specs, handles, strict=True)):
+        assert wait_for_end(bench.again(), handle).exit_code == 0
+        assert (bench.result(spec) / "number").read_text() == str(number)
+        assert len(jobs_of(spec)) == 1
+
+
+def test_a_task_is_ended_alone(bench, slurm_cluster, monkeypatch):
+    """One that runs, one that waits, and one that somebody else has cancelled while it waited."""
+    monkeypatch.setattr("slamhive.executors.slurm.executor.START_WAIT_S", 3.0)
+    specs = [bench.spec(UNTIL_TOLD, Limits(cpu_cores=1.0)) for _ in range(8)]
+    started = [
+        (spec, handle) for spec, handle in zip(specs, start_together(bench, specs), strict=True) if handle is not None
+    ]
+    waiting = [spec for spec in specs if spec not in [entry for entry, _ in started]]
+    assert len(started) == 4
+    bench.executor.stop(started[-1][1], 1.0)
+    assert all(job.over for job in jobs_of(started[-1][0]))
+    bench.executor.discard(waiting[-1])
+    assert all(job.over for job in jobs_of(waiting[-1]))
+    with ThreadPoolExecutor(1) as other:
+        starting = other.submit(bench.executor.start, waiting[-2])
+        (job,) = jobs_of(waiting[-2])
+        slurm_cluster.run("scancel", job.name)
+        with pytest.raises((StartFailed, EngineUnavailable)):
+            starting.result()
+    for spec, handle in started[:-1]:
+        assert isinstance(bench.executor.poll(handle), Running)
+        (bench.result(spec) / "end").touch()
+        assert wait_for_end(bench.executor, handle).exit_code == 0
+    for spec in waiting[:-2]:
+        bench.handles.append(bench.executor.start(spec))
+        assert len(jobs_of(spec)) == 1
+    bench.executor.discard(waiting[-2])
 
 
 def test_jobs_of_runs_that_are_over_are_swept(bench):

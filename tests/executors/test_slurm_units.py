@@ -13,9 +13,9 @@ from slamhive.executors.base import EngineUnavailable, ExecutorContext, NodeAcce
 from slamhive.executors.node_store.on_node.run import Ticket
 from slamhive.executors.registry import open_executor
 from slamhive.executors.slurm import command
+from slamhive.executors.slurm.arrays import submission
 from slamhive.executors.slurm.command import Job, parse_accounted, parse_jobs, read_options
-from slamhive.executors.slurm.executor import Queue
-from slamhive.executors.slurm.job import delivery_options, job_limits, job_options, job_script, ticket_script
+from slamhive.executors.slurm.job import delivery_request, job_commands, job_limits, job_request, ticket_commands
 from slamhive.executors.spec import Limits, Placing, RunSpec
 
 OUTPUTS = Path(__file__).parent / "slurm_outputs"
@@ -150,8 +150,14 @@ def test_options_that_the_user_may_not_give(text):
         read_options(text)
 
 
+def job_options(spec, *options):
+    return submission([job_request(spec, "home", options, "gpu:1", "true\n")]).arguments
+
+
 def test_options_of_a_job():
-    options = job_options(SPEC, "home", ["--partition=gpu"], "gpu:1")
+    options = job_options(SPEC, "--partition=gpu")
+    assert "--job-name=slamhive-7" in options
+    assert "--output=/data/runs/7/work/shim-errors.txt" in options
     assert "--comment=slamhive:home:k1" in options
     assert "--time=4" in options
     assert "--cpus-per-task=2" in options
@@ -162,12 +168,8 @@ def test_options_of_a_job():
 
 def placed(*options, **hints):
     """The options of a job with these hints that it would not have without them."""
-    plain = set(job_options(SPEC, "home", [], "gpu:1"))
-    return [
-        entry
-        for entry in job_options(replace(SPEC, placing=Placing(**hints)), "home", options, "gpu:1")
-        if entry not in plain
-    ]
+    plain = set(job_options(SPEC))
+    return [entry for entry in job_options(replace(SPEC, placing=Placing(**hints)), *options) if entry not in plain]
 
 
 def test_nodes_with_another_processor_are_excluded_with_those_of_the_user():
@@ -187,11 +189,12 @@ def test_the_longest_run_is_the_least_nice(expected_s, nice):
 
 def test_slurm_chooses_the_cores():
     assert job_limits(Limits(cpuset=(2, 3))) == Limits(cpu_cores=2.0)
-    assert not [entry for entry in job_options(replace(SPEC, limits=Limits()), "home", [], "gpu:1") if "cpus" in entry]
+    assert not [entry for entry in job_options(replace(SPEC, limits=Limits())) if "cpus" in entry]
 
 
 def test_script_of_a_job():
-    lines = job_script(Path("/a folder")).splitlines()
+    request = job_request(SPEC, "home", [], "gpu:1", job_commands(Path("/a folder")))
+    lines = submission([request]).script.splitlines()
     assert lines[0] == "#!/bin/sh"
     assert lines[-1].startswith("exec ")
     assert lines[-1].endswith("supervise '/a folder'")
@@ -199,15 +202,16 @@ def test_script_of_a_job():
 
 def test_a_ticket_is_in_no_command_line():
     ticket = Ticket("http://hive:5001", "k1", "secret", "/var/tmp/cache's", 10)
-    lines = ticket_script(ticket, "run", "/opt/hive/bin/python").splitlines()
-    assert lines[1] == "exec /opt/hive/bin/python -m slamhive.executors.slurm.agent run <<'TICKET'"
-    assert Ticket.loads(lines[2]) == ticket
-    assert lines[3] == "TICKET"
-    assert "PYTHONPATH=" in ticket_script(ticket, "run", "").splitlines()[1]
+    lines = ticket_commands(ticket, "run", "/opt/hive/bin/python").splitlines()
+    assert lines[0] == "exec /opt/hive/bin/python -m slamhive.executors.slurm.agent run <<'TICKET'"
+    assert Ticket.loads(lines[1]) == ticket
+    assert lines[2] == "TICKET"
+    assert "PYTHONPATH=" in ticket_commands(ticket, "run", "").splitlines()[0]
 
 
 def test_a_job_that_fetches_results_goes_to_their_node():
-    options = delivery_options("home", "k1", "n7", ["--partition=gpu", "--nodelist=n1", "--exclusive"])
+    request = delivery_request("home", "k1", "n7", ["--partition=gpu", "--nodelist=n1", "--exclusive"], "true\n")
+    options = submission([request]).arguments
     assert [option for option in options if "n7" in option or "n1" in option] == ["--nodelist=n7"]
     assert options[-1] == "--partition=gpu"
     assert "--comment=slamhive:home:k1" in options
@@ -233,20 +237,3 @@ def test_nodes_in_the_words_of_sinfo():
     assert [(node.takes_jobs, node.drained) for node in found] == [(True, False), (False, False), (False, True)]
     with pytest.raises(EngineUnavailable, match="sinfo answered something unknown: 'slurm_load"):
         command.parse_nodes("slurm_load_partitions: nobody")
-
-
-def test_runs_share_a_look_at_the_queue():
-    looks: list[int] = []
-
-    def look() -> list[Job]:
-        looks.append(1)
-        return []
-
-    queue = Queue(look)
-    queue.jobs(60.0)
-    queue.jobs(60.0)
-    assert len(looks) == 1
-    queue.forget()
-    queue.jobs(60.0)
-    queue.jobs(0.0)
-    assert len(looks) == 3

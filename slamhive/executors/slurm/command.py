@@ -7,18 +7,20 @@ import os
 import shlex
 import subprocess
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from slamhive.errors import Forbidden, InvalidInput
 from slamhive.executors.base import EngineUnavailable, StartFailed
 from slamhive.executors.process.paths import INHERITED
+from slamhive.executors.slurm.arrays import Submission, comments_of_tasks, tasks_in
 
 ALLOWED_OPTIONS = frozenset(
     ("partition", "account", "qos", "constraint", "gres", "exclusive", "exclude", "nodelist", "reservation")
 )
 """What the setting ``SLURM_OPTIONS`` may hold. Everything else follows from the run."""
 _PASSED_ON = (*INHERITED, "USER", "HOME", "SLURM_CONF")
+_WHOLE_TASK_LISTS = {"SLURM_BITSTR_LEN": "0"}
 _TIMEOUT_S = 60.0
 _CONTROLLER_AWAY = (
     "unable to contact slurm controller", "connection refused", "timed out", "connection timeout",
@@ -35,16 +37,33 @@ _SLURM_ENDED = frozenset(("NODE_FAIL", "BOOT_FAIL", "REVOKED", "PREEMPTED"))
 _SLURM_FAILED = frozenset(("JobLaunchFailure", "NodeDown", "SystemFailure"))
 """States, and reasons of the state FAILED, for which the script of a job is not to blame."""
 
+_UNKNOWN_TASK = "Slurm does not know it any more"
+
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One job as ``squeue`` shows it. ``states`` holds the state and, from Slurm 23.11 on, its flags."""
+    """One job as ``squeue`` shows it.
+
+    Attributes:
+        number: Of the job; of a task that waits, that of its array.
+        comment: Names its run; see :mod:`slamhive.executors.slurm.arrays`.
+        states: The state and, from Slurm 23.11 on, its flags.
+        reason: Why it is in this state.
+        node: Where it is or was; empty if nowhere yet.
+        task: The number of its array, and its own in there.
+    """
 
     number: int
     comment: str
     states: tuple[str, ...]
     reason: str
     node: str
+    task: tuple[int, int] | None = None
+
+    @property
+    def name(self) -> str:
+        """How commands name it: tasks of an array share a number until they start."""
+        return str(self.number) if self.task is None else f"{self.task[0]}_{self.task[1]}"
 
     @property
     def waits(self) -> bool:
@@ -85,7 +104,7 @@ class Job:
     def text(self) -> str:
         """Number, state, reason and node in words."""
         reason = f" ({self.reason})" if self.reason not in ("", "None") else ""
-        return f"job {self.number} is {' '.join(self.states)}{reason}{f' on {self.node}' if self.node else ''}"
+        return f"job {self.name} is {' '.join(self.states)}{reason}{f' on {self.node}' if self.node else ''}"
 
 
 def read_options(text: str) -> list[str]:
@@ -108,7 +127,7 @@ def parse_jobs(text: str) -> list[Job]:
         content = json.loads(text)
         # With its controller away, squeue prints an empty list and ends with 0.
         errors = [str(error.get("description")) for error in content.get("errors", ())]
-        jobs = [_job(entry) for entry in content["jobs"]]
+        jobs = _jobs(content["jobs"])
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise EngineUnavailable(
             f"squeue --json answered something unknown: {text[:80]!r} ({type(error).__name__})", "try squeue by hand"
@@ -118,10 +137,33 @@ def parse_jobs(text: str) -> list[Job]:
     return jobs
 
 
-def _job(entry: dict[str, Any]) -> Job:
-    state = entry["job_state"]
-    states = (state,) if isinstance(state, str) else tuple(state)
-    return Job(int(entry["job_id"]), entry["comment"] or "", states, entry["state_reason"], entry["nodes"] or "")
+def _jobs(entries: Sequence[dict[str, Any]]) -> list[Job]:
+    """Each job and each task. Tasks that wait have one entry together, and those that were cancelled then have none."""
+    found: list[Job] = []
+    arrays: dict[int, tuple[list[str], set[int]]] = {}
+    for entry in entries:
+        state = entry["job_state"]
+        states = (state,) if isinstance(state, str) else tuple(state)
+        job = Job(int(entry["job_id"]), entry["comment"] or "", states, entry["state_reason"], entry["nodes"] or "")
+        array, comments = _number(entry.get("array_job_id")), comments_of_tasks(job.comment)
+        if not array or not comments:
+            found.append(job)
+            continue
+        task = _number(entry.get("array_task_id"))
+        tasks = list(tasks_in(entry.get("array_task_string") or "")) if task is None else [task]
+        arrays.setdefault(array, (comments, set()))[1].update(tasks)
+        found += [replace(job, comment=comments[task], task=(array, task)) for task in tasks]
+    for array, (comments, known) in arrays.items():
+        missing = set(range(len(comments))) - known
+        found += [Job(array, comments[task], ("CANCELLED",), _UNKNOWN_TASK, "", (array, task)) for task in missing]
+    return found
+
+
+def _number(value: Any) -> int | None:
+    """A number, which later versions wrap to say whether it is set."""
+    if isinstance(value, dict):
+        return int(value["number"]) if value.get("set") else None
+    return None if value is None else int(value)
 
 
 def list_jobs() -> list[Job]:
@@ -136,7 +178,7 @@ def accounted_jobs(number: str) -> list[Job]:
     """The job with this number as the accounting database remembers it; nothing without one, or if it is away."""
     if not number:
         return []
-    fields = "--format=JobID,State,Reason,NodeList"
+    fields = "--format=JobIDRaw,State,Reason,NodeList"
     try:
         return parse_accounted(
             _run(["sacct", "--noheader", "--parsable2", "--allocations", f"--jobs={number}", fields])
@@ -155,19 +197,19 @@ def parse_accounted(text: str) -> list[Job]:
     return found
 
 
-def submit(options: Sequence[str], script: str) -> None:
-    """Submit a job. Raises StartFailed with the words of ``sbatch`` if Slurm refuses it."""
-    _run(["sbatch", "--parsable", *options], script)
+def submit(submission: Submission) -> None:
+    """Submit a job or an array. Raises StartFailed with the words of ``sbatch`` if Slurm refuses it."""
+    _run(["sbatch", "--parsable", *submission.arguments], submission.script)
 
 
 def send_signal(job: Job, name: str) -> None:
     """Send a signal to the process of the job's script alone. Does nothing if the job has ended."""
-    _cancel(["--batch", f"--signal={name}", str(job.number)])
+    _cancel(["--batch", f"--signal={name}", job.name])
 
 
 def cancel(job: Job) -> None:
     """End the job. Does nothing if it has ended."""
-    _cancel([str(job.number)])
+    _cancel([job.name])
 
 
 def _cancel(arguments: Sequence[str]) -> None:
@@ -246,7 +288,7 @@ def version() -> str:
 
 def _run(command: Sequence[str], stdin: str = "") -> str:
     """The output of a command. Jobs inherit its environment, so that it gets no secrets."""
-    environment = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
+    environment = {name: os.environ[name] for name in _PASSED_ON if name in os.environ} | _WHOLE_TASK_LISTS
     try:
         done = subprocess.run(
             command, input=stdin, env=environment, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False

@@ -7,14 +7,11 @@ goes and how it ended. Slurm is asked for everything else, by the comment of the
 from __future__ import annotations
 
 import json
-import threading
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, ClassVar
 
-from slamhive.clock import monotonic_s
 from slamhive.errors import Unavailable
 from slamhive.executors.base import (
     Capabilities,
@@ -38,11 +35,13 @@ from slamhive.executors.process.paths import shim_spec_of
 from slamhive.executors.process.shim import IDENTITY_FILE
 from slamhive.executors.process.supervisors import KILL_WAIT_S, START_WAIT_S, read_exit, read_json, wait_until
 from slamhive.executors.slurm import command
+from slamhive.executors.slurm.arrays import comment_of
 from slamhive.executors.slurm.gpu_readings import use_of
 from slamhive.executors.slurm.gres import offers, read_gpu
-from slamhive.executors.slurm.job import ERRORS_FILE, comment_of, job_limits, job_options, job_script
+from slamhive.executors.slurm.job import ERRORS_FILE, job_commands, job_limits, job_request
 from slamhive.executors.slurm.node import GPU_KEY, HOST_KEY, USAGE_FILE, Place
 from slamhive.executors.slurm.options import CONTAINERS, GPU, JOB_OPTIONS, OPTIONS, PYTHON
+from slamhive.executors.slurm.queue import Queue
 from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
@@ -73,7 +72,7 @@ class SlurmExecutor(ProcessExecutor):
     )
 
     _printed: ClassVar[Path | None] = None
-    """Where nodes write what jobs themselves print, see ``job_options``."""
+    """Where nodes write what jobs themselves print, see ``job_request``."""
 
     def __init__(self, context: ExecutorContext) -> None:
         super().__init__(context)
@@ -187,7 +186,7 @@ class SlurmExecutor(ProcessExecutor):
         stale = [job for job in found if job.comment.removeprefix(prefix) not in live]
         for job in stale:
             command.cancel(job)
-        return [f"job {job.number}" for job in stale]
+        return [f"job {job.name}" for job in stale]
 
     def usage_source(self, handle: RunHandle) -> UsageSource | None:
         """What the job measures on its node; None if the run has ended."""
@@ -210,15 +209,14 @@ class SlurmExecutor(ProcessExecutor):
         if any(not job.over for job in self._jobs(spec.key, 0.0)):
             return
         self._check_nodes(spec)
-        script = self._script(replace(spec, limits=job_limits(spec.limits)), work)
-        options = job_options(spec, self._context.installation, self._options, self._gpu, self._printed)
-        command.submit(options, script)
-        self._queue.forget()
+        commands = self._commands(replace(spec, limits=job_limits(spec.limits)), work)
+        installation = self._context.installation
+        self._queue.submit(job_request(spec, installation, self._options, self._gpu, commands, self._printed))
 
-    def _script(self, spec: RunSpec, work: Path) -> str:
-        """The script of the job, which finds its orders in the work folder. Raises ImageMissing."""
+    def _commands(self, spec: RunSpec, work: Path) -> str:
+        """What the job does. It finds its orders in the work folder. Raises ImageMissing."""
         self._give_orders(spec, work)
-        return job_script(work, gpu=spec.asks_gpu)
+        return job_commands(work, gpu=spec.asks_gpu)
 
     def _check_nodes(self, spec: RunSpec) -> None:
         """Raise StartFailed if each node is known to have another CPU model than the run needs."""
@@ -284,30 +282,6 @@ class SlurmExecutor(ProcessExecutor):
     def _jobs(self, key: str, age_s: float = _QUEUE_AGE_S) -> list[command.Job]:
         comment = comment_of(self._context.installation, key)
         return [job for job in self._queue.jobs(age_s) if job.comment == comment]
-
-
-class Queue:
-    """The jobs that Slurm knows, read once for all who ask within a short time."""
-
-    def __init__(self, read: Callable[[], list[command.Job]] = command.list_jobs) -> None:
-        self._read = read
-        self._lock = threading.Lock()
-        self._jobs: list[command.Job] = []
-        self._read_at_s: float | None = None
-
-    def jobs(self, age_s: float) -> list[command.Job]:
-        """The jobs as they were at most ``age_s`` ago."""
-        with self._lock:
-            if self._read_at_s is None or monotonic_s() - self._read_at_s >= age_s:
-                begun_s = monotonic_s()
-                self._jobs = self._read()
-                self._read_at_s = begun_s
-            return self._jobs
-
-    def forget(self) -> None:
-        """What was read is known to be out of date."""
-        with self._lock:
-            self._read_at_s = None
 
 
 class NodeUsage:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import slamhive
 from slamhive.executors.node_store.on_node.run import Ticket
+from slamhive.executors.slurm.arrays import NOWHERE, JobRequest
 from slamhive.executors.slurm.gres import with_gpu
 from slamhive.executors.spec import Limits, Placing, RunSpec
 
@@ -21,15 +22,9 @@ _SUPERVISOR_BYTES = 200_000_000
 _EXCLUDE = "--exclude="
 _MOST_NICE = 60
 _DELIVERY_S = 7200.0
-NOWHERE = Path("/dev/null")
 _KEPT_FOR_DELIVERY = ("--partition=", "--account=", "--qos=", "--reservation=")
 _LATEST_END_S = 120.0
 """The worker enforces the time limit. Slurm ends a run so much later if the worker is away."""
-
-
-def comment_of(installation: str, key: str) -> str:
-    """By this comment a job is found again."""
-    return f"slamhive:{installation}:{key}"
 
 
 def job_limits(limits: Limits) -> Limits:
@@ -41,48 +36,39 @@ def job_limits(limits: Limits) -> Limits:
     return replace(limits, cpuset=None, cpu_cores=cores)
 
 
-def job_options(
-    spec: RunSpec, installation: str, options: Sequence[str], gpu: str, printed: Path | None = None
-) -> list[str]:
-    """The arguments of ``sbatch``.
+def job_request(
+    spec: RunSpec, installation: str, options: Sequence[str], gpu: str, commands: str, printed: Path | None = None
+) -> JobRequest:
+    """What is submitted for a run.
 
     Args:
         spec: The run.
         installation: Whose run it is.
         options: Those of the user.
         gpu: The resource that is a GPU.
+        commands: What the job does.
         printed: Where the node writes what the job itself prints; None for a file in the work folder.
     """
     limits = job_limits(spec.limits)
-    chosen = [
-        f"--job-name=slamhive-{spec.run_id}",
-        *_always(installation, spec.key, spec.timeout_s + _LATEST_END_S, printed or spec.work.resolve() / ERRORS_FILE),
-    ]
+    chosen = _always(spec.timeout_s + _LATEST_END_S)
     if limits.cpu_cores is not None:
         chosen.append(f"--cpus-per-task={math.ceil(limits.cpu_cores)}")
     if limits.memory_bytes is not None:
         chosen.append(f"--mem={math.ceil((limits.memory_bytes + _SUPERVISOR_BYTES) / 2**20)}M")
-    return [*chosen, *place_options(spec.placing, with_gpu(options, gpu) if spec.asks_gpu else options)]
+    chosen += place_options(spec.placing, with_gpu(options, gpu) if spec.asks_gpu else options)
+    printed = printed or spec.work.resolve() / ERRORS_FILE
+    return JobRequest(f"slamhive-{spec.run_id}", installation, spec.key, printed, tuple(chosen), commands)
 
 
-def delivery_options(installation: str, key: str, node: str, options: Sequence[str]) -> list[str]:
-    """The arguments of ``sbatch`` for a job that brings what the run ``key`` has left on ``node``."""
+def delivery_request(installation: str, key: str, node: str, options: Sequence[str], commands: str) -> JobRequest:
+    """What is submitted to bring what the run ``key`` has left on ``node``."""
     kept = [option for option in options if option.startswith(_KEPT_FOR_DELIVERY)]
-    always = _always(installation, key, _DELIVERY_S, NOWHERE)
-    return ["--job-name=slamhive-results", *always, f"--nodelist={node}", f"--mem={_SUPERVISOR_BYTES >> 20}M", *kept]
+    chosen = (*_always(_DELIVERY_S), f"--nodelist={node}", f"--mem={_SUPERVISOR_BYTES >> 20}M", *kept)
+    return JobRequest("slamhive-results", installation, key, NOWHERE, chosen, commands)
 
 
-def _always(installation: str, key: str, limit_s: float, printed: Path) -> list[str]:
-    return [
-        f"--comment={comment_of(installation, key)}",
-        f"--time={math.ceil(limit_s / 60)}",
-        "--nodes=1",
-        "--ntasks=1",
-        "--no-requeue",
-        "--chdir=/",
-        f"--output={printed}",
-        "--open-mode=append",
-    ]
+def _always(limit_s: float) -> list[str]:
+    return [f"--time={math.ceil(limit_s / 60)}", "--nodes=1", "--ntasks=1", "--no-requeue", "--chdir=/"]
 
 
 def place_options(placing: Placing, options: Sequence[str]) -> list[str]:
@@ -105,20 +91,19 @@ def niceness(expected_s: float) -> int:
     return max(0, _MOST_NICE - int(expected_s / 60))
 
 
-def job_script(work: Path, *, gpu: bool = False) -> str:
-    """The script of the job. The supervisor takes the place of the shell, so that signals to the script reach it."""
+def job_commands(work: Path, *, gpu: bool = False) -> str:
+    """What a job does. The supervisor takes the place of the shell, so that signals to the script reach it."""
     folder = str(work.resolve())
     asked = ["gpu"] if gpu else []
     return (
-        "#!/bin/sh\n"
         # An orphan: what the supervisor's own children use is counted for the run.
         f"({shlex.join(node_program('measure', folder))} &)\n"
         f"exec {shlex.join(node_program('supervise', folder, *asked))}\n"
     )
 
 
-def ticket_script(ticket: Ticket, purpose: str, python: str) -> str:
-    """The script of a job on a node that does not see our files. The ticket is secret: others see command lines.
+def ticket_commands(ticket: Ticket, purpose: str, python: str) -> str:
+    """What a job does on a node that does not see our files. The ticket is secret: others see command lines.
 
     Args:
         ticket: What the node needs to begin.
@@ -126,11 +111,11 @@ def ticket_script(ticket: Ticket, purpose: str, python: str) -> str:
         python: The Python of the nodes; empty for the worker's own.
     """
     program = [*_python(python), "-m", "slamhive.executors.slurm.agent", purpose]
-    return f"#!/bin/sh\nexec {shlex.join(program)} <<'TICKET'\n{json.dumps(ticket._asdict())}\nTICKET\n"
+    return f"exec {shlex.join(program)} <<'TICKET'\n{json.dumps(ticket._asdict())}\nTICKET\n"
 
 
 def node_program(*arguments: str, python: str = "") -> list[str]:
-    """The command for :mod:`slamhive.executors.slurm.node` on a node; ``python`` as for :func:`ticket_script`."""
+    """The command for :mod:`slamhive.executors.slurm.node` on a node; ``python`` as for :func:`ticket_commands`."""
     return [*_python(python), "-m", "slamhive.executors.slurm.node", *arguments]
 
 

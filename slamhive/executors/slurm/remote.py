@@ -26,10 +26,11 @@ from slamhive.executors.process.supervisor import OUTPUT_FOLDER
 from slamhive.executors.process.supervisors import read_json, wait_until
 from slamhive.executors.slurm import command
 from slamhive.executors.slurm.agent import DELIVERING, FETCHING, GONE_FILE, IMAGE, PROGRESS_FILE
+from slamhive.executors.slurm.arrays import NOWHERE
 from slamhive.executors.slurm.containers import ContainerSlurmExecutor
 from slamhive.executors.slurm.executor import last_line
 from slamhive.executors.slurm.image_folders import ImageFolder
-from slamhive.executors.slurm.job import ERRORS_FILE, NOWHERE, delivery_options, ticket_script
+from slamhive.executors.slurm.job import ERRORS_FILE, delivery_request, ticket_commands
 from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE
 from slamhive.executors.slurm.options import CONTAINERS, PYTHON
 from slamhive.executors.slurm.runtimes import NONE
@@ -110,13 +111,13 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
         """What the run has written on its node."""
         return int(_progress(Path(handle.data["work"])).get("written_bytes", 0))
 
-    def _script(self, spec: RunSpec, work: Path) -> str:
+    def _commands(self, spec: RunSpec, work: Path) -> str:
         image = self._image_of(spec)
         offered = self._store.offers.folder(image.root, f"image {spec.identity}", f"the image of {spec.package}")
         work.mkdir(parents=True, exist_ok=True)
         write_aside(work / _SPEC_FILE, adapter(RunSpec).dump_json(spec).decode())
         ticket = self._hand_out(spec, work, image, {IMAGE: offered})
-        return ticket_script(ticket, "run", self._context.value(PYTHON))
+        return ticket_commands(ticket, "run", self._context.value(PYTHON))
 
     def _hand_out(self, spec: RunSpec, work: Path, image: ImageFolder, further: dict[str, Offered]) -> Ticket:
         content: dict[str, Any] = dump(RunSpec, spec)
@@ -161,15 +162,14 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
             return False
         spec: RunSpec = adapter(RunSpec).validate_json((work / _SPEC_FILE).read_bytes())
         ticket = self._hand_out(spec, work, ImageFolder(work, {}, {}), {})
-        script = ticket_script(ticket, "deliver", self._context.value(PYTHON))
-        options = delivery_options(self._context.installation, spec.key, handle.data["node"], self._options)
+        commands = ticket_commands(ticket, "deliver", self._context.value(PYTHON))
+        installation, node = self._context.installation, handle.data["node"]
         try:
-            command.submit(options, script)
+            self._queue.submit(delivery_request(installation, spec.key, node, self._options, commands))
         except StartFailed as error:
-            logger.warning("the results of run %d are not fetched from %s: %s", spec.run_id, handle.data["node"], error)
+            logger.warning("the results of run %d are not fetched from %s: %s", spec.run_id, node, error)
             return False
         write_aside(work / _DELIVERIES_FILE, json.dumps({"tried": tried + 1}))
-        self._queue.forget()
         return True
 
     def _why_not_started(self, spec: RunSpec, work: Path) -> EngineUnavailable | StartFailed:
