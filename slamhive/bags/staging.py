@@ -158,9 +158,13 @@ def sweep_partial_folders(root: Path) -> None:
 
 def seal(aside: Path, dataset: Dataset) -> None:
     """Add ``dataset.yaml`` and the play script to a folder that holds the bag already."""
-    script = Path(__file__).with_name(PLAY_SCRIPT).read_text(encoding="utf-8")
-    (aside / PLAY_SCRIPT).write_text(script, encoding="utf-8")
+    (aside / PLAY_SCRIPT).write_text(shipped_script().read_text(encoding="utf-8"), encoding="utf-8")
     (aside / DATASET_FILE).write_text(dataset_to_yaml(dataset), encoding="utf-8")
+
+
+def shipped_script() -> Path:
+    """The play script of this version, which variants get."""
+    return Path(__file__).with_name(PLAY_SCRIPT)
 
 
 def current_script(path: Path) -> Path:
@@ -168,7 +172,7 @@ def current_script(path: Path) -> Path:
 
     Copies of earlier versions do not run in the Python of old images. A script that somebody else wrote is theirs.
     """
-    shipped = Path(__file__).with_name(PLAY_SCRIPT)
+    shipped = shipped_script()
     if not path.is_file():
         return shipped
     with path.open("rb") as copy, shipped.open("rb") as own:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 from slamhive.domain.algorithm import RunUser
 
@@ -16,6 +17,10 @@ _FILE_SLACK_BYTES = 1_000_000
 
 ROS_ENVIRONMENT = {"ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localhost:11311"}
 """What each container gets: a ROS master inside is found without a network."""
+
+
+RECORDING = "recording"
+"""The name of the input with the recorded data."""
 
 
 class Limit(StrEnum):
@@ -48,6 +53,25 @@ class RunInput:
     size_bytes: int = 0
     content: str | None = None
     own_copy: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class VariantOrder:
+    """A variant of a dataset that is made where the run takes place, from the input :data:`RECORDING`.
+
+    Attributes:
+        key: Equal keys mean equal bytes.
+        dataset: The name of the dataset.
+        description: Its ``dataset.yaml``.
+        steps: What is done to the recording.
+        room_bytes: The variant takes no more.
+    """
+
+    key: str
+    dataset: str
+    description: str
+    steps: tuple[dict[str, Any], ...]
+    room_bytes: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +192,7 @@ class RunSpec:
         placing: Where an engine with several nodes should start it. It is found out at the start, and not stored.
         work: A folder on the controller for the executor's own use, removed when the run is over.
         user: Who the run is in its container. Executors without containers take ``worker`` only.
+        variant: What its node makes of the recording before it starts; None if the inputs are as the run sees them.
     """
 
     key: str
@@ -188,6 +213,7 @@ class RunSpec:
     asks_gpu: bool = False
     shm_bytes: int | None = None
     placing: Placing = ANYWHERE
+    variant: VariantOrder | None = None
 
     def output(self, name: str) -> RunOutput:
         """The output called ``name``."""

@@ -46,6 +46,7 @@ class RunHandle:
     ``data["started_at"]`` is the time at which the engine started the run (ISO 8601, UTC). It is the same for each
     worker that adopts the run, and absent if the engine does not know it. ``protections`` go into the record, and
     so does ``host``: the machine of the run, None if it is that of the worker. ``gpu`` is what the engine gave it.
+    ``variant_checksum`` is that of the recording that its node made; None if the node made none.
     """
 
     executor: str
@@ -53,6 +54,7 @@ class RunHandle:
     protections: Protections | None = None
     host: Host | None = None
     gpu: GivenGpu | None = None
+    variant_checksum: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +17,7 @@ import pytest
 import slamhive
 from slamhive.bags.staging import checksum
 from slamhive.domain.run import RunState
+from slamhive.domain.variant import VariantStep
 from slamhive.executors.base import EngineUnavailable, StartFailed
 from slamhive.executors.node_store.server import NodeServer
 from slamhive.executors.registry import open_executor
@@ -31,6 +33,7 @@ from tests.executors.test_contract import RESULT
 from tests.services.docker_base import run_docker
 from tests.services.installation import TINY_IMAGE
 from tests.services.machine import Machine, wait_s
+from tests.services.recorded_track import make_recorded_track
 from tests.services.tiny_project import environment, make_dataset, make_project
 from tests.waiting import eventually
 
@@ -263,7 +266,12 @@ def hive(apart_cluster: Cluster, base_image: str, tmp_path: Path, monkeypatch: p
     description = recording.folder / "dataset.yaml"
     description.write_text(description.read_text().replace(recording.checksum, checksum(recording.bag_path)))
     (port,) = free_ports(1)
-    settings = {"shared_storage": "false", "node_address": f"127.0.0.1:{port}", "node_cache": str(apart_cluster.cache)}
+    settings = {
+        "slurm_options": "--nodelist=one",
+        "shared_storage": "false",
+        "node_address": f"127.0.0.1:{port}",
+        "node_cache": str(apart_cluster.cache),
+    }
     for key, value in environment(project, data, executor="slurm", lease_s="3", **settings).items():
         monkeypatch.setenv(key, value)
     assert run_docker("tag", base_image, TINY_IMAGE).returncode == 0
@@ -298,6 +306,26 @@ def test_a_worker_is_killed_until_the_time_limit_of_its_run_has_passed(hive, apa
         assert sampled(run_id, hive) > 3
     finally:
         machine.close()
+
+
+def test_a_variant_is_made_on_the_node_that_needs_it(hive, apart_cluster):
+    """Once for two runs, from the recording, with the bytes that the controller would make."""
+    shutil.rmtree(hive.settings.data / "datasets" / "track")
+    make_recorded_track(hive.settings.data)
+    before = set(cached(apart_cluster, "one"))
+    steps = (VariantStep("rate", ("lidar",), {"every": 2}),)
+    asked = [Submission("tiny", "track", variant=steps, seed=seed, evaluate=False) for seed in (1, 2)]
+    runs = [hive.runs.submit(entry)[0].id for entry in asked]
+    hive.worker().run(until_idle=True)
+    said = [hive.runs.record(run_id)["dataset"] for run_id in runs]
+    assert [hive.runs.get(run_id).state for run_id in runs] == [RunState.SUCCEEDED] * 2
+    assert hive.variants.entries() == ()
+    fresh = [path for path in set(cached(apart_cluster, "one")) - before if (path / "dataset.yaml").exists()]
+    assert len(fresh) == 1
+    with hive.variants.hold(hive.catalogue.dataset("track"), steps, lambda _done, _words: None) as used:
+        assert said == [{**said[0], "variant": used.key, "variant_checksum": used.dataset.checksum}] * 2
+        assert (fresh[0] / "track.bag").read_bytes() == used.dataset.bag_path.read_bytes()
+    assert not (fresh[0] / "groundtruth.txt").exists()
 
 
 def sampled(run_id: int, hive: Hive) -> int:

@@ -22,13 +22,14 @@ from types import FrameType
 from typing import Any
 
 import slamhive
+from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.clock import monotonic_s, utc_now
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.node_store.controller import item_name, live_place
-from slamhive.executors.node_store.on_node.cache import CacheFull, Held, Item
+from slamhive.executors.node_store.on_node.cache import Cache, CacheFull, Held, Item
 from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused
-from slamhive.executors.node_store.on_node.fetch import WrongContent
+from slamhive.executors.node_store.on_node.fetch import Fetcher, WrongContent
 from slamhive.executors.node_store.on_node.mirror import Mirror, Watched
 from slamhive.executors.node_store.on_node.results import Output
 from slamhive.executors.node_store.on_node.run import (
@@ -52,12 +53,16 @@ from slamhive.executors.slurm.containers import give_container_orders
 from slamhive.executors.slurm.image_folders import ImageFolder
 from slamhive.executors.slurm.job import ERRORS_FILE
 from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE
-from slamhive.executors.spec import RunSpec
+from slamhive.executors.slurm.variants import item_of, make_apart
+from slamhive.executors.spec import RECORDING, RunSpec, VariantOrder
+from slamhive.files import write_aside
 from slamhive.schema.model import adapter
 from slamhive.tree import folder_bytes, remove_tree
 
 PROGRESS_FILE = "progress.json"
 GONE_FILE = "gone.json"
+VARIANT_FILE = "made-variant.json"
+VARIANT_CHECKSUM = "checksum"
 IMAGE = "image"
 FETCHING, RUNNING, DELIVERING = "fetching", "running", "delivering"
 _CLAIM_PATIENCE_S = 600.0
@@ -91,7 +96,10 @@ class RunOnNode:
         self._reporter.start()
         try:
             self._progress(FETCHING)
+            source = None if self._spec.variant is None else self._items.pop(item_name(RECORDING))
             paths = hold_items(self._ticket, self._connection, self._items, held, self._arrived)
+            if self._spec.variant is not None and source is not None:
+                paths |= self._variant(self._spec.variant, source, held)
             self._give_orders(paths)
             self._supervise()
             return self._deliver()
@@ -112,6 +120,25 @@ class RunOnNode:
             options=self._orders["options"],
         )
         give_container_orders(spec, image, spec.work, context)
+
+    def _variant(self, order: VariantOrder, source: Item, held: list[Held]) -> dict[str, Path]:
+        """The inputs that are a variant, which is made unless it is there. Only who makes it needs the recording."""
+        cache = Cache(Path(self._ticket.cache), self._ticket.cache_bytes)
+
+        def make(item: Item, folder: Path) -> None:
+            recording = cache.hold(source, Fetcher(self._connection, progress=self._arrived))
+            try:
+                make_apart(order, recording.path, folder, lambda done: self._made(item, done))
+            finally:
+                recording.release()
+
+        held.append(cache.hold(item_of(order), make))
+        dataset = load_dataset(held[-1].path)
+        write_aside(self._spec.work / VARIANT_FILE, json.dumps({VARIANT_CHECKSUM: dataset.checksum}))
+        return {item_name(RECORDING): dataset.bag_path, item_name(DATASET_FILE): dataset.folder / DATASET_FILE}
+
+    def _made(self, item: Item, done: float) -> None:
+        self._progress(FETCHING, f"{item.words}: {100 * done:.0f} % is made")
 
     def _supervise(self) -> None:
         """Start the supervisor, and wait until it ends."""
@@ -222,6 +249,7 @@ def watched_files(spec: RunSpec, offset_s: float) -> list[Watched]:
         for name in output.live
     ]
     return [
+        Watched(VARIANT_FILE, work / VARIANT_FILE),
         Watched(PLACE_FILE, work / PLACE_FILE),
         Watched(IDENTITY_FILE, work / IDENTITY_FILE, change=change),
         Watched(USAGE_FILE, work / USAGE_FILE),

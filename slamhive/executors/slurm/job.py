@@ -19,6 +19,8 @@ from slamhive.executors.spec import Limits, Placing, RunSpec
 ERRORS_FILE = "shim-errors.txt"
 _SUPERVISOR_BYTES = 200_000_000
 """Slurm counts the supervisor and the process that measures with the run."""
+_MAKING_BYTES_PER_S = 5e6
+"""No node is expected to make a variant more slowly than this."""
 _EXCLUDE = "--exclude="
 _MOST_NICE = 60
 _DELIVERY_S = 7200.0
@@ -50,7 +52,8 @@ def job_request(
         printed: Where the node writes what the job itself prints; None for a file in the work folder.
     """
     limits = job_limits(spec.limits)
-    chosen = _always(spec.timeout_s + _LATEST_END_S)
+    making_s = 0.0 if spec.variant is None else spec.variant.room_bytes / _MAKING_BYTES_PER_S
+    chosen = _always(spec.timeout_s + making_s + _LATEST_END_S)
     if limits.cpu_cores is not None:
         chosen.append(f"--cpus-per-task={math.ceil(limits.cpu_cores)}")
     if limits.memory_bytes is not None:

@@ -25,7 +25,15 @@ from slamhive.executors.process.shim import IDENTITY_FILE
 from slamhive.executors.process.supervisor import OUTPUT_FOLDER
 from slamhive.executors.process.supervisors import read_json, wait_until
 from slamhive.executors.slurm import command
-from slamhive.executors.slurm.agent import DELIVERING, FETCHING, GONE_FILE, IMAGE, PROGRESS_FILE
+from slamhive.executors.slurm.agent import (
+    DELIVERING,
+    FETCHING,
+    GONE_FILE,
+    IMAGE,
+    PROGRESS_FILE,
+    VARIANT_CHECKSUM,
+    VARIANT_FILE,
+)
 from slamhive.executors.slurm.arrays import NOWHERE
 from slamhive.executors.slurm.containers import ContainerSlurmExecutor
 from slamhive.executors.slurm.executor import last_line
@@ -49,7 +57,7 @@ _DELIVERY_WAIT_S = 30.0
 class RemoteSlurmExecutor(ContainerSlurmExecutor):
     """The executor ``slurm`` for nodes that are given data by HTTP."""
 
-    capabilities = replace(ContainerSlurmExecutor.capabilities, shares_files=False)
+    capabilities = replace(ContainerSlurmExecutor.capabilities, shares_files=False, makes_variants=True)
     _printed = NOWHERE
 
     def __init__(self, context: ExecutorContext, access: NodeAccess) -> None:
@@ -73,6 +81,9 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
     def start(self, spec: RunSpec) -> RunHandle:
         """Submit a job unless there is one, and wait a little; says where the clock of the node differs."""
         handle = super().start(spec)
+        made = read_json(spec.work.resolve() / VARIANT_FILE)
+        if made is not None:
+            handle = replace(handle, variant_checksum=str(made[VARIANT_CHECKSUM]))
         difference = self._store.clock_difference(spec.work)
         if difference is None:
             return handle
@@ -130,7 +141,7 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
             "log_max_bytes": self._context.log_max_bytes,
             "options": {CONTAINERS.name: self._context.value(CONTAINERS)},
         }
-        names = (PLACE_FILE, IDENTITY_FILE, USAGE_FILE, PROGRESS_FILE, ERRORS_FILE, EXIT_FILE, GONE_FILE)
+        names = (VARIANT_FILE, PLACE_FILE, IDENTITY_FILE, USAGE_FILE, PROGRESS_FILE, ERRORS_FILE, EXIT_FILE, GONE_FILE)
         reports = Reports({name: work / name for name in names}, {OUTPUT_FOLDER: work / OUTPUT_FOLDER})
         return self._store.hand_out(spec, orders, reports, further)
 

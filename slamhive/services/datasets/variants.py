@@ -13,10 +13,12 @@ from slamhive.bags.variants.cache import CacheLimits, VariantCache, VariantEntry
 from slamhive.bags.variants.manifest import VariantPlan
 from slamhive.bags.variants.plan import plan_variant
 from slamhive.bags.variants.rules import RegisteredSteps, on_all_sensors
+from slamhive.catalogue.dataset_file import dataset_to_yaml
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.run import RunState
 from slamhive.domain.variant import Variant
 from slamhive.errors import Conflict, SlamHiveError
+from slamhive.executors.spec import VariantOrder
 from slamhive.runs.folder import RunFolder
 from slamhive.search.build import matching
 from slamhive.settings import Settings
@@ -33,10 +35,17 @@ _MOST_ACTIVE = 1000
 
 @dataclass(frozen=True, slots=True)
 class UsedVariant:
-    """The variant that a run uses: its ``dataset``, ready to be mounted, and its ``key``, which may be `IDENTITY`."""
+    """The variant that a run uses.
+
+    Attributes:
+        key: Its key, or :data:`IDENTITY`.
+        dataset: As the run sees it, ready to be mounted. With an ``order``, as it will be; its files are the source's.
+        order: What the node of the run has to make; None if there is nothing to make.
+    """
 
     key: str
     dataset: Dataset
+    order: VariantOrder | None = None
 
 
 class Variants:
@@ -74,6 +83,15 @@ class Variants:
     def planned(self, dataset: Dataset, variant: Variant) -> Dataset:
         """``dataset`` with its sensors as ``variant`` will leave them; raises as :meth:`check`."""
         return seen_dataset(RegisteredSteps(), dataset, variant)
+
+    def ordered(self, dataset: Dataset, variant: Variant) -> UsedVariant:
+        """The variant as an order for the node of the run; raises NotFound or InvalidInput as :meth:`hold`."""
+        plan = plan_variant(dataset, variant)
+        if plan is None:
+            return UsedVariant(IDENTITY, dataset)
+        steps = tuple(dict(step) for step in plan.steps)
+        order = VariantOrder(plan.key, dataset.name, dataset_to_yaml(dataset), steps, plan.needed_bytes)
+        return UsedVariant(plan.key, self.planned(dataset, variant), order)
 
     @contextmanager
     def hold(self, dataset: Dataset, variant: Variant, progress: Progress) -> Iterator[UsedVariant]:

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
         check_recorded,
         provenance,
         recorded_topics,
+        with_made_variant,
         write_config,
     )
     from slamhive.services.runs.stored import StoredRuns
@@ -124,6 +125,7 @@ __all__ = [
     "spec_from_json",
     "spec_to_json",
     "untracked_s",
+    "with_made_variant",
     "write_config",
 ]
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from slamhive import __version__
 from slamhive.bags.reader import inspect_bag
-from slamhive.bags.staging import PLAY_SCRIPT, checksum, current_script
+from slamhive.bags.staging import PLAY_SCRIPT, checksum, current_script, shipped_script
 from slamhive.catalogue.algorithm_file import package_hash
 from slamhive.catalogue.dataset_file import DATASET_FILE
 from slamhive.catalogue.run_config import build_run_config
@@ -22,7 +22,7 @@ from slamhive.domain.matching import match_of
 from slamhive.domain.sensor_choice import BY_RULE, Chosen
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.base import Capabilities, EngineUnavailable, Executor, ImageMissing
-from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import RECORDING, Limits, RunInput, RunOutput, RunSpec
 from slamhive.files import hash_files, write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.runtime.config import to_yaml
@@ -37,6 +37,7 @@ CONTAINER_ROOT = "/slamhive"
 COMMAND = ("python3", f"{CONTAINER_ROOT}/mapping.py")
 CONTAINER_WEIGHTS = "/slamhive-weights"
 CONTAINER_VOCABULARY = "/slamhive-vocabulary.txt"
+_VARIANT_CHECKSUM = "variant_checksum"
 MOST_BYTES_HASHED = 1_000_000
 """Larger inputs are hashed only if their hash is known already."""
 
@@ -188,6 +189,7 @@ def build_spec(
         user=job.algorithm.package.user,
         gpu=None if job.gpu is None else job.gpu.uuid,
         asks_gpu=job.asks_gpu,
+        variant=None if job.used is None else job.used.order,
         shm_bytes=None if job.algorithm.package.shm_mb is None else job.algorithm.package.shm_mb * 1_000_000,
     )
 
@@ -231,7 +233,8 @@ def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
             "checksum": job.dataset.checksum,
             "duration_s": job.dataset.duration_s,
             "variant": IDENTITY if job.used is None else job.used.key,
-            "variant_checksum": job.seen.checksum,
+            # Its node will say what it has made.
+            _VARIANT_CHECKSUM: job.seen.checksum if job.used is None or job.used.order is None else None,
         },
         **({} if job.gpu is None else {"gpu": asdict(job.gpu)}),
         "trajectory": job.algorithm.trajectory,
@@ -239,6 +242,11 @@ def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
         "match": MatchDocument.of_match(match).content,
         **_map_provenance(job.input_map),
     }
+
+
+def with_made_variant(record: Mapping[str, Any], checksum: str) -> dict[str, Any]:
+    """What the record of a run says of its dataset, once its node has made the variant."""
+    return {**record["dataset"], _VARIANT_CHECKSUM: checksum}
 
 
 def _map_provenance(found: FoundMap | None) -> dict[str, Any]:
@@ -252,10 +260,12 @@ def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInpu
         # An image made for the published SLAM Hive does not hold its scripts. It gets a copy that it may change.
         yield _input("slamhive", package.folder / "slamhive", CONTAINER_ROOT, own_copy=True)
     yield _input("config", folder.config, f"{CONTAINER_ROOT}/config.yaml")
-    yield _input("recording", dataset.bag_path, f"{inside}/{dataset.bag}", content=dataset.checksum)
+    yield _input(RECORDING, dataset.bag_path, f"{inside}/{dataset.bag}", content=dataset.checksum)
     if (dataset.folder / DATASET_FILE).is_file():
         yield _input(DATASET_FILE, dataset.folder / DATASET_FILE, f"{inside}/{DATASET_FILE}")
-    yield _input(PLAY_SCRIPT, current_script(dataset.folder / PLAY_SCRIPT), f"{inside}/{PLAY_SCRIPT}")
+    ordered = job.used is not None and job.used.order is not None
+    script = shipped_script() if ordered else current_script(dataset.folder / PLAY_SCRIPT)
+    yield _input(PLAY_SCRIPT, script, f"{inside}/{PLAY_SCRIPT}")
     if settings.orb_vocabulary:
         yield _input("vocabulary", Path(settings.orb_vocabulary), CONTAINER_VOCABULARY)
     for entry in job.weights:

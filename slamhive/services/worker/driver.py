@@ -16,7 +16,7 @@ from slamhive.executors.base import EngineUnavailable, GpuGiver, ImageMissing, S
 from slamhive.executors.status import RunHandle
 from slamhive.services.datasets import variant_key
 from slamhive.services.json_values import exact, timestamp
-from slamhive.services.runs import handle_to_json
+from slamhive.services.runs import handle_to_json, with_made_variant
 from slamhive.services.worker.collecting import Collecting
 from slamhive.services.worker.context import DriverContext
 from slamhive.services.worker.disk import remove_scratch, settle_result
@@ -130,6 +130,8 @@ class RunDriver:
             row["host_id"] = self._context.store.write(lambda t: t.catalogue.put_host(host))
         if handle.gpu is not None:
             started["gpu"] = asdict(handle.gpu)
+        if handle.variant_checksum is not None:
+            started["dataset"] = with_made_variant(hand.saved(), handle.variant_checksum)
         hand.move(RunState.RUNNING, "started", record=started, **row)
 
     def _cancel(self) -> None:

@@ -120,8 +120,10 @@ class Preparing:
         return Job(run.id, run.uid, algorithm, dataset, configuration, run.seed, limits, input_map=found)
 
     def _with_variant(self, job: Job) -> Job:
-        """The variant of the run, made if necessary and held until the driver releases the run."""
+        """The variant of the run, made if necessary and held until the driver releases the run; or made on its node."""
         hand = self._hand
+        if hand.executor.capabilities.makes_variants:
+            return replace(job, used=hand.context.variants.ordered(job.dataset, job.configuration.variant))
 
         def progress(fraction: float, text: str) -> None:
             self._check_cancelled()

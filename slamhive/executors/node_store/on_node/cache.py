@@ -1,9 +1,10 @@
 """Content-addressed files and folders of a node, shared by all runs on it.
 
 ``<cache>/sha256/ab/<hash>`` is an item: a file with this SHA-256, or the folder of the archive with it. It appears in
-one step, so it is always complete. Beside it lies ``<hash>.lock``. Who transfers or removes the item has it locked
-alone; who uses it shares the lock. The kernel frees the locks of killed processes. The content of the lock file is the
-room that the item takes (bytes), and its time is that of the latest use. ``<hash>.part`` is what has arrived so far.
+one step, so it is always complete. What the node itself makes is an item too: a folder, named by the hash of its
+recipe. Beside it lies ``<hash>.lock``. Who transfers or removes the item has it locked alone; who uses it shares the
+lock. The kernel frees the locks of killed processes. The content of the lock file is the room that the item takes
+(bytes), and its time is that of the latest use. ``<hash>.part`` is what has arrived so far.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ import time
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional
 
-FILE, FOLDER = "file", "folder"
+from slamhive.tree import folder_bytes
+
+FILE, FOLDER, MADE = "file", "folder", "made"
 _LOCK, _PART, _UNPACKING = ".lock", ".part", ".unpacking"
 _PAUSE_S = 0.1
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -34,9 +37,9 @@ class Item(NamedTuple):
     """Something that a run needs.
 
     Attributes:
-        sha256: Of the file, or of the archive of the folder, in hexadecimal digits.
-        size_bytes: Of the same.
-        kind: ``file`` or ``folder``.
+        sha256: Of the file, of the archive of the folder, or of the recipe, in hexadecimal digits.
+        size_bytes: Of the file or archive; what is made takes no more.
+        kind: ``file``, ``folder``, or ``made`` for a folder that the node makes.
         unpacked_bytes: What the files of the folder take; 0 for a file.
         words: What it is, for messages.
     """
@@ -54,7 +57,7 @@ class Item(NamedTuple):
 
     @property
     def kept_bytes(self) -> int:
-        """What it takes once it is there."""
+        """What it takes once it is there; for what is made, at most."""
         return self.unpacked_bytes if self.kind == FOLDER else self.size_bytes
 
     @classmethod
@@ -73,7 +76,9 @@ class Item(NamedTuple):
 
 
 Fetch = Callable[[Item, Path], None]
-"""Completes the part of an item, a file that may hold some of it already. It checks size and hash."""
+"""Completes the part of an item, a file that may hold some of it already. It checks size and hash.
+
+For what is made on the node it gets an empty folder, and fills it."""
 
 
 class Held:
@@ -140,7 +145,12 @@ class Cache:
             if folder.is_dir():
                 _remove_folder(folder)
         self._make_room(item, lock)
+        kept_bytes = item.kept_bytes
         try:
+            if item.kind == MADE:
+                kept_bytes = _make(item, unpacking, fetch)
+                os.replace(str(unpacking), str(path))
+                return
             fetch(item, part)
             if item.kind == FOLDER:
                 unpack_folder(part, unpacking)
@@ -157,7 +167,7 @@ class Cache:
                 part.unlink()
             raise CacheFull(self._words(item, "the disk is full")) from None
         finally:
-            _write_room(lock, item.kept_bytes if path.exists() else item.room_bytes if part.exists() else 0)
+            _write_room(lock, kept_bytes if path.exists() else item.room_bytes if part.exists() else 0)
 
     def _make_room(self, item: Item, lock: int) -> None:
         """Remove what was not used for longest until there is room, and reserve it. Raises CacheFull.
@@ -271,6 +281,17 @@ def _trusted() -> Dict[str, Any]:
     return {"filter": "fully_trusted"} if hasattr(tarfile, "fully_trusted_filter") else {}
 
 
+def _make(item: Item, folder: Path, make: Fetch) -> int:
+    """Make the item in ``folder``; what it takes (bytes). Nothing stays of what could not be made."""
+    folder.mkdir(mode=0o700)
+    try:
+        make(item, folder)
+        return folder_bytes(folder)
+    except BaseException:
+        shutil.rmtree(str(folder), ignore_errors=True)
+        raise
+
+
 def _remove_folder(folder: Path) -> None:
     """Remove a folder of an item, whatever rights its folders have."""
     for root, _, _ in os.walk(str(folder)):
@@ -283,7 +304,7 @@ def _is_there(item: Item, path: Path, lock: int) -> bool:
     """Whether the item is there, and not a folder that a kubelet made because a pod was to see the item."""
     if item.kind == FILE:
         return path.is_file()
-    return path.is_dir() and (os.pread(lock, 32, 0) not in (b"", b"0") or not item.unpacked_bytes)
+    return path.is_dir() and (os.pread(lock, 32, 0) not in (b"", b"0") or not item.kept_bytes)
 
 
 def _arrived_bytes(path: Path) -> int:
