@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import stat
 import sys
 import time
@@ -279,14 +280,17 @@ REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
 _SLURM = pytest.param("slurm", marks=pytest.mark.cluster)
 _SLURM_ENVIRONMENT = pytest.param("slurm-none", marks=pytest.mark.cluster)
 _SLURM_APART = pytest.param("slurm-apart", marks=_LONG)
+APPTAINER = [pytest.param(f"slurm-{name}", marks=_LONG) for name in ("apptainer", "apart-apptainer")]
+"""Slurm with Apptainer, which Debian 12 does not have: skipped where it is not installed."""
 ALL = [
-    *("process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, _SLURM_APART, _KUBERNETES, _KUBERNETES_APART),
+    *("process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, *APPTAINER, _SLURM_APART),
+    *(_KUBERNETES, _KUBERNETES_APART),
     *("remote", "plain"),
 ]
 """The parameters of ``bench`` for every executor: those that ship, one on another machine, one of the documentation.
 
-Slurm has three: with containers, without, and on nodes that see no file of the tests. Kubernetes has two: the last of
-these, too.
+Slurm has five: with containers of Charliecloud, without containers, on nodes that see no file of the tests, and both
+kinds of nodes with containers of Apptainer. Kubernetes has two: nodes that share files, and nodes that see none.
 """
 
 
@@ -319,9 +323,13 @@ def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
     if containment == "user":
         open_to_other_users(tmp_path, environment_data)
     context = ExecutorContext(environment_data, PROJECT_ROOT, uuid.uuid4().hex, 100_000)
-    if request.param == "slurm-apart":
+    runtime = "apptainer" if containment.endswith("apptainer") else "auto"
+    if runtime == "apptainer" and shutil.which(runtime) is None:
+        pytest.skip("there is no Apptainer on this machine")
+    if containment.startswith("apart") and name == "slurm":
         cluster, server = request.getfixturevalue("apart_cluster"), request.getfixturevalue("node_server")
-        apart = replace(context, nodes=NodeAccess(server.url, str(cluster.cache), 2 * 10**9))
+        access = NodeAccess(server.url, str(cluster.cache), 2 * 10**9)
+        apart = replace(context, nodes=access, options={"containers": runtime})
         return Maker(name, apart, lambda: open_executor(name, apart))
     if request.param == "kubernetes-apart":
         access = request.getfixturevalue("node_access")

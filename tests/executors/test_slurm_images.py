@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import InvalidInput
+from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.host import describe_host
 from slamhive.executors.slurm.containers import container_orders, make_mount_points, open_slurm
@@ -25,6 +25,7 @@ from slamhive.executors.slurm.runtimes import (
     choose_runtime,
     podman,
     try_runtimes,
+    write_sif,
 )
 from slamhive.executors.slurm.survey import describe
 from slamhive.executors.spec import RunInput, RunOutput
@@ -173,13 +174,61 @@ def test_command_of_charliecloud():
 
 def test_command_of_apptainer():
     called = apptainer("apptainer", ORDERS)
-    assert called.environment == {"APPTAINERENV_HOME": "/tmp", "APPTAINERENV_A": "1,2 $X"}
+    assert called.environment == {"APPTAINERENV_A": "1,2 $X"}
     assert called.arguments == [
-        "apptainer", "exec", "--userns", "--containall", "--no-home", "--net", "--network=none",
+        "apptainer", "--quiet", "exec", "--userns", "--containall", "--no-home", "--net", "--network=none",
         "--bind=/work/dataset:/slamhive/dataset:ro", "--bind=/bags/a.bag:/slamhive/dataset/a.bag:ro",
         "--bind=/runs/1/result:/slamhive/result:rw", "--pwd=/tmp", "/data/image/root", "python3",
         "/slamhive/mapping.py",
     ]  # fmt: skip
+
+
+def test_the_home_folder_of_apptainer_is_an_option_of_its_own():
+    called = apptainer("apptainer", replace(ORDERS, written={**ORDERS.written, "/tmp": "/runs/1/work/tmp"}))
+    assert "--home=/runs/1/work/tmp:/tmp" in called.arguments
+    assert "--no-home" not in called.arguments
+    assert not [option for option in called.arguments if option.startswith("--bind") and ":/tmp:" in option]
+
+
+def test_an_image_is_packed_once(tmp_path):
+    images, written = ImageFolders(tmp_path), list[Path]()
+    identity = images.add([archive_of(layer_of(("usr/bin/tool", b"x")))])
+
+    def write(root: Path, file: Path) -> None:
+        written.append(root)
+        file.write_bytes(b"SIF")
+
+    def fail(_root: Path, file: Path) -> None:
+        file.write_bytes(b"half")
+        raise Unavailable("the disk is full")
+
+    with pytest.raises(Unavailable):
+        images.pack(identity, fail)
+    unpacked = images.find(identity)
+    assert unpacked is not None
+    assert unpacked.sif is None
+    images.pack(identity, write)
+    images.pack(identity, write)
+    found = images.find(identity)
+    assert found is not None
+    assert found.sif is not None
+    assert written == [found.root]
+    assert found.sif.read_bytes() == b"SIF"
+    assert container_orders(SPEC, found, "apptainer").image == str(found.sif)
+    assert container_orders(SPEC, found, "auto").image == str(found.root)
+    images.remove(identity)
+    assert images.find(identity) is None
+    assert not found.sif.exists()
+
+
+def test_apptainer_that_fails_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(Unavailable, match="apptainer cannot be started"):
+        write_sif(tmp_path, tmp_path / "a.sif")
+    (tmp_path / "apptainer").write_text("#!/bin/sh\necho 'FATAL: no\n mksquashfs' >&2\nexit 255\n")
+    (tmp_path / "apptainer").chmod(0o755)
+    with pytest.raises(Unavailable, match=r"apptainer build failed: FATAL: no mksquashfs$"):
+        write_sif(tmp_path, tmp_path / "a.sif")
 
 
 def test_command_of_podman():

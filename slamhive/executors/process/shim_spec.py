@@ -19,6 +19,7 @@ class ShimSpec:
     ``cores`` are those to bind to. ``tasks`` counts processes and threads, as a container's limit of pids does. The
     fields after ``cpu_cores`` are for the containment, see ``ContainmentRequest``. ``read_only`` is for a command that
     makes a container of the files it is given: what the container must not change. None for any other command.
+    ``forwarders`` are programs that pass signals on to the algorithm: they get none, or it would get each twice.
     """
 
     command: list[str]
@@ -36,6 +37,7 @@ class ShimSpec:
     writable: list[str] = field(default_factory=list)
     containment: str | None = None
     read_only: list[str] | None = None
+    forwarders: list[str] = field(default_factory=list)
 
     def save(self, work: Path) -> None:
         """Write into the work folder."""

@@ -239,7 +239,8 @@ class Supervisor:
             end_all(self._tree.living, _KILL_PATIENCE_S)
 
     def _pass_on(self, _number: int, _frame: FrameType | None) -> None:
-        send((entry.pid for entry in self._tree.living()), signal.SIGTERM)
+        forwarders = self._spec.forwarders
+        send((entry.pid for entry in self._tree.living() if entry.name not in forwarders), signal.SIGTERM)
 
     def _kill_on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._kill_asked = True

@@ -20,7 +20,7 @@ _PAUSE_S = 0.005
 
 @dataclass(frozen=True, slots=True)
 class ProcessEntry:
-    """A process: its parent, process group, number of threads and resident memory.
+    """A process: its parent, process group, number of threads, resident memory and the name of its program.
 
     A zombie has ended but was not reaped by its parent; the kernel still counts it.
     """
@@ -31,6 +31,7 @@ class ProcessEntry:
     threads: int
     resident_bytes: int
     zombie: bool = False
+    name: str = ""
 
 
 def read_process(pid: int) -> ProcessEntry | None:
@@ -39,9 +40,12 @@ def read_process(pid: int) -> ProcessEntry | None:
         text = (_PROC / str(pid) / "stat").read_text(encoding="utf-8", errors="replace")
     except (FileNotFoundError, ProcessLookupError, PermissionError):
         return None
-    fields = text.rpartition(")")[2].split()
+    before, _, after = text.rpartition(")")
+    fields = after.split()
     threads, resident_bytes = max(1, int(fields[17])), int(fields[21]) * _PAGE_BYTES
-    return ProcessEntry(pid, int(fields[1]), int(fields[2]), threads, resident_bytes, fields[0] in "ZX")
+    return ProcessEntry(
+        pid, int(fields[1]), int(fields[2]), threads, resident_bytes, fields[0] in "ZX", before.partition("(")[2]
+    )
 
 
 def process_birth(pid: int) -> str | None:

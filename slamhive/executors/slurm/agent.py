@@ -111,7 +111,8 @@ class RunOnNode:
     def _give_orders(self, paths: dict[str, Path]) -> None:
         inputs = tuple(replace(entry, source=paths[item_name(entry.name)]) for entry in self._spec.inputs)
         spec = replace(self._spec, inputs=inputs)
-        image = ImageFolder(paths[IMAGE], self._orders["image"]["environment"], {})
+        environment, place = self._orders["image"]["environment"], paths[IMAGE]
+        image = ImageFolder(place, environment, {}, sif=place if place.is_file() else None)
         context = ExecutorContext(
             self._folder,
             self._folder,

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import logging
+import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from slamhive.catalogue.image_context import CONTENT_LABEL, context_hash, dockerfile_of
 from slamhive.domain.algorithm import AlgorithmPackage, RunUser
-from slamhive.errors import InvalidInput
+from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.base import (
     Executor,
     ExecutorContext,
@@ -27,8 +29,10 @@ from slamhive.executors.slurm.docker_archive import make_mount_point
 from slamhive.executors.slurm.executor import SlurmExecutor
 from slamhive.executors.slurm.image_folders import ImageFolder, ImageFolders
 from slamhive.executors.slurm.options import CONTAINERS
-from slamhive.executors.slurm.runtimes import AUTO, NONE, RUNTIMES, ContainerOrders
+from slamhive.executors.slurm.runtimes import APPTAINER, AUTO, NONE, RUNTIMES, ContainerOrders, write_sif
 from slamhive.executors.spec import ROS_ENVIRONMENT, RunSpec
+
+logger = logging.getLogger(__name__)
 
 _HOME = "/tmp"  # noqa: S108 - in the container
 _DATASET = "/slamhive/dataset"
@@ -60,7 +64,8 @@ class ContainerSlurmExecutor(SlurmExecutor):
 
     def examine(self) -> list[Finding]:
         """Also which runtime is used. Only the nodes know which they have."""
-        return [*super().examine(), Finding("SLURM_CONTAINERS", self._context.value(CONTAINERS))]
+        found = f"{self._context.value(CONTAINERS)}; images are {'SIF files' if self._makes_sif else 'folders'}"
+        return [*super().examine(), Finding("SLURM_CONTAINERS", found)]
 
     def check_package(self, package: AlgorithmPackage) -> None:
         """Raise ImageMissing for a package that has to write into its image."""
@@ -82,6 +87,7 @@ class ContainerSlurmExecutor(SlurmExecutor):
         """Let Docker build the image and unpack it, unless that has been done. Raises ImageMissing."""
         known = self.identity(package)
         if known is not None:
+            self._pack(known, progress)
             return known
         with self._docker() as docker:
             problem = docker.unavailable_because()
@@ -93,7 +99,25 @@ class ContainerSlurmExecutor(SlurmExecutor):
                 )
             identity = docker.build(package, progress)
             progress(f"{package.name}: unpacking its image for the nodes")
-            return self._images.add(docker.save_image(identity), identity)
+            unpacked = self._images.add(docker.save_image(identity), identity)
+        self._pack(unpacked, progress)
+        return unpacked
+
+    def _pack(self, identity: str, progress: ProgressCallback) -> None:
+        """Make a SIF file of the image, if nodes are to use Apptainer and it is here as well. They can do without."""
+        image = self._images.find(identity)
+        if not self._makes_sif or image is None or image.sif is not None:
+            return
+        progress(f"packing image {identity[:19]} into a SIF file")
+        try:
+            self._images.pack(identity, write_sif)
+        except (Unavailable, OSError) as error:
+            progress(f"nodes use the folder of image {identity[:19]}, since no SIF file could be made: {error}")
+
+    @property
+    def _makes_sif(self) -> bool:
+        asked = self._context.value(CONTAINERS) == APPTAINER
+        return asked and shutil.which(RUNTIMES[APPTAINER].program) is not None
 
     def has(self, package: AlgorithmPackage, identity: str) -> bool:  # noqa: ARG002 - a digest names one image
         """Whether the image with this digest has been unpacked."""
@@ -105,7 +129,9 @@ class ContainerSlurmExecutor(SlurmExecutor):
 
     def load_image(self, chunks: Iterable[bytes]) -> str:
         """Unpack the image of an archive; its digest. Needs no Docker."""
-        return self._images.add(chunks)
+        identity = self._images.add(chunks)
+        self._pack(identity, logger.info)
+        return identity
 
     def sweep(self, live_keys: LiveKeys) -> list[str]:
         """Also remove the remains of images that were being unpacked."""
@@ -153,7 +179,7 @@ def container_orders(spec: RunSpec, image: ImageFolder, runtime: str) -> Contain
     written = {_HOME: work / "tmp", **written_places(spec)}
     orders = ContainerOrders(
         runtime=runtime,
-        image=str(image.root),
+        image=str(image.sif or image.root) if runtime == APPTAINER else str(image.root),
         command=list(spec.command),
         environment={**image.environment, **ROS_ENVIRONMENT, "HOME": _HOME, **spec.environment},
         read={target: str(path) for target, path in read.items()},
@@ -175,6 +201,8 @@ def make_mount_points(orders: ContainerOrders) -> None:
         outer = [place for place in (_DATASET, *orders.written) if target.startswith(f"{place}/")]
         above = max(outer, key=len, default="")
         root = places.get(above, Path(orders.image))
+        if root.is_file():
+            continue  # Apptainer makes what a SIF file lacks
         make_mount_point(root, target.removeprefix(above), is_folder=source.is_dir())
 
 

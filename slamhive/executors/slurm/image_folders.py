@@ -1,7 +1,8 @@
 """The images of a data root as folders, which container runtimes start without root.
 
 ``<data>/image-folders/sha256-<digest>/`` holds ``root/`` with the files of the image, and ``image.json`` with what else
-the image says. A folder appears in one step, so it is always complete. Equal digest means equal image.
+the image says. A folder appears in one step, so it is always complete. Equal digest means equal image. ``image.sif``
+has the same files as one file, if Apptainer is to have it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import os
 import shutil
 import tarfile
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from slamhive.files import remedy_of, sweep_folder, temporary_folder
 
 _STAGED = ".image-"
 _DESCRIPTION = "image.json"
+_SIF = "image.sif"
 _PREFIX = "sha256:"
 
 
@@ -30,13 +32,15 @@ _PREFIX = "sha256:"
 class ImageFolder:
     """An image that has been unpacked, with the variables and labels that it sets.
 
-    ``architecture`` is that of its programs, such as ``amd64``; empty if nobody knows.
+    ``architecture`` is that of its programs, such as ``amd64``; empty if nobody knows. ``sif`` is the image as one
+    file; None if there is none.
     """
 
     root: Path
     environment: dict[str, str]
     labels: dict[str, str]
     architecture: str = ""
+    sif: Path | None = None
 
 
 class ImageFolders:
@@ -55,7 +59,9 @@ class ImageFolders:
         except FileNotFoundError:
             return None
         architecture = content.get("architecture", "")  # earlier versions did not record it
-        return ImageFolder(folder / "root", content["environment"], content["labels"], architecture)
+        sif = folder / _SIF
+        found = sif if sif.exists() else None
+        return ImageFolder(folder / "root", content["environment"], content["labels"], architecture, found)
 
     def with_label(self, label: str, value: str) -> str | None:
         """The digest of an image whose label has this value; None if there is none."""
@@ -94,6 +100,19 @@ class ImageFolders:
         except OSError as error:
             raise Unavailable(f"{self._folder} cannot be written: {error.strerror}", remedy_of(error)) from None
         return identity
+
+    def pack(self, identity: str, write: Callable[[Path, Path], None]) -> None:
+        """Also have an image that has been unpacked as one file, unless it is there.
+
+        ``write`` gets the folder and the place of the file, and raises what is wrong.
+        """
+        folder = self._of(identity)
+        with self._locked(identity):
+            if not (folder / _SIF).exists():
+                aside = folder / f".{_SIF}"
+                aside.unlink(missing_ok=True)  # that of a killed process
+                write(folder / "root", aside)
+                aside.rename(folder / _SIF)
 
     def remove(self, identity: str) -> None:
         """Remove the image; nothing if it is not there."""

@@ -101,7 +101,8 @@ def prepare(work: Path, *, gpu: bool = False) -> None:
         except LookupError as reasons:
             sys.exit(f"node {_node()} has no container runtime: {reasons}")
         called = command_of(orders, runtime)
-        replace(ShimSpec.load(work), command=called.arguments, environment=called.environment).save(work)
+        spec = replace(ShimSpec.load(work), command=called.arguments, environment=called.environment)
+        replace(spec, forwarders=list(called.forwarders)).save(work)
     text = "" if runtime is None else runtime.text
     place = Place(_node(), os.environ.get("SLURM_JOB_ID", ""), text, describe_host(), next(iter(given), None))
     write_aside(work / PLACE_FILE, json.dumps(asdict(place)))

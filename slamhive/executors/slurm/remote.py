@@ -41,8 +41,8 @@ from slamhive.executors.slurm.image_folders import ImageFolder
 from slamhive.executors.slurm.job import ERRORS_FILE, delivery_request, ticket_commands
 from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE
 from slamhive.executors.slurm.options import CONTAINERS, PYTHON
-from slamhive.executors.slurm.runtimes import NONE
-from slamhive.executors.spec import RunSpec
+from slamhive.executors.slurm.runtimes import APPTAINER, NONE
+from slamhive.executors.spec import RunInput, RunSpec
 from slamhive.executors.status import Gone, RunHandle, Running, RunStatus
 from slamhive.files import write_aside
 from slamhive.schema.model import adapter, dump
@@ -124,11 +124,18 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
 
     def _commands(self, spec: RunSpec, work: Path) -> str:
         image = self._image_of(spec)
-        offered = self._store.offers.folder(image.root, f"image {spec.identity}", f"the image of {spec.package}")
+        offered = self._offered(spec, image)
         work.mkdir(parents=True, exist_ok=True)
         write_aside(work / _SPEC_FILE, adapter(RunSpec).dump_json(spec).decode())
         ticket = self._hand_out(spec, work, image, {IMAGE: offered})
         return ticket_commands(ticket, "run", self._context.value(PYTHON))
+
+    def _offered(self, spec: RunSpec, image: ImageFolder) -> Offered:
+        """The image: as one file for Apptainer, otherwise its folder."""
+        words = f"image of {spec.package}"
+        if image.sif is not None and self._context.value(CONTAINERS) == APPTAINER:
+            return self._store.offers.input(RunInput(words, image.sif, ""))
+        return self._store.offers.folder(image.root, f"image {spec.identity}", f"the {words}")
 
     def _hand_out(self, spec: RunSpec, work: Path, image: ImageFolder, further: dict[str, Offered]) -> Ticket:
         content: dict[str, Any] = dump(RunSpec, spec)

@@ -10,17 +10,19 @@ import os
 import shutil
 import subprocess
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
+from slamhive.errors import Unavailable
 from slamhive.executors.process import namespaces
 from slamhive.executors.slurm.gres import VISIBLE
 from slamhive.files import write_aside
 
 ORDERS_FILE = "container.json"
-AUTO, NONE = "auto", "none"
+AUTO, NONE, APPTAINER = "auto", "none", "apptainer"
 _WORKING_FOLDER = "/tmp"  # noqa: S108 - in the container
-_NEEDED_ON_NODE = ("PATH", "USER", "HOME", "XDG_RUNTIME_DIR")
+_HOME = "HOME"
+_NEEDED_ON_NODE = ("PATH", "USER", _HOME, "XDG_RUNTIME_DIR")
 _TIMEOUT_S = 20.0
 
 
@@ -30,7 +32,7 @@ class ContainerOrders:
 
     Attributes:
         runtime: The key of the runtime to use; ``auto`` for the first that the node has.
-        image: The folder with the files of the image.
+        image: The folder with the files of the image, or a SIF file, which Apptainer alone can start.
         command: Program and arguments in the container.
         environment: All variables of the command.
         read: {path in the container: path on the node} of what it must not change.
@@ -66,10 +68,14 @@ class ContainerOrders:
 
 @dataclass(frozen=True, slots=True)
 class ContainerCommand:
-    """A command, and what is added to the environment of the runtime itself."""
+    """A command, and what is added to the environment of the runtime itself.
+
+    ``forwarders`` are the programs of the runtime that stay and pass signals on.
+    """
 
     arguments: list[str]
     environment: dict[str, str]
+    forwarders: tuple[str, ...] = ()
 
 
 def charliecloud(program: str, orders: ContainerOrders) -> ContainerCommand:
@@ -92,24 +98,44 @@ def charliecloud(program: str, orders: ContainerOrders) -> ContainerCommand:
 
 
 def apptainer(program: str, orders: ContainerOrders) -> ContainerCommand:
-    """``apptainer exec`` without its setuid helper. Variables pass through its environment, which knows no commas."""
+    """``apptainer exec`` without its setuid helper. Variables pass through its environment, which knows no commas.
+
+    It lets nobody set ``HOME`` in this way: the home folder is an option of its own.
+    """
+    home = orders.environment.get(_HOME)
+    mounted = [(source, target, _rights(written)) for source, target, written in orders.mounts()]
+    homes = [f"--home={source}:{target}" for source, target, _ in mounted if target == home]
+    variables = {name: value for name, value in orders.environment.items() if name != _HOME}
     return ContainerCommand(
         [
             program,
+            "--quiet",
             "exec",
             "--userns",
             "--containall",
-            "--no-home",
+            *(homes or ["--no-home"]),
             "--net",
             "--network=none",
             *(["--nv"] if orders.gpus else []),
-            *(f"--bind={source}:{target}:{_rights(written)}" for source, target, written in orders.mounts()),
+            *(f"--bind={source}:{target}:{rights}" for source, target, rights in mounted if target != home),
             f"--pwd={_WORKING_FOLDER}",
             orders.image,
             *orders.command,
         ],
-        {f"APPTAINERENV_{name}": value for name, value in orders.environment.items()},
+        {f"APPTAINERENV_{name}": value for name, value in variables.items()},
+        ("starter", "appinit"),
     )
+
+
+def write_sif(root: Path, file: Path) -> None:
+    """Make a SIF file of a folder with the files of an image. Raises Unavailable."""
+    command = [RUNTIMES[APPTAINER].program, "--quiet", "build", str(file), str(root)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise Unavailable(f"{command[0]} cannot be started: {error.strerror}") from None
+    if done.returncode:
+        raise Unavailable(f"apptainer build failed: {' '.join(done.stderr.split())[-300:]}")
 
 
 def podman(program: str, orders: ContainerOrders) -> ContainerCommand:
@@ -139,6 +165,7 @@ def podman(program: str, orders: ContainerOrders) -> ContainerCommand:
             *orders.command,
         ],
         {},
+        ("podman", "conmon", "crun", "runc"),
     )
 
 
@@ -157,7 +184,7 @@ class Runtime:
 
 RUNTIMES = {
     "charliecloud": Runtime("Charliecloud", "ch-run", charliecloud),
-    "apptainer": Runtime("Apptainer", "apptainer", apptainer),
+    APPTAINER: Runtime("Apptainer", "apptainer", apptainer),
     "podman": Runtime("Podman", "podman", podman),
 }
 """In the order of preference: what asks for least comes first."""
@@ -199,7 +226,8 @@ def command_of(orders: ContainerOrders, runtime: Tried) -> ContainerCommand:
     found = RUNTIMES[runtime.key]
     called = found.command(shutil.which(found.program) or found.program, orders)
     inherited = {name: os.environ[name] for name in _NEEDED_ON_NODE if name in os.environ}
-    return ContainerCommand(called.arguments, {"USER": str(os.getuid()), **inherited, **called.environment})
+    environment = {"USER": str(os.getuid()), **inherited, **called.environment}
+    return replace(called, environment=environment)
 
 
 def _try(key: str, refused: str | None) -> Tried:
