@@ -83,6 +83,18 @@ def test_jobs_that_the_accounting_database_remembers():
     assert completed == Job(9, "", ("COMPLETED",), "None", "")
 
 
+def test_the_last_task_of_an_array_has_the_number_of_all(monkeypatch):
+    """Recorded from Slurm 22.05 with ``slurmdbd``: a completed, a failed, a cancelled and a killed task."""
+    said = "4|COMPLETED|None|one\n5|FAILED|None|one\n6|CANCELLED by 0|None|two\n1|FAILED|None|two\n"
+    monkeypatch.setattr(command, "_run", lambda _command: said)
+    assert command.accounted_jobs("1") == [Job(1, "", ("FAILED",), "None", "two")]
+
+
+def test_a_job_that_was_cancelled_while_it_waited_has_no_node():
+    (job,) = parse_accounted("3|CANCELLED by 0|JobHeldUser|None assigned\n")
+    assert job.text == "job 3 is CANCELLED (JobHeldUser)"
+
+
 def test_states_as_a_list():
     content = json.loads(RECORDED)
     content["jobs"][0]["job_state"] = ["RUNNING", "COMPLETING"]

@@ -37,6 +37,7 @@ _SLURM_ENDED = frozenset(("NODE_FAIL", "BOOT_FAIL", "REVOKED", "PREEMPTED"))
 _SLURM_FAILED = frozenset(("JobLaunchFailure", "NodeDown", "SystemFailure"))
 """States, and reasons of the state FAILED, for which the script of a job is not to blame."""
 
+_NOWHERE = "None assigned"
 _UNKNOWN_TASK = "Slurm does not know it any more"
 
 
@@ -180,9 +181,11 @@ def accounted_jobs(number: str) -> list[Job]:
         return []
     fields = "--format=JobIDRaw,State,Reason,NodeList"
     try:
-        return parse_accounted(
+        found = parse_accounted(
             _run(["sacct", "--noheader", "--parsable2", "--allocations", f"--jobs={number}", fields])
         )
+        # The last task of an array has its number, for which sacct shows all tasks.
+        return [job for job in found if str(job.number) == number]
     except (EngineUnavailable, StartFailed):
         return []
 
@@ -191,7 +194,7 @@ def parse_accounted(text: str) -> list[Job]:
     """The lines of ``sacct``; those of another form are left out. Who ended a job stands behind its state."""
     found = []
     for line in text.splitlines():
-        number, state, reason, node = (*line.split("|"), "", "", "")[:4]
+        number, state, reason, node = (*line.replace(_NOWHERE, "").split("|"), "", "", "")[:4]
         if number.isdigit() and state:
             found.append(Job(int(number), "", (state.split()[0],), reason or "None", node))
     return found
