@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 import threading
 from collections.abc import Iterator
@@ -18,6 +19,8 @@ from slamhive.domain.configuration import Configuration
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.variant import VariantStep, parse_step
 from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
+from slamhive.executors.spec import RunSpec
+from slamhive.executors.status import RunHandle
 from slamhive.runtime import config as run_config
 from slamhive.schema.run import Run
 from slamhive.schema.submission import Submission
@@ -176,6 +179,47 @@ def test_a_cache_that_is_too_small_is_said_at_once(hive, monkeypatch):
     try:
         with pytest.raises(InvalidInput, match="the cache is to hold 0 MB; raise VARIANT_CACHE_BYTES"):
             submit(small)
+    finally:
+        small.close()
+
+
+class MakingExecutor(FakeExecutor):
+    """Its nodes make variants."""
+
+    capabilities = dataclasses.replace(FakeExecutor.capabilities, makes_variants=True)
+
+    def start(self, spec: RunSpec) -> RunHandle:
+        return dataclasses.replace(super().start(spec), variant_checksum="sha256:made")
+
+
+def test_a_node_that_makes_the_variant_gets_recording_and_recipe(hive, monkeypatch):
+    """The worker makes nothing and needs no room for it; the record has the checksum that the node reports."""
+    monkeypatch.setenv("SLAMHIVE_VARIANT_CACHE_BYTES", "1000")
+    small = open_hive()
+    try:
+        executor = MakingExecutor(on_start=write_trajectory())
+        run = finish(small, executor)
+        assert run.state is RunState.SUCCEEDED, run.detail
+        source = small.catalogue.dataset("track")
+        assert small.variants.entries() == ()
+        assert inputs(executor)["/slamhive/dataset/track.bag"] == source.bag_path
+        order = executor.starts[0].variant
+        assert order is not None
+        assert (order.dataset, order.description) == ("track", (source.folder / "dataset.yaml").read_text())
+        record = small.runs.record(run.id)
+        assert record["dataset"]["variant"] == order.key
+        assert record["dataset"]["checksum"] == source.checksum
+        assert record["dataset"]["variant_checksum"] == "sha256:made"
+        assert record["spec"]["variant"]["key"] == order.key
+        config = run_config.load(small.runs.folder(run.id).config)
+        assert config.dataset_parameters["points_rate_hz"] == 5.0
+        assert reindex(small, lambda _done, _total: None).skipped == []
+        preview = small.experiments.preview(ExperimentSource(HALVED))
+        assert preview.refusals == ()
+        assert not [warning for warning in preview.warnings if "variants" in warning]
+        small.executors.opened["process"] = FakeExecutor()
+        (refusal,) = small.experiments.preview(ExperimentSource(HALVED)).refusals
+        assert "the cache holds 0 MB; raise VARIANT_CACHE_BYTES" in refusal
     finally:
         small.close()
 

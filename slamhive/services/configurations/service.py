@@ -96,17 +96,21 @@ class Configurations:
     def check(self, submission: Submission) -> Checked:
         """Check what ``submission`` would run; its variant gets all default options.
 
-        Raises NotFound or InvalidInput naming the wrong value, Unavailable if the disk is too full for the variant.
+        Raises NotFound or InvalidInput naming the wrong value.
         """
         submission.check()
         algorithm = self._catalogue.algorithm(submission.algorithm)
         dataset = self._catalogue.dataset(submission.dataset)
         configuration = submission.configuration(algorithm, self._map_of(submission, algorithm))
         variant = self._variants.resolve(dataset, configuration.variant)
-        self._variants.check(dataset, variant)
+        self._variants.plan(dataset, variant)
         chosen = algorithm.stated_choice(dataset, configuration.sensors)
         match = match_of(algorithm, self._variants.planned(dataset, variant), configuration.parameters, chosen)
         return Checked(algorithm, dataset, replace(configuration, variant=variant, sensors=chosen), match)
+
+    def check_room(self, checked: Checked) -> None:
+        """Raise InvalidInput or Unavailable if the variant cannot be made on this machine for lack of room."""
+        self._variants.check(checked.dataset, checked.configuration.variant)
 
     def find_map(self, reference: str, algorithm: Algorithm) -> FoundMap:
         """The map of a run, for a run of ``algorithm``; raises NotFound or InvalidInput."""

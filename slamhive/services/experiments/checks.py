@@ -35,13 +35,17 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class DiskSpace:
-    """Required and available disk space of an experiment, in bytes."""
+    """Required and available disk space of an experiment, in bytes.
+
+    With ``variants_elsewhere``, the nodes of a cluster make the variants, so they take no space here.
+    """
 
     variants: tuple[VariantNeed, ...]
     run_bytes: int
     free_bytes: int
     unused_bytes: int
     cache_bytes: int
+    variants_elsewhere: bool = False
 
     @property
     def variant_bytes(self) -> int:
@@ -91,8 +95,8 @@ def protocol_of_pair(
     return protocol_for(algorithm, dataset, context.settings, experiment.evaluation.alignment)
 
 
-def find_disk_space(context: ExperimentContext, expansion: Expansion) -> DiskSpace:
-    """The required variants, and the disk space for them and for run folders."""
+def find_disk_space(context: ExperimentContext, expansion: Expansion, executor: str | None) -> DiskSpace:
+    """The required variants, and the disk space for them and for run folders. ``executor`` is that of the runs."""
     entries = context.variants.entries()
     made = {entry.key for entry in entries}
     datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
@@ -110,6 +114,7 @@ def find_disk_space(context: ExperimentContext, expansion: Expansion) -> DiskSpa
         free_bytes=shutil.disk_usage(context.settings.data).free,
         unused_bytes=sum(entry.size_bytes for entry in entries if not entry.in_use),
         cache_bytes=context.settings.variant_cache_bytes,
+        variants_elsewhere=executor is not None and context.executors.get(executor).capabilities.makes_variants,
     )
 
 
@@ -121,7 +126,8 @@ def disk_space_problems(
         check_disk(context.settings)
     except Unavailable as error:
         yield error
-    largest = max((need.needed_bytes for need in space.variants if not need.made), default=0)
+    here = () if space.variants_elsewhere else space.variants
+    largest = max((need.needed_bytes for need in here if not need.made), default=0)
     if largest > space.cache_bytes:
         yield InvalidInput(
             f"{experiment.place}: a variant takes {_mb(largest)}, the cache holds {_mb(space.cache_bytes)}",
@@ -141,7 +147,7 @@ def warnings(space: DiskSpace) -> Sequence[str]:
     """Warnings about variants that do not fit into the cache together."""
     total = sum(need.needed_bytes for need in space.variants)
     limit = min(space.cache_bytes, space.free_bytes + sum(need.needed_bytes for need in space.variants if need.made))
-    if total <= limit:
+    if total <= limit or space.variants_elsewhere:
         return ()
     takes = f"its variants take up to {_mb(total)}, there is room for {_mb(limit)}"
     return (f"{takes}: those used longest ago are removed, and made again if a run needs them",)

@@ -70,7 +70,7 @@ def preview(
     place of the slots of this machine.
     """
     expansion = context.expand(experiment)
-    space = find_disk_space(context, expansion)
+    space = find_disk_space(context, expansion, executor)
     refusals = [str(error) for error in disk_space_problems(context, experiment, space)]
     if executor is not None:
         refusals += [str(error) for error in pair_problems(context, experiment, expansion, executor)]

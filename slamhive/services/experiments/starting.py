@@ -91,7 +91,7 @@ def add_repeats(context: ExperimentContext, name: str, count: int, progress: Pro
 def _checked(context: ExperimentContext, experiment: Experiment, executor: str) -> Expansion:
     """Expand the experiment; raises the first problem that would keep it from running."""
     expansion = context.expand(experiment)
-    for error in disk_space_problems(context, experiment, find_disk_space(context, expansion)):
+    for error in disk_space_problems(context, experiment, find_disk_space(context, expansion, executor)):
         raise error
     for error in pair_problems(context, experiment, expansion, executor):
         raise error

@@ -70,6 +70,8 @@ class Runs(StoredRuns):
         executor = self._executors.choose(submission.executor)
         asked = RunLimits(submission.cpu_cores, submission.memory_mb)
         check_executor(self._executors.get(executor), algorithm.package, asked)
+        if not self._executors.get(executor).capabilities.makes_variants:
+            self._configurations.check_room(checked)
         WeightsStore(self._settings).check_present(algorithm.package)
         check_version(self._store, self._executors.get(executor), algorithm)
         protocol = None
