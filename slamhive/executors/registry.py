@@ -70,7 +70,7 @@ EXECUTORS.register(
 EXECUTORS.register(
     "kubernetes",
     _LoadedLate(
-        "slamhive.executors.kubernetes.executor", "KubernetesExecutor", "slamhive.executors.kubernetes.cluster_options"
+        "slamhive.executors.kubernetes.executor", "open_kubernetes", "slamhive.executors.kubernetes.cluster_options"
     ),
 )
 

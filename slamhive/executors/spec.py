@@ -19,6 +19,8 @@ ROS_ENVIRONMENT = {"ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": "http://localh
 """What each container gets: a ROS master inside is found without a network."""
 
 
+DATASET_TARGET = "/slamhive/dataset"
+"""Where the container contract promises the files of the dataset."""
 RECORDING = "recording"
 """The name of the input with the recorded data."""
 

@@ -36,12 +36,14 @@ from slamhive.executors.kubernetes.pod_files import (
     TICKET_FILE,
 )
 from slamhive.executors.node_store.controller import NodeStore
-from slamhive.executors.node_store.on_node.cache import Cache, Item
+from slamhive.executors.node_store.on_node.cache import Cache, Item, sha256_of
+from slamhive.executors.node_store.on_node.making import item_of
 from slamhive.executors.node_store.on_node.run import Ticket
 from slamhive.executors.node_store.registrations import Registration, Registrations
 from slamhive.executors.process.exit_file import reserve, write_exit
-from slamhive.executors.spec import RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import RunInput, RunOutput, RunSpec, VariantOrder
 from slamhive.executors.status import Exited
+from slamhive.schema.model import dump
 from tests.executors.node_stores import serving
 from tests.executors.test_kubernetes_manifest import SPEC, container_of, pod_of
 from tests.waiting import eventually
@@ -49,7 +51,7 @@ from tests.waiting import eventually
 pytestmark = pytest.mark.quick
 
 SHA = "ab" + "0" * 62
-GIVEN = HandedOut({"ticket.json": "e30="}, {"/slamhive/dataset/a.bag": SHA}, {"/slamhive/home": "home"})
+GIVEN = HandedOut({"ticket.json": "e30="}, {"/slamhive/dataset/a.bag": f"sha256/ab/{SHA}"}, {"/slamhive/home": "home"})
 OUTPUT = RunOutput("result", Path("/data/runs/7/result"), "/slamhive/result", ("alive",), 1000, 10)
 HARDENED = {
     "allowPrivilegeEscalation": False,
@@ -77,6 +79,32 @@ def test_the_run_sees_its_own_items_and_folders_alone():
         {"name": "work", "mountPath": "/run/slamhive", "subPath": "pod", "readOnly": False},
         {"name": "work", "mountPath": "/tmp", "subPath": "tmp", "readOnly": False},
     ]
+
+
+def test_with_a_variant_the_courier_comes_from_the_image_that_can_make_it():
+    order = VariantOrder("k" * 32, "track", "name: track", (), 1000)
+    options = Options(image="registry/slam-hive:1")
+    pod = pod_of(node_job_manifest(replace(SPEC, variant=order), "home", options, Who(1000, 1001), GIVEN, CACHE))
+    assert [container["image"] for container in pod["initContainers"]] == [options.image] * 2
+    assert pod["containers"][0]["image"] == container_of(job())["image"]
+    pod = pod_of(node_job_manifest(SPEC, "home", options, Who(1000, 1001), GIVEN, CACHE))
+    assert {container["image"] for container in pod["initContainers"]} == {container_of(job())["image"]}
+
+
+def test_the_run_sees_recording_and_description_of_the_variant(tmp_path):
+    for name in ("a.bag", "dataset.yaml", "rosbag_play.py"):
+        (tmp_path / name).write_text(name)
+    targets = {"recording": "a.bag", "dataset.yaml": "dataset.yaml", "rosbag_play.py": "rosbag_play.py"}
+    inputs = tuple(RunInput(name, tmp_path / file, f"/slamhive/dataset/{file}") for name, file in targets.items())
+    order = VariantOrder("k" * 32, "track", "name: track", (), 1000)
+    spec = replace(SPEC, inputs=inputs, work=tmp_path / "work", package_folder=tmp_path, variant=order)
+    store = NodeStore(tmp_path, NodeAccess("http://127.0.0.1:1", str(tmp_path / "cache"), 10**9))
+    given = hand_out(store, spec, NodeRunFiles(spec.work, spec.key, store), 1000)
+    made = item_of(json.loads(json.dumps(dump(VariantOrder, order)))).sha256
+    assert given.items["/slamhive/dataset/a.bag"] == f"sha256/{made[:2]}/{made}/a.bag"
+    assert given.items["/slamhive/dataset/dataset.yaml"] == f"sha256/{made[:2]}/{made}/dataset.yaml"
+    script = sha256_of(tmp_path / "rosbag_play.py")
+    assert given.items["/slamhive/dataset/rosbag_play.py"] == f"sha256/{script[:2]}/{script}"
 
 
 def test_the_courier_is_there_before_the_run_and_beside_it():

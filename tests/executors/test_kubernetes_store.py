@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
+import shutil
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import numpy
 import pytest
 
+import slamhive
 from slamhive.domain.disturbance import DisturbanceKind
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.variant import VariantStep
 from slamhive.executors.kubernetes import manifest
 from slamhive.executors.node_store.arrivals import results_archive
 from slamhive.executors.node_store.registrations import Registrations
@@ -21,9 +26,17 @@ from slamhive.services.hive import Hive
 from tests.burning import busy_machine
 from tests.executors.kubernetes_cluster import NODES, KubernetesCluster
 from tests.executors.pod_installation import pod_installation
+from tests.services.docker_base import run_docker
 from tests.services.installation import Installation
+from tests.services.recorded_track import make_recorded_track
 from tests.services.working import started_times
 from tests.waiting import eventually
+
+MAKER_PACKAGES = (
+    *("numpy*", "cv2*", "opencv*", "rosbags*", "pydantic*", "annotated_types*", "typing_*", "yaml", "_yaml", "ruamel*"),
+    *("_ruamel*", "lz4*", "zstandard*", "apsw*", "backports*"),
+)
+"""What making a variant imports."""
 
 pytestmark = [pytest.mark.cluster, pytest.mark.long, pytest.mark.timeout(900)]
 
@@ -141,6 +154,52 @@ def test_results_arrive_though_the_worker_was_away_when_the_run_ended(made, kube
     assert (run.state, run.poses) == (RunState.SUCCEEDED, 30), run.detail
     assert started_times(made.hive, run_id) == 1
     nothing_left(kubernetes_cluster, made)
+
+
+@pytest.fixture
+def maker_image(base_image: str, kubernetes_cluster: KubernetesCluster, tmp_path: Path) -> Iterator[str]:
+    """An image with SLAM Hive as it is here, on both nodes."""
+    packages = Path(numpy.__file__).parents[1]
+    context = tmp_path / "image"
+    (context / "packages").mkdir(parents=True)
+    shutil.copytree(Path(slamhive.__file__).parent, context / "slamhive", ignore=shutil.ignore_patterns("__pycache__"))
+    for path in (path for pattern in MAKER_PACKAGES for path in packages.glob(pattern)):
+        copy = shutil.copytree if path.is_dir() else shutil.copyfile
+        copy(path, context / "packages" / path.name)
+    (context / "Dockerfile").write_text(
+        f"FROM {base_image}\nCOPY . /opt/hive/\nENV PYTHONPATH=/opt/hive:/opt/hive/packages PYTHONDONTWRITEBYTECODE=1\n"
+    )
+    name = "slam-hive-test:maker"
+    built = run_docker("build", "--tag", name, str(context))
+    assert built.returncode == 0, built.stderr
+    kubernetes_cluster.load(name)
+    yield name
+    run_docker("rmi", name)
+
+
+def test_a_variant_is_made_on_the_node_that_needs_it(
+    maker_image, kubernetes_cluster: KubernetesCluster, base_image: str, tmp_path, monkeypatch
+):
+    """Once for the runs of a node, from the recording, with the bytes that the controller would make."""
+    settings = {"run_cpu_cores": "0.4", "kubernetes_options": f"--image={maker_image}"}
+    with pod_installation(kubernetes_cluster, base_image, tmp_path, monkeypatch, apart=True, **settings) as made:
+        hive, steps = made.hive, (VariantStep("rate", ("lidar",), {"every": 2}),)
+        shutil.rmtree(hive.settings.data / "datasets" / "track")
+        make_recorded_track(hive.settings.data)
+        runs = [submit(hive, seed=seed, variant=steps, evaluate=False) for seed in (1, 2, 3)]
+        hive.worker().run(until_idle=True)
+        for run_id in runs:
+            assert hive.runs.get(run_id).state is RunState.SUCCEEDED, hive.runs.get(run_id).detail
+        assert hive.variants.entries() == ()
+        said = [hive.runs.record(run_id)["dataset"] for run_id in runs]
+        folders = [path for node in NODES for path in kubernetes_cluster.cache_of(node).glob("sha256/*/*/made.json")]
+        assert 1 <= len(folders) <= len(NODES)
+        with hive.variants.hold(hive.catalogue.dataset("track"), steps, lambda _done, _words: None) as used:
+            assert said == [{**said[0], "variant": used.key, "variant_checksum": used.dataset.checksum}] * 3
+            for folder in folders:
+                assert folder.with_name("track.bag").read_bytes() == used.dataset.bag_path.read_bytes()
+                assert not folder.with_name("groundtruth.txt").exists()
+        nothing_left(kubernetes_cluster, made)
 
 
 def test_a_deleted_pod_is_a_lost_run_and_is_not_started_twice(made, kubernetes_cluster):

@@ -21,7 +21,7 @@ _ON_NODE = "executors/node_store/on_node"
 COURIER_MODULES = (
     "executors/kubernetes/courier.py",
     "executors/kubernetes/pod_files.py",
-    *(f"{_ON_NODE}/{name}.py" for name in ("cache", "connection", "fetch", "mirror", "results", "run")),
+    *(f"{_ON_NODE}/{name}.py" for name in ("cache", "connection", "fetch", "making", "mirror", "results", "run")),
     "executors/packing.py",
     "executors/process/exit_file.py",
     "tree.py",

@@ -37,12 +37,14 @@ from slamhive.executors.kubernetes.pod_files import (
     SUPERVISOR_FILE,
     TICKET_FILE,
     USAGE_FILE,
+    VARIANT_FILE,
     WORK_FOLDER,
     write_json,
 )
-from slamhive.executors.node_store.on_node.cache import CacheFull, Held, Item
-from slamhive.executors.node_store.on_node.connection import Away, Refused, patiently
-from slamhive.executors.node_store.on_node.fetch import WrongContent
+from slamhive.executors.node_store.on_node.cache import Cache, CacheFull, Held, Item
+from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused, patiently
+from slamhive.executors.node_store.on_node.fetch import Fetcher, WrongContent
+from slamhive.executors.node_store.on_node.making import hold_variant, read_made
 from slamhive.executors.node_store.on_node.mirror import Watched
 from slamhive.executors.node_store.on_node.results import Output
 from slamhive.executors.node_store.on_node.run import (
@@ -97,16 +99,29 @@ def fetch(ticket: Ticket, programs: Path, folders: PodFolders) -> None:
     items = {name: claimed.items[name] for name in orders["items"]}
     held: list[Held] = []
     paths = hold_items(ticket, connection, items, held, note_nothing)
+    variant = None
+    if orders["variant"] is not None:
+        variant = {"order": orders["variant"], "source": claimed.items[orders["source"]]._asdict()}
     outputs = [folders.outputs / name for name, _, _ in orders["outputs"]]
     make_folders(folders.pod, folders.tmp, folders.own, folders.private, *outputs)
     for name, copy in orders["own"].items():
         copy_own(paths[name], folders.own / copy)
     folders.put(folders.pod / SUPERVISOR_FILE, (programs / SUPERVISOR_FILE).read_bytes())
     folders.put(folders.pod / ORDER_FILE, json.dumps(orders["order"]).encode())
+    if variant is not None:
+        held.append(bring_variant(ticket, connection, variant))
+        write_json(folders.private / VARIANT_FILE, read_made(held[-1].path))
     known = {name: orders[name] for name in ("outputs", "live")}
+    known["variant"] = variant
     known["items"] = {name: item._asdict() for name, item in items.items()}
     known["clock_offset_s"] = claimed.clock_offset_s
     write_json(folders.private / _CLAIMED_FILE, known)
+
+
+def bring_variant(ticket: Ticket, connection: Connection, variant: dict[str, Any]) -> Held:
+    """The variant in the cache, made unless it is there: this image has SLAM Hive. Raises as :func:`fetch`."""
+    cache, source = Cache(Path(ticket.cache), ticket.cache_bytes), Item.of(variant["source"])
+    return hold_variant(cache, variant["order"], source, Fetcher(connection), sys.executable, lambda _done: None)
 
 
 def note_nothing(item: Item, arrived_bytes: int) -> None:
@@ -140,7 +155,10 @@ class Report:
         signal.signal(signal.SIGTERM, self._end)
         items = {name: Item.of(content) for name, content in self._claimed["items"].items()}
         held: list[Held] = []
-        hold_items(self._ticket, self._connection, items, held, note_nothing)  # as long as this process lives
+        # As long as this process lives.
+        hold_items(self._ticket, self._connection, items, held, note_nothing)
+        if self._claimed["variant"] is not None:
+            held.append(bring_variant(self._ticket, self._connection, self._claimed["variant"]))
         (self._folders.private / READY_FILE).touch()
         reporter = Reporter(self._connection.copy(), self._watched())
         reporter.start()
@@ -199,6 +217,7 @@ class Report:
         return [
             # First: what arrives after an absence of the worker must not look as if the run went on.
             Watched(OVER_FILE, pod / EXIT_FILE, change=change),
+            Watched(VARIANT_FILE, self._folders.private / VARIANT_FILE),
             Watched(STARTED_FILE, pod / STARTED_FILE, change=change),
             Watched(USAGE_FILE, pod / USAGE_FILE),
             Watched(LOG_FOLDER, pod / LOG_FOLDER),

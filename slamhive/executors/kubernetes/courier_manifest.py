@@ -69,9 +69,10 @@ def node_job_manifest(
     pod = job["spec"]["template"]["spec"]
     (run,) = pod["containers"]
     # What comes before the run may take what the run may take.
-    fetch = _courier(FETCH, run, cache, run["resources"])
+    carrying = {**run, "image": options.image} if spec.variant is not None else run
+    fetch = _courier(FETCH, carrying, cache, run["resources"])
     beside = {name: {"cpu": f"{COURIER_CPU_MILLI}m", "memory": str(COURIER_BYTES)} for name in ("limits", "requests")}
-    report = _courier(COURIER, run, cache, beside)
+    report = _courier(COURIER, carrying, cache, beside)
     report["restartPolicy"] = "Always"
     report["startupProbe"] = {
         "exec": {"command": ["python3", "-S", "-c", _READY_CHECK]},
@@ -96,11 +97,10 @@ def with_courier(asked: dict[str, str]) -> dict[str, str]:
 
 def run_mounts(spec: RunSpec, given: HandedOut) -> list[dict[str, Any]]:
     """What the run sees: its inputs in the cache, which it cannot change, and its own folders."""
-    cached = {target: f"sha256/{sha256[:2]}/{sha256}" for target, sha256 in given.items.items()}
     written = {target: f"{OWN_FOLDER}/{name}" for target, name in given.own.items()}
     written |= {output.target: f"outputs/{output.name}" for output in spec.outputs}
     written |= {POD_FOLDER: "pod", "/tmp": "tmp"}  # noqa: S108 - the container's own
-    mounts = [_mount(_CACHE, target, path, read_only=True) for target, path in cached.items()]
+    mounts = [_mount(_CACHE, target, path, read_only=True) for target, path in given.items.items()]
     mounts += [_mount(_WORK, target, path, read_only=False) for target, path in written.items()]
     return sorted(mounts, key=lambda mount: str(mount["mountPath"]))
 

@@ -163,7 +163,9 @@ class KubernetesExecutor(Executor):
 
         Raises EngineUnavailable while the pod waits for a node.
         """
-        return self._handle(spec, self._jobs.start(spec, self._files(spec.work, spec.key)))
+        files = self._files(spec.work, spec.key)
+        handle = self._handle(spec, self._jobs.start(spec, files))
+        return replace(handle, variant_checksum=files.made_variant())
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """What the supervisor has recorded, else what Kubernetes says of the pod."""
@@ -301,6 +303,18 @@ class KubernetesExecutor(Executor):
         where = f"pod on node {started.node} ({started.host.cpu_model}, {started.host.cpu_count} cores)"
         gpu = GivenGpu(started.node, uuid=started.gpu) if spec.asks_gpu else None
         return replace(handle, protections=_protections(where), host=started.host, gpu=gpu)
+
+
+class MakingKubernetesExecutor(KubernetesExecutor):
+    """The same for nodes that share no storage and have an image with SLAM Hive: they make variants."""
+
+    capabilities = replace(KubernetesExecutor.capabilities, makes_variants=True)
+
+
+def open_kubernetes(context: ExecutorContext) -> KubernetesExecutor:
+    """The executor ``kubernetes``. Raises InvalidInput for options that it does not know."""
+    makes_variants = context.nodes is not None and bool(read_options(context.value(CLUSTER_OPTIONS)).image)
+    return MakingKubernetesExecutor(context) if makes_variants else KubernetesExecutor(context)
 
 
 def _goes_on(pod: Document | None) -> bool:

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from slamhive.catalogue.dataset_file import DATASET_FILE
 from slamhive.executors.kubernetes.archive import courier_archive, supervisor_archive
 from slamhive.executors.kubernetes.pod_files import (
     COURIER_FILE,
@@ -19,14 +20,17 @@ from slamhive.executors.kubernetes.pod_files import (
     SUPERVISOR_FILE,
     TICKET_FILE,
     USAGE_FILE,
+    VARIANT_FILE,
 )
 from slamhive.executors.kubernetes.run_files import RunFiles, order_of
 from slamhive.executors.node_store.arrivals import ask_to_stop, claimed_by, results_archive
-from slamhive.executors.node_store.controller import NodeStore, Reports, item_name
+from slamhive.executors.node_store.controller import NodeStore, Reports, item_name, made_variant
+from slamhive.executors.node_store.on_node.making import item_of
 from slamhive.executors.process.exit_file import EXIT_FILE
-from slamhive.executors.spec import RunOutput, RunSpec
+from slamhive.executors.spec import DATASET_TARGET, RECORDING, RunInput, RunOutput, RunSpec, VariantOrder
+from slamhive.schema.model import dump
 
-REPORTED = (STARTED_FILE, USAGE_FILE, DISK_FILE, OVER_FILE, EXIT_FILE)
+REPORTED = (VARIANT_FILE, STARTED_FILE, USAGE_FILE, DISK_FILE, OVER_FILE, EXIT_FILE)
 """The files of a pod that the worker has copies of."""
 
 
@@ -70,6 +74,10 @@ class NodeRunFiles(RunFiles):
         """How much of the results has arrived, as the end of a message; it changes while they do."""
         return self._store.progress(self.work)
 
+    def made_variant(self) -> str | None:
+        """The checksum of the recording that its node has made; None if it has made none."""
+        return made_variant(self.folder / VARIANT_FILE)
+
     def written_bytes(self) -> int:
         """What the run has written on its node, as its courier counts."""
         try:
@@ -101,11 +109,17 @@ class NodeRunFiles(RunFiles):
         ask_to_stop(self.work, grace_s)
 
 
+def place_of(sha256: str) -> str:
+    """Where an item lies in the cache of a node."""
+    return f"sha256/{sha256[:2]}/{sha256}"
+
+
 @dataclass(frozen=True, slots=True)
 class HandedOut:
     """What the pod of a run needs: the content of its Secret, and the items of the cache that the run sees.
 
-    ``items`` maps where the run expects an input to its SHA-256; ``own`` to the name of the copy that it may change.
+    ``items`` maps where the run expects an input to its place in the cache; ``own`` to the name of the copy that it may
+    change.
     """
 
     secret: dict[str, str]
@@ -115,11 +129,19 @@ class HandedOut:
 
 def hand_out(store: NodeStore, spec: RunSpec, files: RunFiles, log_max_bytes: int) -> HandedOut:
     """Let a pod have the run; one that had it before has it no more. Raises Unavailable."""
-    items = {entry.target: store.offers.input(entry).item.sha256 for entry in spec.inputs if not entry.own_copy}
+    order = None if spec.variant is None else dump(VariantOrder, spec.variant)
+    items = {
+        entry.target: place_of(store.offers.input(entry).item.sha256) for entry in spec.inputs if not entry.own_copy
+    }
+    if order is not None:
+        made = place_of(item_of(order).sha256)
+        items |= {entry.target: f"{made}/{place}" for entry in spec.inputs if (place := _place_in_variant(entry))}
     own = {entry.target: entry.name for entry in spec.inputs if entry.own_copy}
     orders: dict[str, Any] = {
         "order": {**order_of(spec, log_max_bytes), "waits_for_delivery": True},
-        "items": [item_name(entry.name) for entry in spec.inputs],
+        "items": [item_name(entry.name) for entry in spec.inputs if order is None or entry.name != RECORDING],
+        "variant": order,
+        "source": item_name(RECORDING),
         "own": {item_name(name): name for name in own.values()},
         "outputs": [[output.name, output.max_bytes, output.max_files] for output in spec.outputs],
         "live": {output.name: list(output.live) for output in spec.outputs},
@@ -133,3 +155,11 @@ def hand_out(store: NodeStore, spec: RunSpec, files: RunFiles, log_max_bytes: in
     }
     secret = {name: base64.b64encode(content).decode() for name, content in contents.items()}
     return HandedOut(secret, items, own)
+
+
+def _place_in_variant(entry: RunInput) -> str | None:
+    """Where an input lies in the folder of a variant; None if it is no part of it."""
+    if entry.name == DATASET_FILE:
+        return DATASET_FILE
+    # A dataset has its recording below its folder; the container sees it at the same place.
+    return entry.target.partition(f"{DATASET_TARGET}/")[2] if entry.name == RECORDING else None

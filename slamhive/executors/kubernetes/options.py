@@ -11,6 +11,7 @@ from slamhive.errors import InvalidInput
 _LABEL = re.compile(r"([A-Za-z0-9.-]+/)?[A-Za-z0-9]([A-Za-z0-9_.-]{0,61}[A-Za-z0-9])?")
 _NAME = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
 _REGISTRY = re.compile(r"[a-z0-9][a-zA-Z0-9.:/_-]*[a-z0-9]")
+_IMAGE = re.compile(r"[a-z0-9][a-zA-Z0-9.:/_@-]*[a-z0-9]")
 _RESOURCE = re.compile(r"[a-z0-9][a-z0-9.-]*\.[a-z0-9-]+/[A-Za-z0-9][A-Za-z0-9_.-]*")
 _REMEDY = "write --NAME=VALUE, see docs/kubernetes.md"
 
@@ -25,6 +26,7 @@ class Options:
         registry: Where images are pushed to and pulled from; empty if the nodes have them already.
         claim: The persistent volume claim that holds the data root; empty if nodes see it at the path that it has here.
         queue: The queue of Kueue; empty for none.
+        image: An image with SLAM Hive of the worker's version, by which nodes make variants. Without, the worker does.
         gpu: The extended resource that is one GPU.
         node: {label: value} of the nodes that runs may use.
     """
@@ -34,11 +36,12 @@ class Options:
     registry: str = ""
     claim: str = ""
     queue: str = ""
+    image: str = ""
     gpu: str = "nvidia.com/gpu"
     node: dict[str, str] = field(default_factory=dict)
 
 
-_FORMS = {"namespace": _NAME, "claim": _NAME, "queue": _NAME, "registry": _REGISTRY, "gpu": _RESOURCE}
+_FORMS = {"namespace": _NAME, "claim": _NAME, "queue": _NAME, "registry": _REGISTRY, "image": _IMAGE, "gpu": _RESOURCE}
 
 
 def read_options(text: str) -> Options:

@@ -71,6 +71,10 @@ class RunFiles:
         self.inputs = self.work / "inputs"
         self.scratch = self.work / "tmp"
 
+    def made_variant(self) -> str | None:
+        """The checksum of the recording that its node has made: on shared storage the worker makes variants."""
+        return None
+
     def prepare(self, spec: RunSpec, log_max_bytes: int) -> None:
         """Write everything that the supervisor needs; may be done again. Raises Unavailable."""
         order = order_of(spec, log_max_bytes)

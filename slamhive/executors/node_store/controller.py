@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tarfile
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -19,6 +20,7 @@ from slamhive.executors.node_store.arrivals import (
 )
 from slamhive.executors.node_store.caches import NodeCaches
 from slamhive.executors.node_store.offers import Offers
+from slamhive.executors.node_store.on_node.making import CHECKSUM
 from slamhive.executors.node_store.on_node.run import Ticket
 from slamhive.executors.node_store.registrations import Offered, Registration, Registrations, archive_bound
 from slamhive.executors.nodes import Node
@@ -28,6 +30,14 @@ from slamhive.files import remedy_of
 
 _INPUT = "input "
 _LARGEST_OFFSET_S = 2.0
+
+
+def made_variant(path: Path) -> str | None:
+    """The checksum of the recording that a node has made, from what it has reported; None if it has made none."""
+    try:
+        return str(json.loads(path.read_text(encoding="utf-8"))[CHECKSUM])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def item_name(name: str) -> str:

@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Any
 
 import slamhive
-from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
+from slamhive.catalogue.dataset_file import DATASET_FILE
 from slamhive.clock import monotonic_s, utc_now
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import ExecutorContext
@@ -30,6 +30,7 @@ from slamhive.executors.node_store.controller import item_name, live_place
 from slamhive.executors.node_store.on_node.cache import Cache, CacheFull, Held, Item
 from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused
 from slamhive.executors.node_store.on_node.fetch import Fetcher, WrongContent
+from slamhive.executors.node_store.on_node.making import BAG, hold_variant, read_made, words_of
 from slamhive.executors.node_store.on_node.mirror import Mirror, Watched
 from slamhive.executors.node_store.on_node.results import Output
 from slamhive.executors.node_store.on_node.run import (
@@ -53,8 +54,7 @@ from slamhive.executors.slurm.containers import give_container_orders
 from slamhive.executors.slurm.image_folders import ImageFolder
 from slamhive.executors.slurm.job import ERRORS_FILE
 from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE
-from slamhive.executors.slurm.variants import item_of, make_apart
-from slamhive.executors.spec import RECORDING, RunSpec, VariantOrder
+from slamhive.executors.spec import RECORDING, RunSpec
 from slamhive.files import write_aside
 from slamhive.schema.model import adapter
 from slamhive.tree import folder_bytes, remove_tree
@@ -62,7 +62,6 @@ from slamhive.tree import folder_bytes, remove_tree
 PROGRESS_FILE = "progress.json"
 GONE_FILE = "gone.json"
 VARIANT_FILE = "made-variant.json"
-VARIANT_CHECKSUM = "checksum"
 IMAGE = "image"
 FETCHING, RUNNING, DELIVERING = "fetching", "running", "delivering"
 _CLAIM_PATIENCE_S = 600.0
@@ -96,10 +95,11 @@ class RunOnNode:
         self._reporter.start()
         try:
             self._progress(FETCHING)
-            source = None if self._spec.variant is None else self._items.pop(item_name(RECORDING))
+            order = self._orders["spec"].get("variant")
+            source = self._items.pop(item_name(RECORDING)) if order else None
             paths = hold_items(self._ticket, self._connection, self._items, held, self._arrived)
-            if self._spec.variant is not None and source is not None:
-                paths |= self._variant(self._spec.variant, source, held)
+            if source is not None:
+                paths |= self._variant(order, source, held)
             self._give_orders(paths)
             self._supervise()
             return self._deliver()
@@ -122,24 +122,18 @@ class RunOnNode:
         )
         give_container_orders(spec, image, spec.work, context)
 
-    def _variant(self, order: VariantOrder, source: Item, held: list[Held]) -> dict[str, Path]:
-        """The inputs that are a variant, which is made unless it is there. Only who makes it needs the recording."""
+    def _variant(self, order: dict[str, Any], source: Item, held: list[Held]) -> dict[str, Path]:
+        """The inputs that are a variant."""
         cache = Cache(Path(self._ticket.cache), self._ticket.cache_bytes)
+        fetch = Fetcher(self._connection, progress=self._arrived)
 
-        def make(item: Item, folder: Path) -> None:
-            recording = cache.hold(source, Fetcher(self._connection, progress=self._arrived))
-            try:
-                make_apart(order, recording.path, folder, lambda done: self._made(item, done))
-            finally:
-                recording.release()
+        def made(done: float) -> None:
+            self._progress(FETCHING, f"{words_of(order)}: {100 * done:.0f} % is made")
 
-        held.append(cache.hold(item_of(order), make))
-        dataset = load_dataset(held[-1].path)
-        write_aside(self._spec.work / VARIANT_FILE, json.dumps({VARIANT_CHECKSUM: dataset.checksum}))
-        return {item_name(RECORDING): dataset.bag_path, item_name(DATASET_FILE): dataset.folder / DATASET_FILE}
-
-    def _made(self, item: Item, done: float) -> None:
-        self._progress(FETCHING, f"{item.words}: {100 * done:.0f} % is made")
+        held.append(hold_variant(cache, order, source, fetch, sys.executable, made))
+        folder, known = held[-1].path, read_made(held[-1].path)
+        write_aside(self._spec.work / VARIANT_FILE, json.dumps(known))
+        return {item_name(RECORDING): folder / known[BAG], item_name(DATASET_FILE): folder / DATASET_FILE}
 
     def _supervise(self) -> None:
         """Start the supervisor, and wait until it ends."""

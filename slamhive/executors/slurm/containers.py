@@ -30,12 +30,11 @@ from slamhive.executors.slurm.executor import SlurmExecutor
 from slamhive.executors.slurm.image_folders import ImageFolder, ImageFolders
 from slamhive.executors.slurm.options import CONTAINERS
 from slamhive.executors.slurm.runtimes import APPTAINER, AUTO, NONE, RUNTIMES, ContainerOrders, write_sif
-from slamhive.executors.spec import ROS_ENVIRONMENT, RunSpec
+from slamhive.executors.spec import DATASET_TARGET, ROS_ENVIRONMENT, RunSpec
 
 logger = logging.getLogger(__name__)
 
 _HOME = "/tmp"  # noqa: S108 - in the container
-_DATASET = "/slamhive/dataset"
 _SEPARATORS = ":,"
 """They end a path in the options of container runtimes."""
 
@@ -175,7 +174,7 @@ def container_orders(spec: RunSpec, image: ImageFolder, runtime: str) -> Contain
     """What the container of a run holds. Raises StartFailed for a path that no runtime takes."""
     work = spec.work.resolve()
     # What is mounted into the folder of the dataset needs a place in it, which must not show in other runs.
-    read = {_DATASET: work / "dataset", **read_places(spec)}
+    read = {DATASET_TARGET: work / "dataset", **read_places(spec)}
     written = {_HOME: work / "tmp", **written_places(spec)}
     orders = ContainerOrders(
         runtime=runtime,
@@ -194,11 +193,11 @@ def container_orders(spec: RunSpec, image: ImageFolder, runtime: str) -> Contain
 def make_mount_points(orders: ContainerOrders) -> None:
     """See that there is something to mount on: in the image, or in the folder that is mounted further out."""
     places = {target: Path(source) for source, target, _ in orders.mounts()}
-    for place in (_DATASET, *orders.written):
+    for place in (DATASET_TARGET, *orders.written):
         if not places[place].exists():
             places[place].mkdir(parents=True)
     for target, source in places.items():
-        outer = [place for place in (_DATASET, *orders.written) if target.startswith(f"{place}/")]
+        outer = [place for place in (DATASET_TARGET, *orders.written) if target.startswith(f"{place}/")]
         above = max(outer, key=len, default="")
         root = places.get(above, Path(orders.image))
         if root.is_file():

@@ -16,7 +16,7 @@ from typing import Any
 import slamhive
 from slamhive.executors.base import EngineUnavailable, ExecutorContext, Finding, LiveKeys, NodeAccess, StartFailed
 from slamhive.executors.node_store.arrivals import claimed_by, results_archive
-from slamhive.executors.node_store.controller import NodeStore, Reports
+from slamhive.executors.node_store.controller import NodeStore, Reports, made_variant
 from slamhive.executors.node_store.on_node.run import ARCHITECTURE, Ticket
 from slamhive.executors.node_store.registrations import Offered
 from slamhive.executors.nodes import Node
@@ -31,7 +31,6 @@ from slamhive.executors.slurm.agent import (
     GONE_FILE,
     IMAGE,
     PROGRESS_FILE,
-    VARIANT_CHECKSUM,
     VARIANT_FILE,
 )
 from slamhive.executors.slurm.arrays import NOWHERE
@@ -81,9 +80,7 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
     def start(self, spec: RunSpec) -> RunHandle:
         """Submit a job unless there is one, and wait a little; says where the clock of the node differs."""
         handle = super().start(spec)
-        made = read_json(spec.work.resolve() / VARIANT_FILE)
-        if made is not None:
-            handle = replace(handle, variant_checksum=str(made[VARIANT_CHECKSUM]))
+        handle = replace(handle, variant_checksum=made_variant(spec.work.resolve() / VARIANT_FILE))
         difference = self._store.clock_difference(spec.work)
         if difference is None:
             return handle

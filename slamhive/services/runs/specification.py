@@ -22,7 +22,7 @@ from slamhive.domain.matching import match_of
 from slamhive.domain.sensor_choice import BY_RULE, Chosen
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.base import Capabilities, EngineUnavailable, Executor, ImageMissing
-from slamhive.executors.spec import RECORDING, Limits, RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import DATASET_TARGET, RECORDING, Limits, RunInput, RunOutput, RunSpec
 from slamhive.files import hash_files, write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.runtime.config import to_yaml
@@ -255,7 +255,7 @@ def _map_provenance(found: FoundMap | None) -> dict[str, Any]:
 
 def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInput]:
     dataset, package = job.seen, job.algorithm.package
-    inside = f"{CONTAINER_ROOT}/dataset"
+    inside = DATASET_TARGET
     if not (package.standard_image or (package.folder / "Dockerfile").is_file()):
         # An image made for the published SLAM Hive does not hold its scripts. It gets a copy that it may change.
         yield _input("slamhive", package.folder / "slamhive", CONTAINER_ROOT, own_copy=True)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,10 +18,11 @@ from slamhive.bags.variants.plan import plan_variant
 from slamhive.catalogue.dataset_file import dataset_to_yaml, load_dataset
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.variant import VariantStep
-from slamhive.executors.node_store.on_node.cache import Cache, Item
+from slamhive.executors.node_store.on_node.cache import Cache, Item, sha256_of
+from slamhive.executors.node_store.on_node.making import _MODULE, hold_variant, item_of, make_apart, read_made
 from slamhive.executors.node_store.on_node.run import WrongNode
+from slamhive.executors.node_store.variants import make
 from slamhive.executors.slurm.job import job_request
-from slamhive.executors.slurm.variants import item_of, make, make_apart
 from slamhive.executors.spec import VariantOrder
 from slamhive.schema.model import adapter, dump
 from slamhive.tree import folder_bytes
@@ -29,14 +31,21 @@ from tests.services.recorded_track import make_recorded_track
 
 pytestmark = pytest.mark.integration
 
+MAKER = [sys.executable, "-m", _MODULE]
 STEPS = (VariantStep("rate", ("lidar",), {"every": 2}), VariantStep("range_noise", ("lidar",), {"sigma_m": 0.1}))
 
 
 def order_of(dataset: Dataset, steps: tuple[VariantStep, ...] = STEPS) -> VariantOrder:
     plan = plan_variant(dataset, steps)
     assert plan is not None
-    steps_content = tuple(dict(step) for step in plan.steps)
-    return VariantOrder(plan.key, dataset.name, dataset_to_yaml(dataset), steps_content, plan.needed_bytes)
+    return VariantOrder(
+        plan.key, dataset.name, dataset_to_yaml(dataset), tuple(map(dict, plan.steps)), plan.needed_bytes
+    )
+
+
+def content_of(order: VariantOrder) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(json.dumps(dump(VariantOrder, order)))
+    return content
 
 
 @pytest.fixture
@@ -60,12 +69,13 @@ def controller_made(dataset: Dataset, tmp_path: Path) -> Dataset:
 def test_it_is_the_variant_that_the_controller_would_make(dataset, controller_made, recording, tmp_path):
     (folder := tmp_path / "node").mkdir()
     fractions: list[float] = []
-    make_apart(order_of(dataset), recording, folder, fractions.append)
+    make_apart(MAKER, content_of(order_of(dataset)), recording, folder, fractions.append)
     made = load_dataset(folder)
     assert made.checksum == controller_made.checksum == checksum(made.bag_path)
     assert (folder / "dataset.yaml").read_bytes() == (controller_made.folder / "dataset.yaml").read_bytes()
-    others = {path.name for path in controller_made.folder.iterdir()} - {"groundtruth.txt"}
+    others = {path.name for path in controller_made.folder.iterdir()} - {"groundtruth.txt"} | {"made.json"}
     assert {path.name for path in folder.iterdir()} == others
+    assert read_made(folder) == {"checksum": made.checksum, "bag": "track.bag"}
     assert fractions == sorted(fractions)
     assert fractions
 
@@ -74,8 +84,8 @@ def test_an_order_survives_json(dataset):
     order = order_of(dataset)
     content = json.loads(json.dumps(dump(VariantOrder, order)))
     assert adapter(VariantOrder).validate_python(content) == order
-    assert item_of(order).sha256 != item_of(order_of(dataset, STEPS[:1])).sha256
-    assert Item.of(item_of(order)._asdict()) == item_of(order)
+    assert item_of(content_of(order)).sha256 != item_of(content_of(order_of(dataset, STEPS[:1]))).sha256
+    assert Item.of(item_of(content_of(order))._asdict()) == item_of(content)
 
 
 def test_a_node_that_would_make_other_bytes_makes_none(dataset, recording, tmp_path, monkeypatch):
@@ -105,10 +115,10 @@ def test_what_cannot_be_made_is_one_line(dataset, recording, tmp_path, damage, m
     cache = Cache(tmp_path / "cache", 10**9)
 
     def fill(_item: Item, folder: Path) -> None:
-        make_apart(order, recording, folder, lambda _done: None)
+        make_apart(MAKER, content_of(order), recording, folder, lambda _done: None)
 
     with pytest.raises(WrongNode, match=message) as found:
-        cache.hold(item_of(order), fill)
+        cache.hold(item_of(content_of(order)), fill)
     assert "\n" not in str(found.value)
     assert "of track cannot be made on its node" in str(found.value)
     assert cache.used_bytes() == 0
@@ -120,13 +130,13 @@ def test_it_is_made_once_and_takes_what_it_takes(dataset, recording, tmp_path):
 
     def fill(item: Item, folder: Path) -> None:
         made.append(item)
-        make_apart(order, recording, folder, lambda _done: None)
+        make_apart(MAKER, content_of(order), recording, folder, lambda _done: None)
 
     for _ in range(2):
-        held = cache.hold(item_of(order), fill)
+        held = cache.hold(item_of(content_of(order)), fill)
         held.release()
     assert len(made) == 1
-    assert cache.used_bytes() == folder_bytes(held.path) < item_of(order).room_bytes
+    assert cache.used_bytes() == folder_bytes(held.path) < item_of(content_of(order)).room_bytes
 
 
 def test_an_end_of_the_wait_ends_the_process(dataset, recording, tmp_path):
@@ -136,7 +146,18 @@ def test_an_end_of_the_wait_ends_the_process(dataset, recording, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        make_apart(order_of(dataset), recording, folder, stop)
+        make_apart(MAKER, content_of(order_of(dataset)), recording, folder, stop)
+
+
+def test_a_python_without_slam_hive_is_named(dataset, recording, tmp_path):
+    cache = Cache(tmp_path / "cache", 10**9)
+    source = Item(sha256_of(recording), recording.stat().st_size)
+
+    def fetch(_item: Item, part: Path) -> None:
+        part.write_bytes(recording.read_bytes())
+
+    with pytest.raises(WrongNode, match="of track cannot be made on its node"):
+        hold_variant(cache, content_of(order_of(dataset)), source, fetch, "/bin/false", lambda _done: None)
 
 
 def test_the_job_has_time_to_make_it(dataset):
