@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy
+import numpy as np
 import pytest
 
 import slamhive
@@ -159,7 +159,7 @@ def test_results_arrive_though_the_worker_was_away_when_the_run_ended(made, kube
 @pytest.fixture
 def maker_image(base_image: str, kubernetes_cluster: KubernetesCluster, tmp_path: Path) -> Iterator[str]:
     """An image with SLAM Hive as it is here, on both nodes."""
-    packages = Path(numpy.__file__).parents[1]
+    packages = Path(np.__file__).parents[1]
     context = tmp_path / "image"
     (context / "packages").mkdir(parents=True)
     shutil.copytree(Path(slamhive.__file__).parent, context / "slamhive", ignore=shutil.ignore_patterns("__pycache__"))

@@ -5,6 +5,6 @@ from __future__ import annotations
 from slamhive.settings import ExecutorOption
 
 CLUSTER_OPTIONS = ExecutorOption(
-    "options", "", "How a cluster is used: --context, --namespace, --registry, --claim, --queue, --gpu and --node"
+    "options", "", "How a cluster is used: --context, --namespace, --registry, --claim, --queue, --image, --gpu and --node"
 )
 OPTIONS = (CLUSTER_OPTIONS,)
