@@ -160,6 +160,15 @@ def test_a_python_without_slam_hive_is_named(dataset, recording, tmp_path):
         hold_variant(cache, content_of(order_of(dataset)), source, fetch, "/bin/false", lambda _done: None)
 
 
+def test_what_libraries_print_says_nothing(dataset, tmp_path):
+    lines = ["[ WARN] GPU", "3", '{"fraction": 0.5}', '{"problem": "no room"}', ""]
+    script = f"print({chr(10).join(lines)!r})"
+    fractions: list[float] = []
+    with pytest.raises(WrongNode, match=r"cannot be made on its node: no room$"):
+        make_apart([sys.executable, "-c", script], content_of(order_of(dataset)), tmp_path, tmp_path, fractions.append)
+    assert fractions == [0.5]
+
+
 def test_the_job_has_time_to_make_it(dataset):
     order = replace(order_of(dataset), room_bytes=6_000_000_000)
     plain, longer = (

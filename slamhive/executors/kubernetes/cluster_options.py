@@ -5,6 +5,8 @@ from __future__ import annotations
 from slamhive.settings import ExecutorOption
 
 CLUSTER_OPTIONS = ExecutorOption(
-    "options", "", "How a cluster is used: --context, --namespace, --registry, --claim, --queue, --image, --gpu and --node"
+    "options",
+    "",
+    "How a cluster is used: --context, --namespace, --registry, --claim, --queue, --image, --gpu, --node",
 )
 OPTIONS = (CLUSTER_OPTIONS,)

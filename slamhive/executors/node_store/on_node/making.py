@@ -87,8 +87,8 @@ def make_apart(
             process.stdin.write(json.dumps(order))
             process.stdin.close()
             for line in process.stdout:
-                said = json.loads(line)
-                problem = said.get(PROBLEM, "")
+                said = _said_in(line)
+                problem = said.get(PROBLEM, problem)
                 if FRACTION in said:
                     progress(said[FRACTION])
         except BrokenPipeError:
@@ -99,3 +99,12 @@ def make_apart(
     if problem or process.returncode:
         why = problem or "the process that makes it ended with code {}".format(process.returncode)
         raise WrongNode("{} cannot be made on its node: {}".format(words_of(order), why))
+
+
+def _said_in(line: str) -> Dict[str, Any]:
+    """What a line of the process says; nothing if one of its libraries has printed it."""
+    try:
+        said = json.loads(line)
+    except ValueError:
+        return {}
+    return said if isinstance(said, dict) else {}
