@@ -25,6 +25,7 @@ from slamhive.executors.slurm.arrays import (
     tasks_in,
 )
 from slamhive.executors.slurm.command import Job, parse_jobs
+from slamhive.executors.slurm.job import delivery_request
 from slamhive.executors.slurm.queue import Queue
 from tests.waiting import eventually
 
@@ -96,6 +97,13 @@ def test_chunks_hold_each_request_once_and_slurm_takes_their_comments(entries):
 
 def test_a_key_with_a_comma_shares_no_array():
     assert [len(chunk) for chunk in chunks([request("a"), request("b,c"), request("d"), request("e")])] == [1, 1, 2]
+
+
+def test_who_has_a_secret_shares_no_array():
+    """The script of an array is on the node of each of its tasks."""
+    secret = [request(key)._replace(secret=True) for key in ("b", "c")]
+    assert [len(chunk) for chunk in chunks([request("a"), *secret, request("d"), request("e")])] == [1, 1, 1, 2]
+    assert delivery_request("home", "k", "one", [], "true\n").secret
 
 
 def test_each_task_does_what_its_request_says(tmp_path):

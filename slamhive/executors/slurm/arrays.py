@@ -29,6 +29,7 @@ class JobRequest(NamedTuple):
         printed: Where the node writes what the job itself prints.
         options: The other arguments of ``sbatch``. Requests with equal ones may become one array.
         commands: What the job does: lines for a shell.
+        secret: They hold what only the node of this run may know. All nodes of an array see its whole script.
     """
 
     name: str
@@ -37,6 +38,7 @@ class JobRequest(NamedTuple):
     printed: Path
     options: tuple[str, ...]
     commands: str
+    secret: bool = False
 
 
 class Submission(NamedTuple):
@@ -77,10 +79,12 @@ def chunks(requests: Iterable[JobRequest]) -> list[list[JobRequest]]:
         chunk = open_chunks.get(shared, [])
         keys = [entry.key for entry in chunk] + [request.key]
         fits = len(comment_of(request.installation, *keys)) <= _LONGEST_COMMENT
-        if not chunk or not fits or any(_BETWEEN_KEYS in key for key in keys):
+        if not chunk or not fits or request.secret or any(_BETWEEN_KEYS in key for key in keys):
             chunk = open_chunks[shared] = []
             found.append(chunk)
         chunk.append(request)
+        if request.secret:
+            del open_chunks[shared]
     return found
 
 

@@ -73,6 +73,8 @@ class SlurmExecutor(ProcessExecutor):
 
     _printed: ClassVar[Path | None] = None
     """Where nodes write what jobs themselves print, see ``job_request``."""
+    _hands_out_tickets: ClassVar[bool] = False
+    """Whether the script of a job has the ticket of its run."""
 
     def __init__(self, context: ExecutorContext) -> None:
         super().__init__(context)
@@ -211,7 +213,8 @@ class SlurmExecutor(ProcessExecutor):
         self._check_nodes(spec)
         commands = self._commands(replace(spec, limits=job_limits(spec.limits)), work)
         installation = self._context.installation
-        self._queue.submit(job_request(spec, installation, self._options, self._gpu, commands, self._printed))
+        request = job_request(spec, installation, self._options, self._gpu, commands, self._printed)
+        self._queue.submit(request._replace(secret=self._hands_out_tickets))
 
     def _commands(self, spec: RunSpec, work: Path) -> str:
         """What the job does. It finds its orders in the work folder. Raises ImageMissing."""

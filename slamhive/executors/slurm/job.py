@@ -67,7 +67,7 @@ def delivery_request(installation: str, key: str, node: str, options: Sequence[s
     """What is submitted to bring what the run ``key`` has left on ``node``."""
     kept = [option for option in options if option.startswith(_KEPT_FOR_DELIVERY)]
     chosen = (*_always(_DELIVERY_S), f"--nodelist={node}", f"--mem={_SUPERVISOR_BYTES >> 20}M", *kept)
-    return JobRequest("slamhive-results", installation, key, NOWHERE, chosen, commands)
+    return JobRequest("slamhive-results", installation, key, NOWHERE, chosen, commands, secret=True)
 
 
 def _always(limit_s: float) -> list[str]:

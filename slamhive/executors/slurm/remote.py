@@ -58,6 +58,7 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
 
     capabilities = replace(ContainerSlurmExecutor.capabilities, shares_files=False, makes_variants=True)
     _printed = NOWHERE
+    _hands_out_tickets = True
 
     def __init__(self, context: ExecutorContext, access: NodeAccess) -> None:
         super().__init__(context)
