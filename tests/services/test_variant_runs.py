@@ -214,8 +214,10 @@ def test_a_node_that_makes_the_variant_gets_recording_and_recipe(hive, monkeypat
         config = run_config.load(small.runs.folder(run.id).config)
         assert config.dataset_parameters["points_rate_hz"] == 5.0
         assert reindex(small, lambda _done, _total: None).skipped == []
-        preview = small.experiments.preview(ExperimentSource(HALVED))
+        preview = small.experiments.preview(ExperimentSource(HALVED), nodes=1)
         assert preview.refusals == ()
+        assert preview.cluster is not None
+        assert preview.cluster.moved_bytes == source.bag_path.stat().st_size, "the recording moves once"
         assert not [warning for warning in preview.warnings if "variants" in warning]
         small.executors.opened["process"] = FakeExecutor()
         (refusal,) = small.experiments.preview(ExperimentSource(HALVED)).refusals

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from slamhive.domain.configuration import Configuration
@@ -36,15 +36,18 @@ class Workload:
         """Of all runs, one after the other."""
         return sum(map(sum, self.by_data.values()))
 
-    def on_nodes(self, nodes: int, data_bytes: Mapping[Data, int]) -> NodesPlan:
-        """The plan for so many nodes, each of which executes one run at a time and gets the data of its runs once."""
+    def on_nodes(self, nodes: int, data_bytes: Mapping[Data, int], *, recordings_only: bool = False) -> NodesPlan:
+        """The plan for so many nodes, each of which executes one run at a time and gets the data of its runs once.
+
+        With ``recordings_only``, nodes make variants, so of each dataset only the recording moves.
+        """
         keys = {str(number): data for number, data in enumerate(self.by_data)}
         groups = [
             DataRuns(name, data_bytes[data] / NODE_BYTES_PER_S, tuple(self.by_data[data]))
             for name, data in keys.items()
         ]
         plans = place(groups, nodes)
-        moved = [sum(data_bytes[keys[name]] for name in plan.data) for plan in plans]
+        moved = [_moved_bytes([keys[name] for name in plan.data], data_bytes, recordings_only) for plan in plans]
         return NodesPlan(
             nodes=nodes,
             used_nodes=sum(bool(plan.runs) for plan in plans),
@@ -55,9 +58,15 @@ class Workload:
         )
 
 
+def _moved_bytes(data: Sequence[Data], data_bytes: Mapping[Data, int], recordings_only: bool) -> int:
+    moved = {dataset: (dataset, variant) for dataset, variant in data}.values() if recordings_only else data
+    return sum(data_bytes[entry] for entry in moved)
+
+
 def bytes_of_data(expansion: Expansion, space: DiskSpace) -> dict[Data, int]:
-    """The size of each dataset and variant that runs read; of variants the most that they can have."""
-    sizes: dict[Data, int] = {(need.dataset, need.variant): need.needed_bytes for need in space.variants}
+    """What a node gets for each dataset and variant that runs read; of variants the most that they can have."""
+    moved = () if space.variants_elsewhere else space.variants
+    sizes: dict[Data, int] = {(need.dataset, need.variant): need.needed_bytes for need in moved}
     for dataset in {dataset.name: dataset for _, dataset in expansion.pairs}.values():
         recording_bytes = size_bytes(dataset.bag_path) if dataset.bag else 0
         for variant in ((), *expansion.variants.get(dataset.name, ())):

@@ -76,7 +76,10 @@ def preview(
         refusals += [str(error) for error in pair_problems(context, experiment, expansion, executor)]
     between_s, builds_s = _beside_runs_s(context, experiment, expansion)
     sums = _sum_up(context, expansion, progress, between_s)
-    cluster = None if nodes is None else sums.work.on_nodes(nodes, bytes_of_data(expansion, space))
+    cluster = None
+    if nodes is not None:
+        moved = bytes_of_data(expansion, space)
+        cluster = sums.work.on_nodes(nodes, moved, recordings_only=space.variants_elsewhere)
     slots = nodes or context.settings.worker_slots
     runs_s = sums.work.total_s / slots if cluster is None else cluster.time_s
     return ExperimentPreview(
