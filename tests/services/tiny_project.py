@@ -30,7 +30,7 @@ modes:
     inputs: {points: lidar}
     trajectory_role: points
 parameters:
-  seconds: {type: float, default: 0.3, minimum: 0, maximum: 10000, unit: s, help: How long it works.}
+  seconds: {type: float, default: 0.3, minimum: 0, maximum: 60, unit: s, help: How long it works.}
   behaviour:
     type: enum
     default: good
