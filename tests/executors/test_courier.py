@@ -23,6 +23,7 @@ from slamhive.executors.kubernetes.courier_manifest import (
     node_job_manifest,
     run_mounts,
     secret_manifest,
+    secret_name,
     with_courier,
 )
 from slamhive.executors.kubernetes.manifest import Who, job_name
@@ -51,7 +52,8 @@ from tests.waiting import eventually
 pytestmark = pytest.mark.quick
 
 SHA = "ab" + "0" * 62
-GIVEN = HandedOut({"ticket.json": "e30="}, {"/slamhive/dataset/a.bag": f"sha256/ab/{SHA}"}, {"/slamhive/home": "home"})
+ITEMS = {"/slamhive/dataset/a.bag": f"sha256/ab/{SHA}"}
+GIVEN = HandedOut({"ticket.json": "e30="}, ITEMS, {"/slamhive/home": "home"}, "abcd")
 OUTPUT = RunOutput("result", Path("/data/runs/7/result"), "/slamhive/result", ("alive",), 1000, 10)
 HARDENED = {
     "allowPrivilegeEscalation": False,
@@ -75,7 +77,7 @@ def test_the_run_sees_its_own_items_and_folders_alone():
         {"name": "work", "mountPath": "/tmp", "subPath": "tmp", "readOnly": False},
         {"name": "shm", "mountPath": "/dev/shm"},
     ]
-    assert run_mounts(SPEC, HandedOut({}, {}, {})) == [
+    assert run_mounts(SPEC, HandedOut({}, {}, {}, "")) == [
         {"name": "work", "mountPath": "/run/slamhive", "subPath": "pod", "readOnly": False},
         {"name": "work", "mountPath": "/tmp", "subPath": "tmp", "readOnly": False},
     ]
@@ -136,7 +138,7 @@ def test_the_pod_has_no_rights_and_waits_a_week_for_the_worker():
     assert [volume for volume in pod["volumes"] if volume["name"] != "shm"] == [
         {"name": "cache", "hostPath": {"path": CACHE, "type": "DirectoryOrCreate"}},
         {"name": "work", "emptyDir": {}},
-        {"name": "ticket", "secret": {"secretName": job_name("home", "k1"), "defaultMode": 0o444}},
+        {"name": "ticket", "secret": {"secretName": f"{job_name('home', 'k1')}-abcd", "defaultMode": 0o444}},
     ]
 
 
@@ -144,7 +146,7 @@ def test_the_ticket_is_in_a_secret_and_nowhere_else():
     secret = secret_manifest(SPEC, "home", GIVEN)
     assert (secret["kind"], secret["metadata"]["name"], secret["data"]) == (
         "Secret",
-        job_name("home", "k1"),
+        f"{job_name('home', 'k1')}-abcd",
         GIVEN.secret,
     )
     assert "e30=" not in json.dumps(job())
@@ -336,6 +338,20 @@ def test_a_run_that_is_forgotten_is_ended_by_its_courier(handed_out):
     files.forget()
     eventually((pod / "pod" / "stop").exists, "the end of the run")
     assert (pod / "pod" / "stop").read_text() == "0.0"
+
+
+def test_each_ticket_has_a_secret_of_its_own(tmp_path):
+    """A kubelet may give a Secret that it knows to a later pod: of the same name, it would be void."""
+    store = NodeStore(tmp_path, NodeAccess("http://127.0.0.1:1", str(tmp_path / "cache"), 10**9))
+    spec = replace(SPEC, work=tmp_path / "work", package_folder=tmp_path)
+    files = NodeRunFiles(spec.work, spec.key, store)
+    assert store.mark(spec.key) is None
+    given = [hand_out(store, spec, files, 1000) for _ in range(2)]
+    names = [secret_manifest(spec, "home", entry)["metadata"]["name"] for entry in given]
+    assert names[0] != names[1] == secret_name("home", spec.key, store.mark(spec.key) or "")
+    assert given[1].mark not in base64.b64decode(given[1].secret[TICKET_FILE]).decode()
+    store.forget(spec.key)
+    assert store.mark(spec.key) == given[1].mark
 
 
 def test_a_run_that_nobody_claimed_can_be_blocked(tmp_path):

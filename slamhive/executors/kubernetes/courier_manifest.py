@@ -39,6 +39,14 @@ _MOST_CHECKS = 86_400
 """How often the check may fail. What was removed from the cache just now is fetched again before it succeeds."""
 
 
+def secret_name(installation: str, key: str, mark: str) -> str:
+    """The name of the Secret with the ticket that ``mark`` names.
+
+    A kubelet keeps a Secret that cannot change for as long as it knows a pod with it, and would give it to later pods.
+    """
+    return f"{job_name(installation, key)}-{mark}"
+
+
 def secret_manifest(spec: RunSpec, installation: str, given: HandedOut) -> dict[str, Any]:
     """What only the courier sees: the ticket of the run, and the programs."""
     return {
@@ -46,7 +54,10 @@ def secret_manifest(spec: RunSpec, installation: str, given: HandedOut) -> dict[
         "kind": "Secret",
         "type": "Opaque",
         "immutable": True,
-        "metadata": {"name": job_name(installation, spec.key), "labels": labels_of(spec, installation)},
+        "metadata": {
+            "name": secret_name(installation, spec.key, given.mark),
+            "labels": labels_of(spec, installation),
+        },
         "data": given.secret,
     }
 
@@ -64,7 +75,7 @@ def node_job_manifest(
         given: What was handed out for it.
         cache: The folder of the cache on the nodes.
     """
-    volumes = _volumes(job_name(installation, spec.key), cache)
+    volumes = _volumes(secret_name(installation, spec.key, given.mark), cache)
     job = job_manifest(spec, installation, options, who, (volumes, run_mounts(spec, given)))
     pod = job["spec"]["template"]["spec"]
     (run,) = pod["containers"]

@@ -118,13 +118,14 @@ def place_of(sha256: str) -> str:
 class HandedOut:
     """What the pod of a run needs: the content of its Secret, and the items of the cache that the run sees.
 
-    ``items`` maps where the run expects an input to its place in the cache; ``own`` to the name of the copy that it may
-    change.
+    ``mark`` names the ticket in it. ``items`` maps where the run expects an input to its place in the cache; ``own`` to
+    the name of the copy that it may change.
     """
 
     secret: dict[str, str]
     items: dict[str, str]
     own: dict[str, str]
+    mark: str
 
 
 def hand_out(store: NodeStore, spec: RunSpec, files: RunFiles, log_max_bytes: int) -> HandedOut:
@@ -154,7 +155,7 @@ def hand_out(store: NodeStore, spec: RunSpec, files: RunFiles, log_max_bytes: in
         SUPERVISOR_FILE: supervisor_archive(),
     }
     secret = {name: base64.b64encode(content).decode() for name, content in contents.items()}
-    return HandedOut(secret, items, own)
+    return HandedOut(secret, items, own, store.mark(spec.key) or "")
 
 
 def _place_in_variant(entry: RunInput) -> str | None:

@@ -10,7 +10,7 @@ from slamhive.executors.base import EngineUnavailable, ExecutorContext, StartFai
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.answers import Document, NotStarted
 from slamhive.executors.kubernetes.cluster import Cluster
-from slamhive.executors.kubernetes.courier_manifest import node_job_manifest, secret_manifest, with_courier
+from slamhive.executors.kubernetes.courier_manifest import node_job_manifest, secret_manifest, secret_name, with_courier
 from slamhive.executors.kubernetes.images import explain_missing
 from slamhive.executors.kubernetes.manifest import Who, job_manifest, job_name, resources, selector
 from slamhive.executors.kubernetes.node_runs import hand_out
@@ -104,6 +104,7 @@ class RunJobs:
         if self._cluster.job(self.name(spec.key)) is not None:
             return
         files.prepare(spec, self._log_max_bytes)
+        self._delete_secret(spec.key, store)
         given = hand_out(store, spec, files, self._log_max_bytes)
         self._cluster.create_secret(secret_manifest(spec, self._installation, given), StartFailed)
         job = node_job_manifest(spec, self._installation, self._options, _who(), given, self._cache)
@@ -135,7 +136,7 @@ class RunJobs:
     def delete(self, key: str) -> None:
         """Delete the Job of a run and its pods, and wait until none is listed any more."""
         if self._store is not None:
-            self._cluster.delete_secret(self.name(key))  # before the Job, which says whether something is left
+            self._delete_secret(key, self._store)  # before the Job, which says whether something is left
         self._cluster.delete_job(self.name(key))
         chosen = selector(self._installation, key)
 
@@ -148,6 +149,12 @@ class RunJobs:
 
         if not wait_until(none_left, DELETION_WAIT_S):
             raise EngineUnavailable(f"Kubernetes does not delete the pod of {key}", "see kubectl get pods")
+
+    def _delete_secret(self, key: str, store: NodeStore) -> None:
+        """Delete the Secret of the newest ticket of a run, if it has one. There is no other."""
+        mark = store.mark(key)
+        if mark is not None:
+            self._cluster.delete_secret(secret_name(self._installation, key, mark))
 
     def delete_stale(self, job: Document) -> None:
         """Delete a Job whose run is over."""

@@ -164,6 +164,10 @@ class NodeStore:
         words = f"{abs(behind_s):.0f} s {'behind' if behind_s > 0 else 'ahead'}"
         return f"the clock of node {said.get('node')} is {words}; times of the run are corrected"
 
+    def mark(self, key: str) -> str | None:
+        """Names the newest ticket of a run, also after it was forgotten; None if it has none."""
+        return self._registrations.mark(key)
+
     def forget(self, key: str) -> None:
         """No node gets or sends anything of the run any more."""
         self._registrations.remove(key)

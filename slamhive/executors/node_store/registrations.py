@@ -23,6 +23,7 @@ from slamhive.files import write_aside
 
 _FOLDER = "node-runs"
 _NODE_FOLDER = "node"
+_MARK_DIGITS = 8
 _KEPT_S = 7 * 86400.0
 _ROOM_FOR_NAMES_BYTES = 4096
 """In an archive: the head of a file, and names of any length."""
@@ -119,6 +120,11 @@ class Registrations:
             return None
         del content["token_sha256"]
         return _registration(content)
+
+    def mark(self, key: str) -> str | None:
+        """Names the newest token of a run without giving it away; None if there was none, or long ago."""
+        content = self._read(key)
+        return None if content is None else str(content["token_sha256"])[:_MARK_DIGITS]
 
     def was_for(self, key: str, token: str) -> bool:
         """Whether ``token`` was the last one of a run that is over, so that its node can remove what it has."""

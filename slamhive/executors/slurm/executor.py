@@ -333,8 +333,11 @@ def _exit_of(handle: RunHandle) -> Exited | None:
 
 
 def _is_blameless(job: command.Job) -> bool:
-    """Whether another job may do better. One that completes without a run has found the supervisor of another job."""
-    return job.ended_by_slurm or job.cancelled_on_a_node or "COMPLETED" in job.states
+    """Whether another job may do better, since it has printed nothing.
+
+    One that completes without a run has found the supervisor of another job. One that fails was killed with its node.
+    """
+    return job.ended_by_slurm or job.cancelled_on_a_node or not {"COMPLETED", "FAILED"}.isdisjoint(job.states)
 
 
 def last_line(work: Path) -> str:

@@ -62,7 +62,9 @@ def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any],
         process_limit=cause == "process_limit" or (isinstance(status, Exited) and status.process_limit),
         refused_processes=isinstance(status, Exited) and status.refused_processes,
         most_processes=saved["spec"]["limits"]["pids"],
-        timed_out=cause == "timeout" or (isinstance(status, Exited) and status.timed_out),
+        # Whose end nobody could record was not there any more, and had not gone on until its time limit.
+        timed_out=(cause == "timeout" and not isinstance(status, Gone))
+        or (isinstance(status, Exited) and status.timed_out),
         timeout_s=float(saved["spec"]["timeout_s"]),
         disk_exceeded=saved.get(DISK_LIMIT) or saved[LEFT]["exceeded"],
         removed=removed_in_words(saved[LEFT]["removed"]),
