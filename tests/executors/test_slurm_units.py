@@ -15,6 +15,7 @@ from slamhive.executors.registry import open_executor
 from slamhive.executors.slurm import command
 from slamhive.executors.slurm.arrays import submission
 from slamhive.executors.slurm.command import Job, parse_accounted, parse_jobs, read_options
+from slamhive.executors.slurm.executor import _is_blameless
 from slamhive.executors.slurm.job import delivery_request, job_commands, job_limits, job_request, ticket_commands
 from slamhive.executors.spec import Limits, Placing, RunSpec
 
@@ -71,6 +72,13 @@ def test_a_node_cancels_a_job_that_it_could_not_launch():
     assert not Job(1, "", ("CANCELLED",), "None", "").cancelled_on_a_node
     assert not Job(1, "", ("FAILED",), "NonZeroExitCode", "one").cancelled_on_a_node
     assert not Job(1, "", ("CANCELLED", "COMPLETING"), "None", "one").cancelled_on_a_node
+
+
+def test_a_job_that_failed_without_a_word_may_be_submitted_again():
+    """Its script was killed with its node before the run began, or its credential was revoked."""
+    assert _is_blameless(Job(1, "", ("FAILED",), "NonZeroExitCode", "one"))
+    assert not _is_blameless(Job(1, "", ("CANCELLED",), "None", ""))
+    assert not _is_blameless(Job(1, "", ("TIMEOUT",), "TimeLimit", "one"))
 
 
 def test_jobs_that_the_accounting_database_remembers():

@@ -17,7 +17,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavailable
 from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
 from slamhive.executors.spec import RunSpec
-from slamhive.executors.status import Exited, Gone, Running
+from slamhive.executors.status import Exited, Gone, RunHandle, Running
 from slamhive.runs.folder import RunFolder
 from slamhive.schema.run import Run
 from slamhive.schema.submission import Submission
@@ -110,6 +110,19 @@ def test_each_way_to_fail_has_its_reason(hive, executor, reason, detail):
     assert detail in run.detail
     assert hive.runs.record(run.id)["reason"] == reason.value
     assert Run.of(run).content["metrics"].get("ate.rmse") is None
+
+
+class VanishedExecutor(FakeExecutor):
+    """Its engine takes a run for alive whose machine is gone."""
+
+    def stop(self, handle: RunHandle, grace_s: float) -> None:
+        self.statuses = [Gone("nobody could record its end")]
+
+
+def test_a_run_that_is_found_to_be_gone_at_its_time_limit_is_lost_and_not_late(hive):
+    run = finish(hive, VanishedExecutor(statuses=[Running()]), timeout_s=1)
+    assert (run.state, run.reason) == (RunState.FAILED, FailureReason.LOST)
+    assert run.detail == "nobody could record its end"
 
 
 def test_a_stuck_algorithm_ends_by_its_timeout(hive):
