@@ -13,6 +13,7 @@ import os
 import statistics
 import tempfile
 import time
+import uuid
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -33,9 +34,9 @@ def main() -> None:
         os.environ.update(cluster.variables)
         cluster.set_nodes("state=drain", "reason=benchmark")
         measured: dict[str, list[tuple[float, int, float]]] = {"arrays": [], "job by job": []}
-        for number in range(arguments.rounds):
+        for _ in range(arguments.rounds):
             for way, rounds in measured.items():
-                rounds.append(_round(way, f"r{number}", arguments.runs))
+                rounds.append(_round(way, arguments.runs))
                 cluster.run("scancel", "--user=root", "--state=PENDING")
     print(f"{'':<12}{'submitted (s)':>15}{'calls of sbatch':>17}{'squeue --json (s)':>19}")
     for way, rounds in measured.items():
@@ -47,7 +48,7 @@ def main() -> None:
     print(f"arrays over job by job: {ratio:.2f} of the time")
 
 
-def _round(way: str, name: str, runs: int) -> tuple[float, int, float]:
+def _round(way: str, runs: int) -> tuple[float, int, float]:
     """Submit all; the time it took (s), the calls of ``sbatch``, and how long a look at all jobs took then (s)."""
     calls: list[Submission] = []
 
@@ -57,15 +58,15 @@ def _round(way: str, name: str, runs: int) -> tuple[float, int, float]:
 
     queue = Queue(send=send)
     submit: Callable[[JobRequest], None] = queue.submit if way == "arrays" else lambda asked: send(submission([asked]))
+    keys = [uuid.uuid4().hex for _ in range(runs)]  # as long as those of runs: they bound an array
     requests = [
-        JobRequest(f"slamhive-{run}", "benchmark", f"{way}-{name}-{run:06}", Path("/dev/null"), ("--mem=1M",), "true\n")
-        for run in range(runs)
+        JobRequest(f"slamhive-{run}", uuid.NAMESPACE_URL.hex, key, Path("/dev/null"), ("--mem=1M",), "true\n")
+        for run, key in enumerate(keys)
     ]
     began_s = time.monotonic()
     with ThreadPoolExecutor(runs) as pool:
         list(pool.map(submit, requests))
     took_s = time.monotonic() - began_s
-    keys = [request.key for request in requests]
     began_s = time.monotonic()
     jobs = queue.jobs(0.0)
     look_s = time.monotonic() - began_s

@@ -37,14 +37,13 @@ from slamhive.executors.kubernetes.pod_files import (
     SUPERVISOR_FILE,
     TICKET_FILE,
     USAGE_FILE,
-    VARIANT_FILE,
     WORK_FOLDER,
     write_json,
 )
-from slamhive.executors.node_store.on_node.cache import Cache, CacheFull, Held, Item
+from slamhive.executors.node_store.on_node.cache import CacheFull, Held, Item
 from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused, patiently
 from slamhive.executors.node_store.on_node.fetch import Fetcher, WrongContent
-from slamhive.executors.node_store.on_node.making import hold_variant, read_made
+from slamhive.executors.node_store.on_node.making import VARIANT_FILE, hold_variant, read_made
 from slamhive.executors.node_store.on_node.mirror import Watched
 from slamhive.executors.node_store.on_node.results import Output
 from slamhive.executors.node_store.on_node.run import (
@@ -120,8 +119,8 @@ def fetch(ticket: Ticket, programs: Path, folders: PodFolders) -> None:
 
 def bring_variant(ticket: Ticket, connection: Connection, variant: dict[str, Any]) -> Held:
     """The variant in the cache, made unless it is there: this image has SLAM Hive. Raises as :func:`fetch`."""
-    cache, source = Cache(Path(ticket.cache), ticket.cache_bytes), Item.of(variant["source"])
-    return hold_variant(cache, variant["order"], source, Fetcher(connection), sys.executable, lambda _done: None)
+    order, source = variant["order"], Item.of(variant["source"])
+    return hold_variant(ticket.open_cache(), order, source, Fetcher(connection), sys.executable, lambda _done: None)
 
 
 def note_nothing(item: Item, arrived_bytes: int) -> None:

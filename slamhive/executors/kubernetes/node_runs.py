@@ -20,12 +20,11 @@ from slamhive.executors.kubernetes.pod_files import (
     SUPERVISOR_FILE,
     TICKET_FILE,
     USAGE_FILE,
-    VARIANT_FILE,
 )
 from slamhive.executors.kubernetes.run_files import RunFiles, order_of
 from slamhive.executors.node_store.arrivals import ask_to_stop, claimed_by, results_archive
 from slamhive.executors.node_store.controller import NodeStore, Reports, item_name, made_variant
-from slamhive.executors.node_store.on_node.making import item_of
+from slamhive.executors.node_store.on_node.making import VARIANT_FILE, item_of
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.spec import DATASET_TARGET, RECORDING, RunInput, RunOutput, RunSpec, VariantOrder
 from slamhive.schema.model import dump

@@ -27,10 +27,10 @@ from slamhive.clock import monotonic_s, utc_now
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.node_store.controller import item_name, live_place
-from slamhive.executors.node_store.on_node.cache import Cache, CacheFull, Held, Item
+from slamhive.executors.node_store.on_node.cache import CacheFull, Held, Item
 from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused
 from slamhive.executors.node_store.on_node.fetch import Fetcher, WrongContent
-from slamhive.executors.node_store.on_node.making import BAG, hold_variant, read_made, words_of
+from slamhive.executors.node_store.on_node.making import BAG, VARIANT_FILE, hold_variant, read_made, words_of
 from slamhive.executors.node_store.on_node.mirror import Mirror, Watched
 from slamhive.executors.node_store.on_node.results import Output
 from slamhive.executors.node_store.on_node.run import (
@@ -61,7 +61,6 @@ from slamhive.tree import folder_bytes, remove_tree
 
 PROGRESS_FILE = "progress.json"
 GONE_FILE = "gone.json"
-VARIANT_FILE = "made-variant.json"
 IMAGE = "image"
 FETCHING, RUNNING, DELIVERING = "fetching", "running", "delivering"
 _CLAIM_PATIENCE_S = 600.0
@@ -124,13 +123,12 @@ class RunOnNode:
 
     def _variant(self, order: dict[str, Any], source: Item, held: list[Held]) -> dict[str, Path]:
         """The inputs that are a variant."""
-        cache = Cache(Path(self._ticket.cache), self._ticket.cache_bytes)
         fetch = Fetcher(self._connection, progress=self._arrived)
 
         def made(done: float) -> None:
             self._progress(FETCHING, f"{words_of(order)}: {100 * done:.0f} % is made")
 
-        held.append(hold_variant(cache, order, source, fetch, sys.executable, made))
+        held.append(hold_variant(self._ticket.open_cache(), order, source, fetch, sys.executable, made))
         folder, known = held[-1].path, read_made(held[-1].path)
         write_aside(self._spec.work / VARIANT_FILE, json.dumps(known))
         return {item_name(RECORDING): folder / known[BAG], item_name(DATASET_FILE): folder / DATASET_FILE}

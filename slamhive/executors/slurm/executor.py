@@ -73,8 +73,6 @@ class SlurmExecutor(ProcessExecutor):
 
     _printed: ClassVar[Path | None] = None
     """Where nodes write what jobs themselves print, see ``job_request``."""
-    _hands_out_tickets: ClassVar[bool] = False
-    """Whether the script of a job has the ticket of its run."""
 
     def __init__(self, context: ExecutorContext) -> None:
         super().__init__(context)
@@ -214,7 +212,8 @@ class SlurmExecutor(ProcessExecutor):
         commands = self._commands(replace(spec, limits=job_limits(spec.limits)), work)
         installation = self._context.installation
         request = job_request(spec, installation, self._options, self._gpu, commands, self._printed)
-        self._queue.submit(request._replace(secret=self._hands_out_tickets))
+        # For a node that shares no files, the script holds the ticket of the run.
+        self._queue.submit(request._replace(secret=not self.capabilities.shares_files))
 
     def _commands(self, spec: RunSpec, work: Path) -> str:
         """What the job does. It finds its orders in the work folder. Raises ImageMissing."""

@@ -17,6 +17,7 @@ import slamhive
 from slamhive.executors.base import EngineUnavailable, ExecutorContext, Finding, LiveKeys, NodeAccess, StartFailed
 from slamhive.executors.node_store.arrivals import claimed_by, results_archive
 from slamhive.executors.node_store.controller import NodeStore, Reports, made_variant
+from slamhive.executors.node_store.on_node.making import VARIANT_FILE
 from slamhive.executors.node_store.on_node.run import ARCHITECTURE, Ticket
 from slamhive.executors.node_store.registrations import Offered
 from slamhive.executors.nodes import Node
@@ -31,7 +32,6 @@ from slamhive.executors.slurm.agent import (
     GONE_FILE,
     IMAGE,
     PROGRESS_FILE,
-    VARIANT_FILE,
 )
 from slamhive.executors.slurm.arrays import NOWHERE
 from slamhive.executors.slurm.containers import ContainerSlurmExecutor
@@ -58,7 +58,6 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
 
     capabilities = replace(ContainerSlurmExecutor.capabilities, shares_files=False, makes_variants=True)
     _printed = NOWHERE
-    _hands_out_tickets = True
 
     def __init__(self, context: ExecutorContext, access: NodeAccess) -> None:
         super().__init__(context)

@@ -22,7 +22,7 @@ from slamhive.domain.matching import match_of
 from slamhive.domain.sensor_choice import BY_RULE, Chosen
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.base import Capabilities, EngineUnavailable, Executor, ImageMissing
-from slamhive.executors.spec import DATASET_TARGET, RECORDING, Limits, RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import DATASET_TARGET, RECORDING, Limits, RunInput, RunOutput, RunSpec, VariantOrder
 from slamhive.files import hash_files, write_aside
 from slamhive.runs.folder import RunFolder
 from slamhive.runtime.config import to_yaml
@@ -77,6 +77,11 @@ class Job:
     def seen(self) -> Dataset:
         """The dataset that the run uses; metrics are computed with the ground truth of ``dataset``."""
         return self.dataset if self.used is None else self.used.dataset
+
+    @property
+    def order(self) -> VariantOrder | None:
+        """The variant that the node of the run makes; None if the run sees files that are here."""
+        return None if self.used is None else self.used.order
 
 
 def check_disk(settings: Settings) -> None:
@@ -189,7 +194,7 @@ def build_spec(
         user=job.algorithm.package.user,
         gpu=None if job.gpu is None else job.gpu.uuid,
         asks_gpu=job.asks_gpu,
-        variant=None if job.used is None else job.used.order,
+        variant=job.order,
         shm_bytes=None if job.algorithm.package.shm_mb is None else job.algorithm.package.shm_mb * 1_000_000,
     )
 
@@ -234,7 +239,7 @@ def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
             "duration_s": job.dataset.duration_s,
             "variant": IDENTITY if job.used is None else job.used.key,
             # Its node will say what it has made.
-            _VARIANT_CHECKSUM: job.seen.checksum if job.used is None or job.used.order is None else None,
+            _VARIANT_CHECKSUM: job.seen.checksum if job.order is None else None,
         },
         **({} if job.gpu is None else {"gpu": asdict(job.gpu)}),
         "trajectory": job.algorithm.trajectory,
@@ -255,17 +260,15 @@ def _map_provenance(found: FoundMap | None) -> dict[str, Any]:
 
 def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInput]:
     dataset, package = job.seen, job.algorithm.package
-    inside = DATASET_TARGET
     if not (package.standard_image or (package.folder / "Dockerfile").is_file()):
         # An image made for the published SLAM Hive does not hold its scripts. It gets a copy that it may change.
         yield _input("slamhive", package.folder / "slamhive", CONTAINER_ROOT, own_copy=True)
     yield _input("config", folder.config, f"{CONTAINER_ROOT}/config.yaml")
-    yield _input(RECORDING, dataset.bag_path, f"{inside}/{dataset.bag}", content=dataset.checksum)
+    yield _input(RECORDING, dataset.bag_path, f"{DATASET_TARGET}/{dataset.bag}", content=dataset.checksum)
     if (dataset.folder / DATASET_FILE).is_file():
-        yield _input(DATASET_FILE, dataset.folder / DATASET_FILE, f"{inside}/{DATASET_FILE}")
-    ordered = job.used is not None and job.used.order is not None
-    script = shipped_script() if ordered else current_script(dataset.folder / PLAY_SCRIPT)
-    yield _input(PLAY_SCRIPT, script, f"{inside}/{PLAY_SCRIPT}")
+        yield _input(DATASET_FILE, dataset.folder / DATASET_FILE, f"{DATASET_TARGET}/{DATASET_FILE}")
+    script = current_script(dataset.folder / PLAY_SCRIPT) if job.order is None else shipped_script()
+    yield _input(PLAY_SCRIPT, script, f"{DATASET_TARGET}/{PLAY_SCRIPT}")
     if settings.orb_vocabulary:
         yield _input("vocabulary", Path(settings.orb_vocabulary), CONTAINER_VOCABULARY)
     for entry in job.weights:

@@ -18,6 +18,8 @@ from slamhive.executors.node_store.on_node.run import WrongNode
 
 MADE_FILE = "made.json"
 """What has been made, beside the recording of the variant."""
+VARIANT_FILE = "made-variant.json"
+"""The same as a node reports it of a run."""
 CHECKSUM, BAG = "checksum", "bag"
 FRACTION, PROBLEM = "fraction", "problem"
 _MODULE = "slamhive.executors.node_store.variants"

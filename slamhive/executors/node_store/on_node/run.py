@@ -59,6 +59,10 @@ class Ticket(NamedTuple):
         """To the controller."""
         return Connection(self.url, self.key, self.token)
 
+    def open_cache(self) -> Cache:
+        """The cache of this node."""
+        return Cache(Path(self.cache), self.cache_bytes)
+
     @property
     def run_folder(self) -> Path:
         """Where the run lies on the node until its results were delivered."""
@@ -126,7 +130,7 @@ def hold_items(
 
     Raises Refused, WrongContent, CacheFull, OSError.
     """
-    cache = Cache(Path(ticket.cache), ticket.cache_bytes)
+    cache = ticket.open_cache()
     found = hold_all(cache, items, Fetcher(connection, progress=progress), held)
     said = {"used_bytes": cache.used_bytes(), "limit_bytes": ticket.cache_bytes}
     with contextlib.suppress(Away):
