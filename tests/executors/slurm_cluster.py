@@ -41,6 +41,7 @@ MpiDefault=none
 ReturnToService=2
 KillWait=2
 MessageTimeout=2
+SlurmdTimeout=30
 SelectType=select/cons_tres
 SelectTypeParameters=CR_Core_Memory
 DefMemPerCPU=400
@@ -171,10 +172,8 @@ class Cluster:
     def forgetful(self) -> Iterator[None]:
         """A controller that is killed meanwhile comes back with the jobs that it has now."""
         state, kept = self.folder / "state", self.folder / "state-before"
-        pid = int((self.folder / "slurmctld.pid").read_text())
-        os.kill(pid, signal.SIGSTOP)  # it writes at any moment
-        shutil.copytree(state, kept)
-        os.kill(pid, signal.SIGCONT)
+        with _stopped(self._pid_of("slurmctld")):  # it writes at any moment
+            shutil.copytree(state, kept)
         try:
             yield
             self.kill("slurmctld")
@@ -187,14 +186,8 @@ class Cluster:
     @contextmanager
     def frozen_nodes(self) -> Iterator[None]:
         """Nodes that get jobs and launch none."""
-        daemons = [int((self.folder / f"slurmd-{node}.pid").read_text()) for node in NODES]
-        for pid in daemons:
-            os.kill(pid, signal.SIGSTOP)
-        try:
+        with _stopped(*(self._pid_of(f"slurmd-{node}") for node in NODES)):
             yield
-        finally:
-            for pid in daemons:
-                os.kill(pid, signal.SIGCONT)
 
     def set_nodes(self, *changes: str) -> None:
         """Change both nodes, as ``scontrol update`` does."""
@@ -211,9 +204,12 @@ class Cluster:
 
     def kill(self, daemon: str) -> None:
         """SIGKILL; jobs go on."""
-        pid = int((self.folder / f"{daemon}.pid").read_text())
+        pid = self._pid_of(daemon)
         os.kill(pid, 9)
         eventually(lambda: not _lives(pid), f"the end of {daemon}")
+
+    def _pid_of(self, daemon: str) -> int:
+        return int((self.folder / f"{daemon}.pid").read_text())
 
     def run(self, *command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
         # A daemon that is started during a test must not look like a process of that test's installation.
@@ -238,11 +234,30 @@ class Cluster:
                 os.kill(int((self.folder / file).read_text()), 15)
 
 
-def _lives(pid: int) -> bool:
+@contextmanager
+def _stopped(*pids: int) -> Iterator[None]:
+    """Processes that do nothing meanwhile. Each thread stops on its own, some time after the signal."""
     try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)
+        threads = [Path(f"/proc/{pid}/task") for pid in pids]
+        eventually(lambda: all(_state(thread) in "TZ" for folder in threads for thread in folder.iterdir()), "the stop")
+        yield
+    finally:
+        for pid in pids:
+            os.kill(pid, signal.SIGCONT)
+
+
+def _lives(pid: int) -> bool:
+    return _state(Path(f"/proc/{pid}")) != "Z"
+
+
+def _state(process: Path) -> str:
+    """The letter that ``ps`` shows, for a process or a thread; that of a zombie if there is none any more."""
+    try:
+        return (process / "stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return "Z"
 
 
 def free_ports(count: int) -> list[int]:

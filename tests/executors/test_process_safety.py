@@ -214,6 +214,51 @@ def test_a_kernel_that_refuses_is_asked_by_a_child(monkeypatch):
     assert namespaces.refused_because() == "unshare: Operation not permitted"
 
 
+_SIGNALLED = """
+import os, signal, sys, time
+from pathlib import Path
+from slamhive.executors.process import shim
+from slamhive.executors.process.priority import Priority
+
+moment, name, work = sys.argv[1:]
+number = signal.Signals[name]
+if moment == "before":
+    reserve = shim.reserve
+    shim.reserve = lambda folder: (reserve(folder), os.kill(os.getpid(), number))
+else:
+    Priority.give_back = lambda self, *, shares_processors: os.kill(os.getpid(), number)
+shim.supervise(Path(work))
+"""
+"""A supervisor that gets a signal just before it forks the algorithm, or whose algorithm gets one just after."""
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(
+    ("moment", "name", "exit_code"), [("before", "SIGTERM", 143), ("before", "SIGUSR1", 137), ("after", "SIGTERM", 143)]
+)
+def test_a_signal_as_the_algorithm_starts_ends_it(tmp_path: Path, moment: str, name: str, exit_code: int) -> None:
+    orders(tmp_path, "import time; time.sleep(60)").save(tmp_path)
+    subprocess.run([sys.executable, "-c", _SIGNALLED, moment, name, str(tmp_path)], check=True, timeout=30)
+    assert json.loads((tmp_path / EXIT_FILE).read_text())["exit_code"] == exit_code
+
+
+def orders(work: Path, script: str) -> ShimSpec:
+    """Orders for a script of Python that writes into a folder in the work folder."""
+    folder = work / "folder"
+    folder.mkdir()
+    return ShimSpec(
+        key="key",
+        command=[sys.executable, "-c", script],
+        environment={},
+        folder=str(folder),
+        cores=None,
+        memory_bytes=None,
+        tasks=64,
+        log_max_bytes=1000,
+        writable=[str(folder)],
+    )
+
+
 @pytest.mark.integration
 def test_a_disk_that_is_full_as_a_run_starts_is_not_the_fault_of_the_run(tmp_path: Path) -> None:
     """The supervisor starts as soon as there is room again."""
@@ -221,20 +266,7 @@ def test_a_disk_that_is_full_as_a_run_starts_is_not_the_fault_of_the_run(tmp_pat
     if os.geteuid() != 0 or subprocess.run(small, check=False).returncode:
         pytest.skip("a small file system needs root, and the right to mount")
     try:
-        folder = tmp_path / "folder"
-        folder.mkdir()
-        orders = ShimSpec(
-            key="key",
-            command=[sys.executable, "-c", "print('done')"],
-            environment={},
-            folder=str(folder),
-            cores=None,
-            memory_bytes=None,
-            tasks=64,
-            log_max_bytes=1000,
-            writable=[str(folder)],
-        )
-        orders.save(tmp_path)
+        orders(tmp_path, "print('done')").save(tmp_path)
         with contextlib.suppress(OSError), (tmp_path / "filling").open("wb", buffering=0) as stream:
             while True:
                 stream.write(b"\0" * 4096)

@@ -78,7 +78,8 @@ def test_a_job_that_failed_without_a_word_may_be_submitted_again():
     """Its script was killed with its node before the run began, or its credential was revoked."""
     assert _is_blameless(Job(1, "", ("FAILED",), "NonZeroExitCode", "one"))
     assert not _is_blameless(Job(1, "", ("CANCELLED",), "None", ""))
-    assert not _is_blameless(Job(1, "", ("TIMEOUT",), "TimeLimit", "one"))
+    assert _is_blameless(Job(1, "", ("TIMEOUT",), "TimeLimit", "one"))
+    assert not _is_blameless(Job(1, "", ("OUT_OF_MEMORY",), "OutOfMemory", "one"))
 
 
 def test_jobs_that_the_accounting_database_remembers():

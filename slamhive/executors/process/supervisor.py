@@ -40,6 +40,7 @@ _KILL_PATIENCE_S = 1.0
 _READ_BYTES = 1 << 16
 _EXIT_CANNOT_START = 127
 _FILE_BYTES = 256 * 2**30
+_SIGNALS = (signal.SIGTERM, signal.SIGUSR1)
 
 
 class Supervisor:
@@ -112,12 +113,16 @@ class Supervisor:
         self._pid = os.fork()
         if self._pid == 0:
             self._become_algorithm(writer)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
         os.close(writer)
         return reader
 
     def _become_algorithm(self, writer: int) -> None:
         """In the child: set limits, enter the containment, become the command. Never returns."""
         try:
+            for number in (*_SIGNALS, signal.SIGPIPE):
+                signal.signal(number, signal.SIG_DFL)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
             os.setsid()  # kernels may share CPU time by session
             self._priority.give_back(shares_processors=not self._containment.holds_cpu)
             if cores := self._cores():
@@ -131,8 +136,6 @@ class Supervisor:
             prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
             # As in containers. This user could neither measure nor end a process of another user.
             prctl(PR_SET_NO_NEW_PRIVS, 1)
-            for number in (signal.SIGTERM, signal.SIGUSR1, signal.SIGPIPE):
-                signal.signal(number, signal.SIG_DFL)
             limit_resources(self._spec.file_bytes or _FILE_BYTES)
             os.chdir(self._spec.folder)
             if self._spec.read_only is None:  # a confined process could not mount the files of a container
@@ -153,8 +156,12 @@ class Supervisor:
         return sorted(os.sched_getaffinity(0))[: math.ceil(self._spec.cpu_cores)]
 
     def listen(self) -> None:
-        """Adopt descendants and handle signals. Called before the identity is published, since signals follow it."""
+        """Adopt descendants and handle signals. Called before the identity is published, since signals follow it.
+
+        Signals wait until there is an algorithm to pass them on to. Its process must not handle them as this one does.
+        """
         prctl(PR_SET_CHILD_SUBREAPER, 1)
+        signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         signal.signal(signal.SIGTERM, self._pass_on)
         signal.signal(signal.SIGUSR1, self._kill_on_signal)
 

@@ -52,6 +52,7 @@ _SHORT_AGE_S = 0.25
 """The same while somebody waits for the end of a job."""
 _MOST_JOBS = 3
 """A run fails to start when Slurm remembers so many jobs of it that have ended by no fault of theirs."""
+_NO_FAULT = frozenset(("COMPLETED", "FAILED", "TIMEOUT"))
 _SLURM_SAYS = "slurmstepd"
 _BY_SIGNAL = (137, 143)
 """Exit codes of what was ended by SIGKILL or SIGTERM."""
@@ -335,8 +336,9 @@ def _is_blameless(job: command.Job) -> bool:
     """Whether another job may do better, since it has printed nothing.
 
     One that completes without a run has found the supervisor of another job. One that fails was killed with its node.
+    So may have been one that reaches its time limit: a controller that was killed may show it as running until then.
     """
-    return job.ended_by_slurm or job.cancelled_on_a_node or not {"COMPLETED", "FAILED"}.isdisjoint(job.states)
+    return job.ended_by_slurm or job.cancelled_on_a_node or not _NO_FAULT.isdisjoint(job.states)
 
 
 def last_line(work: Path) -> str:
