@@ -18,6 +18,8 @@ from tests.waiting import eventually
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "ch-run")
 NODES = ("one", "two")
+CORES = 2
+"""Of each node, if the machine has so many."""
 GPU = "gpu:fake:1"
 """What the first node has of GPUs."""
 _CONFIGURATION = """
@@ -96,7 +98,7 @@ class Cluster:
             controller_port=controller_port,
             first_port=first_port,
             second_port=second_port,
-            cores=os.cpu_count(),
+            cores=min(CORES, os.cpu_count() or 1),
             gpu=GPU,
         )
         (folder / "slurm.conf").write_text(configuration)

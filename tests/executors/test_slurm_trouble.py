@@ -214,11 +214,12 @@ def test_a_task_is_ended_alone(bench, slurm_cluster, monkeypatch):
     """One that runs, one that waits, and one that somebody else has cancelled while it waited."""
     monkeypatch.setattr("slamhive.executors.slurm.executor.START_WAIT_S", 3.0)
     specs = [bench.spec(UNTIL_TOLD, Limits(cpu_cores=1.0)) for _ in range(8)]
-    started = [
-        (spec, handle) for spec, handle in zip(specs, start_together(bench, specs), strict=True) if handle is not None
-    ]
-    waiting = [spec for spec in specs if spec not in [entry for entry, _ in started]]
-    assert len(started) == 4
+    start_together(bench, specs)
+    begun = lambda: [spec for spec in specs if (spec.work / "shim.json").exists()]  # noqa: E731
+    eventually(lambda: len(begun()) == 4, "a run on each core")
+    started = [(spec, bench.executor.start(spec)) for spec in begun()]
+    bench.handles += [handle for _, handle in started if handle not in bench.handles]
+    waiting = [spec for spec in specs if spec not in begun()]
     bench.executor.stop(started[-1][1], 1.0)
     assert all(job.over for job in jobs_of(started[-1][0]))
     bench.executor.discard(waiting[-1])

@@ -1,6 +1,6 @@
 """Container runtimes that need no root: the command of each, and which of them a node has.
 
-All start the same folder. Charliecloud is tried in the tests; Apptainer and Podman are unverified.
+All start the same folder. The tests try Charliecloud, and Apptainer where it is installed; Podman is unverified.
 """
 
 from __future__ import annotations
