@@ -24,6 +24,12 @@ from tests.waiting import eventually
 pytestmark = pytest.mark.integration
 
 RESULT = "import os, pathlib, sys, time\nresult = pathlib.Path(os.environ.get('SLAMHIVE_RESULT', '/slamhive/result'))\n"
+SAVES_ITS_MAP = RESULT + (
+    "import signal\n"
+    "def save(*_):\n    (result / 'map').touch()\n    sys.exit(0)\n"
+    "signal.signal(signal.SIGTERM, save)\n(result / 'ready').touch()\ntime.sleep(60)\n"
+)
+"""When it is asked to end."""
 SLEEP = RESULT + "print('hello', flush=True)\n(result / 'ready').touch()\ntime.sleep(60)\n"
 
 
@@ -219,16 +225,11 @@ def test_sweep_leaves_active_runs_alone_and_those_that_start_meanwhile(bench):
 
 
 def test_polite_stop_lets_the_algorithm_clean_up(bench):
-    script = RESULT + (
-        "import signal\n"
-        "def bye(*_):\n    (result / 'bye').touch()\n    sys.exit(0)\n"
-        "signal.signal(signal.SIGTERM, bye)\n(result / 'ready').touch()\ntime.sleep(60)\n"
-    )
-    spec, handle = bench.start(script)
+    spec, handle = bench.start(SAVES_ITS_MAP)
     bench.wait_for(spec, handle)
     bench.executor.stop(handle, 5.0)
     assert bench.end(spec, handle).exit_code == 0
-    assert (bench.result(spec) / "bye").exists()
+    assert (bench.result(spec) / "map").exists()
 
 
 def test_stubborn_algorithm_and_runaway_children_are_killed(bench):

@@ -137,10 +137,15 @@ def test_a_run_that_waits_for_its_turn_starts_later_and_once(bench, kubernetes_c
     for node in NODES:
         kubernetes_cluster.kubectl("cordon", node)
     spec = bench.spec(UNTIL_STOPPED)
+
+    def waits_because() -> str:
+        with pytest.raises(EngineUnavailable, match="run 1 waits in Kubernetes: ") as refused:
+            bench.executor.start(spec)
+        return str(refused.value)
+
     try:
-        for _ in range(2):
-            with pytest.raises(EngineUnavailable, match=r"run 1 waits in Kubernetes: .*unschedulable"):
-                bench.executor.start(spec)
+        eventually(lambda: "unschedulable" in waits_because(), "the verdict of the scheduler")
+        waits_because()
     finally:
         for node in NODES:
             kubernetes_cluster.kubectl("uncordon", node)

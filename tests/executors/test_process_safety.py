@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import resource
+import signal
 import socket
 import subprocess
 import sys
@@ -22,8 +23,10 @@ from slamhive.executors.process.supervisor import OUTPUT_FOLDER
 from slamhive.executors.process.supervisors import launch
 from slamhive.executors.registry import installation_id
 from slamhive.executors.spec import Limits
+from slamhive.executors.status import Gone, Running
 from slamhive.runs.log_line import last_error_line
 from tests.executors.conftest import wait_for_end
+from tests.executors.test_contract import SAVES_ITS_MAP
 from tests.waiting import eventually
 
 process_only = pytest.mark.parametrize("maker", ["process"], indirect=True)
@@ -212,6 +215,20 @@ def test_a_kernel_that_refuses_is_asked_by_a_child(monkeypatch):
 
     monkeypatch.setattr(namespaces, "enter_namespaces", refuse)
     assert namespaces.refused_because() == "unshare: Operation not permitted"
+
+
+@pytest.mark.integration
+@process_only
+def test_a_run_that_somebody_else_ends_is_lost_though_it_saved_its_map(bench):
+    """As the shutdown of a machine does."""
+    spec, handle = bench.start(SAVES_ITS_MAP)
+    bench.wait_for(spec, handle)
+    os.kill(int(handle.data["pid"]), signal.SIGTERM)
+    eventually(lambda: not isinstance(bench.again().poll(handle), Running), "the end")
+    status = bench.again().poll(handle)
+    assert isinstance(status, Gone)
+    assert status.why == "it was ended from outside, by a signal that no worker sent (exit code 0)"
+    assert (bench.result(spec) / "map").exists()
 
 
 _SIGNALLED = """

@@ -19,7 +19,7 @@ from slamhive.executors.status import Gone, Running
 from tests.executors.conftest import wait_for_end
 from tests.executors.processes import processes_of
 from tests.executors.slurm_cluster import NODES
-from tests.executors.test_contract import RESULT
+from tests.executors.test_contract import RESULT, SAVES_ITS_MAP
 from tests.waiting import eventually
 
 pytestmark = [pytest.mark.cluster, pytest.mark.parametrize("maker", ["slurm"], indirect=True)]
@@ -110,6 +110,17 @@ def test_a_run_on_a_node_that_is_set_down_is_lost_with_it(bench, slurm_cluster):
         assert f"its node failed: job {handle.data['job']} is NODE_FAIL" in status.why
     finally:
         slurm_cluster.bring_back(node)
+
+
+def test_a_run_whose_job_somebody_cancels_is_lost_though_it_saved_its_map(bench, slurm_cluster):
+    spec, handle = bench.start(SAVES_ITS_MAP)
+    bench.wait_for(spec, handle)
+    slurm_cluster.run("scancel", handle.data["job"])
+    eventually((spec.work / "exit.json").exists, "the record of the end")
+    status = bench.executor.poll(handle)
+    assert isinstance(status, Gone)
+    assert f"it was ended from outside: job {handle.data['job']} is CANCELLED" in status.why
+    assert (bench.result(spec) / "map").exists()
 
 
 def test_a_job_that_waits_forever(bench):
@@ -224,9 +235,11 @@ def test_a_task_is_ended_alone(bench, slurm_cluster, monkeypatch):
     assert all(job.over for job in jobs_of(started[-1][0]))
     bench.executor.discard(waiting[-1])
     assert all(job.over for job in jobs_of(waiting[-1]))
+    eventually(lambda: len(begun()) == 5, "a run on the core that is free again")
+    cancelled, _ = (spec for spec in waiting[:-1] if spec not in begun())
     with ThreadPoolExecutor(1) as other:
-        starting = other.submit(bench.executor.start, waiting[-2])
-        (job,) = jobs_of(waiting[-2])
+        starting = other.submit(bench.executor.start, cancelled)
+        (job,) = jobs_of(cancelled)
         slurm_cluster.run("scancel", job.name)
         with pytest.raises((StartFailed, EngineUnavailable)):
             starting.result()
@@ -234,10 +247,11 @@ def test_a_task_is_ended_alone(bench, slurm_cluster, monkeypatch):
         assert isinstance(bench.executor.poll(handle), Running)
         (bench.result(spec) / "end").touch()
         assert wait_for_end(bench.executor, handle).exit_code == 0
-    for spec in waiting[:-2]:
-        bench.handles.append(bench.executor.start(spec))
-        assert len(jobs_of(spec)) == 1
-    bench.executor.discard(waiting[-2])
+    for spec in waiting[:-1]:
+        if spec is not cancelled:
+            bench.handles.append(bench.executor.start(spec))
+            assert len(jobs_of(spec)) == 1
+    bench.executor.discard(cancelled)
 
 
 def test_jobs_of_runs_that_are_over_are_swept(bench):

@@ -92,13 +92,34 @@ def test_a_result_that_is_complete_is_not_ended_early(hive):
     assert run.state is RunState.SUCCEEDED
 
 
+class Killed(BaseException):
+    """The worker is gone."""
+
+
+@pytest.mark.parametrize("exit_code", [137, 143])
+def test_a_run_that_a_signal_ended_while_no_worker_watched_is_lost(hive, exit_code):
+    """As by the shutdown of a machine: first of the worker, then of its containers."""
+    executor: Any = FakeExecutor([Exited(exit_code)], write_trajectory())
+    run_id = submit(hive, executor)
+
+    def die(handle):
+        raise Killed
+
+    executor.poll, poll = die, executor.poll
+    with pytest.raises(Killed):
+        drive(hive, run_id)
+    hive.store.write(lambda t: t.queue.release_all("worker"))
+    executor.poll = poll
+    hive.worker().run(until_idle=True)
+    run = hive.runs.get(run_id)
+    assert (run.state, run.reason) == (RunState.FAILED, FailureReason.LOST)
+    assert run.detail == f"it was ended while no worker watched, as when a machine goes down (exit code {exit_code})"
+
+
 def test_what_was_written_down_before_the_worker_died_stands(hive):
     """The next worker stops the run for it, although the algorithm has found its way again."""
     executor: Any = FakeExecutor([Running()], saying(untracked_s=9.0))
     run_id = submit(hive, executor, stop_when=LOST)
-
-    class Killed(BaseException):
-        """The worker is gone, between writing down why and stopping."""
 
     def die(handle, grace_s):
         raise Killed

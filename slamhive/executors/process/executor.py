@@ -39,8 +39,10 @@ from slamhive.executors.process.supervisors import (
     KILL_WAIT_S,
     START_WAIT_S,
     containment_of,
+    ended_from_outside,
     kill_leftovers,
     launch,
+    note_asked,
     read_exit,
     read_json,
     send_signal,
@@ -50,7 +52,7 @@ from slamhive.executors.process.supervisors import (
 from slamhive.executors.process.survey import survey, survey_goes_on
 from slamhive.executors.process.tree_usage import ProcessTreeSource
 from slamhive.executors.spec import Limit, RunSpec
-from slamhive.executors.status import Gone, Protections, RunHandle, Running, RunStatus, UsageSource
+from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
 from slamhive.files import write_aside
 from slamhive.tree import remove_tree
 
@@ -130,15 +132,16 @@ class ProcessExecutor(Executor):
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """``exit.json`` says how the run ended. A supervisor without one was killed."""
-        exited = read_exit(handle)
-        if exited is not None:
-            return exited
+        ended = _end_of(handle)
+        if ended is not None:
+            return ended
         if supervisor_of(handle) is not None:
             return Running()
-        return read_exit(handle) or Gone("the supervisor process was killed, or the machine restarted")
+        return _end_of(handle) or Gone("the supervisor process was killed, or the machine restarted")
 
     def stop(self, handle: RunHandle, grace_s: float) -> None:
         """SIGTERM to all processes of the run, SIGKILL after ``grace_s``."""
+        note_asked(handle)
         for number, patience_s in ((signal.SIGTERM, grace_s), (signal.SIGUSR1, KILL_WAIT_S)):
             shim = supervisor_of(handle)
             if shim is None:
@@ -203,6 +206,14 @@ class ProcessExecutor(Executor):
 
     def _shim_spec(self, spec: RunSpec, environment: Environment, work: Path) -> ShimSpec:
         return shim_spec_of(spec, environment, work, self._context, self._containment)
+
+
+def _end_of(handle: RunHandle) -> Exited | Gone | None:
+    """How the run ended, as far as that is recorded. What a machine does that shuts down says nothing about a run."""
+    exited = read_exit(handle)
+    if exited is None or exited.out_of_memory or exited.process_limit or not ended_from_outside(handle):
+        return exited
+    return Gone(f"it was ended from outside, by a signal that no worker sent (exit code {exited.exit_code})")
 
 
 def _work_folder(spec: RunSpec) -> Path:

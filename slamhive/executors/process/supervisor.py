@@ -64,7 +64,7 @@ class Supervisor:
         self._status: int | None = None
         self._out_of_memory = False
         self._process_limit = False
-        self._kill_asked = False
+        self._kill_asked = self._signalled = False
         self._checked_at_s = 0.0
 
     def introduction(self, started_at: datetime) -> dict[str, Any]:
@@ -100,6 +100,7 @@ class Supervisor:
             "out_of_memory": self._out_of_memory,
             "process_limit": self._process_limit,
             "refused_processes": self._refusals.refused,
+            "signalled": self._signalled,
             "started_at": started_at.isoformat(),
             "ended_at": ended_at.isoformat(),
             "lost_output": self._lost.text,
@@ -246,8 +247,9 @@ class Supervisor:
             end_all(self._tree.living, _KILL_PATIENCE_S)
 
     def _pass_on(self, _number: int, _frame: FrameType | None) -> None:
+        self._signalled = True
         forwarders = self._spec.forwarders
         send((entry.pid for entry in self._tree.living() if entry.name not in forwarders), signal.SIGTERM)
 
     def _kill_on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        self._kill_asked = True
+        self._kill_asked = self._signalled = True

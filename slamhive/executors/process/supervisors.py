@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -29,6 +30,7 @@ from slamhive.executors.status import Exited, RunHandle
 
 START_WAIT_S = 15.0
 KILL_WAIT_S = 5.0
+_ASKED_FILE = "asked-to-end"
 _STEP_S = 0.02
 _ERRORS_BYTES = 4096
 
@@ -95,6 +97,19 @@ def read_exit(handle: RunHandle) -> Exited | None:
         started_at=datetime.fromisoformat(content["started_at"]),
         ended_at=datetime.fromisoformat(content["ended_at"]),
     )
+
+
+def note_asked(handle: RunHandle) -> None:
+    """Note that a worker ends the run, before it does so."""
+    with contextlib.suppress(OSError):  # a disk that is full must not keep a run alive
+        (Path(handle.data["work"]) / _ASKED_FILE).touch()
+
+
+def ended_from_outside(handle: RunHandle) -> bool:
+    """Whether the supervisor was asked to end the run, but by no worker: the exit code says nothing then."""
+    work = Path(handle.data["work"])
+    content = read_json(work / EXIT_FILE) or {}
+    return bool(content.get("signalled")) and not (work / _ASKED_FILE).exists()
 
 
 def supervisor_of(handle: RunHandle) -> psutil.Process | None:

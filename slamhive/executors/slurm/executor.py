@@ -7,6 +7,7 @@ goes and how it ended. Slurm is asked for everything else, by the comment of the
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -33,7 +34,15 @@ from slamhive.executors.process.executor import ProcessExecutor, remove_work
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.process.paths import shim_spec_of
 from slamhive.executors.process.shim import IDENTITY_FILE
-from slamhive.executors.process.supervisors import KILL_WAIT_S, START_WAIT_S, read_exit, read_json, wait_until
+from slamhive.executors.process.supervisors import (
+    KILL_WAIT_S,
+    START_WAIT_S,
+    ended_from_outside,
+    note_asked,
+    read_exit,
+    read_json,
+    wait_until,
+)
 from slamhive.executors.slurm import command
 from slamhive.executors.slurm.arrays import comment_of
 from slamhive.executors.slurm.gpu_readings import use_of
@@ -144,12 +153,20 @@ class SlurmExecutor(ProcessExecutor):
         return self._ended(handle) or self._without_end(handle, jobs)  # it may have been recorded meanwhile
 
     def _ended(self, handle: RunHandle) -> Exited | Gone | None:
-        """How the run ended, as far as that is recorded. Slurm ends jobs of a node that is set down by signals."""
-        exited = _exit_of(handle)
-        if exited is None or exited.exit_code not in _BY_SIGNAL or exited.timed_out or exited.out_of_memory:
+        """How the run ended, as far as that is recorded. Slurm and its users end jobs by signals."""
+        exited, outside = _exit_of(handle), ended_from_outside(handle)
+        if exited is None or exited.timed_out or exited.out_of_memory or exited.process_limit:
             return exited
-        job = next((job for job in self._jobs(handle.data["key"], 0.0) if job.lost_its_node), None)
-        return exited if job is None else Gone(f"Slurm has ended it, because its node failed: {job.text}")
+        if not outside and exited.exit_code not in _BY_SIGNAL:
+            return exited
+        key = handle.data["key"]
+        if outside:
+            wait_until(lambda: not self._active(key), KILL_WAIT_S)  # only then does the state of the job tell why
+        jobs = self._jobs(key, 0.0)
+        lost = next((job for job in jobs if job.lost_its_node), None)
+        if lost is not None:
+            return Gone(f"Slurm has ended it, because its node failed: {lost.text}")
+        return Gone(f"it was ended from outside: {_said_of(jobs)}") if outside else exited
 
     def _running(self, handle: RunHandle) -> Running:  # noqa: ARG002 - not all know it better
         """What is known of a run whose job goes on."""
@@ -160,8 +177,7 @@ class SlurmExecutor(ProcessExecutor):
         jobs = jobs or command.accounted_jobs(handle.data["job"])
         if any("OUT_OF_MEMORY" in job.states for job in jobs):
             return Exited(137, out_of_memory=True)
-        said = "; ".join(job.text for job in jobs) or "Slurm does not know the job any more"
-        return Gone(f"the job has ended, but its supervisor could not record how: {said}")
+        return Gone(f"the job has ended, but its supervisor could not record how: {_said_of(jobs)}")
 
     def stop(self, handle: RunHandle, grace_s: float) -> None:
         """SIGTERM to all processes of the run, SIGKILL after ``grace_s``, and the end of the job."""
@@ -256,6 +272,7 @@ class SlurmExecutor(ProcessExecutor):
     def _ask_to_end(self, handle: RunHandle, grace_s: float) -> None:
         """Signals to the supervisor on the node, until the algorithm has ended."""
         key, work = handle.data["key"], Path(handle.data["work"])
+        note_asked(handle)
         self._queue.forget()  # another worker may have submitted the job just now
         for name, patience_s in (("TERM", grace_s), ("USR1", KILL_WAIT_S)):
             # A signal to a job that waits would never be answered.
@@ -329,7 +346,11 @@ def _exit_of(handle: RunHandle) -> Exited | None:
     if exited is None or exited.started_at is None or exited.ended_at is None:
         return exited
     late = exited.ended_at - exited.started_at > timedelta(seconds=float(handle.data["timeout_s"]))
-    return replace(exited, timed_out=late and exited.exit_code in _BY_SIGNAL)
+    return replace(exited, timed_out=late and (exited.exit_code in _BY_SIGNAL or ended_from_outside(handle)))
+
+
+def _said_of(jobs: Sequence[command.Job]) -> str:
+    return "; ".join(job.text for job in jobs) or "Slurm does not know the job any more"
 
 
 def _is_blameless(job: command.Job) -> bool:

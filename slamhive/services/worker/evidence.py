@@ -34,8 +34,8 @@ STOP_RULE = "stop_rule"
 STARTED_BY = "started_by_attempt"
 """Record key: the first attempt at starting the run."""
 
-_KILLED = 137
-"""The exit code after SIGKILL."""
+_BY_SIGNAL = (137, 143)
+"""The exit codes after SIGKILL and SIGTERM, in which the shutdown of a machine ends."""
 
 DENIED = "Permission denied"
 """What programs print if their user has no right to do something."""
@@ -121,8 +121,8 @@ def _gone_because(status: RunStatus, saved: dict[str, Any]) -> str | None:
     engine_away_at = saved.get(ENGINE_AWAY)
     if isinstance(status, Exited) and status.exit_code != 0 and _was_there(status, engine_away_at):
         return f"the engine went away at {engine_away_at} and took the run with it (exit code {status.exit_code})"
-    if isinstance(status, Exited) and status.exit_code == _KILLED and _unwatched(saved):
-        return f"it was killed while no worker watched, as when a machine goes down (exit code {_KILLED})"
+    if isinstance(status, Exited) and status.exit_code in _BY_SIGNAL and _unwatched(saved):
+        return f"it was ended while no worker watched, as when a machine goes down (exit code {status.exit_code})"
     return None
 
 
