@@ -162,6 +162,19 @@ def test_a_stopped_run_delivers_what_it_has(bench):
 
 
 @apart
+def test_a_run_whose_job_somebody_cancels_is_lost_and_delivers_what_it_has(bench, apart_cluster):
+    spec, handle = bench.start(UNTIL_STOPPED)
+    bench.wait_for(spec, handle)
+    apart_cluster.run("scancel", handle.data["job"])
+    eventually(lambda: not isinstance(bench.executor.poll(handle), Running), "the end of the run")
+    status = bench.executor.poll(handle)
+    assert isinstance(status, Gone)
+    assert f"it was ended from outside: job {handle.data['job']} is CANCELLED" in status.why
+    bench.executor.collect(spec, handle)
+    assert (bench.result(spec) / "starts").exists()
+
+
+@apart
 def test_a_run_that_is_removed_ends_on_its_node(bench, apart_cluster):
     spec, handle = bench.start(UNTIL_STOPPED)
     bench.wait_for(spec, handle)
