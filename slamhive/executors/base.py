@@ -85,6 +85,7 @@ class Capabilities:
         drains: It can keep further runs away from one of its nodes.
         several_at_once: One worker may start several runs at the same time.
         evaluates_in: Where evaluations take place.
+        takes_runs_along: Its engine ends runs when it ends itself, and does not tell which.
         makes_variants: It makes a variant of a dataset on the node that needs it, if the specification has an order.
         preference: ``auto`` takes the usable executor with the lowest number; None if it must be asked for by name.
     """
@@ -98,6 +99,7 @@ class Capabilities:
     drains: bool = False
     several_at_once: bool = True
     evaluates_in: EvaluationPlace = EvaluationPlace.PROCESS
+    takes_runs_along: bool = False
     makes_variants: bool = False
     preference: int | None = None
 

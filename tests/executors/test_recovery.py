@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -58,6 +59,18 @@ def test_killed_supervisor_is_gone_and_takes_the_algorithm_along(bench):
     assert bench.executor.usage_source(handle) is None
     bench.executor.remove(handle)
     eventually(lambda: not with_key(spec.key), "the end of what was left", patience_s=30)
+
+
+@docker_only
+def test_a_container_that_an_earlier_boot_has_started_is_lost(bench):
+    """A machine that shuts down asks it to end; after a loss of power its exit code means nothing, too."""
+    _, handle = bench.start("import time\ntime.sleep(1)\n")
+    earlier = replace(handle, data={**handle.data, "boot": "6fe5b37a"})
+    assert isinstance(bench.again().poll(earlier), Running)
+    assert wait_for_end(bench.executor, handle).exit_code == 0
+    status = bench.again().poll(earlier)
+    assert isinstance(status, Gone)
+    assert status.why == "the machine was restarted, and nobody saw how the run ended (exit code 0)"
 
 
 @process_only

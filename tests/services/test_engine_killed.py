@@ -22,6 +22,7 @@ from slamhive.services.hive import Hive, open_hive
 from slamhive.services.worker import worker as worker_module
 from tests.services.docker_base import run_docker
 from tests.services.tiny_project import environment, executions, make_dataset, make_project
+from tests.waiting import eventually
 
 pytestmark = [
     pytest.mark.integration,
@@ -111,22 +112,53 @@ def hive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, daemon: PrivateDaemon)
     gc.collect()
 
 
+SAVES_ITS_MAP = """
+import os, pathlib, signal, sys, time
+result = pathlib.Path("/slamhive/result")
+def save(*_):
+    (result / "traj.txt").write_text("100.0 0 0 0 0 0 0 1\\n100.3 1 0 0 0 0 0 1\\n")
+    sys.exit(0)
+signal.signal(signal.SIGTERM, save)
+(result / f"start-{time.time_ns()}").touch()
+time.sleep(60)
+"""
+
+
+@contextlib.contextmanager
+def working(hive: Hive, run_id: int) -> Iterator[None]:
+    """A worker that goes on until there is nothing more to do; the block begins when the run is executed."""
+    worker = hive.worker()
+    thread = threading.Thread(target=worker.run, kwargs={"until_idle": True}, daemon=True)
+    thread.start()
+    eventually(lambda: executions(hive.runs.folder(run_id).result), "the start of the run")
+    yield
+    thread.join(120)
+    assert not thread.is_alive()
+
+
+def test_a_run_that_its_daemon_asks_to_end_is_lost_though_it_saved_its_map(hive, daemon):
+    """As when Docker is updated."""
+    hive.catalogue.algorithm("tiny").package.folder.joinpath("slamhive", "mapping.py").write_text(SAVES_ITS_MAP)
+    (run,) = hive.runs.submit(Submission("tiny", "track", evaluate=False))
+    with working(hive, run.id):
+        daemon.end(signal.SIGTERM)
+        daemon.start()
+    ended = hive.runs.get(run.id)
+    assert (ended.state, ended.reason) == (RunState.FAILED, FailureReason.LOST)
+    assert "the engine went away at" in ended.detail
+    assert "(exit code 0)" in ended.detail
+    assert executions(hive.runs.folder(run.id).result) == 1
+
+
 def test_a_run_survives_in_the_books_when_its_daemon_is_killed(hive, daemon):
     (victim, next_one) = hive.runs.submit(Submission("tiny", "track", {"seconds": 20}, repeat=1, evaluate=False)) + (
         hive.runs.submit(Submission("tiny", "track", {"seconds": 0.2}, evaluate=False))
     )
-    worker = hive.worker()
-    thread = threading.Thread(target=worker.run, kwargs={"until_idle": True}, daemon=True)
-    thread.start()
+    with working(hive, victim.id):
+        daemon.end(signal.SIGKILL)
+        time.sleep(1)
+        daemon.start()
     result = hive.runs.folder(victim.id).result
-    deadline = time.monotonic() + START_S
-    while executions(result) == 0 and time.monotonic() < deadline:
-        time.sleep(0.05)
-    daemon.end(signal.SIGKILL)
-    time.sleep(1)
-    daemon.start()
-    thread.join(120)
-    assert not thread.is_alive()
     lost = hive.runs.get(victim.id)
     assert (lost.state, lost.reason) in {(RunState.FAILED, FailureReason.LOST), (RunState.SUCCEEDED, None)}
     assert executions(result) == 1

@@ -6,6 +6,7 @@ import json
 import shutil
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -163,6 +164,33 @@ def test_a_run_that_its_engine_took_along_is_lost_not_blamed(hive):
     run = finish(hive, executor)
     assert (run.state, run.reason) == (RunState.FAILED, FailureReason.LOST)
     assert "the engine went away at" in run.detail
+
+
+class TakesAlong(FakeExecutor):
+    """Its runs end with their engine."""
+
+    capabilities = replace(FakeExecutor.capabilities, takes_runs_along=True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "finished", "reason"),
+    [
+        (TakesAlong, False, FailureReason.LOST),
+        (TakesAlong, True, None),
+        (FakeExecutor, False, None),
+    ],
+)
+def test_a_run_that_exits_with_0_while_its_engine_is_away(hive, kind, finished, reason):
+    """Such a run may have been asked to end, unless it has said that nothing more will come."""
+
+    def start(spec: RunSpec) -> None:
+        write_trajectory()(spec)
+        if finished:
+            hive.runs.folder(spec.run_id).finished.touch()
+
+    run = finish(hive, kind([EngineUnavailable("no engine"), Exited(0)], start))
+    assert run.reason == reason
+    assert ("the engine went away at" in run.detail) is (reason is not None)
 
 
 @pytest.mark.parametrize(("later_s", "reason"), [(-1, FailureReason.LOST), (60, FailureReason.NONZERO_EXIT)])

@@ -107,11 +107,21 @@ def container_name(key: str) -> str:
     return f"{name[: _NAME_LIMIT - 13]}-{digest}"
 
 
-def _check_socket() -> None:
-    """Refuse a Unix socket where nobody listens: the SDK would leave its own socket open when it fails there."""
+def is_on_this_machine() -> bool:
+    """Whether the engine that the environment names is reached by a Unix socket."""
+    return _socket_path() is not None
+
+
+def _socket_path() -> str | None:
     address = os.environ.get("DOCKER_HOST") or DEFAULT_UNIX_SOCKET
     scheme, _, path = address.partition("://")
-    if scheme not in {"unix", "http+unix"}:
+    return path if scheme in {"unix", "http+unix"} else None
+
+
+def _check_socket() -> None:
+    """Refuse a Unix socket where nobody listens: the SDK would leave its own socket open when it fails there."""
+    path = _socket_path()
+    if path is None:
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(_SOCKET_TIMEOUT_S)

@@ -27,6 +27,7 @@ from slamhive.executors.base import (
     ProgressCallback,
     StartFailed,
 )
+from slamhive.executors.boot import boot_id
 from slamhive.executors.cgroup import cgroup_of
 from slamhive.executors.docker.batch import DockerStarter
 from slamhive.executors.docker.build import get_image, name_image
@@ -37,6 +38,7 @@ from slamhive.executors.docker.engine import (
     container_name,
     engine_errors,
     engine_time,
+    is_on_this_machine,
     lifetime,
 )
 from slamhive.executors.docker.foreign_images import DockerImages
@@ -59,6 +61,9 @@ from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
 from slamhive.files import write_aside
 
+_BOOT = "boot"
+"""Where a handle says in which boot of this machine its container started."""
+
 
 class DockerExecutor(Executor):
     """The executor ``docker``. Safe to share between threads."""
@@ -70,6 +75,7 @@ class DockerExecutor(Executor):
         needs=PackageNeed.IMAGE,
         gpu=GpuGiver.WORKER,
         evaluates_in=EvaluationPlace.CONTAINER,
+        takes_runs_along=True,
         preference=10,
     )
 
@@ -145,6 +151,8 @@ class DockerExecutor(Executor):
         started_at = None if started is None else engine_time(started.attrs["State"].get("StartedAt"))
         if started_at is not None:
             data["started_at"] = started_at.isoformat()
+        if started is not None and started.status == "running" and is_on_this_machine():
+            data[_BOOT] = boot_id()
         found = self._protections()
         return RunHandle(self.name, data, replace(found, held_by=f"{found.held_by}; {in_words(spec.user)}"))
 
@@ -158,9 +166,12 @@ class DockerExecutor(Executor):
             return Gone("the container was never started")
         if state["Status"] not in ("exited", "dead"):
             return Running(process_limit=self._refused.is_to_be_ended(container))
+        exit_code = int(state["ExitCode"])
+        if handle.data.get(_BOOT, boot_id()) != boot_id():
+            return Gone(f"the machine was restarted, and nobody saw how the run ended (exit code {exit_code})")
         started_at, ended_at = lifetime(state)
         return Exited(
-            exit_code=int(state["ExitCode"]),
+            exit_code=exit_code,
             out_of_memory=bool(state.get("OOMKilled")),
             refused_processes=self._refused.were_refused(str(container.id)),
             started_at=started_at,

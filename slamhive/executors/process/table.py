@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slamhive.clock import monotonic_s
+from slamhive.executors.boot import boot_id
 
 _PROC = Path("/proc")
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
@@ -55,10 +56,9 @@ def process_birth(pid: int) -> str | None:
     """
     try:
         fields = (_PROC / str(pid) / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
-        boot = (_PROC / "sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except (FileNotFoundError, ProcessLookupError):
         return None
-    return None if fields[0] in "ZX" else f"{boot}:{fields[19]}"
+    return None if fields[0] in "ZX" else f"{boot_id()}:{fields[19]}"
 
 
 def living(entries: Iterable[ProcessEntry]) -> list[ProcessEntry]:

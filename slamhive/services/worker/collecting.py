@@ -42,7 +42,13 @@ class Collecting:
         hand.executor.collect(hand.spec, hand.handle)
         settle_result(hand)
         saved = hand.saved()
-        evidence = gather_evidence(hand.folder, status, saved, hand.run.stop_when)
+        evidence = gather_evidence(
+            hand.folder,
+            status,
+            saved,
+            hand.run.stop_when,
+            taken_along=hand.executor.capabilities.takes_runs_along,
+        )
         outcome = decide(evidence)
         ended_at = (status.ended_at if isinstance(status, Exited) else None) or hand.context.now()
         metrics = measure_run(hand.folder, hand.started_at, ended_at, saved.get("peak_memory_bytes"), evidence)

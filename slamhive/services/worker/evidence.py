@@ -44,7 +44,9 @@ ENGINE_AWAY = "engine_away_at"
 """Record key: since when the engine has not answered."""
 
 
-def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any], rules: StopWhen) -> Evidence:
+def gather_evidence(
+    folder: RunFolder, status: RunStatus, saved: dict[str, Any], rules: StopWhen, *, taken_along: bool = False
+) -> Evidence:
     """Collect the evidence.
 
     Args:
@@ -53,6 +55,7 @@ def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any],
         saved: The record so far: limits, what the run has left (:func:`look_at`), and why the controller ended the
             run, if it did.
         rules: The stop rules of the run.
+        taken_along: The engine ends runs when it ends itself.
     """
     cause = saved.get(STOPPED_BECAUSE)
     said = read_tail(folder.log)
@@ -73,7 +76,7 @@ def gather_evidence(folder: RunFolder, status: RunStatus, saved: dict[str, Any],
         ended_early=_ended_early(saved) if cause == "stop_when" else None,
         tracking_unseen=rules.lost_tracking_s is not None and untracked_s(folder) is None,
         finished=is_finished(folder.finished),
-        gone_because=_gone_because(status, saved),
+        gone_because=_gone_because(status, saved, taken_along=taken_along),
         trajectory=_trajectory(saved[LEFT]["trajectory"]),
         error_line=last_error_line(said),
         player_error=_player_error(folder),
@@ -114,12 +117,15 @@ def _ended_early(saved: dict[str, Any]) -> EarlyEnd:
     return EarlyEnd(FailureReason(rule["reason"]), rule["detail"])
 
 
-def _gone_because(status: RunStatus, saved: dict[str, Any]) -> str | None:
-    """Why the end of the run says nothing about the algorithm; None if it does."""
+def _gone_because(status: RunStatus, saved: dict[str, Any], *, taken_along: bool) -> str | None:
+    """Why the end of the run says nothing about the algorithm; None if it does.
+
+    An algorithm that saves its map when it is asked to end exits with 0, too.
+    """
     if isinstance(status, Gone):
         return status.why
     engine_away_at = saved.get(ENGINE_AWAY)
-    if isinstance(status, Exited) and status.exit_code != 0 and _was_there(status, engine_away_at):
+    if isinstance(status, Exited) and (status.exit_code or taken_along) and _was_there(status, engine_away_at):
         return f"the engine went away at {engine_away_at} and took the run with it (exit code {status.exit_code})"
     if isinstance(status, Exited) and status.exit_code in _BY_SIGNAL and _unwatched(saved):
         return f"it was ended while no worker watched, as when a machine goes down (exit code {status.exit_code})"
