@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -18,14 +17,14 @@ import docker.errors
 import psutil
 import pytest
 
-from slamhive.executors.docker import run_containers
+from slamhive.executors.docker import engine, run_containers
 from slamhive.executors.docker.engine import OWNER_LABEL, labels_of_helper
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.identity import worker_identity
 from slamhive.executors.process.paths import KEY_VARIABLE
 from slamhive.executors.process.tree_usage import ProcessTreeSource
 from slamhive.executors.spec import Limits
-from slamhive.executors.status import Gone, Running
+from slamhive.executors.status import Exited, Gone, Running
 from tests.executors.conftest import wait_for_end
 from tests.waiting import eventually
 
@@ -62,15 +61,29 @@ def test_killed_supervisor_is_gone_and_takes_the_algorithm_along(bench):
 
 
 @docker_only
-def test_a_container_that_an_earlier_boot_has_started_is_lost(bench):
+def test_a_container_that_an_earlier_boot_has_started_is_lost(bench, monkeypatch):
     """A machine that shuts down asks it to end; after a loss of power its exit code means nothing, too."""
-    _, handle = bench.start("import time\ntime.sleep(1)\n")
-    earlier = replace(handle, data={**handle.data, "boot": "6fe5b37a"})
-    assert isinstance(bench.again().poll(earlier), Running)
-    assert wait_for_end(bench.executor, handle).exit_code == 0
-    status = bench.again().poll(earlier)
+    monkeypatch.setattr(engine, "boot_id", lambda: "6fe5b37a")
+    _, handle = bench.start("")
+    eventually(lambda: not isinstance(bench.executor.poll(handle), Running), "the end")
+    assert isinstance(bench.executor.poll(handle), Exited)
+    monkeypatch.undo()
+    status = bench.again().poll(handle)
     assert isinstance(status, Gone)
     assert status.why == "the machine was restarted, and nobody saw how the run ended (exit code 0)"
+
+
+@docker_only
+def test_a_container_that_an_earlier_boot_has_created_is_made_again(bench, monkeypatch):
+    """What starts in this boot must not look as if it had started in the earlier one."""
+    spec = bench.spec("")
+    monkeypatch.setattr(engine, "boot_id", lambda: "6fe5b37a")
+    created = bench.executor._containers.create(spec)
+    monkeypatch.undo()
+    handle = bench.start_spec(spec)
+    bench.handles.append(handle)
+    assert handle.data["container"] != created.id
+    assert wait_for_end(bench.executor, handle).exit_code == 0
 
 
 @process_only

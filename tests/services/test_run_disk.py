@@ -37,11 +37,11 @@ def leave_a_link(spec: RunSpec) -> None:
 def test_a_worker_killed_after_the_removal_is_followed_by_the_same_outcome(hive, monkeypatch):
     seen: list[bool] = []
 
-    def once(folder: RunFolder, *arguments: Any) -> Any:
+    def once(folder: RunFolder, *arguments: Any, **options: Any) -> Any:
         seen.append(folder.trajectory.is_symlink())
         if len(seen) == 1:
             raise OSError(5, "as good as killed")
-        return gather_evidence(folder, *arguments)
+        return gather_evidence(folder, *arguments, **options)
 
     monkeypatch.setattr("slamhive.services.worker.collecting.gather_evidence", once)
     run = finish(hive, FakeExecutor([Exited(0)], leave_a_link))

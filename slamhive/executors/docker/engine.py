@@ -22,6 +22,7 @@ from docker.constants import DEFAULT_UNIX_SOCKET
 
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import EngineUnavailable
+from slamhive.executors.boot import boot_id
 from slamhive.executors.identity import worker_identity
 
 KEY_LABEL = "slamhive.key"
@@ -29,6 +30,9 @@ RUN_LABEL = "slamhive.run"
 INSTALLATION_LABEL = "slamhive.installation"
 GPU_LABEL = "slamhive.gpu"
 """Holds the UUID of the GPU that a run has."""
+
+BOOT_LABEL = "slamhive.boot"
+"""In which boot of this machine the container of a run was created and started."""
 
 OWNER_LABEL = "slamhive.owner"
 """The process that a container serves. Containers of runs do not have it: they outlive their worker."""
@@ -107,9 +111,14 @@ def container_name(key: str) -> str:
     return f"{name[: _NAME_LIMIT - 13]}-{digest}"
 
 
-def is_on_this_machine() -> bool:
-    """Whether the engine that the environment names is reached by a Unix socket."""
-    return _socket_path() is not None
+def boot_labels() -> dict[str, str]:
+    """The label with the boot of this machine; none if the engine may be on another machine."""
+    return {} if _socket_path() is None else {BOOT_LABEL: boot_id()}
+
+
+def is_of_earlier_boot(container: Any) -> bool:
+    """Whether the machine was restarted since the container was created."""
+    return bool(container.labels.get(BOOT_LABEL, boot_id()) != boot_id())
 
 
 def _socket_path() -> str | None:

@@ -27,7 +27,6 @@ from slamhive.executors.base import (
     ProgressCallback,
     StartFailed,
 )
-from slamhive.executors.boot import boot_id
 from slamhive.executors.cgroup import cgroup_of
 from slamhive.executors.docker.batch import DockerStarter
 from slamhive.executors.docker.build import get_image, name_image
@@ -38,7 +37,7 @@ from slamhive.executors.docker.engine import (
     container_name,
     engine_errors,
     engine_time,
-    is_on_this_machine,
+    is_of_earlier_boot,
     lifetime,
 )
 from slamhive.executors.docker.foreign_images import DockerImages
@@ -60,9 +59,6 @@ from slamhive.executors.images import ImageTools
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
 from slamhive.files import write_aside
-
-_BOOT = "boot"
-"""Where a handle says in which boot of this machine its container started."""
 
 
 class DockerExecutor(Executor):
@@ -145,14 +141,15 @@ class DockerExecutor(Executor):
             raise StartFailed(f"container {container.name} belongs to another run", f"docker rm {container.name}")
         open_to_user(spec)
         if container.status == "created":
+            if is_of_earlier_boot(container):
+                self._containers.remove(str(container.id))
+                container = self._containers.create(spec)
             self._containers.start(container, spec)
         data = {"container": str(container.id), "key": spec.key}
         started = self._containers.find(data["container"])
         started_at = None if started is None else engine_time(started.attrs["State"].get("StartedAt"))
         if started_at is not None:
             data["started_at"] = started_at.isoformat()
-        if started is not None and started.status == "running" and is_on_this_machine():
-            data[_BOOT] = boot_id()
         found = self._protections()
         return RunHandle(self.name, data, replace(found, held_by=f"{found.held_by}; {in_words(spec.user)}"))
 
@@ -167,7 +164,7 @@ class DockerExecutor(Executor):
         if state["Status"] not in ("exited", "dead"):
             return Running(process_limit=self._refused.is_to_be_ended(container))
         exit_code = int(state["ExitCode"])
-        if handle.data.get(_BOOT, boot_id()) != boot_id():
+        if is_of_earlier_boot(container):
             return Gone(f"the machine was restarted, and nobody saw how the run ended (exit code {exit_code})")
         started_at, ended_at = lifetime(state)
         return Exited(

@@ -22,6 +22,7 @@ from slamhive.executors.docker.engine import (
     INSTALLATION_LABEL,
     KEY_LABEL,
     OWNER_LABEL,
+    boot_labels,
     container_name,
     engine_errors,
     engine_time,
@@ -74,7 +75,9 @@ class RunContainers:
         """Create the container; None if its name is taken."""
         with engine_errors(f"starting run {spec.run_id}", StartFailed):
             try:
-                return self._engine().containers.create(**container_options(spec, self._context))
+                options = container_options(spec, self._context)
+                options["labels"] |= boot_labels()
+                return self._engine().containers.create(**options)
             except docker.errors.ImageNotFound:
                 raise ImageMissing(f"image {spec.image} ({spec.identity[:19]}) is gone", "build it again") from None
             except docker.errors.APIError as error:
