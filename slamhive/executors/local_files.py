@@ -39,5 +39,11 @@ def written_places(spec: RunSpec) -> dict[str, Path]:
     return copies | {output.target: output.destination.resolve() for output in spec.outputs}
 
 
+def has_written(spec: RunSpec) -> bool:
+    """Whether the run has written anything, so that it was executed."""
+    places = [output.destination for output in spec.outputs]
+    return any(next(place.iterdir(), None) is not None for place in places if place.is_dir())
+
+
 def _own_copy(spec: RunSpec, name: str) -> Path:
     return spec.work / name

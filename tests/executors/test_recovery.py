@@ -74,6 +74,19 @@ def test_a_container_that_an_earlier_boot_has_started_is_lost(bench, monkeypatch
 
 
 @docker_only
+def test_a_container_that_its_engine_has_forgotten_to_have_started_is_not_started_again(bench):
+    """The engine was killed after the algorithm began, and before it saved that."""
+    spec = bench.spec("")
+    container = bench.executor._containers.create(spec)
+    (bench.result(spec) / "trace").touch()
+    handle = bench.start_spec(spec)
+    status = bench.executor.poll(handle)
+    assert isinstance(status, Gone)
+    assert handle.data["container"] == container.id
+    assert "its engine was killed as it started" in status.why
+
+
+@docker_only
 def test_a_container_that_an_earlier_boot_has_created_is_made_again(bench, monkeypatch):
     """What starts in this boot must not look as if it had started in the earlier one."""
     spec = bench.spec("")
