@@ -9,6 +9,9 @@ from typing import Protocol
 from slamhive.domain.gpu import GivenGpu
 from slamhive.domain.host import Host
 
+BY_SIGNAL = (137, 143)
+"""Exit codes of what SIGKILL or SIGTERM ended, as the shutdown of a machine does."""
+
 
 @dataclass(frozen=True, slots=True)
 class Protections:

@@ -231,9 +231,9 @@ class Cluster:
 
     def __exit__(self, *_: object) -> None:
         self.run("scancel", "--user=root", check=False)
-        for file in (*(f"slurmd-{node}.pid" for node in NODES), "slurmctld.pid", "munge/munged.pid"):
+        for daemon in (*(f"slurmd-{node}" for node in NODES), "slurmctld", "munge/munged"):
             with suppress(ProcessLookupError):  # a failed test has killed it
-                os.kill(int((self.folder / file).read_text()), 15)
+                os.kill(self._pid_of(daemon), 15)
 
 
 @contextmanager

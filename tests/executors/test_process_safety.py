@@ -232,7 +232,7 @@ def test_a_run_that_somebody_else_ends_is_lost_though_it_saved_its_map(bench):
 
 
 _SIGNALLED = """
-import os, signal, sys, time
+import os, signal, sys
 from pathlib import Path
 from slamhive.executors.process import shim
 from slamhive.executors.process.priority import Priority

@@ -118,7 +118,7 @@ def boot_labels() -> dict[str, str]:
 
 def is_of_earlier_boot(container: Any) -> bool:
     """Whether the machine was restarted since the container was created."""
-    return bool(container.labels.get(BOOT_LABEL, boot_id()) != boot_id())
+    return container.labels.get(BOOT_LABEL) not in (None, boot_id())
 
 
 def _socket_path() -> str | None:

@@ -7,7 +7,6 @@ import threading
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import docker
 import docker.errors
@@ -57,13 +56,9 @@ from slamhive.executors.docker.run_user import in_words, open_to_user, take_back
 from slamhive.executors.docker.stats import DockerStatsSource
 from slamhive.executors.gpu import GpuUse, gpu_use, in_container, list_gpus
 from slamhive.executors.images import ImageTools
-from slamhive.executors.local_files import has_written
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
 from slamhive.files import write_aside
-
-_FORGOTTEN = "id already in use"
-"""So Docker refuses to start a container of which containerd has a task."""
 
 
 class DockerExecutor(Executor):
@@ -149,7 +144,7 @@ class DockerExecutor(Executor):
             if is_of_earlier_boot(container):
                 self._containers.remove(str(container.id))
                 container = self._containers.create(spec)
-            self._start_once(container, spec)
+            self._containers.start(container, spec)
         data = {"container": str(container.id), "key": spec.key}
         started = self._containers.find(data["container"])
         started_at = None if started is None else engine_time(started.attrs["State"].get("StartedAt"))
@@ -258,20 +253,6 @@ class DockerExecutor(Executor):
             if self._client is not None:
                 self._client.close()
                 self._client = None
-
-    def _start_once(self, container: Any, spec: RunSpec) -> None:
-        """Start a container, unless it ran before: an engine that is killed forgets what it has just started.
-
-        Then the container is removed, because nobody knows how the run ended.
-        """
-        if has_written(spec):
-            self._containers.remove(str(container.id))
-            return
-        try:
-            self._containers.start(container, spec)
-        except StartFailed as error:
-            if _FORGOTTEN not in error.message:
-                raise
 
     def _kept_name(self, package: str, number: int) -> str:
         return kept_name(package, number, self._context.installation)

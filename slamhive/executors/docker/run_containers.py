@@ -28,12 +28,14 @@ from slamhive.executors.docker.engine import (
     engine_time,
 )
 from slamhive.executors.identity import owner_is_dead
-from slamhive.executors.local_files import make_own_copies
+from slamhive.executors.local_files import has_written, make_own_copies
 from slamhive.executors.spec import RunSpec
 from slamhive.files import remedy_of
 
 OWNER_PATIENCE = timedelta(minutes=5)
 """How long a container is kept that does not run, but whose process may live."""
+_FORGOTTEN = "id already in use"
+"""So Docker refuses to start a container of which containerd has a task."""
 _CREATION_PATIENCE_S = 30.0
 _CREATION_STEP_S = 0.05
 
@@ -86,13 +88,21 @@ class RunContainers:
                 return None
 
     def start(self, container: Any, spec: RunSpec) -> None:
-        """Start a container that was created; it is removed if that fails."""
+        """Start a container that was created; it is removed if that fails.
+
+        It is removed as well if it ran before, because nobody knows how the run ended: an engine that is killed
+        forgets what it has just started.
+        """
+        if has_written(spec):
+            self.remove(str(container.id))
+            return
         try:
             with engine_errors(f"starting run {spec.run_id}", StartFailed):
                 container.start()
-        except StartFailed:
+        except StartFailed as error:
             self.remove(str(container.id))
-            raise
+            if _FORGOTTEN not in error.message:
+                raise
 
     def remove(self, container_id: str) -> None:
         """Remove a container, running or not; one that is gone is no error."""

@@ -39,11 +39,10 @@ from slamhive.executors.process.supervisors import (
     KILL_WAIT_S,
     START_WAIT_S,
     containment_of,
-    ended_from_outside,
     kill_leftovers,
     launch,
     note_asked,
-    read_exit,
+    read_end,
     read_json,
     send_signal,
     supervisor_of,
@@ -210,8 +209,11 @@ class ProcessExecutor(Executor):
 
 def _end_of(handle: RunHandle) -> Exited | Gone | None:
     """How the run ended, as far as that is recorded. What a machine does that shuts down says nothing about a run."""
-    exited = read_exit(handle)
-    if exited is None or exited.out_of_memory or exited.process_limit or not ended_from_outside(handle):
+    end = read_end(handle)
+    if end is None:
+        return None
+    exited = end.exited
+    if exited.out_of_memory or exited.process_limit or not end.from_outside:
         return exited
     return Gone(f"it was ended from outside, by a signal that no worker sent (exit code {exited.exit_code})")
 

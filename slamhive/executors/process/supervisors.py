@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import psutil
 
@@ -84,12 +84,20 @@ def read_json(path: Path) -> dict[str, Any] | None:
     return content
 
 
-def read_exit(handle: RunHandle) -> Exited | None:
+class RecordedEnd(NamedTuple):
+    """How a run ended, and whether somebody other than a worker asked for it: the exit code says nothing then."""
+
+    exited: Exited
+    from_outside: bool
+
+
+def read_end(handle: RunHandle) -> RecordedEnd | None:
     """How the run ended; None if it has not, or if nobody recorded it."""
-    content = read_json(Path(handle.data["work"]) / EXIT_FILE)
+    work = Path(handle.data["work"])
+    content = read_json(work / EXIT_FILE)
     if content is None:
         return None
-    return Exited(
+    exited = Exited(
         exit_code=content["exit_code"],
         out_of_memory=content["out_of_memory"],
         process_limit=content.get("process_limit", False),
@@ -97,19 +105,13 @@ def read_exit(handle: RunHandle) -> Exited | None:
         started_at=datetime.fromisoformat(content["started_at"]),
         ended_at=datetime.fromisoformat(content["ended_at"]),
     )
+    return RecordedEnd(exited, bool(content.get("signalled")) and not (work / _ASKED_FILE).exists())
 
 
 def note_asked(handle: RunHandle) -> None:
     """Note that a worker ends the run, before it does so."""
     with contextlib.suppress(OSError):  # a disk that is full must not keep a run alive
         (Path(handle.data["work"]) / _ASKED_FILE).touch()
-
-
-def ended_from_outside(handle: RunHandle) -> bool:
-    """Whether the supervisor was asked to end the run, but by no worker: the exit code says nothing then."""
-    work = Path(handle.data["work"])
-    content = read_json(work / EXIT_FILE) or {}
-    return bool(content.get("signalled")) and not (work / _ASKED_FILE).exists()
 
 
 def supervisor_of(handle: RunHandle) -> psutil.Process | None:

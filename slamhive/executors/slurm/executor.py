@@ -37,9 +37,9 @@ from slamhive.executors.process.shim import IDENTITY_FILE
 from slamhive.executors.process.supervisors import (
     KILL_WAIT_S,
     START_WAIT_S,
-    ended_from_outside,
+    RecordedEnd,
     note_asked,
-    read_exit,
+    read_end,
     read_json,
     wait_until,
 )
@@ -53,7 +53,7 @@ from slamhive.executors.slurm.options import CONTAINERS, GPU, JOB_OPTIONS, OPTIO
 from slamhive.executors.slurm.queue import Queue
 from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import Limit, RunSpec
-from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
+from slamhive.executors.status import BY_SIGNAL, Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
 
 _QUEUE_AGE_S = 1.0
 """All runs of a worker share one look at the queue in this time."""
@@ -63,8 +63,6 @@ _MOST_JOBS = 3
 """A run fails to start when Slurm remembers so many jobs of it that have ended by no fault of theirs."""
 _NO_FAULT = frozenset(("COMPLETED", "FAILED", "TIMEOUT"))
 _SLURM_SAYS = "slurmstepd"
-_BY_SIGNAL = (137, 143)
-"""Exit codes of what was ended by SIGKILL or SIGTERM."""
 
 
 class SlurmExecutor(ProcessExecutor):
@@ -154,10 +152,13 @@ class SlurmExecutor(ProcessExecutor):
 
     def _ended(self, handle: RunHandle) -> Exited | Gone | None:
         """How the run ended, as far as that is recorded. Slurm and its users end jobs by signals."""
-        exited, outside = _exit_of(handle), ended_from_outside(handle)
-        if exited is None or exited.timed_out or exited.out_of_memory or exited.process_limit:
+        end = _end_of(handle)
+        if end is None:
+            return None
+        exited, outside = end
+        if exited.timed_out or exited.out_of_memory or exited.process_limit:
             return exited
-        if not outside and exited.exit_code not in _BY_SIGNAL:
+        if not outside and exited.exit_code not in BY_SIGNAL:
             return exited
         key = handle.data["key"]
         if outside:
@@ -340,13 +341,14 @@ def _begun(work: Path) -> bool:
     return (work / IDENTITY_FILE).exists()
 
 
-def _exit_of(handle: RunHandle) -> Exited | None:
+def _end_of(handle: RunHandle) -> RecordedEnd | None:
     """How the run ended. Slurm ends late runs by the signals that the supervisor knows, so the time says it."""
-    exited = read_exit(handle)
-    if exited is None or exited.started_at is None or exited.ended_at is None:
-        return exited
-    late = exited.ended_at - exited.started_at > timedelta(seconds=float(handle.data["timeout_s"]))
-    return replace(exited, timed_out=late and (exited.exit_code in _BY_SIGNAL or ended_from_outside(handle)))
+    end = read_end(handle)
+    if end is None or end.exited.started_at is None or end.exited.ended_at is None:
+        return end
+    late = end.exited.ended_at - end.exited.started_at > timedelta(seconds=float(handle.data["timeout_s"]))
+    by_signal = end.from_outside or end.exited.exit_code in BY_SIGNAL
+    return end._replace(exited=replace(end.exited, timed_out=late and by_signal))
 
 
 def _said_of(jobs: Sequence[command.Job]) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 from slamhive.domain.algorithm import RunUser
 from slamhive.domain.run import FailureReason
-from slamhive.executors.status import Exited, Gone, RunStatus
+from slamhive.executors.status import BY_SIGNAL, Exited, Gone, RunStatus
 from slamhive.runs.early_end import EarlyEnd
 from slamhive.runs.folder import RunFolder
 from slamhive.runs.leftovers import Survey, removed_in_words
@@ -33,9 +33,6 @@ STOP_RULE = "stop_rule"
 
 STARTED_BY = "started_by_attempt"
 """Record key: the first attempt at starting the run."""
-
-_BY_SIGNAL = (137, 143)
-"""The exit codes after SIGKILL and SIGTERM, in which the shutdown of a machine ends."""
 
 DENIED = "Permission denied"
 """What programs print if their user has no right to do something."""
@@ -127,7 +124,7 @@ def _gone_because(status: RunStatus, saved: dict[str, Any], *, taken_along: bool
     engine_away_at = saved.get(ENGINE_AWAY)
     if isinstance(status, Exited) and (status.exit_code or taken_along) and _was_there(status, engine_away_at):
         return f"the engine went away at {engine_away_at} and took the run with it (exit code {status.exit_code})"
-    if isinstance(status, Exited) and status.exit_code in _BY_SIGNAL and _unwatched(saved):
+    if isinstance(status, Exited) and status.exit_code in BY_SIGNAL and _unwatched(saved):
         return f"it was ended while no worker watched, as when a machine goes down (exit code {status.exit_code})"
     return None
 
