@@ -7,6 +7,7 @@ peak is the kernel's own counter (``memory.max_usage_in_bytes``, ``memory.peak``
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -36,9 +37,9 @@ class CgroupV1:
             return None
         return cpu_s, max(0, usage - cache)
 
-    def peak_memory_bytes(self) -> int | None:
+    def totals(self) -> dict[str, float]:
         """``memory.max_usage_in_bytes``."""
-        return _read_int(self.memory / "memory.max_usage_in_bytes")
+        return present({"ram.charged_max": _read_int(self.memory / "memory.max_usage_in_bytes")})
 
     def close(self) -> None:
         """Nothing is held open."""
@@ -61,9 +62,20 @@ class CgroupV2:
             return None
         return cpu_s, max(0, usage - cache)
 
-    def peak_memory_bytes(self) -> int | None:
-        """``memory.peak``, which kernels have from 5.19 on."""
-        return _read_int(self.folder / "memory.peak")
+    def totals(self) -> dict[str, float]:
+        """Peaks (``memory.peak``, kernel 5.19; ``pids.peak``, 6.1), bytes of disks, and times in which tasks waited."""
+        totals: dict[str, float | None] = {
+            "ram.charged_max": _read_int(self.folder / "memory.peak"),
+            "tasks.max": _read_int(self.folder / "pids.peak"),
+        }
+        with contextlib.suppress(OSError, ValueError):  # without the controller io
+            totals |= parse_io((self.folder / "io.stat").read_text())
+        with contextlib.suppress(OSError, ValueError, KeyError):  # without the controller cpu
+            totals["cpu.throttled"] = parse_flat((self.folder / "cpu.stat").read_text())["throttled_usec"] * _US
+        for resource in ("cpu", "memory", "io"):
+            with contextlib.suppress(OSError, ValueError):  # a kernel that was booted without psi=1
+                totals[f"stall.{resource}"] = parse_stall_s((self.folder / f"{resource}.pressure").read_text())
+        return present(totals)
 
     def close(self) -> None:
         """Nothing is held open."""
@@ -181,6 +193,29 @@ def file_cache_bytes(stat: Mapping[str, int]) -> int:
     if "total_cache" in stat:
         return stat["total_cache"] - stat.get("total_shmem", 0)
     return stat.get("file", 0) - stat.get("shmem", 0)
+
+
+def parse_io(text: str) -> dict[str, float | None]:
+    """``io.stat``: the bytes that were read and written, over all devices. An empty file means none."""
+    words = [word.partition("=") for line in text.splitlines() for word in line.split()[1:]]
+    return {
+        metric: float(sum(int(value) for name, _, value in words if name == key))
+        for metric, key in (("io.read", "rbytes"), ("io.written", "wbytes"))
+    }
+
+
+def parse_stall_s(text: str) -> float:
+    """A file of pressure stall information: the time (s) in which at least one task waited. Raises ValueError."""
+    first = text.partition("\n")[0]
+    name, _, total_us = first.rpartition(" total=")
+    if not name.startswith("some "):
+        raise ValueError(first)
+    return int(total_us) * _US
+
+
+def present(totals: Mapping[str, float | None]) -> dict[str, float]:
+    """The totals that are known."""
+    return {metric: float(value) for metric, value in totals.items() if value is not None}
 
 
 def _read_int(path: Path) -> int | None:

@@ -63,7 +63,7 @@ class Sampler:
         self._clock = clock
         self._machine = machine
         self._origin_s = clock() - offset_s
-        self._peak_bytes: int | None = None
+        self._totals: dict[str, float] = {}
         self.most_bytes: int | None = None
         """The most memory of the samples so far, None before the first."""
         self.ends = threading.Event()
@@ -74,12 +74,12 @@ class Sampler:
         """Begin to sample."""
         self._thread.start()
 
-    def stop(self) -> int | None:
-        """End, and return the kernel's high-water mark of memory (bytes) as last read, None if there is none."""
+    def stop(self) -> dict[str, float]:
+        """End, and return the totals that the kernel recorded of the run, as last read: {metric: value}."""
         self.ends.set()
         if self._thread.ident is not None:
             self._thread.join()
-        return self._peak_bytes
+        return self._totals
 
     def _run(self) -> None:
         try:
@@ -127,9 +127,8 @@ class Sampler:
                 if self._machine.gpu is not None:
                     self._machine.gpu.sample(now_s - self._origin_s)
             self._note_energy()
-            peak_bytes = self._source.peak_memory_bytes()
-            if peak_bytes is not None:
-                self._peak_bytes = max(peak_bytes, self._peak_bytes or 0)
+            for metric, value in self._source.totals().items():
+                self._totals[metric] = max(value, self._totals.get(metric, 0.0))
             due_s += self._interval_s
             if due_s - now_s < self._interval_s / 2:
                 due_s = now_s + self._interval_s  # Samples close together would tell of the counter's steps.

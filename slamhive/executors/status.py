@@ -118,8 +118,12 @@ class UsageSource(Protocol):
     def read(self) -> tuple[float, int] | None:
         """CPU time used so far (s, summed over cores) and memory in use (bytes); None once the run is gone."""
 
-    def peak_memory_bytes(self) -> int | None:
-        """The peak that the kernel recorded; None where it records none."""
+    def totals(self) -> dict[str, float]:
+        """What the kernel has recorded of the whole run, as of the last reading: {metric: value}, none of which falls.
+
+        The metrics are those of :mod:`slamhive.domain.metrics` that no sample could give, such as ``ram.charged_max``.
+        What the kernel does not record is absent.
+        """
 
     def close(self) -> None:
         """Close files and connections."""

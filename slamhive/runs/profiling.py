@@ -64,7 +64,7 @@ def measure_run(
     folder: RunFolder,
     started_at: datetime,
     ended_at: datetime,
-    peak_memory_bytes: int | None,
+    kernel_totals: Mapping[str, float],
     evidence: Evidence,
 ) -> dict[str, float]:
     """The metrics of a run that need no evaluation, keyed as in :mod:`slamhive.domain.metrics`.
@@ -75,7 +75,7 @@ def measure_run(
         folder: The run's folder.
         started_at: When the algorithm started.
         ended_at: When it ended.
-        peak_memory_bytes: The kernel's own high-water mark, file cache included; None where it keeps none.
+        kernel_totals: Metrics that the kernel itself recorded over the whole run, such as its peak of memory.
         evidence: What is known of the end.
     """
     duration_s = (ended_at - started_at).total_seconds()
@@ -83,7 +83,8 @@ def measure_run(
     if evidence.trajectory.poses is not None:
         metrics["poses"] = float(evidence.trajectory.poses)
     profile = read_profile(folder.profiling)
-    metrics.update(_usage_metrics(profile, peak_memory_bytes))
+    metrics.update(_usage_metrics(profile))
+    metrics.update(kernel_totals)
     metrics.update(_frame_metrics(folder.frames, profile))
     metrics.update(_energy_metrics(folder.energy, duration_s))
     metrics.update(_gpu_metrics(folder.gpu))
@@ -118,7 +119,7 @@ def write_plots(folder: RunFolder) -> None:
     write_aside(folder.profiling_ram_plot, ram)
 
 
-def _usage_metrics(profile: Profile, peak_memory_bytes: int | None) -> dict[str, float]:
+def _usage_metrics(profile: Profile) -> dict[str, float]:
     metrics: dict[str, float] = {}
     if len(profile) > 0:
         weights_s = profile.weights_s
@@ -127,8 +128,6 @@ def _usage_metrics(profile: Profile, peak_memory_bytes: int | None) -> dict[str,
         metrics["cpu.max"] = float(profile.cpu_cores.max())
         metrics["ram.mean"] = float(np.average(profile.memory_bytes, weights=weights_s))
         metrics["ram.max"] = float(profile.memory_bytes.max())
-    if peak_memory_bytes is not None:
-        metrics["ram.charged_max"] = float(peak_memory_bytes)
     return metrics
 
 

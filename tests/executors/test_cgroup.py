@@ -56,7 +56,7 @@ def test_version_1(tmp_path):
     group = cgroup_of(77, ID, tmp_path, make_proc(tmp_path, V1_MEMBERSHIP))
     assert isinstance(group, CgroupV1)
     assert group.read() == (2.5, 100_000_000)
-    assert group.peak_memory_bytes() == 157_286_400
+    assert group.totals() == {"ram.charged_max": 157_286_400}
 
 
 def test_version_2(tmp_path):
@@ -64,14 +64,47 @@ def test_version_2(tmp_path):
     group = cgroup_of(77, ID, tmp_path, make_proc(tmp_path, V2_MEMBERSHIP))
     assert isinstance(group, CgroupV2)
     assert group.read() == (1.234567, 50_000_000)
-    assert group.peak_memory_bytes() == 60_000_000
+    assert group.totals() == {"ram.charged_max": 60_000_000}
 
 
 def test_version_2_before_5_19_keeps_no_peak(tmp_path):
     make_v2(tmp_path, peak=False)
     group = cgroup_of(77, ID, tmp_path, make_proc(tmp_path, V2_MEMBERSHIP))
     assert group is not None
-    assert group.peak_memory_bytes() is None
+    assert group.totals() == {}
+
+
+def test_version_2_records_what_no_sample_tells(tmp_path):
+    """Files of a Debian 12 machine (kernel 6.1). The group read from two disks."""
+    make_v2(tmp_path)
+    group = cgroup_of(77, ID, tmp_path, make_proc(tmp_path, V2_MEMBERSHIP))
+    assert isinstance(group, CgroupV2)
+    pressure = "some avg10=0.00 avg60=0.00 avg300=0.00 total={}\nfull avg10=0.00 avg60=0.00 avg300=0.00 total=7\n"
+    for name, content in {
+        "pids.peak": "12\n",
+        "io.stat": "254:0 rbytes=4096 wbytes=8192 rios=1 wios=2 dbytes=0 dios=0\n8:0 rbytes=1000 wbytes=0 rios=1\n",
+        "cpu.stat": "usage_usec 1234567\nnr_periods 90\nnr_throttled 45\nthrottled_usec 2500000\n",
+        "cpu.pressure": pressure.format(3_000_000),
+        "memory.pressure": pressure.format(0),
+        "io.pressure": pressure.format(21_812),
+    }.items():
+        (group.folder / name).write_text(content)
+    assert group.totals() == {
+        "ram.charged_max": 60_000_000,
+        "tasks.max": 12,
+        "io.read": 5096,
+        "io.written": 8192,
+        "cpu.throttled": 2.5,
+        "stall.cpu": 3.0,
+        "stall.memory": 0.0,
+        "stall.io": pytest.approx(0.021812),
+    }
+    (group.folder / "io.pressure").write_text("")
+    (group.folder / "io.stat").write_text("")
+    totals = group.totals()
+    assert ("stall.io" in totals, totals["io.read"]) == (False, 0.0), (
+        "without psi=1 it is unknown, and no disk was read"
+    )
 
 
 def test_a_pid_of_another_machine_is_not_taken(tmp_path):

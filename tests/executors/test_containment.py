@@ -229,7 +229,7 @@ def test_a_supervisor_without_rights_ends_a_run_that_multiplies(tmp_path):
     def supervise() -> str:
         if os.fork() == 0:
             try:
-                main(work)
+                main([str(work)])
             finally:
                 os._exit(0)
         os.wait()

@@ -238,8 +238,8 @@ class Readings:
     def read(self) -> tuple[float, int] | None:
         return self._left.pop(0) if self._left else None
 
-    def peak_memory_bytes(self) -> int | None:
-        return 500 - len(self._left)
+    def totals(self) -> dict[str, float]:
+        return {"ram.charged_max": 500.0 - len(self._left)}
 
     def close(self) -> None:
         self.closed = True
@@ -252,7 +252,7 @@ def test_sampler_appends_behind_a_torn_line(tmp_path):
     sampler = Sampler(source, path, interval_s=0.01, offset_s=100.0)
     sampler.start()
     sampler._thread.join(5)
-    assert sampler.stop() == 500
+    assert sampler.stop() == {"ram.charged_max": 500.0}, "no total falls"
     assert source.closed
     lines = path.read_text().splitlines()
     assert lines[:2] == [HEADER.strip(), "0.1,1.0,5"]
@@ -277,8 +277,8 @@ class LateReadings:
         self.now_s += 0.001 + self._late.get(self._left, 0.0)
         return None if self._left < 0 else (math.floor(self.now_s * 100 + 1e-9) / 100, 1)
 
-    def peak_memory_bytes(self) -> None:
-        return None
+    def totals(self) -> dict[str, float]:
+        return {}
 
     def close(self) -> None:
         self.closed.set()

@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -21,13 +22,14 @@ from slamhive.executors.process.exit_file import EXIT_FILE, LostOutput, reserve,
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.supervisor import OUTPUT_FOLDER
 from slamhive.executors.process.supervisors import launch
+from slamhive.executors.process.table import ProcessEntry, end_all, living, read_process
 from slamhive.executors.registry import installation_id
 from slamhive.executors.spec import Limits
 from slamhive.executors.status import Gone, Running
 from slamhive.runs.log_line import last_error_line
 from tests.executors.conftest import wait_for_end
 from tests.executors.test_contract import SAVES_ITS_MAP
-from tests.waiting import eventually
+from tests.waiting import PATIENCE_S, eventually
 
 process_only = pytest.mark.parametrize("maker", ["process"], indirect=True)
 counted_by_the_supervisor = pytest.mark.parametrize("maker", ["process-tree"], indirect=True)
@@ -296,3 +298,15 @@ def test_a_disk_that_is_full_as_a_run_starts_is_not_the_fault_of_the_run(tmp_pat
         assert json.loads((tmp_path / EXIT_FILE).read_text())["exit_code"] == 0
     finally:
         subprocess.run(["umount", "--lazy", tmp_path], check=True)
+
+
+def test_a_slow_list_does_not_keep_processes_alive():
+    """On a slow machine with many processes, the list alone takes longer than the time for the end."""
+    with subprocess.Popen(["sleep", "60"], start_new_session=True) as process:
+
+        def listed() -> list[ProcessEntry]:
+            time.sleep(0.2)
+            return living(entry for entry in (read_process(process.pid),) if entry is not None)
+
+        assert end_all(listed, 0.1)
+        assert process.wait(PATIENCE_S) == -signal.SIGKILL

@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 
 from slamhive.executors.cgroup import CgroupV2
-from slamhive.executors.process.cgroup_parents import Parents, find_parents
+from slamhive.executors.process.cgroup_home import Home
 from slamhive.executors.process.containment import found_again
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
-from slamhive.executors.process.run_cgroup import RunCgroup, group_name, left_over_groups
+from slamhive.executors.process.run_cgroup import RunCgroup, RunCgroupV2, group_name, left_over_groups
 from slamhive.executors.process.table import living, processes_of_user
 from slamhive.executors.process.tree_limit import TreeLimit
 from tests.executors.strangers import as_nobody
@@ -30,6 +30,7 @@ REQUEST = ContainmentRequest("3f" * 16, "run-7", 64, 2_000_000_000, 1.5)
 NAME = "slamhive-3f3f3f3f3f3f-run-7"
 SLICE = "user.slice/user-1000.slice/user@1000.service/app.slice"
 SCOPE = f"{SLICE}/run-r12.scope"
+LIMITS = ("pids.max", "memory.max", "memory.swap.max", "memory.oom.group", "cpu.max")
 NO_TREE = ProcessTree(0)
 
 
@@ -62,6 +63,7 @@ def root(tmp_path: Path) -> Path:
         pids__events="max 0\n",
         memory__max="",
         memory__swap__max="",
+        memory__oom__group="0\n",
         memory__current="52428800\n",
         memory__stat="anon 40000000\nfile 2428800\n",
         memory__peak="60000000\n",
@@ -72,66 +74,20 @@ def root(tmp_path: Path) -> Path:
     return root
 
 
-def own(root: Path, group: str = SCOPE) -> Path:
-    path = root.parent / "self-cgroup"
-    path.write_text(f"0::/{group}\n")
-    return path
-
-
 def made(root: Path) -> RunCgroup:
-    return RunCgroup.make(REQUEST, Parents(2, dict.fromkeys(("pids", "memory", "cpu"), root / SLICE)))
-
-
-def test_a_group_beside_ours_is_found_in_the_delegated_slice(root):
-    """Our own group may have no controllers for others in it, since it holds processes: the kernel refuses."""
-    for path in (root, *root.rglob("*")):
-        delegated = path.is_relative_to(root / SLICE) and path.name != "cgroup.subtree_control"
-        path.chmod(0o777 if delegated else 0o555)
-    membership = own(root)
-
-    def found() -> list[str]:
-        parents = find_parents(root, membership)
-        return [str(parents.version), *sorted(parents.folders), str(parents.folders["pids"].relative_to(root))]
-
-    for parent in (root, *root.parents):
-        if parent.stat().st_uid == os.getuid() and parent != Path("/"):
-            parent.chmod(parent.stat().st_mode | 0o055)
-    assert as_nobody(found) == ["2", "memory", "pids", SLICE]
-    (root / SLICE / "cgroup.procs").chmod(0o444)
-    assert "DoesNotHold" in as_nobody(found)
-    assert "delegated to this user with the controller pids" in as_nobody(found)
-
-
-def test_root_makes_groups_in_the_nearest_that_has_the_controllers(root):
-    (root / SCOPE / "cgroup.subtree_control").unlink()
-    (root / SCOPE / "cgroup.procs").unlink()
-    (root / SLICE / "cgroup.subtree_control").write_text("memory pids\n")
-    assert find_parents(root, own(root)).folders["memory"] == root / SLICE
-
-
-def test_version_1_is_where_each_controller_has_a_tree(tmp_path):
-    for controller in ("pids", "memory/own", "cpu", "cpuacct"):
-        (tmp_path / "cgroup" / controller).mkdir(parents=True)
-    path = tmp_path / "self-cgroup"
-    path.write_text("3:pids:/docker/abc\n2:memory:/own\n1:cpu,cpuacct:/\n")
-    parents = find_parents(tmp_path / "cgroup", path)
-    assert parents.version == 1
-    assert {name: str(folder.relative_to(tmp_path / "cgroup")) for name, folder in parents.folders.items()} == {
-        "pids": "pids",
-        "memory": "memory/own",
-        "cpu": "cpu",
-        "cpuacct": "cpuacct",
-    }
-    (tmp_path / "cgroup" / "pids").rmdir()
-    with pytest.raises(DoesNotHold, match="no group below"):
-        find_parents(tmp_path / "cgroup", path)
+    return RunCgroup.make(REQUEST, Home(2, dict.fromkeys(("pids", "memory", "cpu"), root / SLICE)))
 
 
 def test_limits_are_asked_for(root):
     group = made(root)
     folder = root / SLICE / NAME
-    limits = {name: (folder / name).read_text() for name in ("pids.max", "memory.max", "memory.swap.max", "cpu.max")}
-    assert limits == {"pids.max": "64", "memory.max": "2000000000", "memory.swap.max": "0", "cpu.max": "150000 100000"}
+    assert {name: (folder / name).read_text() for name in LIMITS} == {
+        "pids.max": "64",
+        "memory.max": "2000000000",
+        "memory.swap.max": "0",
+        "memory.oom.group": "1",
+        "cpu.max": "150000 100000",
+    }
     assert (group.holds_memory, group.holds_cpu) == (True, True)
     group.enter()
     assert (folder / "cgroup.procs").read_text() == "0"
@@ -143,6 +99,33 @@ def test_a_controller_that_is_missing_is_left_to_the_supervisor(root):
     group = made(root)
     assert (group.holds_memory, group.holds_cpu) == (False, False)
     assert group.words()["memory"] == "checked by the supervisor"
+
+
+def test_swap_that_the_kernel_does_not_count_is_said(root):
+    assert made(root).words()["memory"] == "enforced by the kernel (memory.max), swap included"
+    (root / SLICE / NAME / "memory.swap.max").unlink()
+    assert made(root).words()["memory"] == (
+        "enforced by the kernel (memory.max), but not swap, which this kernel does not count"
+    )
+
+
+def test_limits_above_that_are_smaller_are_said(root, monkeypatch):
+    """A group above lets all of its processes together have less than this run alone may have."""
+    monkeypatch.setattr("slamhive.executors.process.run_cgroup.CGROUP_ROOT", root)
+    write(root / "user.slice/user-1000.slice", pids__max="48\n", memory__max="1000000000\n")
+    write(root / SLICE, pids__max="max\n", memory__max="max\n")
+    words = made(root).words()
+    assert words["processes"] == "enforced by the kernel (pids.max); user-1000.slice allows 48 in all"
+    assert words["memory"].endswith("swap included; user-1000.slice allows 1000 MB in all")
+    write(root / "user.slice/user-1000.slice", pids__max="10000\n", memory__max="max\n")
+    assert "in all" not in str(made(root).words())
+
+
+def test_groups_in_the_group_are_members_too(root, member):
+    """A run of the same user may make groups in its own."""
+    group = made(root)
+    write(root / SLICE / NAME / "inner", cgroup__procs=f"{member.pid}\n")
+    assert [entry.pid for entry in group.members()] == [member.pid]
 
 
 def test_without_a_limit_of_processes_it_does_not_hold(root):
@@ -188,7 +171,7 @@ def test_usage_is_that_of_the_group(root):
     source = made(root).usage()
     assert isinstance(source, CgroupV2)
     assert source.read() == (1.234567, 50_000_000)
-    assert source.peak_memory_bytes() == 60_000_000
+    assert source.totals() == {"ram.charged_max": 60_000_000}
 
 
 def test_an_empty_group_is_closed_and_not_killed(root):
@@ -223,9 +206,9 @@ def test_a_live_group_of_version_2_is_killed_as_a_whole():
         folder.mkdir()
     except OSError:
         with pytest.raises(DoesNotHold):
-            RunCgroup.make(ContainmentRequest("test", str(os.getpid()), 16), Parents(2, {"pids": root}))
+            RunCgroup.make(ContainmentRequest("test", str(os.getpid()), 16), Home(2, {"pids": root}))
         return
-    group = RunCgroup(2, {"pids": folder})
+    group = RunCgroupV2({"pids": folder})
     code = "import os, time\nfor _ in range(3): os.fork()\nos.setsid()\ntime.sleep(100)"
     with subprocess.Popen(["python3", "-c", code], preexec_fn=group.enter) as process:  # noqa: PLW1509
         try:

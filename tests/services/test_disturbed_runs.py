@@ -89,8 +89,8 @@ class OneReading:
     def read(self) -> tuple[float, int] | None:
         return self._left.pop() if self._left else None
 
-    def peak_memory_bytes(self) -> None:
-        return None
+    def totals(self) -> dict[str, float]:
+        return {}
 
     def close(self) -> None:
         pass

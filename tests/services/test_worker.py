@@ -414,7 +414,7 @@ def taken(hive: Hive) -> RunRecord | None:
     "write",
     [
         lambda hand: hand.begin(),
-        lambda hand: hand.save({"peak_memory_bytes": 1}),
+        lambda hand: hand.save({"kernel_totals": {"ram.charged_max": 1.0}}),
         lambda hand: hand.move(RunState.STARTING, "too late", record={}),
         lambda hand: hand.fail(FailureReason.START_ERROR, "too late"),
         lambda hand: hand.check_owner(),

@@ -12,6 +12,7 @@ _NVML = "NVIDIA Management Library (NVML), sampled twice a second"
 _CLOCK = "Clock of the machine"
 _LOCALISATION = "localisation.json of the algorithm"
 _STAT = "/proc/stat and the run's CPU time, once a second"
+_COUNTERS = "{} of the run's control group, version 2"
 _PSI = "Linux pressure stall information, /proc/pressure"
 
 
@@ -75,6 +76,57 @@ MEASURED_METRICS = (
         "The kernel's high-water mark, file cache included: an upper bound of what the run needed.",
         _USAGE,
         "memory.peak or memory.max_usage_in_bytes of the run's control group",
+    ),
+    _measured(
+        "cpu.throttled",
+        "CPU throttled",
+        "s",
+        "Time for which the limit of cores kept the run waiting, summed over processors; 0 without a limit.",
+        _USAGE,
+        _COUNTERS.format("cpu.stat"),
+    ),
+    _measured(
+        "tasks.max",
+        "Tasks max",
+        "",
+        "Most processes and threads at once.",
+        _USAGE,
+        _COUNTERS.format("pids.peak"),
+    ),
+    _measured(
+        "io.read",
+        "Read from disks",
+        "bytes",
+        "Bytes read from disks; what was cached counts for no run.",
+        _USAGE,
+        _COUNTERS.format("io.stat"),
+    ),
+    _measured(
+        "io.written", "Written to disks", "bytes", "Bytes written to disks.", _USAGE, _COUNTERS.format("io.stat")
+    ),
+    _measured(
+        "stall.cpu",
+        "Waited for CPU",
+        "s",
+        "Time in which at least one task of the run was ready and waited for a processor, its own limit included.",
+        _USAGE,
+        _COUNTERS.format("cpu.pressure"),
+    ),
+    _measured(
+        "stall.memory",
+        "Waited for memory",
+        "s",
+        "Time in which at least one task of the run waited for memory.",
+        _USAGE,
+        _COUNTERS.format("memory.pressure"),
+    ),
+    _measured(
+        "stall.io",
+        "Waited for disks",
+        "s",
+        "Time in which at least one task of the run waited for a disk.",
+        _USAGE,
+        _COUNTERS.format("io.pressure"),
     ),
     _measured(
         "energy",

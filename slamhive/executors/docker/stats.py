@@ -7,7 +7,7 @@ from typing import Any
 import docker.errors
 
 from slamhive.executors.base import EngineUnavailable
-from slamhive.executors.cgroup import file_cache_bytes
+from slamhive.executors.cgroup import file_cache_bytes, present
 from slamhive.executors.docker.engine import engine_errors
 
 _NS = 1e-9
@@ -20,7 +20,7 @@ class DockerStatsSource:
 
     def __init__(self, container: Any) -> None:
         self._container = container
-        self._peak_bytes: int | None = None
+        self._totals: dict[str, float] = {}
 
     def read(self) -> tuple[float, int] | None:
         """CPU time (s) and memory in use (bytes); None once the container has ended."""
@@ -31,12 +31,12 @@ class DockerStatsSource:
                 return None
         usage = parse_stats(stats)
         if usage is not None:
-            self._peak_bytes = stats["memory_stats"].get("max_usage", self._peak_bytes)
+            self._totals |= present({"ram.charged_max": stats["memory_stats"].get("max_usage")})
         return usage
 
-    def peak_memory_bytes(self) -> int | None:
+    def totals(self) -> dict[str, float]:
         """As of the last reading."""
-        return self._peak_bytes
+        return self._totals
 
     def close(self) -> None:
         """Nothing is held open."""

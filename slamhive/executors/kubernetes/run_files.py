@@ -17,7 +17,7 @@ from typing import Any
 
 from slamhive.domain.host import Host
 from slamhive.errors import Unavailable
-from slamhive.executors.cgroup import file_cache_bytes, parse_flat
+from slamhive.executors.cgroup import file_cache_bytes, parse_flat, present
 from slamhive.executors.kubernetes.archive import supervisor_archive
 from slamhive.executors.kubernetes.pod_counters import used_cpu_s
 from slamhive.executors.kubernetes.pod_files import (
@@ -311,7 +311,7 @@ class PodUsage:
 
     def __init__(self, files: RunFiles) -> None:
         self._files = files
-        self._peak_bytes: int | None = None
+        self._totals: dict[str, float] = {}
 
     def read(self) -> tuple[float, int] | None:
         """CPU time (s) and memory in use (bytes); None once the run has ended."""
@@ -323,12 +323,13 @@ class PodUsage:
             return None
         if usage is None:
             return None
-        cpu_s, memory_bytes, self._peak_bytes = usage
+        cpu_s, memory_bytes, peak_bytes = usage
+        self._totals = present({"ram.charged_max": peak_bytes})
         return cpu_s, memory_bytes
 
-    def peak_memory_bytes(self) -> int | None:
+    def totals(self) -> dict[str, float]:
         """As of the last reading."""
-        return self._peak_bytes
+        return self._totals
 
     def close(self) -> None:
         """Nothing stays open."""

@@ -6,14 +6,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from slamhive.executors.process.cgroup_parents import find_parents
+from slamhive.executors.process.cgroup_home import find_home, settle
 from slamhive.executors.process.containment_base import Containment, ContainmentRequest, DoesNotHold
 from slamhive.executors.process.run_cgroup import RunCgroup
 from slamhive.executors.process.tree_limit import TreeLimit
 
 
 def _make_cgroup(request: ContainmentRequest) -> Containment:
-    return RunCgroup.make(request, find_parents())
+    try:
+        return RunCgroup.make(request, settle(find_home(own_scope=request.own_scope)))
+    except DoesNotHold as reason:
+        if request.no_scope:
+            raise DoesNotHold(f"{reason}, and gives no scope: {request.no_scope}") from None
+        raise
 
 
 def _make_user(request: ContainmentRequest) -> Containment:

@@ -31,6 +31,8 @@ class ContainmentRequest:
         cpu_cores: Most cores in use, None for no limit.
         readable: Paths that the run must be able to read as any user.
         writable: Folders that the run writes to.
+        own_scope: Whether systemd made the unit of this process for it.
+        no_scope: Why systemd made none, though one was asked for; empty if none was.
     """
 
     installation: str
@@ -40,6 +42,8 @@ class ContainmentRequest:
     cpu_cores: float | None = None
     readable: tuple[Path, ...] = ()
     writable: tuple[Path, ...] = ()
+    own_scope: bool = False
+    no_scope: str = ""
 
 
 @dataclass(frozen=True, slots=True)

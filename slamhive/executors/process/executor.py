@@ -31,7 +31,8 @@ from slamhive.executors.process.capped_log import assemble
 from slamhive.executors.process.environment import Environment, Environments, pip_problem
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.process.paths import shim_spec_of
-from slamhive.executors.process.run_cgroup import group_name, left_over_groups
+from slamhive.executors.process.run_cgroup import RunCgroup, group_name, left_over_groups
+from slamhive.executors.process.scope import scope_wanted
 from slamhive.executors.process.shim import IDENTITY_FILE, LOCK_FILE
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.supervisor import OUTPUT_FOLDER
@@ -57,10 +58,7 @@ from slamhive.tree import remove_tree
 
 logger = logging.getLogger(__name__)
 
-_CONTAIN_BETTER = (
-    "use Docker, or let control groups be written: start the worker as root, "
-    "or with systemd-run --user --scope -p Delegate=yes slamhive worker"
-)
+_CONTAIN_BETTER = "use Docker, or run the worker where systemd delegates control groups to it: see docs/protections.md"
 
 
 class ProcessExecutor(Executor):
@@ -126,7 +124,8 @@ class ProcessExecutor(Executor):
             if not environment.ready:
                 raise ImageMissing(f"the environment {spec.identity} of {spec.package} is gone", "build it again")
             self._shim_spec(spec, environment, work).save(work)
-            identity = launch(work)
+            in_scope = self._containment in (None, RunCgroup.kind) and scope_wanted()
+            identity = launch(work, in_scope=in_scope)
         return _handle(spec, work, identity)
 
     def poll(self, handle: RunHandle) -> RunStatus:

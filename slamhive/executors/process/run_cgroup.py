@@ -1,8 +1,7 @@
 """A control group for each run: the kernel enforces the limits and ends the run as a whole.
 
-Version 1 has a tree for each controller, version 2 has one for all. Otherwise both work alike. Under version 1 the
-group is below that of this process, so that an administrator's limits apply to runs too. Version 2 allows it only
-beside this process: in the nearest group above that this user may write to (a delegated slice).
+Version 1 has a tree for each controller, version 2 has one for all. Groups are made in the home of the supervisor, see
+:mod:`slamhive.executors.process.cgroup_home`, so that an administrator's limits on its unit apply to runs too.
 """
 
 from __future__ import annotations
@@ -12,13 +11,14 @@ import os
 import re
 import signal
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from slamhive.clock import monotonic_s
 from slamhive.executors.cgroup import CGROUP_ROOT, CgroupV1, CgroupV2, TaskCounter, parse_flat
-from slamhive.executors.process.cgroup_parents import V1_CONTROLLERS, V2_CONTROLLERS, Parents
+from slamhive.executors.process.cgroup_home import V1_CONTROLLERS, V2_CONTROLLERS, Home, smallest_limit_above
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
 from slamhive.executors.process.table import ProcessEntry, end_all, living, read_process
 from slamhive.executors.refusal_watch import REFUSAL_PATIENCE_S
@@ -39,23 +39,36 @@ def _slug(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]", "_", text)
 
 
-class RunCgroup:
+class RunCgroup(ABC):
     """The control group of one run.
 
     Args:
-        version: Of the control groups.
         folders: The group's folder for each controller; under version 2 always the same.
-        limited: The controllers that enforce a limit of the run.
+        limited: What the kernel limits: ``pids``, ``memory``, ``swap``, ``cpu``.
+        place: The unit or group that it is in, for the user.
+        above: Limits of groups above that are smaller than the run's own: {controller: words}.
     """
 
     kind = "cgroup"
+    version: ClassVar[int]
     patience_s = REFUSAL_PATIENCE_S
 
-    def __init__(self, version: int, folders: dict[str, Path], limited: frozenset[str] = frozenset()) -> None:
-        self._version = version
+    memory_file: ClassVar[str]
+    cpu_file: ClassVar[str]
+    oom_file: ClassVar[str]
+
+    def __init__(
+        self,
+        folders: dict[str, Path],
+        limited: frozenset[str] = frozenset(),
+        place: str = "",
+        above: dict[str, str] | None = None,
+    ) -> None:
         self._folders = folders
         self._tasks = folders["pids"]
         self._limited = limited
+        self._place = place
+        self._above = above or {}
         self._counter = TaskCounter(folders["pids"])
 
     @property
@@ -68,44 +81,56 @@ class RunCgroup:
         """Whether the kernel enforces the limit of cores."""
         return "cpu" in self._limited
 
-    @classmethod
-    def make(cls, request: ContainmentRequest, parents: Parents) -> RunCgroup:
+    @staticmethod
+    def make(request: ContainmentRequest, home: Home) -> RunCgroup:
         """Make the group with its limits, and check that processes can enter it. Raises DoesNotHold."""
         name = group_name(request.installation, request.key)
-        folders = {controller: parent / name for controller, parent in parents.folders.items()}
+        folders = {controller: parent / name for controller, parent in home.folders.items()}
+        kind = VERSIONS[home.version]
         try:
             for folder in folders.values():
                 folder.mkdir(exist_ok=True)
-            group = cls(parents.version, folders, _set_limits(parents.version, folders, request))
+            limited = kind(folders)._set_limits(request)
+            group = kind(folders, limited, place_of(home, request), limits_above(home, request))
             group._try_to_enter()
         except OSError as error:
-            cls(parents.version, folders).remove()
+            kind(folders).remove()
             raise DoesNotHold(f"{error.filename or folders['pids']}: {error.strerror}") from None
         return group
 
-    @classmethod
-    def found_again(cls, description: dict[str, Any]) -> RunCgroup | None:
+    @staticmethod
+    def foreseen(request: ContainmentRequest, home: Home) -> RunCgroup:
+        """The group as far as a look at its home shows it, for :meth:`words` alone. Nothing is made."""
+        limited = frozenset(home.folders) & {"pids", "memory", "cpu"}
+        swap = {"swap"} if "memory" in limited and (home.folder / "memory.swap.max").exists() else set()
+        # The home has the same files as a group in it will have, such as cgroup.kill.
+        place = place_of(home, request)
+        return VERSIONS[home.version](home.folders, limited | swap, place, limits_above(home, request))
+
+    @staticmethod
+    def found_again(description: dict[str, Any]) -> RunCgroup | None:
         """The group that :meth:`describe` described; None if it is no group of a run."""
         folders = {controller: Path(folder) for controller, folder in description["folders"].items()}
         if not all(folder.name.startswith(PREFIX) and folder.is_absolute() for folder in folders.values()):
             return None
-        return cls(description["version"], folders, frozenset(description["limited"]))
+        return VERSIONS[description["version"]](folders, frozenset(description["limited"]))
 
     def describe(self) -> dict[str, Any]:
         """See :class:`Containment`."""
         folders = {controller: str(folder) for controller, folder in self._folders.items()}
-        return {"kind": self.kind, "version": self._version, "folders": folders, "limited": sorted(self._limited)}
+        return {"kind": self.kind, "version": self.version, "folders": folders, "limited": sorted(self._limited)}
 
     def words(self) -> dict[str, str]:
         """See :class:`Containment`."""
-        v1 = self._version == 1
-        memory = "memory.limit_in_bytes" if v1 else "memory.max"
-        cpu = "cpu.cfs_quota_us" if v1 else "cpu.max"
+        memory = "checked by the supervisor"
+        if self.holds_memory:
+            swap = "swap included" if "swap" in self._limited else "but not swap, which this kernel does not count"
+            memory = f"enforced by the kernel ({self.memory_file}), {swap}{self._above.get('memory', '')}"
         return {
-            "held_by": f"control group, version {self._version}",
-            "processes": "enforced by the kernel (pids.max)",
-            "memory": f"enforced by the kernel ({memory})" if self.holds_memory else "checked by the supervisor",
-            "cpu": f"enforced by the kernel ({cpu})" if self.holds_cpu else "bound to whole cores",
+            "held_by": f"control group, version {self.version}" + (f", in {self._place}" if self._place else ""),
+            "processes": f"enforced by the kernel (pids.max){self._above.get('pids', '')}",
+            "memory": memory,
+            "cpu": f"enforced by the kernel ({self.cpu_file})" if self.holds_cpu else "bound to whole cores",
             "end": self._way_to_end(),
         }
 
@@ -116,16 +141,15 @@ class RunCgroup:
 
     def look(self, tree: ProcessTree) -> Look:  # noqa: ARG002 - the seam's signature
         """See :class:`Containment`."""
-        oom_file = "memory.oom_control" if self._version == 1 else "memory.events"
-        killed = self.holds_memory and self._count("memory", oom_file, "oom_kill") > 0
+        killed = self.holds_memory and self._count("memory", self.oom_file, "oom_kill") > 0
         return Look(self._counter.refused(), killed)
 
     def members(self) -> list[ProcessEntry]:
-        """See :class:`Containment`."""
-        try:
-            pids = (self._tasks / "cgroup.procs").read_text(encoding="ascii").split()
-        except OSError:
-            return []
+        """See :class:`Containment`. A run of the same user may have made groups in its group."""
+        pids: list[str] = []
+        for parent, _, _ in os.walk(self._tasks):
+            with contextlib.suppress(OSError):  # it is gone by now
+                pids += Path(parent, "cgroup.procs").read_text(encoding="ascii").split()
         return living(entry for pid in pids if (entry := read_process(int(pid))) is not None)
 
     def end(self, patience_s: float) -> bool:
@@ -133,14 +157,7 @@ class RunCgroup:
         self._try_to_write("pids", "pids.max", "0")
         if not self.members():
             return True
-        if (self._tasks / "cgroup.kill").exists():
-            self._try_to_write("pids", "cgroup.kill", "1")
-        elif self._freeze():
-            # Frozen processes use no CPU time, and receive their signals when they thaw.
-            for entry in self.members():
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(entry.pid, signal.SIGKILL)
-            self._thaw()
+        self._kill()
         return end_all(self.members, patience_s)
 
     def remove(self) -> None:
@@ -150,13 +167,42 @@ class RunCgroup:
             while not _remove_tree(folder) and monotonic_s() < deadline_s:
                 time.sleep(_PAUSE_S)
 
+    @abstractmethod
     def usage(self) -> UsageSource | None:
         """See :class:`Containment`."""
-        if self._version == 2:
-            return CgroupV2(self._tasks) if {"memory", "cpu"} <= self._folders.keys() else None
-        if {"memory", "cpuacct"} <= self._folders.keys():
-            return CgroupV1(self._folders["cpuacct"], self._folders["memory"])
-        return None
+
+    @abstractmethod
+    def _limit_memory(self, folder: Path, limit_bytes: int | None) -> bool:
+        """Limit memory and swap together, as for containers; whether the kernel counts swap. Raises OSError."""
+
+    @abstractmethod
+    def _limit_cpu(self, folder: Path, quota_us: int | None) -> None:
+        """Allow ``quota_us`` of CPU time in each period. Raises OSError."""
+
+    @abstractmethod
+    def _freezer(self) -> Path | None:
+        """The file that freezes the group; None without one."""
+
+    @abstractmethod
+    def _is_frozen(self, file: Path) -> bool: ...
+
+    frozen_word: ClassVar[str]
+    thawed_word: ClassVar[str]
+
+    def _set_limits(self, request: ContainmentRequest) -> frozenset[str]:
+        """Set the limits, and return which of them the kernel holds. Raises OSError if ``pids`` is not one."""
+        _write(self._tasks / "pids.max", request.tasks)
+        limited = {"pids"}
+        if "memory" in self._folders:
+            with contextlib.suppress(OSError):
+                counts_swap = self._limit_memory(self._folders["memory"], request.memory_bytes)
+                limited |= {"memory", "swap"} if counts_swap else {"memory"}
+        if "cpu" in self._folders:
+            quota_us = None if request.cpu_cores is None else round(request.cpu_cores * _PERIOD_US)
+            with contextlib.suppress(OSError):
+                self._limit_cpu(self._folders["cpu"], quota_us)
+                limited.add("cpu")
+        return frozenset(limited)
 
     def _try_to_enter(self) -> None:
         """Put an idle process into the group. Raises OSError."""
@@ -175,14 +221,19 @@ class RunCgroup:
             "the whole group is frozen, then killed" if self._freezer() else "the whole group is stopped, then killed"
         )
 
-    def _freezer(self) -> Path | None:
-        if self._version == 2:
-            file = self._tasks / "cgroup.freeze"
-        elif "freezer" in self._folders:
-            file = self._folders["freezer"] / "freezer.state"
-        else:
-            return None
-        return file if file.exists() else None
+    def _kill(self) -> None:
+        """Kill all members once. Without ``cgroup.kill`` (kernel 5.14) they are frozen first if possible."""
+        if (self._tasks / "cgroup.kill").exists():
+            self._try_to_write("pids", "cgroup.kill", "1")
+        elif self._freeze():
+            # Frozen processes use no CPU time, and receive their signals when they thaw.
+            for entry in self.members():
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(entry.pid, signal.SIGKILL)
+            file = self._freezer()
+            if file is not None:
+                with contextlib.suppress(OSError):
+                    file.write_text(self.thawed_word, encoding="ascii")
 
     def _freeze(self) -> bool:
         """Freeze the group; returns whether that worked. A process inside a system call may take a moment."""
@@ -192,24 +243,13 @@ class RunCgroup:
         deadline_s = monotonic_s() + _FREEZE_PATIENCE_S
         try:
             while monotonic_s() < deadline_s:
-                file.write_text("FROZEN" if self._version == 1 else "1", encoding="ascii")
+                file.write_text(self.frozen_word, encoding="ascii")
                 if self._is_frozen(file):
                     return True
                 time.sleep(_PAUSE_S)
         except OSError:
             return False
         return True
-
-    def _is_frozen(self, file: Path) -> bool:
-        if self._version == 1:
-            return file.read_text(encoding="ascii").strip() == "FROZEN"
-        return self._count("pids", "cgroup.events", "frozen") == 1
-
-    def _thaw(self) -> None:
-        file = self._freezer()
-        if file is not None:
-            with contextlib.suppress(OSError):
-                file.write_text("THAWED" if self._version == 1 else "0", encoding="ascii")
 
     def _count(self, controller: str, file: str, key: str) -> int:
         """A counter of a flat keyed file; 0 where there is no such group, file or counter (any more)."""
@@ -223,12 +263,103 @@ class RunCgroup:
             (self._folders[controller] / file).write_text(value, encoding="ascii")
 
 
+class RunCgroupV1(RunCgroup):
+    """One folder in the tree of each controller."""
+
+    version = 1
+    memory_file, cpu_file, oom_file = "memory.limit_in_bytes", "cpu.cfs_quota_us", "memory.oom_control"
+    frozen_word, thawed_word = "FROZEN", "THAWED"
+
+    def usage(self) -> UsageSource | None:
+        """See :class:`Containment`."""
+        if {"memory", "cpuacct"} <= self._folders.keys():
+            return CgroupV1(self._folders["cpuacct"], self._folders["memory"])
+        return None
+
+    def _limit_memory(self, folder: Path, limit_bytes: int | None) -> bool:
+        limit = -1 if limit_bytes is None else limit_bytes
+        _write(folder / "memory.limit_in_bytes", limit)
+        try:
+            _write(folder / "memory.memsw.limit_in_bytes", limit)
+        except OSError:  # the kernel was booted without swapaccount=1
+            return False
+        return True
+
+    def _limit_cpu(self, folder: Path, quota_us: int | None) -> None:
+        _write(folder / "cpu.cfs_period_us", _PERIOD_US)
+        _write(folder / "cpu.cfs_quota_us", -1 if quota_us is None else quota_us)
+
+    def _freezer(self) -> Path | None:
+        file = self._folders["freezer"] / "freezer.state" if "freezer" in self._folders else None
+        return file if file is not None and file.exists() else None
+
+    def _is_frozen(self, file: Path) -> bool:
+        return file.read_text(encoding="ascii").strip() == "FROZEN"
+
+
+class RunCgroupV2(RunCgroup):
+    """One folder for all controllers.
+
+    ``memory.high`` is left at ``max``, because it would slow a run down before its limit. A run that is measured should
+    be as fast as it can be until it is ended.
+    """
+
+    version = 2
+    memory_file, cpu_file, oom_file = "memory.max", "cpu.max", "memory.events"
+    frozen_word, thawed_word = "1", "0"
+
+    def usage(self) -> UsageSource | None:
+        """See :class:`Containment`. ``cpu.stat`` counts CPU time without the controller ``cpu`` too."""
+        return CgroupV2(self._tasks) if "memory" in self._folders else None
+
+    def _limit_memory(self, folder: Path, limit_bytes: int | None) -> bool:
+        _write(folder / "memory.max", "max" if limit_bytes is None else limit_bytes)
+        # An algorithm that has lost one of its processes goes on with less: no result is better than that one.
+        self._try_to_write("memory", "memory.oom.group", "1")
+        try:
+            _write(folder / "memory.swap.max", "max" if limit_bytes is None else 0)
+        except OSError:  # a kernel without accounting of swap
+            return False
+        return True
+
+    def _limit_cpu(self, folder: Path, quota_us: int | None) -> None:
+        _write(folder / "cpu.max", f"{'max' if quota_us is None else quota_us} {_PERIOD_US}")
+
+    def _freezer(self) -> Path | None:
+        file = self._tasks / "cgroup.freeze"
+        return file if file.exists() else None
+
+    def _is_frozen(self, file: Path) -> bool:  # noqa: ARG002 - version 1 reads it from the file itself
+        return self._count("pids", "cgroup.events", "frozen") == 1
+
+
+VERSIONS: dict[int, type[RunCgroup]] = {1: RunCgroupV1, 2: RunCgroupV2}
+
+
+def place_of(home: Home, request: ContainmentRequest) -> str:
+    """Where the group is, for the user; empty for version 1, which has a place for each controller."""
+    if home.version == 1:
+        return ""
+    return "a scope of its own" if request.own_scope else home.name
+
+
+def limits_above(home: Home, request: ContainmentRequest) -> dict[str, str]:
+    """Words for the smallest limits above that a run would meet before its own: {controller: words}."""
+    words = {}
+    if (tasks := smallest_limit_above(home, "pids.max", CGROUP_ROOT)) is not None and tasks[1] < request.tasks:
+        words["pids"] = f"; {tasks[0]} allows {tasks[1]} in all"
+    memory = smallest_limit_above(home, "memory.max", CGROUP_ROOT)
+    if memory is not None and request.memory_bytes is not None and memory[1] < request.memory_bytes:
+        words["memory"] = f"; {memory[0]} allows {memory[1] / 1e6:.0f} MB in all"
+    return words
+
+
 def left_over_groups(installation: str, root: Path = CGROUP_ROOT) -> Iterator[tuple[str, RunCgroup]]:
     """(name, group) of all groups that were ever made for runs of this installation and are still there."""
     version = 2 if (root / "cgroup.controllers").exists() else 1
     start = _slug(f"{PREFIX}{installation[:12]}-")
-    controllers = V2_CONTROLLERS if version == 2 else V1_CONTROLLERS
-    trees = {controller: root if version == 2 else root / controller for controller in controllers}
+    # All controllers of version 2 share one tree, so one walk finds all groups.
+    trees = {"pids": root} if version == 2 else {controller: root / controller for controller in V1_CONTROLLERS}
     found: dict[str, dict[str, Path]] = {}
     for controller, tree in trees.items():
         for parent, names, _ in os.walk(tree):
@@ -236,44 +367,13 @@ def left_over_groups(installation: str, root: Path = CGROUP_ROOT) -> Iterator[tu
                 if name.startswith(start):
                     found.setdefault(name, {})[controller] = Path(parent, name)
     for name, folders in found.items():
-        yield name, RunCgroup(version, {"pids": next(iter(folders.values())), **folders})
-
-
-def _set_limits(version: int, folders: dict[str, Path], request: ContainmentRequest) -> frozenset[str]:
-    """Set the limits that are asked for; the controllers that can hold one. Raises OSError if ``pids`` cannot."""
-    _write(folders["pids"] / "pids.max", request.tasks)
-    limited = {"pids"}
-    for controller, set_limit in (("memory", _limit_memory), ("cpu", _limit_cpu)):
-        if controller in folders:
-            with contextlib.suppress(OSError):
-                set_limit(version, folders[controller], request)
-                limited.add(controller)
-    return frozenset(limited)
-
-
-def _limit_memory(version: int, folder: Path, request: ContainmentRequest) -> None:
-    """Memory and swap together, as for containers. A kernel without accounting of swap limits memory alone."""
-    unlimited = "-1" if version == 1 else "max"
-    limit = unlimited if request.memory_bytes is None else request.memory_bytes
-    _write(folder / ("memory.limit_in_bytes" if version == 1 else "memory.max"), limit)
-    with contextlib.suppress(OSError):
-        if version == 1:
-            _write(folder / "memory.memsw.limit_in_bytes", limit)
-        else:
-            _write(folder / "memory.swap.max", unlimited if request.memory_bytes is None else 0)
-
-
-def _limit_cpu(version: int, folder: Path, request: ContainmentRequest) -> None:
-    quota_us = None if request.cpu_cores is None else round(request.cpu_cores * _PERIOD_US)
-    if version == 2:
-        _write(folder / "cpu.max", f"{'max' if quota_us is None else quota_us} {_PERIOD_US}")
-        return
-    _write(folder / "cpu.cfs_period_us", _PERIOD_US)
-    _write(folder / "cpu.cfs_quota_us", -1 if quota_us is None else quota_us)
+        any_folder = next(iter(folders.values()))
+        all_folders = dict.fromkeys(V2_CONTROLLERS, any_folder) if version == 2 else {"pids": any_folder, **folders}
+        yield name, VERSIONS[version](all_folders)
 
 
 def _write(path: Path, value: int | str) -> None:
-    """Into a file that the kernel has made: without one there is no such control."""
+    """Write into a file that the kernel has made: without one there is no such control."""
     with path.open("r+", encoding="ascii") as stream:
         stream.write(str(value))
 

@@ -22,13 +22,14 @@ import fcntl
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from slamhive.clock import utc_now
 from slamhive.errors import Unavailable
 from slamhive.executors.process.containment_base import DoesNotHold
 from slamhive.executors.process.exit_file import reserve
+from slamhive.executors.process.scope import NO_SCOPE, OWN_SCOPE
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.supervisor import Supervisor
 from slamhive.files import is_full, write_aside
@@ -39,27 +40,36 @@ NO_ROOM = "no room: "
 """The last line of a supervisor that did not start because the disk is full begins so."""
 
 
-def main(work: Path) -> None:
-    """Supervise the run of this work folder, unless another shim does or did.
+def main(arguments: Sequence[str]) -> None:
+    """Supervise the run of a work folder, unless another shim does or did.
 
     The calling process ends at once. A child in a session of its own does the work, so that neither the end of the
     worker nor that of its terminal reaches it.
+
+    Args:
+        arguments: The work folder, then ``--own-scope`` if systemd made a scope for this process, or ``--no-scope`` and
+            the reason if it did not.
     """
+    work = Path(arguments[0])
+    own_scope = OWN_SCOPE in arguments[1:2]
+    no_scope = arguments[2] if NO_SCOPE in arguments[1:2] else ""
     if os.fork() > 0:
         os._exit(0)
     os.setsid()
     try:
-        supervise(work)
+        supervise(work, own_scope=own_scope, no_scope=no_scope)
     except (Unavailable, OSError) as error:
         if (work / IDENTITY_FILE).exists() or not is_full(error):
             raise
         sys.exit(f"{NO_ROOM}{error}")
 
 
-def supervise(work: Path, prepare: Callable[[Path], None] | None = None) -> None:
+def supervise(
+    work: Path, prepare: Callable[[Path], None] | None = None, *, own_scope: bool = False, no_scope: str = ""
+) -> None:
     """Supervise the run of this work folder in the calling process, unless another supervisor does or did.
 
-    ``prepare`` may complete the orders first.
+    ``prepare`` may complete the orders first. The others are arguments of :class:`Supervisor`.
     """
     descriptor = os.open(work / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
@@ -71,7 +81,7 @@ def supervise(work: Path, prepare: Callable[[Path], None] | None = None) -> None
     if prepare is not None:
         prepare(work)
     try:
-        supervisor = Supervisor(work, ShimSpec.load(work))
+        supervisor = Supervisor(work, ShimSpec.load(work), own_scope=own_scope, no_scope=no_scope)
     except DoesNotHold as reason:
         sys.exit(str(reason))
     supervisor.listen()
@@ -82,4 +92,4 @@ def supervise(work: Path, prepare: Callable[[Path], None] | None = None) -> None
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(sys.argv[1:])

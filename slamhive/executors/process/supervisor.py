@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import select
 import signal
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from slamhive.clock import monotonic_s, utc_now
+from slamhive.executors.cgroup import CGROUP_ROOT
 from slamhive.executors.process import namespaces
 from slamhive.executors.process.capped_log import CappedLog
 from slamhive.executors.process.containment import choose_containment
@@ -44,13 +46,21 @@ _SIGNALS = (signal.SIGTERM, signal.SIGUSR1)
 
 
 class Supervisor:
-    """Starts the algorithm, watches it and its descendants, and records how it ended."""
+    """Starts the algorithm, watches it and its descendants, and records how it ended.
 
-    def __init__(self, work: Path, spec: ShimSpec) -> None:
+    Args:
+        work: The run's work folder.
+        spec: The orders.
+        own_scope: Whether systemd made a scope for this process.
+        no_scope: Why it did not, though it was asked; empty if it was not.
+    """
+
+    def __init__(self, work: Path, spec: ShimSpec, *, own_scope: bool = False, no_scope: str = "") -> None:
         self._work = work
         self._spec = spec
         self._priority = raise_supervisor()
-        chosen = choose_containment(spec.containment_request(), spec.containment)
+        request = replace(spec.containment_request(), own_scope=own_scope, no_scope=no_scope)
+        chosen = choose_containment(request, spec.containment)
         self._containment = chosen.containment
         refused = namespaces.refused_because()
         self._apart = refused is None
@@ -133,6 +143,10 @@ class Supervisor:
                 for path in self._spec.read_only or ():
                     namespaces.make_read_only(path)
             self._containment.enter()
+            if self._apart:
+                # Under version 2 the files of the group belong to the user, so the run could leave it.
+                with contextlib.suppress(OSError):  # a user of its own may not mount, nor change any group
+                    namespaces.make_read_only(str(CGROUP_ROOT))
             # Only now: a change of user would undo it.
             prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
             # As in containers. This user could neither measure nor end a process of another user.

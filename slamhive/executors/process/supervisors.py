@@ -24,6 +24,7 @@ from slamhive.executors.process.containment import found_again
 from slamhive.executors.process.containment_base import Containment
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.process.paths import INHERITED, KEY_VARIABLE
+from slamhive.executors.process.scope import NO_SCOPE, run_in_scope
 from slamhive.executors.process.shim import IDENTITY_FILE, NO_ROOM
 from slamhive.executors.process.table import ProcessEntry, all_processes, end_all, living, process_birth
 from slamhive.executors.status import Exited, RunHandle
@@ -40,26 +41,35 @@ def containment_of(handle: RunHandle) -> Containment | None:
     return found_again(json.loads(handle.data.get("containment", "{}")))
 
 
-def launch(work: Path) -> dict[str, Any]:
+def launch(work: Path, *, in_scope: bool = False) -> dict[str, Any]:
     """Start a supervisor for ``work``, and wait until it or an earlier one has written its identity.
 
     Raises StartFailed; Unavailable or OSError if the disk is full, which is not the run's fault.
+
+    Args:
+        work: The run's work folder, with the orders.
+        in_scope: Ask systemd for a scope for it. If that fails, the supervisor starts without, and records why.
     """
     errors = work / "shim-errors.txt"
     with errors.open("wb") as stream:
         stream.write(b" " * _ERRORS_BYTES)  # so that a full disk does not hide the reason
     package_root = str(Path(slamhive.__file__).parent.parent)
-    environment = {key: os.environ[key] for key in INHERITED if key in os.environ}
+    environment = {key: os.environ[key] for key in INHERITED if key in os.environ} | {"PYTHONPATH": package_root}
+    command = [sys.executable, "-m", "slamhive.executors.process.shim", str(work)]
     with errors.open("r+b") as stream:
-        subprocess.run(
-            [sys.executable, "-m", "slamhive.executors.process.shim", str(work)],
-            env={**environment, "PYTHONPATH": package_root},
-            stdin=subprocess.DEVNULL,
-            stdout=stream,
-            stderr=stream,
-            cwd="/",
-            check=False,
-        )
+        refused = run_in_scope(command, environment, stream.fileno()) if in_scope else ""
+        if refused is not None:
+            # If the first one has started all the same, it holds the lock, and this one ends at once.
+            arguments = [NO_SCOPE, refused] if refused else []
+            subprocess.run(
+                [*command, *arguments],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=stream,
+                cwd="/",
+                check=False,
+            )
     if not wait_until(lambda: (work / IDENTITY_FILE).exists() or _said(errors).startswith(NO_ROOM), START_WAIT_S):
         raise StartFailed(f"the supervisor process did not start: {_said(errors) or 'it says nothing'}")
     if not (work / IDENTITY_FILE).exists():

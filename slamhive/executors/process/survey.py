@@ -1,34 +1,85 @@
-"""Tries out how limits are enforced on this machine, for ``slamhive doctor``."""
+"""Trial of the protections of this machine, for ``slamhive doctor``. Nothing on the machine is changed.
+
+A control group is tried out where one can be made and removed again. That is so under version 1, in a home that is
+settled, and in a scope that systemd makes for the trial. Before the first run of a delegated unit, its files foretell
+the group.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
 
+import slamhive
 from slamhive.executors.process import priority
+from slamhive.executors.process.cgroup_home import find_home
 from slamhive.executors.process.containment import choose_containment
-from slamhive.executors.process.containment_base import ContainmentRequest
+from slamhive.executors.process.containment_base import Containment, ContainmentRequest, DoesNotHold
+from slamhive.executors.process.run_cgroup import RunCgroup
+from slamhive.executors.process.scope import OWN_SCOPE, run_in_scope, scope_wanted
 from slamhive.executors.process.table import read_process
 from slamhive.executors.status import Protections
 
 _ANY_TASKS = 16
+_FORESEEN = ", foreseen from the files of the group"
 
 
 def survey(installation: str, kind: str | None = None) -> Protections:
-    """Make the containment that a run would get now, describe it, and remove it.
+    """Describe the containment that a run would get now.
 
     Raises DoesNotHold as :func:`choose_containment`.
     """
-    chosen = choose_containment(ContainmentRequest(installation, f"survey-{os.getpid()}", _ANY_TASKS), kind)
+    request = ContainmentRequest(installation, f"survey-{os.getpid()}", _ANY_TASKS)
+    if kind not in (None, RunCgroup.kind):
+        return _tried(request, kind)
+    if scope_wanted():
+        found = _survey_in_scope(installation, kind)
+        return found if isinstance(found, Protections) else _tried(replace(request, no_scope=found), kind)
     try:
-        words = chosen.containment.words()
-        shares_processors = not chosen.containment.holds_cpu
-        return Protections(
-            **words, priority=_priority_here(shares_processors=shares_processors), does_not_hold=chosen.does_not_hold
-        )
+        home = find_home()
+    except DoesNotHold:
+        return _tried(request, kind)
+    if home.settled:
+        return _tried(request, kind)
+    group = RunCgroup.foreseen(request, home)
+    told = _described(group, {})
+    return replace(told, held_by=told.held_by + _FORESEEN)
+
+
+def _survey_in_scope(installation: str, kind: str | None) -> Protections | str:
+    """The survey of another process in a scope of its own, or why there is no scope."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(slamhive.__file__).parent.parent)}
+    with tempfile.TemporaryFile() as output:
+        command = [sys.executable, "-m", __name__, installation, kind or ""]
+        refused = run_in_scope(command, environment, output.fileno())
+        if refused is not None:
+            return refused
+        output.seek(0)
+        return Protections(**json.loads(output.read().splitlines()[-1]))
+
+
+def _tried(request: ContainmentRequest, kind: str | None) -> Protections:
+    """Make the containment, describe it, and remove it."""
+    chosen = choose_containment(request, kind)
+    try:
+        return _described(chosen.containment, chosen.does_not_hold)
     finally:
         chosen.containment.remove()
+
+
+def _described(containment: Containment, does_not_hold: dict[str, str]) -> Protections:
+    # A process that ends at once tries the priority that a supervisor would get.
+    shares = [] if containment.holds_cpu else ["shares"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-m", priority.__name__, *shares]
+    said = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment).stdout.strip()
+    return Protections(**containment.words(), priority=said, does_not_hold=does_not_hold)
 
 
 def survey_goes_on(group: str) -> bool:
@@ -37,8 +88,12 @@ def survey_goes_on(group: str) -> bool:
     return pid.isdigit() and read_process(int(pid)) is not None
 
 
-def _priority_here(*, shares_processors: bool) -> str:
-    """The priority that a supervisor would get, in words. A process that ends at once tries it."""
-    command = [sys.executable, "-m", priority.__name__, *(["shares"] if shares_processors else [])]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment).stdout.strip()
+def main(arguments: Sequence[str]) -> None:
+    """Print the survey of this process as JSON: ``INSTALLATION KIND --own-scope``."""
+    installation, kind, *rest = arguments
+    request = ContainmentRequest(installation, f"survey-{os.getpid()}", _ANY_TASKS, own_scope=OWN_SCOPE in rest)
+    sys.stdout.write(json.dumps(asdict(_tried(request, kind or None))) + "\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

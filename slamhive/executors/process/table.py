@@ -136,9 +136,10 @@ def end_all(listed: Callable[[], list[ProcessEntry]], patience_s: float) -> bool
     """:func:`stop_and_kill` until nothing is listed any more; whether that came true in time."""
     deadline_s = monotonic_s() + patience_s
     while listed():
-        if monotonic_s() >= deadline_s:
-            return False
+        # Once in any case: on a slow machine with many processes, the list alone may take longer than the time.
         stop_and_kill(listed)
+        if monotonic_s() >= deadline_s:
+            return not listed()
         time.sleep(_PAUSE_S)
     return True
 

@@ -49,8 +49,9 @@ class ProcessTreeSource:
         self._cpu_s = max(self._cpu_s, cpu_s)
         return self._cpu_s, memory_bytes
 
-    def peak_memory_bytes(self) -> None:
-        """None: the kernel keeps a high-water mark of each process only, at different moments."""
+    def totals(self) -> dict[str, float]:
+        """Empty: the kernel records totals of each process only, and peaks at different moments."""
+        return {}
 
     def close(self) -> None:
         """Nothing is held open."""

@@ -312,7 +312,7 @@ class NodeUsage:
 
     def __init__(self, work: Path) -> None:
         self._work = work
-        self._peak_bytes: int | None = None
+        self._totals: dict[str, float] = {}
 
     def read(self) -> tuple[float, int] | None:
         """CPU time (s) and memory (bytes); None once the run has ended."""
@@ -322,12 +322,12 @@ class NodeUsage:
             content = json.loads((self._work / USAGE_FILE).read_text(encoding="ascii"))
         except FileNotFoundError:
             return None
-        self._peak_bytes = content["peak_bytes"]
+        self._totals = content["totals"]
         return content["cpu_s"], content["memory_bytes"]
 
-    def peak_memory_bytes(self) -> int | None:
+    def totals(self) -> dict[str, float]:
         """As of the last reading."""
-        return self._peak_bytes
+        return self._totals
 
     def close(self) -> None:
         """Nothing stays open."""

@@ -163,7 +163,7 @@ class Meter:
         content: dict[str, object] = {
             "cpu_s": cpu_s,
             "memory_bytes": memory_bytes,
-            "peak_bytes": self._source.peak_memory_bytes(),
+            "totals": self._source.totals(),
             HOST_KEY: self._host.read(max(0.0, monotonic_s() - self._began_s), cpu_s).content,
         }
         if self._gpu is not None:

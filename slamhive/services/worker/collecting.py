@@ -51,7 +51,7 @@ class Collecting:
         )
         outcome = decide(evidence)
         ended_at = (status.ended_at if isinstance(status, Exited) else None) or hand.context.now()
-        metrics = measure_run(hand.folder, hand.started_at, ended_at, saved.get("peak_memory_bytes"), evidence)
+        metrics = measure_run(hand.folder, hand.started_at, ended_at, saved.get("kernel_totals", {}), evidence)
         metrics |= limit_metrics(metrics, hand.spec.limits.cores)
         disturbance = judge_run(hand.folder, metrics, hand.context.settings)
         self._seal(outcome, evidence, ended_at, metrics, disturbance)

@@ -73,11 +73,10 @@ class Watch:
             yield found
             moves = True
         finally:
-            peak_bytes = self._sampler.stop()
-            if peak_bytes is not None:
-                found["peak_memory_bytes"] = peak_bytes
+            if totals := self._sampler.stop():
+                found["kernel_totals"] = totals
             if found and not moves:
-                with suppress(LeaseLost):  # then the peak that the new holder of the run sees counts
+                with suppress(LeaseLost):  # then the totals that the new holder of the run sees count
                     hand.save(found)
 
     def _machine_logs(self, source: UsageSource) -> MachineLogs:

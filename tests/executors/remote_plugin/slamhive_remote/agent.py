@@ -183,8 +183,7 @@ class Agent:
             send_json(connection, None)
             return
         self._sources[name] = source
-        peak_bytes = source.peak_memory_bytes()
-        send_json(connection, {"cpu_s": reading[0], "memory_bytes": reading[1], "peak_bytes": peak_bytes})
+        send_json(connection, {"cpu_s": reading[0], "memory_bytes": reading[1], "totals": source.totals()})
 
     def _do_keys(self, connection: Connection, asked: dict[str, Any]) -> None:
         send_json(connection, self._keys(asked))

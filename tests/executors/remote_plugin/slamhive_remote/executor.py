@@ -185,19 +185,19 @@ class RemoteUsage:
     def __init__(self, executor: RemoteExecutor, handle: RunHandle) -> None:
         self._executor = executor
         self._handle = handle
-        self._peak_bytes: int | None = None
+        self._totals: dict[str, float] = {}
 
     def read(self) -> tuple[float, int] | None:
         """CPU time (s) and memory (bytes); None once the run has ended."""
         answer = self._executor._ask("usage", key=self._handle.data["key"])
         if answer is None:
             return None
-        self._peak_bytes = answer["peak_bytes"]
+        self._totals = answer["totals"]
         return answer["cpu_s"], answer["memory_bytes"]
 
-    def peak_memory_bytes(self) -> int | None:
+    def totals(self) -> dict[str, float]:
         """As of the last reading."""
-        return self._peak_bytes
+        return self._totals
 
     def close(self) -> None:
         """Each reading has a connection of its own."""

@@ -1,0 +1,249 @@
+"""The control group in which this process may make one group for each run: its home.
+
+Under version 1 that is the process's own group in the tree of each controller. Under version 2 the kernel gives the
+members of a group no controllers of their own as long as the group holds processes itself ("no internal processes",
+``Documentation/admin-guide/cgroup-v2.rst``). So the home is cut in two::
+
+    slamhive-worker.service      the unit that systemd delegated: the home
+    ├─ slamhive.main             the worker, its supervisors, and whatever else was in the unit
+    ├─ slamhive-3f2a…-run-7      one run, with its limits
+    └─ slamhive-3f2a…-run-8
+
+:func:`find_home` only looks. :func:`settle` makes the cut, and is called by a supervisor just before its run starts.
+
+Systemd decides who may do this, not file permissions. The manager of a unit that it has not delegated takes its
+controllers back whenever it likes (https://systemd.io/CGROUP_DELEGATION).
+
+A process in such a unit starts its supervisors in a scope of their own (:mod:`slamhive.executors.process.scope`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+from slamhive.executors.cgroup import CGROUP_ROOT, parse_memberships
+from slamhive.executors.process.containment_base import DoesNotHold
+
+OWN_GROUP = Path("/proc/self/cgroup")
+LEAF = "slamhive.main"
+"""The group below the home for processes that are not runs. ``DelegateSubgroup=`` of the shipped units names it too."""
+V1_CONTROLLERS = ("pids", "memory", "cpu", "cpuacct", "freezer")
+V2_CONTROLLERS = ("memory", "pids", "cpu", "io")
+_ANSWER_S = 30.0
+_ROUNDS = 100
+"""A home that programs keep filling faster than it is emptied is given up after so many tries."""
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Where groups of runs are made.
+
+    Attributes:
+        version: Of the control groups.
+        folders: The folder in which groups are made, for each controller that is there. The same for all in version 2.
+        settled: Whether groups can be made without moving a process or enabling a controller.
+    """
+
+    version: int
+    folders: dict[str, Path]
+    settled: bool = True
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the controller ``pids``, which every home has."""
+        return self.folders["pids"]
+
+    @property
+    def name(self) -> str:
+        """The unit or group, for the user."""
+        return self.folder.name if (self.folder / "cgroup.type").exists() else "the root group"
+
+
+def find_home(root: Path = CGROUP_ROOT, own: Path = OWN_GROUP, *, own_scope: bool = False) -> Home:
+    """Look for the home of this process, and change nothing. Raises DoesNotHold with the reason.
+
+    Args:
+        root: Where the control groups are mounted.
+        own: Names the groups of this process.
+        own_scope: Whether the unit was made for this process, so that it need not be marked as delegated:
+            the manager of a user does not mark it.
+    """
+    try:
+        memberships = parse_memberships(own.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise DoesNotHold("this kernel has no control groups") from None
+    if (root / "cgroup.controllers").exists():
+        return _v2_home(root, memberships.get("", "/"), own_scope=own_scope)
+    found = {name: _v1_folder(root / name, memberships.get(name, "/")) for name in V1_CONTROLLERS}
+    folders = {name: folder for name, folder in found.items() if folder is not None}
+    if "pids" not in folders:
+        raise DoesNotHold(f"this user cannot make a group below {root}/pids")
+    return Home(1, folders)
+
+
+def _v1_folder(tree: Path, own: str) -> Path | None:
+    """The nearest folder to ``own`` that this user may make groups in: an administrator's limits then hold runs too."""
+    for folder in (tree / own.lstrip("/"), tree):
+        if folder.is_dir() and os.access(folder, os.W_OK | os.X_OK):
+            return folder
+    return None
+
+
+def _v2_home(root: Path, own: str, *, own_scope: bool) -> Home:
+    group = root / own.lstrip("/")
+    folder = group.parent if group.name == LEAF else group
+    if not _can_be_changed(folder):
+        raise DoesNotHold(f"this user may not change the control group {_shown(folder, root)}")
+    if folder.suffix in (".service", ".scope") and not own_scope and not _is_delegated(folder, root):
+        raise DoesNotHold(f"systemd has not delegated {folder.name} (Delegate=yes)")
+    available = (folder / "cgroup.controllers").read_text(encoding="ascii").split()
+    controllers = [name for name in V2_CONTROLLERS if name in available]
+    if "pids" not in controllers:
+        raise DoesNotHold(f"{_shown(folder, root)} has no controller pids, only {' '.join(available) or 'none'}")
+    enabled = _enabled(folder)
+    # A group whose threaded controllers alone are enabled may hold processes, but then no run can enter a group in it.
+    settled = "pids" in enabled and ("memory" in enabled or "memory" not in controllers) and not _is_threaded(folder)
+    return Home(2, dict.fromkeys(enabled if settled else controllers, folder), settled)
+
+
+def _can_be_changed(folder: Path) -> bool:
+    files = (folder / "cgroup.procs", folder / "cgroup.subtree_control")
+    return os.access(folder, os.W_OK | os.X_OK) and all(os.access(file, os.W_OK) for file in files)
+
+
+def _shown(folder: Path, root: Path) -> str:
+    return f"/{folder.relative_to(root)}".replace("/.", "/")
+
+
+def _is_delegated(unit: Path, root: Path) -> bool:
+    """Whether systemd gave this unit's group away. It marks the group, and gives its files to the user of the unit."""
+    for mark in ("user.delegate", "trusted.delegate"):
+        with contextlib.suppress(OSError):  # not set, not readable for this user, or no such attributes in this kernel
+            return os.getxattr(unit, mark) == b"1"
+    if any(part.startswith("user@") for part in unit.relative_to(root).parts):
+        # Below a user's manager all files are the user's, and the manager of systemd 252 sets no marks.
+        return _manager_says_delegated(unit.name)
+    return os.geteuid() != 0
+
+
+@cache
+def _manager_says_delegated(unit: str) -> bool:
+    """Whether the manager of this user has delegated the unit. That does not change while the unit lives."""
+    options, variables = manager_of_user(os.geteuid(), os.environ)
+    command = ["systemctl", *(options or ["--user"]), "show", "--property=Delegate", "--value", unit]
+    try:
+        said = subprocess.run(
+            command, env={**os.environ, **variables}, capture_output=True, text=True, check=False, timeout=_ANSWER_S
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return said.stdout.strip() == "yes"
+
+
+def manager_of_user(uid: int, environment: Mapping[str, str]) -> tuple[list[str], dict[str, str]]:
+    """Options and variables by which programs of systemd reach the manager of ``uid``.
+
+    A system service with ``User=`` and a shell of su lack the variable, though a lingering user has a manager.
+    """
+    if uid == 0:
+        return [], {}
+    folder = environment.get("XDG_RUNTIME_DIR", f"/run/user/{uid}")
+    bus = environment.get("DBUS_SESSION_BUS_ADDRESS")
+    return ["--user"], {"XDG_RUNTIME_DIR": folder} | ({} if bus is None else {"DBUS_SESSION_BUS_ADDRESS": bus})
+
+
+def _enabled(folder: Path) -> list[str]:
+    text = (folder / "cgroup.subtree_control").read_text(encoding="ascii").split()
+    return [name for name in V2_CONTROLLERS if name in text]
+
+
+def _is_threaded(folder: Path) -> bool:
+    try:
+        return "threaded" in (folder / "cgroup.type").read_text(encoding="ascii")
+    except OSError:  # the root of all groups has no type
+        return False
+
+
+def settle(home: Home) -> Home:
+    """Make ``home`` ready for groups of runs: empty it into its leaf, and enable its controllers. Raises DoesNotHold.
+
+    Several supervisors may do so at once: every step may have been made before.
+    """
+    if home.settled:
+        return home
+    try:
+        _empty_and_enable(home)
+    except OSError as error:
+        raise DoesNotHold(f"{error.filename or home.folder}: {error.strerror}") from None
+    enabled = [name for name in _enabled(home.folder) if name in home.folders]
+    if "pids" not in enabled:
+        raise DoesNotHold(f"the kernel does not enable the controller pids below {home.folder}")
+    return replace(home, folders=dict.fromkeys(enabled, home.folder), settled=True)
+
+
+def _empty_and_enable(home: Home) -> None:
+    folder = home.folder
+    # One write for all. With memory among them the kernel refuses it (EBUSY) while the group holds a process. Without,
+    # pids and cpu would be taken even then, and would turn the group into a threaded one that no run can live in.
+    order = " ".join(f"+{controller}" for controller in home.folders)
+    if not (folder / "cgroup.type").exists():  # the root of all groups may hold processes beside groups
+        (folder / "cgroup.subtree_control").write_text(order, encoding="ascii")
+        return
+    leaf = folder / LEAF
+    leaf.mkdir(exist_ok=True)
+    for _ in range(_ROUNDS):
+        if _is_threaded(folder):
+            _undo_threads(folder)
+        if _move_processes(folder, leaf):
+            continue  # who was moved may have started another one just before
+        try:
+            (folder / "cgroup.subtree_control").write_text(order, encoding="ascii")
+        except OSError as error:
+            if error.errno != errno.EBUSY:
+                raise
+        else:
+            if not _is_threaded(folder):
+                return
+    raise DoesNotHold(f"{folder} never became empty: something starts processes in it all the time")
+
+
+def _move_processes(folder: Path, leaf: Path) -> int:
+    """Move all processes of ``folder`` itself into ``leaf``; the number of those that were there."""
+    pids = (folder / "cgroup.procs").read_text(encoding="ascii").split()
+    for pid in pids:
+        try:
+            (leaf / "cgroup.procs").write_text(pid, encoding="ascii")
+        except ProcessLookupError:
+            continue  # it has ended
+    return len(pids)
+
+
+def _undo_threads(folder: Path) -> None:
+    """Take back threaded controllers that were enabled while the group held processes."""
+    for controller in _enabled(folder):
+        with contextlib.suppress(OSError):  # a group of a run below still uses it
+            (folder / "cgroup.subtree_control").write_text(f"-{controller}", encoding="ascii")
+
+
+def smallest_limit_above(home: Home, file: str, root: Path = CGROUP_ROOT) -> tuple[str, int] | None:
+    """The smallest limit of the groups around the runs: the group's name and the limit; None if there is none.
+
+    Args:
+        home: Where the groups of runs are.
+        file: ``pids.max`` or ``memory.max``; version 1 is not asked.
+        root: Where the control groups are mounted.
+    """
+    limits = []
+    for folder in (home.folder, *home.folder.parents) if home.version == 2 else ():
+        if folder == root:
+            break
+        with contextlib.suppress(OSError, ValueError):  # no such controller there, or "max"
+            limits.append((folder.name, int((folder / file).read_text(encoding="ascii"))))
+    return min(limits, key=lambda limit: limit[1], default=None)
