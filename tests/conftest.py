@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 MARKS = (
     *("quick", "integration", "docker", "alone", "images", "packages", "classical", "mysql", "cluster", "browser"),
-    *("long", "pictures", "shared_data"),
+    *("long", "pictures", "shared_data", "machines"),
 )
 TESTS = Path(__file__).parent
 NAMED_MARK = re.compile(r"(?:\bmark\.|\")(\w+)")

@@ -36,7 +36,8 @@ UNIT_LIMIT_S = 15.0
 """The unit tier is for use before each commit. Its limit is on CPU time: a busy machine slows no test down."""
 QUICK_LIMIT_S = 40.0
 """The quick tier holds what needs a database or pages, but no other processes: for use before each merge."""
-PLAIN = "not integration and not docker and not mysql and not cluster and not browser and not pictures"
+WITHOUT_TOOLS = "not docker and not mysql and not cluster and not browser and not pictures and not machines"
+PLAIN = f"not integration and {WITHOUT_TOOLS}"
 CHEAP = "not images and not packages and not classical and not cluster"
 MAY_BE_ABSENT = ("shared/data", "shared/upstream")
 """A skipped test whose reason names one is fine everywhere: recordings and other projects' sources are not here."""
@@ -45,6 +46,8 @@ RUFF = (("check", "."), ("format", "--check", "."))
 ORB_SLAM3_LIBRARIES = ("libgl1", "libegl1", "libopengl0", "libsm6", "libice6", "libx11-6", "libxext6")
 BROWSER_PACKAGES = ("chromium-headless-shell", "chromium")
 SLURM_PACKAGES = ("slurm-wlm", "munge", "charliecloud")
+MACHINES = ROOT.parent / "shared" / "machines" / "vm"
+MACHINE_PACKAGES = ("qemu-system-x86", "qemu-utils", "debootstrap", "e2fsprogs", "openssh-client")
 ENGINE_PACKAGES = ("docker.io", "iptables")
 BESIDE_THE_ENGINE = ("debootstrap", "docker-registry")
 COMPOSE_PACKAGES = ("docker-compose-v2", "docker-compose-plugin", "docker-compose")
@@ -157,7 +160,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("quick", marks=f"quick and {PLAIN}", workers=2, limit_s=QUICK_LIMIT_S),
         Tier(
             "integration",
-            marks="integration and not docker and not mysql and not cluster and not browser and not pictures",
+            marks=f"integration and {WITHOUT_TOOLS}",
             workers=2,
             most_workers=5,  # on two cores: the tests often wait
             prepare=prepare_libraries,
@@ -177,6 +180,7 @@ def all_tiers(engine: machine.Engine) -> list[Tier]:
         Tier("packages", marks="packages", engine=True, prepare=with_engine, asked_only=True),
         Tier("classical", marks="classical", engine=True, prepare=with_engine, asked_only=True),
         Tier("long", marks="cluster and long", engine=True, prepare=with_clusters, asked_only=True),
+        Tier("machines", marks="machines and not docker and not mysql", prepare=prepare_machines, asked_only=True),
     ]
 
 
@@ -383,6 +387,13 @@ def prepare_pictures() -> str:
 def prepare_clusters() -> str:
     """Slurm, and a container runtime that needs no root."""
     return prepare_packages(SLURM_PACKAGES)
+
+
+def prepare_machines() -> str:
+    """Programs that make virtual machines, and the one of ../shared that drives them."""
+    if not MACHINES.is_file():
+        raise CannotRun(f"the program that makes virtual machines is not here: {MACHINES}")
+    return prepare_packages(MACHINE_PACKAGES)
 
 
 def prepare_packages(names: Sequence[str]) -> str:

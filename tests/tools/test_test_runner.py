@@ -202,12 +202,12 @@ def test_a_browser_that_is_there_is_used(runner, monkeypatch, there: str, instal
 
 def test_every_test_belongs_to_exactly_one_tier(runner):
     tiers = [tier for tier in runner.all_tiers(runner.machine.Engine()) if tier.marks]
-    asked = ("images", "packages", "classical", "cluster", "browser", "pictures")
+    asked = ("images", "packages", "classical", "cluster", "browser", "pictures", "machines")
     names = ("docker", "mysql", "integration", "quick", "alone", "long", *asked)
     for values in itertools.product((False, True), repeat=len(names)):
         marks = dict(zip(names, values, strict=True))
         tools = sum(marks[name] for name in asked)
-        engine = max(marks["alone"], tools - marks["browser"] - marks["pictures"])
+        engine = max(marks["alone"], tools - marks["browser"] - marks["pictures"] - marks["machines"])
         if marks["docker"] >= engine and tools <= 1 and marks["long"] <= marks["cluster"]:
             assert sum(eval(tier.marks, {}, marks) for tier in tiers) == 1
 
@@ -224,7 +224,7 @@ def test_what_takes_longest_runs_only_if_it_is_named(runner, monkeypatch):
     tiers = runner.all_tiers(runner.machine.Engine())
     assert ran == [tier.name for tier in tiers if not tier.asked_only]
     assert {"browser", "images", "systems"} <= set(ran)
-    assert not {"packages", "classical"} & set(ran)
+    assert not {"packages", "classical", "machines"} & set(ran)
     ran.clear()
     runner.main(["packages", "unit"])
     assert ran == ["unit", "packages"]
