@@ -24,7 +24,7 @@ from slamhive.executors.registry import ExecutorFactory, open_executor
 from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.runs.folder import RunFolder
-from tests.executors.kubernetes_cluster import KubernetesCluster
+from tests.executors.kubernetes_cluster import KubernetesCluster, why_no_kubernetes
 from tests.executors.node_stores import serving
 from tests.executors.plugins import PLUGINS, Agent, distributions_in, install_plugins
 from tests.executors.slurm_cluster import Cluster, cannot_start_because
@@ -295,8 +295,14 @@ kinds of nodes with containers of Apptainer. Kubernetes has two: nodes that shar
 
 
 @pytest.fixture(scope="session")
-def kubernetes_cluster(tmp_path_factory: pytest.TempPathFactory, base_image: str) -> Iterator[KubernetesCluster]:
+def kubernetes_cluster(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[KubernetesCluster]:
     """A real control plane with two nodes, which have the image of these tests."""
+    reason = why_no_kubernetes()
+    if reason is not None:
+        pytest.skip(reason)  # before the image is made
+    base_image = request.getfixturevalue("base_image")
     with KubernetesCluster(tmp_path_factory.mktemp("kubernetes")) as cluster:
         cluster.load(base_image)
         yield cluster
