@@ -16,6 +16,8 @@ import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import EngineUnavailable, Executor, ExecutorContext, NodeAccess, PackageNeed
+from slamhive.executors.kubernetes import pod_watch, run_jobs
+from slamhive.executors.kubernetes.executor import KubernetesExecutor
 from slamhive.executors.node_store.server import NodeServer
 from slamhive.executors.process.containment import KINDS, choose_containment
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold
@@ -24,8 +26,10 @@ from slamhive.executors.registry import ExecutorFactory, open_executor
 from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.runs.folder import RunFolder
+from tests.executors.api_server import ApiServer
 from tests.executors.kubernetes_cluster import KubernetesCluster, why_no_kubernetes
 from tests.executors.node_stores import serving
+from tests.executors.played_nodes import MakeKubernetes, Nodes
 from tests.executors.plugins import PLUGINS, Agent, distributions_in, install_plugins
 from tests.executors.slurm_cluster import Cluster, cannot_start_because
 from tests.sharing import made_once, share_environments
@@ -306,6 +310,39 @@ def kubernetes_cluster(
     with KubernetesCluster(tmp_path_factory.mktemp("kubernetes")) as cluster:
         cluster.load(base_image)
         yield cluster
+
+
+@pytest.fixture
+def nodes() -> Nodes:
+    """Nodes on which pods begin at once, unless a test wants something else."""
+    return Nodes()
+
+
+@pytest.fixture
+def server(nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ApiServer]:
+    """An API server with these nodes, which the kubeconfig of this process names."""
+    with ApiServer(nodes) as made:
+        nodes.server = made
+        monkeypatch.setenv("KUBECONFIG", str(made.kubeconfig(tmp_path / "kubeconfig")))
+        yield made
+
+
+@pytest.fixture
+def make_kubernetes(server: ApiServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeKubernetes]:
+    """Makes executors that ask this API server, as workers that follow each other have them."""
+    monkeypatch.setattr(run_jobs, "START_WAIT_S", 0.15)
+    monkeypatch.setattr(run_jobs, "_LOOK_EVERY_S", 0.02)
+    monkeypatch.setattr(pod_watch, "_SHORTEST_PAUSE_S", 0.02)
+    made: list[KubernetesExecutor] = []
+
+    def make(options: str = "", installation: str = "home", nodes: NodeAccess | None = None) -> KubernetesExecutor:
+        context = ExecutorContext(tmp_path, PROJECT_ROOT, installation, nodes=nodes, options={"options": options})
+        made.append(KubernetesExecutor(context))
+        return made[-1]
+
+    yield make
+    for executor in made:
+        executor.close()
 
 
 @pytest.fixture
