@@ -291,7 +291,10 @@ class ApiServer:
         return made
 
     def _delete(self, resource: str, name: str, options: Document) -> Document:
-        self.remove_with_owner(resource, name, by_force=str(options.get("gracePeriodSeconds")) == "0")
+        if resource == "jobs" and options.get("propagationPolicy") not in ("Background", "Foreground"):
+            self.remove(resource, name)  # an API server leaves the pods then
+        else:
+            self.remove_with_owner(resource, name, by_force=str(options.get("gracePeriodSeconds")) == "0")
         return {"kind": "Status", "status": "Success"}
 
     def remove_with_owner(self, resource: str, name: str, *, by_force: bool = False) -> None:

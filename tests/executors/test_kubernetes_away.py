@@ -30,6 +30,18 @@ def spec(tmp_path: Path) -> RunSpec:
     return spec_of(tmp_path, "k1")
 
 
+class Pauses(threading.Event):
+    """Notes how long somebody would wait for it, and lets him wait a moment only."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked_s: list[float | None] = []
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.asked_s.append(timeout)
+        return super().wait(0.001)
+
+
 def test_an_end_that_the_pod_has_recorded_arrives_without_the_api_server(kubernetes, server, nodes, spec):
     handle = kubernetes.start(spec)
     nodes.end(server.one("pods"), exit_code=5)
@@ -74,8 +86,10 @@ def test_a_pod_that_went_while_the_api_server_was_away_is_found_by_the_next_list
 
 @pytest.mark.parametrize("by_event", [False, True])
 def test_a_watch_whose_version_has_expired_begins_with_a_list(kubernetes, server, spec, monkeypatch, by_event):
-    """Code 410, or an event that says so. What happened in between is in the list."""
+    """At once, after code 410 or an event that says so. What happened in between is in the list."""
     server.expires_by_event = by_event
+    pauses = Pauses()
+    monkeypatch.setattr(kubernetes._watch, "_stopping", pauses)
     monkeypatch.setattr(pod_watch, "WATCH_S", 0.2)
     handle = kubernetes.start(spec)
     assert isinstance(kubernetes.poll(handle), Running)
@@ -84,6 +98,7 @@ def test_a_watch_whose_version_has_expired_begins_with_a_list(kubernetes, server
     server.compact()
     assert lost(kubernetes, handle) == "the pod was deleted from outside"
     assert len(server.asked("list pods")) > lists
+    assert pauses.asked_s == []
 
 
 @pytest.mark.parametrize(
@@ -105,18 +120,6 @@ def test_a_watch_that_breaks_is_followed_by_a_list_and_loses_nothing(kubernetes,
     assert len(server.asked("list pods")) >= lists + 2
     assert isinstance(kubernetes.poll(handle), Running)
     assert nodes.began == ["node1"]
-
-
-class Pauses(threading.Event):
-    """Notes how long somebody would wait for it, and lets him wait a moment only."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.asked_s: list[float | None] = []
-
-    def wait(self, timeout: float | None = None) -> bool:
-        self.asked_s.append(timeout)
-        return super().wait(0.001)
 
 
 def test_an_api_server_in_trouble_is_asked_less_and_less_often_until_it_answers(kubernetes, server, spec, monkeypatch):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,10 @@ def kubernetes(make_kubernetes: MakeKubernetes) -> KubernetesExecutor:
 @pytest.fixture
 def spec(tmp_path: Path) -> RunSpec:
     return spec_of(tmp_path, "k1")
+
+
+def second(number: int) -> datetime:
+    return datetime.fromtimestamp(number, UTC)
 
 
 def test_a_run_from_its_job_to_its_end(kubernetes, server, nodes, spec, tmp_path):
@@ -143,11 +148,12 @@ def test_jobs_of_runs_that_are_over_are_swept_but_not_those_of_others(
     assert len(server.all("pods")) == 2
 
 
-def test_a_job_that_somebody_has_copied_is_swept_by_its_name(kubernetes, server, nodes, spec):
+def test_a_job_that_names_no_run_is_swept_with_its_pod(kubernetes, server, nodes, spec):
+    """As one that somebody has copied."""
     kubernetes.start(spec)
     nodes.idle = True
     copy = server.one("jobs")
-    copy["metadata"]["name"] = "copied"
+    copy["metadata"] |= {"name": "copied", "annotations": {}}
     server.handle("create", "jobs", "", copy, {})
     swept = kubernetes.sweep(set)
     assert sorted(swept) == sorted(["copied", manifest.job_name("home", "k1")])
@@ -252,5 +258,4 @@ def test_what_was_recorded_while_kubernetes_was_asked_counts(kubernetes, server,
 
     server.remove_with_owner("pods", pod["metadata"]["name"])
     monkeypatch.setattr(kubernetes._jobs, "pod", slowly)
-    eventually(lambda: not isinstance(kubernetes.poll(handle), Running), "the end")
-    assert kubernetes.poll(handle).exit_code == 4
+    assert kubernetes.poll(handle) == Exited(4, started_at=second(10), ended_at=second(11))
