@@ -154,6 +154,7 @@ def test_a_job_that_names_no_run_is_swept_with_its_pod(kubernetes, server, nodes
     nodes.idle = True
     copy = server.one("jobs")
     copy["metadata"] |= {"name": "copied", "annotations": {}}
+    copy["spec"]["template"]["metadata"]["labels"][manifest.KEY_LABEL] = "k9"
     server.handle("create", "jobs", "", copy, {})
     swept = kubernetes.sweep(set)
     assert sorted(swept) == sorted(["copied", manifest.job_name("home", "k1")])
