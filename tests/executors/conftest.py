@@ -275,6 +275,7 @@ _DOCKER = pytest.param("docker", marks=pytest.mark.docker)
 _LONG = (pytest.mark.cluster, pytest.mark.long)
 _KUBERNETES = pytest.param("kubernetes", marks=pytest.mark.cluster)
 _KUBERNETES_APART = pytest.param("kubernetes-apart", marks=_LONG)
+_PODS_OF_DOCKER = [pytest.param(f"kubernetes-{name}", marks=pytest.mark.cluster) for name in ("docker", "docker-apart")]
 EVERYWHERE = [*(f"process-{kind}" for kind in HOLDING), _DOCKER]
 """The parameters of ``bench`` for all of them, and for containers."""
 REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
@@ -288,13 +289,14 @@ APPTAINER = [pytest.param(f"slurm-{name}", marks=_LONG) for name in ("apptainer"
 """Slurm with Apptainer, which Debian 12 does not have: skipped where it is not installed."""
 ALL = [
     *("process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, *APPTAINER, _SLURM_APART),
-    *(_KUBERNETES, _KUBERNETES_APART),
+    *(_KUBERNETES, _KUBERNETES_APART, *_PODS_OF_DOCKER),
     *("remote", "plain"),
 ]
 """The parameters of ``bench`` for every executor: those that ship, one on another machine, one of the documentation.
 
 Slurm has five: with containers of Charliecloud, without containers, on nodes that see no file of the tests, and both
-kinds of nodes with containers of Apptainer. Kubernetes has two: nodes that share files, and nodes that see none.
+kinds of nodes with containers of Apptainer. Kubernetes has four: nodes that share files, and nodes that see none, each
+with its own programs, and with an API server of these tests whose pods are containers of Docker.
 """
 
 
@@ -325,6 +327,21 @@ def server(nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
         nodes.server = made
         monkeypatch.setenv("KUBECONFIG", str(made.kubeconfig(tmp_path / "kubeconfig")))
         yield made
+
+
+@pytest.fixture
+def docker_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Executor]]:
+    """An API server whose pods are containers of Docker; it closes the executors that are put into the list."""
+    from tests.executors.docker_nodes import DockerNodes  # noqa: PLC0415 - the SDK takes long to load
+
+    nodes, opened = DockerNodes(tmp_path), list[Executor]()
+    with ApiServer(nodes) as made:
+        nodes.server = made
+        monkeypatch.setenv("KUBECONFIG", str(made.kubeconfig(tmp_path / "kubeconfig")))
+        yield opened
+        nodes.close()
+        for executor in opened:
+            executor.close()
 
 
 @pytest.fixture
@@ -374,10 +391,8 @@ def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
         access = NodeAccess(server.url, str(cluster.cache), 2 * 10**9)
         apart = replace(context, nodes=access, options={"containers": runtime})
         return Maker(name, apart, lambda: open_executor(name, apart))
-    if request.param == "kubernetes-apart":
-        access = request.getfixturevalue("node_access")
-        apart = replace(context, nodes=access)
-        return Maker(request.param, apart, lambda: open_executor(name, apart))
+    if name == "kubernetes":
+        return kubernetes_maker(request, context, tmp_path)
     if name == "slurm":
         request.getfixturevalue("slurm_cluster")
         slurm = replace(context, options={"containers": containment or "auto"})
@@ -389,9 +404,27 @@ def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
         if name == "remote":
             request.getfixturevalue("agent")
         return Maker(name, context, lambda: plugin(context))
-    if name == "kubernetes":
-        request.getfixturevalue("kubernetes_cluster").use(request.getfixturevalue("monkeypatch"))
     return Maker(name, context, lambda: open_executor(name, context))
+
+
+def kubernetes_maker(request: pytest.FixtureRequest, context: ExecutorContext, tmp_path: Path) -> Maker:
+    """Makes the executor of Kubernetes for one of its four kinds of nodes."""
+    opened: list[Executor] = []
+    if request.param.startswith("kubernetes-docker"):
+        opened = request.getfixturevalue("docker_nodes")
+        if request.param.endswith("apart"):
+            access = NodeAccess(request.getfixturevalue("node_server").url, str(tmp_path / "node-cache"), 10**9)
+            context = replace(context, nodes=access)
+    elif request.param == "kubernetes-apart":
+        context = replace(context, nodes=request.getfixturevalue("node_access"))
+    else:
+        request.getfixturevalue("kubernetes_cluster").use(request.getfixturevalue("monkeypatch"))
+
+    def make() -> Executor:
+        opened.append(open_executor("kubernetes", context))
+        return opened[-1]
+
+    return Maker(request.param, context, make)
 
 
 @pytest.fixture
