@@ -45,7 +45,7 @@ class Kubelet(Protocol):
     def bound(self, pod: Document) -> None:
         """A pod has got its node."""
 
-    def deleted(self, pod: Document) -> None:
+    def deleted(self, pod: Document, *, by_force: bool) -> None:
         """A pod is to end. The server forgets it afterwards."""
 
 
@@ -313,7 +313,7 @@ class ApiServer:
             return
         pod, node = found, self._objects.get(("nodes", found["spec"].get("nodeName", "")))
         if node is not None and _is_ready(node):
-            self.kubelet.deleted(pod)
+            self.kubelet.deleted(pod, by_force=by_force)
         elif node is not None and not by_force:
             return
         if not pod["metadata"].get("finalizers"):

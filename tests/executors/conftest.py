@@ -38,6 +38,8 @@ from tests.waiting import PATIENCE_S, eventually
 if TYPE_CHECKING:
     import docker
 
+    from tests.executors.docker_nodes import DockerNodes
+
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -330,18 +332,16 @@ def server(nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
 
 
 @pytest.fixture
-def docker_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Executor]]:
-    """An API server whose pods are containers of Docker; it closes the executors that are put into the list."""
+def docker_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[DockerNodes]:
+    """Nodes whose pods are containers of Docker, and their API server, which the kubeconfig of this process names."""
     from tests.executors.docker_nodes import DockerNodes  # noqa: PLC0415 - the SDK takes long to load
 
-    nodes, opened = DockerNodes(tmp_path), list[Executor]()
+    nodes = DockerNodes(tmp_path)
     with ApiServer(nodes) as made:
         nodes.server = made
         monkeypatch.setenv("KUBECONFIG", str(made.kubeconfig(tmp_path / "kubeconfig")))
-        yield opened
+        yield nodes
         nodes.close()
-        for executor in opened:
-            executor.close()
 
 
 @pytest.fixture
@@ -411,7 +411,7 @@ def kubernetes_maker(request: pytest.FixtureRequest, context: ExecutorContext, t
     """Makes the executor of Kubernetes for one of its four kinds of nodes."""
     opened: list[Executor] = []
     if request.param.startswith("kubernetes-docker"):
-        opened = request.getfixturevalue("docker_nodes")
+        opened = request.getfixturevalue("docker_nodes").executors
         if request.param.endswith("apart"):
             access = NodeAccess(request.getfixturevalue("node_server").url, str(tmp_path / "node-cache"), 10**9)
             context = replace(context, nodes=access)

@@ -14,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from slamhive.executors.base import Executor
 from tests.executors.api_server import ApiServer, Document
 from tests.services.docker_base import run_docker
 from tests.waiting import eventually
@@ -31,6 +32,8 @@ class DockerNodes:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._threads: list[threading.Thread] = []
+        self.executors: list[Executor] = []
+        """Those that use it, which are closed with it."""
         self.server: ApiServer
 
     def bound(self, pod: Document) -> None:
@@ -38,18 +41,22 @@ class DockerNodes:
         self._threads.append(threading.Thread(target=Pod(self.server, pod, self._folder).run))
         self._threads[-1].start()
 
-    def deleted(self, pod: Document) -> None:
-        """End it at once."""
+    def deleted(self, pod: Document, *, by_force: bool) -> None:
+        """Ask its containers to end, as long as it grants them, unless they are to end at once."""
         names = run_docker("ps", "--all", "--quiet", "--filter", f"label=pod={pod['metadata']['uid']}").stdout.split()
+        if names and not by_force:
+            run_docker("stop", "--time", str(pod["spec"]["terminationGracePeriodSeconds"]), *names)
         if names:
             run_docker("rm", "--force", *names)
 
     def close(self) -> None:
-        """End all pods."""
+        """End all pods, and close the executors."""
         for pod in self.server.all("pods"):
-            self.deleted(pod)
+            self.deleted(pod, by_force=True)
         for thread in self._threads:
             thread.join()
+        for executor in self.executors:
+            executor.close()
 
 
 class Pod:

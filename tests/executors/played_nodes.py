@@ -75,7 +75,7 @@ class Nodes:
         self.record(pod, **how)
         self.server.status(pod["metadata"]["name"], phase="Failed" if how.get("exit_code") else "Succeeded")
 
-    def deleted(self, pod: Document) -> None:
+    def deleted(self, pod: Document, *, by_force: bool) -> None:
         """Nothing: pods of tests that are deleted record nothing."""
 
 
