@@ -176,18 +176,10 @@ def base_image() -> str:
 def systems(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
     """A data root for real systems in containers: making its datasets takes long, so all tests share it."""
     from slamhive.services.hive import open_hive  # noqa: PLC0415
-    from tests.real_datasets import SHARED  # noqa: PLC0415
     from tests.services.docker_base import project_base  # noqa: PLC0415
 
     project_base()
-    settings: dict[str, object] = {
-        "data": tmp_path_factory.mktemp("systems"),
-        "executor": "docker",
-        "min_free_disk_mb": 1,
-    }
-    if (SHARED / "upstream").is_dir():
-        settings["source_archives"] = str(SHARED / "upstream")
-    opened = open_hive(settings)
+    opened = open_hive({"data": tmp_path_factory.mktemp("systems"), "executor": "docker", "min_free_disk_mb": 1})
     yield opened
     opened.close()
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from tests.real_datasets import SHARED
+from slamhive.executors.registry import declared_settings
+from slamhive.project import project_root
+from slamhive.settings_sources import load_settings
 
-FROM_SOURCES = [
-    pytest.mark.images,
-    pytest.mark.skipif(not (SHARED / "upstream").is_dir(), reason="the sources in ../shared/upstream are not here"),
-]
+NEEDS_SOURCES = pytest.mark.skipif(
+    not load_settings(project_root(), further=declared_settings).source_archives,
+    reason="SOURCE_ARCHIVES is empty: it names the folder with archives of the sources of other projects",
+)
+"""Skips a test where the setting is empty. One that names a folder without the source lets the test fail."""

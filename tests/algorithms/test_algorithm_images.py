@@ -8,13 +8,13 @@ from __future__ import annotations
 import pytest
 
 from slamhive.services.hive import Hive
-from tests.algorithms.from_sources import FROM_SOURCES
+from tests.algorithms.from_sources import NEEDS_SOURCES
 from tests.sharing import one_at_a_time
 
 pytestmark = [pytest.mark.integration, pytest.mark.docker, pytest.mark.images]
 
 PACKAGES = [
-    *(pytest.param(name, marks=FROM_SOURCES) for name in ("aloam", "orb-slam2")),
+    *(pytest.param(name, marks=NEEDS_SOURCES) for name in ("aloam", "orb-slam2")),
     *("kiss-icp", "rko-lio", "orb-slam3"),
 ]
 

@@ -20,7 +20,7 @@ from slamhive.services.hive import Hive
 from slamhive.trajectory.offset import position_misfit
 from slamhive.trajectory.transforms import move_sensor, rigid_transform
 from slamhive.trajectory.tum import read_tum
-from tests.algorithms.from_sources import FROM_SOURCES
+from tests.algorithms.from_sources import NEEDS_SOURCES
 from tests.real_datasets import dataset
 from tests.sharing import one_at_a_time
 
@@ -54,11 +54,12 @@ def all_tests() -> list[Any]:
     found = []
     for folder in sorted((project_root() / "algorithms").glob("*/algorithm.yaml")):
         algorithms = load_algorithms(folder.parent)
-        tier = "classical" if algorithms[0].package.base is Base.ROS1 else "packages"
+        compiled = algorithms[0].package.base is Base.ROS1
+        tier = "classical" if compiled else "packages"
         for entry in bound_tests(algorithms):
             name = f"{entry.algorithm.name}-{entry.bound.dataset}"
-            marks = FROM_SOURCES if name in WITH_IMAGES else [getattr(pytest.mark, tier)]
-            found.append(pytest.param(entry, id=name, marks=marks))
+            marks = [getattr(pytest.mark, "images" if name in WITH_IMAGES else tier)]
+            found.append(pytest.param(entry, id=name, marks=[*marks, NEEDS_SOURCES] if compiled else marks))
     return found
 
 
@@ -100,6 +101,7 @@ def check_map(entry: BoundTest, metrics: Mapping[str, float]) -> None:
         assert metrics["map.completeness.mean"] <= FARTHEST_MEAN_M
 
 
+@NEEDS_SOURCES
 @pytest.mark.classical
 @pytest.mark.timeout(7200)
 def test_messages_that_full_queues_drop_are_counted(systems: Hive) -> None:

@@ -16,6 +16,8 @@ import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import EngineUnavailable, Executor, ExecutorContext, NodeAccess, PackageNeed
+from slamhive.executors.kubernetes import pod_watch, run_jobs
+from slamhive.executors.kubernetes.executor import KubernetesExecutor
 from slamhive.executors.node_store.server import NodeServer
 from slamhive.executors.process.containment import KINDS, choose_containment
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold
@@ -24,8 +26,10 @@ from slamhive.executors.registry import ExecutorFactory, open_executor
 from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
 from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.runs.folder import RunFolder
-from tests.executors.kubernetes_cluster import KubernetesCluster
+from tests.executors.api_server import ApiServer
+from tests.executors.kubernetes_cluster import KubernetesCluster, why_no_kubernetes
 from tests.executors.node_stores import serving
+from tests.executors.played_nodes import MakeKubernetes, Nodes
 from tests.executors.plugins import PLUGINS, Agent, distributions_in, install_plugins
 from tests.executors.slurm_cluster import Cluster, cannot_start_because
 from tests.sharing import made_once, share_environments
@@ -33,6 +37,8 @@ from tests.waiting import PATIENCE_S, eventually
 
 if TYPE_CHECKING:
     import docker
+
+    from tests.executors.docker_nodes import DockerNodes
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 
@@ -271,6 +277,7 @@ _DOCKER = pytest.param("docker", marks=pytest.mark.docker)
 _LONG = (pytest.mark.cluster, pytest.mark.long)
 _KUBERNETES = pytest.param("kubernetes", marks=pytest.mark.cluster)
 _KUBERNETES_APART = pytest.param("kubernetes-apart", marks=_LONG)
+_PODS_OF_DOCKER = [pytest.param(f"kubernetes-{name}", marks=pytest.mark.cluster) for name in ("docker", "docker-apart")]
 EVERYWHERE = [*(f"process-{kind}" for kind in HOLDING), _DOCKER]
 """The parameters of ``bench`` for all of them, and for containers."""
 REFUSING = [*(f"process-{kind}" for kind in HOLDING if kind != "tree"), _DOCKER]
@@ -284,22 +291,75 @@ APPTAINER = [pytest.param(f"slurm-{name}", marks=_LONG) for name in ("apptainer"
 """Slurm with Apptainer, which Debian 12 does not have: skipped where it is not installed."""
 ALL = [
     *("process", _DOCKER, _SLURM, _SLURM_ENVIRONMENT, *APPTAINER, _SLURM_APART),
-    *(_KUBERNETES, _KUBERNETES_APART),
+    *(_KUBERNETES, _KUBERNETES_APART, *_PODS_OF_DOCKER),
     *("remote", "plain"),
 ]
 """The parameters of ``bench`` for every executor: those that ship, one on another machine, one of the documentation.
 
 Slurm has five: with containers of Charliecloud, without containers, on nodes that see no file of the tests, and both
-kinds of nodes with containers of Apptainer. Kubernetes has two: nodes that share files, and nodes that see none.
+kinds of nodes with containers of Apptainer. Kubernetes has four: nodes that share files, and nodes that see none, each
+with its own programs, and with an API server of these tests whose pods are containers of Docker.
 """
 
 
 @pytest.fixture(scope="session")
-def kubernetes_cluster(tmp_path_factory: pytest.TempPathFactory, base_image: str) -> Iterator[KubernetesCluster]:
+def kubernetes_cluster(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[KubernetesCluster]:
     """A real control plane with two nodes, which have the image of these tests."""
+    reason = why_no_kubernetes()
+    if reason is not None:
+        pytest.skip(reason)  # before the image is made
+    base_image = request.getfixturevalue("base_image")
     with KubernetesCluster(tmp_path_factory.mktemp("kubernetes")) as cluster:
         cluster.load(base_image)
         yield cluster
+
+
+@pytest.fixture
+def nodes() -> Nodes:
+    """Nodes on which pods begin at once, unless a test wants something else."""
+    return Nodes()
+
+
+@pytest.fixture
+def server(nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ApiServer]:
+    """An API server with these nodes, which the kubeconfig of this process names."""
+    with ApiServer(nodes) as made:
+        nodes.server = made
+        monkeypatch.setenv("KUBECONFIG", str(made.kubeconfig(tmp_path / "kubeconfig")))
+        yield made
+
+
+@pytest.fixture
+def docker_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[DockerNodes]:
+    """Nodes whose pods are containers of Docker, and their API server, which the kubeconfig of this process names."""
+    from tests.executors.docker_nodes import DockerNodes  # noqa: PLC0415 - the SDK takes long to load
+
+    nodes = DockerNodes(tmp_path)
+    with ApiServer(nodes) as made:
+        nodes.server = made
+        monkeypatch.setenv("KUBECONFIG", str(made.kubeconfig(tmp_path / "kubeconfig")))
+        yield nodes
+        nodes.close()
+
+
+@pytest.fixture
+def make_kubernetes(server: ApiServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeKubernetes]:
+    """Makes executors that ask this API server, as workers that follow each other have them."""
+    monkeypatch.setattr(run_jobs, "START_WAIT_S", 0.15)
+    monkeypatch.setattr(run_jobs, "_LOOK_EVERY_S", 0.02)
+    monkeypatch.setattr(pod_watch, "_SHORTEST_PAUSE_S", 0.02)
+    made: list[KubernetesExecutor] = []
+
+    def make(options: str = "", installation: str = "home", nodes: NodeAccess | None = None) -> KubernetesExecutor:
+        context = ExecutorContext(tmp_path, PROJECT_ROOT, installation, nodes=nodes, options={"options": options})
+        made.append(KubernetesExecutor(context))
+        return made[-1]
+
+    yield make
+    for executor in made:
+        executor.close()
 
 
 @pytest.fixture
@@ -331,10 +391,8 @@ def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
         access = NodeAccess(server.url, str(cluster.cache), 2 * 10**9)
         apart = replace(context, nodes=access, options={"containers": runtime})
         return Maker(name, apart, lambda: open_executor(name, apart))
-    if request.param == "kubernetes-apart":
-        access = request.getfixturevalue("node_access")
-        apart = replace(context, nodes=access)
-        return Maker(request.param, apart, lambda: open_executor(name, apart))
+    if name == "kubernetes":
+        return kubernetes_maker(request, context, tmp_path)
     if name == "slurm":
         request.getfixturevalue("slurm_cluster")
         slurm = replace(context, options={"containers": containment or "auto"})
@@ -346,9 +404,27 @@ def maker(request, tmp_path: Path, environment_data: Path) -> Maker:
         if name == "remote":
             request.getfixturevalue("agent")
         return Maker(name, context, lambda: plugin(context))
-    if name == "kubernetes":
-        request.getfixturevalue("kubernetes_cluster").use(request.getfixturevalue("monkeypatch"))
     return Maker(name, context, lambda: open_executor(name, context))
+
+
+def kubernetes_maker(request: pytest.FixtureRequest, context: ExecutorContext, tmp_path: Path) -> Maker:
+    """Makes the executor of Kubernetes for one of its four kinds of nodes."""
+    opened: list[Executor] = []
+    if request.param.startswith("kubernetes-docker"):
+        opened = request.getfixturevalue("docker_nodes").executors
+        if request.param.endswith("apart"):
+            access = NodeAccess(request.getfixturevalue("node_server").url, str(tmp_path / "node-cache"), 10**9)
+            context = replace(context, nodes=access)
+    elif request.param == "kubernetes-apart":
+        context = replace(context, nodes=request.getfixturevalue("node_access"))
+    else:
+        request.getfixturevalue("kubernetes_cluster").use(request.getfixturevalue("monkeypatch"))
+
+    def make() -> Executor:
+        opened.append(open_executor("kubernetes", context))
+        return opened[-1]
+
+    return Maker(request.param, context, make)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""A real, small Kubernetes on this machine, from ``../shared/kubernetes`` beside the project."""
+"""A real, small Kubernetes on this machine: ``../shared/kubernetes/kube`` starts the programs in ``KUBE_TOOLS``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,19 @@ from tests.executors.kube_supervised import KUBE
 from tests.waiting import eventually
 
 NODES = ("node1", "node2")
+TOOLS = "KUBE_TOOLS"
+"""The variable with the programs of Kubernetes: a folder, or a .tar.xz of it."""
+NO_PROGRAMS = f"{TOOLS} is empty: it names the programs of Kubernetes, see CONTRIBUTING.md"
 _OF_A_TEST = ("SLAMHIVE_", "TMPDIR")
+
+
+def why_no_kubernetes() -> str | None:
+    """Why no test can have a Kubernetes; None if one can, or if what ``KUBE_TOOLS`` names lets all of them fail."""
+    if not os.environ.get(TOOLS):
+        return NO_PROGRAMS
+    if not KUBE.exists():
+        return "../shared/kubernetes/kube, which starts a Kubernetes for tests, is not here"
+    return "a Kubernetes for tests needs root" if os.geteuid() != 0 else None
 
 
 class KubernetesCluster:
@@ -119,10 +131,6 @@ class KubernetesCluster:
         eventually(self._answers, "the API server")
 
     def __enter__(self) -> Self:
-        if not KUBE.exists():
-            pytest.skip("../shared/kubernetes, the control plane for tests, is not here")
-        if os.geteuid() != 0:
-            pytest.skip("a Kubernetes for tests needs root")
         self._kube("up", str(self._folder), "--nodes", str(len(NODES)), "--reach", str(self.port))
         return self
 
@@ -151,7 +159,7 @@ class KubernetesCluster:
     def _kube(self, *arguments: str, stdin: str | None = None) -> str:
         # A node that is started during a test must not look like a process of that test's installation.
         environment = {name: value for name, value in os.environ.items() if not name.startswith(_OF_A_TEST)}
-        environment.setdefault("KUBE_TOOLS", str(min(KUBE.parent.glob("kubernetes-*"))))
+        environment[TOOLS] = str(Path(environment[TOOLS]).resolve())
         command = [sys.executable, kube_supervised.__file__, *arguments]
         done = subprocess.run(command, input=stdin, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"kube {' '.join(arguments)}: {done.stderr or done.stdout}"

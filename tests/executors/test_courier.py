@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
-import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -45,6 +43,7 @@ from slamhive.executors.process.exit_file import reserve, write_exit
 from slamhive.executors.spec import RunInput, RunOutput, RunSpec, VariantOrder
 from slamhive.executors.status import Exited
 from slamhive.schema.model import dump
+from tests.executors.couriers import start_courier
 from tests.executors.node_stores import serving
 from tests.executors.test_kubernetes_manifest import SPEC, container_of, pod_of
 from tests.waiting import eventually
@@ -272,7 +271,6 @@ def handed_out(tmp_path: Path) -> Iterator[tuple[NodeRunFiles, Path, subprocess.
     work = data / "runs" / "7" / "work"
     work.mkdir(parents=True)
     (data / "a.bag").write_bytes(b"recording")
-    (tmp_path / "programs").mkdir()
     with serving(data) as server:
         store = NodeStore(data, NodeAccess(server.url, str(tmp_path / "cache"), 10**9))
         inputs = (RunInput("recording", data / "a.bag", "/slamhive/dataset/a.bag"),)
@@ -281,20 +279,7 @@ def handed_out(tmp_path: Path) -> Iterator[tuple[NodeRunFiles, Path, subprocess.
         files = NodeRunFiles(work, spec.key, store)
         files.prepare(spec, 1000)
         given = hand_out(store, spec, files, 1000)
-        for name, content in given.secret.items():
-            (tmp_path / "programs" / name).write_bytes(base64.b64decode(content))
-        script = (
-            "import sys; from pathlib import Path; sys.path.insert(0, sys.argv[1])\n"
-            "from slamhive.executors.kubernetes import courier\n"
-            "programs, folders = Path(sys.argv[2]), courier.PodFolders(Path(sys.argv[3]))\n"
-            "ticket = courier.Ticket.loads((programs / 'ticket.json').read_text())\n"
-            "courier.fetch(ticket, programs, folders)\n"
-            "courier.Report(ticket, folders).run()\n"
-        )
-        archive = tmp_path / "programs" / "courier.pyz"
-        command = [sys.executable, "-I", "-c", script, str(archive), str(tmp_path / "programs"), str(pod)]
-        environment = {**os.environ, "SLAMHIVE_NODE": "node1", "SLAMHIVE_POD": "uid1"}
-        process = subprocess.Popen(command, env=environment)
+        process = start_courier(given.secret, tmp_path / "programs", pod)
         yield files, pod, process, spec
         process.kill()
         process.wait()

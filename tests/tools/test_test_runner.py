@@ -10,6 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.algorithms.from_sources import NEEDS_SOURCES
+from tests.executors.kubernetes_cluster import NO_PROGRAMS, why_no_kubernetes
+
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
 
@@ -66,11 +69,24 @@ def test_tier_that_cannot_run_is_named_and_only_ci_fails(runner, capsys):
 
 
 @pytest.mark.parametrize(
-    ("reason", "code"), [("../shared/data is absent", 0), ("../shared/upstream is absent", 0), ("no engine", 1)]
+    ("reason", "code"),
+    [
+        ("../shared/data is absent", 0),
+        (NEEDS_SOURCES.kwargs["reason"], 0),
+        (NO_PROGRAMS, 0),
+        ("KUBE_TOOLS=/none holds no programs", 1),
+        ("no engine", 1),
+    ],
 )
-def test_ci_allows_only_absent_recordings_and_sources_to_be_skipped(runner, reason, code):
+def test_ci_allows_only_absent_recordings_sources_and_programs_to_be_skipped(runner, reason, code):
     assert runner.report({"unit": runner.Outcome(passed=1, skipped=[reason])}, 1.0, strict=True) == code
     assert runner.report({"unit": runner.Outcome(passed=1, skipped=[reason])}, 1.0, strict=False) == 0
+
+
+@pytest.mark.parametrize(("named", "skipped"), [("", True), ("/no/such/folder", False)])
+def test_wrong_programs_of_kubernetes_are_no_reason_to_skip(monkeypatch, named, skipped):
+    monkeypatch.setenv("KUBE_TOOLS", named)
+    assert (why_no_kubernetes() == NO_PROGRAMS) is skipped
 
 
 @pytest.mark.parametrize(
