@@ -76,7 +76,7 @@ def test_what_the_supervisor_measures_and_logs_reaches_the_worker(kubernetes, se
     source = kubernetes.usage_source(handle)
     assert source is not None
     assert source.read() == (2.0, 700)
-    assert source.peak_memory_bytes() is None
+    assert source.totals() == {}
     assert kubernetes.host_reading(handle) == reading
     assert kubernetes.hidden_bytes(handle) == 0
     log = CappedLog(folder / LOG_FOLDER, 1000)
