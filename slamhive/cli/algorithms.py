@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import click
@@ -112,7 +112,7 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
     for package in sorted(packages, key=lambda entry: entry.name):
         tell(f"building {package.name} for {chosen.name}", style="bold")
         try:
-            identity = chosen.build(package, lambda line: tell(line, style="dim"))
+            identity = chosen.build(package, _each_once(lambda line: tell(line, style="dim")))
         except SlamHiveError as error:
             failures.append(error)
             tell(f"error: {error}", style="red")
@@ -121,6 +121,19 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
             say(f"{record.label}: {identity}")
     if failures:
         raise click.exceptions.Exit(1)
+
+
+def _each_once(show: Callable[[str], None]) -> Callable[[str], None]:
+    """``show``, but not for a line that comes again while a program says nothing."""
+    last = ""
+
+    def line(text: str) -> None:
+        nonlocal last
+        if text != last:
+            last = text
+            show(text)
+
+    return line
 
 
 def _json(entry: Entry, identities: Mapping[str, str | None]) -> dict[str, Any]:

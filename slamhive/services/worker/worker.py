@@ -6,6 +6,7 @@ them when the lease has expired, or at once if it sees that the process of the o
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import threading
@@ -195,8 +196,13 @@ class Worker:
         try:
             with self._one_at_a_time.turn(run.executor):
                 ended = self._drive_through_trouble(run, cores)
-        except (LeaseLost, WorkerStopping) as error:
+        except LeaseLost as error:
             logger.info("%s", error)
+            return
+        except WorkerStopping as error:
+            logger.info("%s", error)
+            with contextlib.suppress(LeaseLost):
+                RunInHand(self._context, run, None).put_back("the worker was stopped while it prepared the run")
             return
         finally:
             self._held.discard(run.id)
