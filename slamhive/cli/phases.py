@@ -1,8 +1,8 @@
 """Phases of a long command: which of how many, and how long the whole will still take.
 
 Times are expected for a reference machine. How many times longer this one takes is estimated as two factors. One is of
-the machine, which its speed hints at. The other is of the kind of phase, such as a network or a disk. Logarithms of both
-are taken as normal. Each phase measures their sum, also the one under way. A short phase says little of long ones.
+the machine, which its speed hints at. The other is of the kind of phase, such as a network. Their logarithms are taken
+as normal. Each phase measures their sum, also the one under way. A short phase says little of long ones.
 """
 
 from __future__ import annotations
