@@ -1,21 +1,15 @@
-"""How fast this machine is, so that limits on CPU time mean the same everywhere. Standard library only."""
+"""How fast this machine is while tests run, so that limits on CPU time mean the same everywhere."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import statistics
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
-REFERENCE_S = 0.0125
-"""CPU time of :func:`work_s` on the machine that the limits were set on.
+from slamhive.machine_speed import REFERENCE_S, work_s
 
-Derived: a machine that takes 0.0182 s needs 1.45 to 1.6 times the CPU time for the quick tests.
-"""
 EVERY_S = 1.0
 
 
@@ -51,11 +45,3 @@ def slowness_meanwhile(every_s: float = EVERY_S) -> Iterator[Slowness]:
     finally:
         ended.set()
         thread.join()
-
-
-def work_s() -> float:
-    """The CPU time (s) that this thread takes to compile a long module of the standard library."""
-    source = Path(argparse.__file__).read_text(encoding="utf-8")
-    began_s = time.thread_time()
-    compile(source, "argparse.py", "exec")
-    return time.thread_time() - began_s

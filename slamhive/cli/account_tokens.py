@@ -7,6 +7,7 @@ import click
 from slamhive.cli.acting import acting
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.visible import say
 from slamhive.domain.accounts import Scope
 from slamhive.schema.accounts import ApiToken
 from slamhive.services.accounts import LONGEST_TOKEN_DAYS, TokenRequest
@@ -35,7 +36,7 @@ def create(cli: CliContext, account: str, name: str, scopes: tuple[str, ...], da
         print_json({**ApiToken.of(made).content, "text": text})
         return
     tell(f"token {made.id} of {account}, until {made.expires_at:%Y-%m-%d}; it is shown only now:")
-    click.echo(text)
+    say(text)
 
 
 @token.command("list")
@@ -75,4 +76,4 @@ def revoke(cli: CliContext, token_id: int, as_json: bool) -> None:
     if as_json:
         print_json(ApiToken.of(revoked).content)
     else:
-        click.echo(f"token {revoked.id} {revoked.name} of {revoked.owner} is revoked")
+        say(f"token {revoked.id} {revoked.name} of {revoked.owner} is revoked")

@@ -10,6 +10,7 @@ from slamhive.cli.account_tokens import token
 from slamhive.cli.acting import acting
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.visible import say
 from slamhive.domain.accounts import Identity, Role
 from slamhive.errors import InvalidInput
 from slamhive.input_bounds import check_text
@@ -156,7 +157,7 @@ def _show(entry: AccountRecord, *, as_json: bool) -> None:
     if as_json:
         print_json(Account.of(entry).content)
     else:
-        click.echo(f"{entry.name}: {entry.role}, {_state(entry)}")
+        say(f"{entry.name}: {entry.role}, {_state(entry)}")
 
 
 account.add_command(token)

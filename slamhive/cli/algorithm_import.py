@@ -10,6 +10,7 @@ import click
 from slamhive.cli import offers
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json, tell
+from slamhive.cli.visible import say, write_out
 from slamhive.domain.sensors import SensorSetup
 from slamhive.schema.catalogue import Algorithm
 
@@ -42,7 +43,7 @@ def import_(cli: CliContext, source: str, preview: bool, as_json: bool, **asked:
     if is_export(Path(source)):
         chosen = hive.executors.get(hive.executors.choose(asked["executor"]))
         made, record = hive.versions.load(Path(source), chosen)
-        click.echo(f"{record.label}: {made.package.folder}")
+        say(f"{record.label}: {made.package.folder}")
         return
     setup = asked.pop("setup")
     request = ImportRequest(setup=None if setup is None else SensorSetup(setup), **asked)
@@ -63,7 +64,7 @@ def remove(cli: CliContext, name: str, executor: str | None) -> None:
     left = cli.hive(indexed=False).algorithms.remove(name, executor)
     if left is not None:
         tell(f"note: {left}")
-    click.echo(f"{name} is removed")
+    say(f"{name} is removed")
 
 
 def _way(planned: PlannedPackage) -> str:
@@ -75,12 +76,12 @@ def _show_plan(planned: PlannedPackage, *, as_json: bool) -> None:
     if as_json:
         print_json(planned.content)
         return
-    click.echo(f"{planned.name} from {planned.origin.words}")
-    click.echo(_way(planned))
+    say(f"{planned.name} from {planned.origin.words}")
+    say(_way(planned))
     if planned.draft is None:
-        click.echo("algorithm.yaml is drafted when the image is there")
+        say("algorithm.yaml is drafted when the image is there")
         return
-    click.echo(planned.draft.text, nl=False)
+    write_out(planned.draft.text)
     for note in planned.draft.notes:
         tell(f"note: {note}")
 
@@ -92,9 +93,7 @@ def _show_result(made: ImportedPackage, *, as_json: bool) -> None:
         print_json([Algorithm.of(entry).content for entry in made.algorithms])
         return
     package = made.algorithms[0].package
-    click.echo(
-        f"imported {', '.join(entry.name for entry in made.algorithms)}; check {package.folder / 'algorithm.yaml'}"
-    )
+    say(f"imported {', '.join(entry.name for entry in made.algorithms)}; check {package.folder / 'algorithm.yaml'}")
 
 
 COMMANDS = (import_, remove)

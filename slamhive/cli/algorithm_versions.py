@@ -10,6 +10,7 @@ import click
 from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table
+from slamhive.cli.visible import say
 from slamhive.domain.numbers import plural
 from slamhive.schema.catalogue import Version
 
@@ -53,7 +54,7 @@ def verify(cli: CliContext, name: str | None, as_json: bool) -> None:
     elif findings:
         print_table(("version", "finding", "what"), [(entry.version, entry.kind, entry.words) for entry in findings])
     else:
-        click.echo("all versions are as they were")
+        say("all versions are as they were")
     if findings:
         raise click.exceptions.Exit(1)
 
@@ -68,7 +69,7 @@ def export(cli: CliContext, version: str, file: Path, executor: str | None) -> N
     hive = cli.hive()
     chosen = hive.executors.get(hive.executors.choose(executor))
     record = hive.versions.export(version, file, chosen)
-    click.echo(f"{record.label}: {file}, {file.stat().st_size / 1e6:.0f} MB")
+    say(f"{record.label}: {file}, {file.stat().st_size / 1e6:.0f} MB")
 
 
 @click.command("remove-version")
@@ -78,7 +79,7 @@ def export(cli: CliContext, version: str, file: Path, executor: str | None) -> N
 def remove_version(cli: CliContext, version: str, with_runs: bool) -> None:
     """Remove image, environment and folder of a version. Its number and its runs stay."""
     record = cli.hive().versions.remove(version, with_runs=with_runs)
-    click.echo(f"{record.label} is removed; {plural(record.runs, 'run')} used it")
+    say(f"{record.label} is removed; {plural(record.runs, 'run')} used it")
 
 
 @click.command("prune")
@@ -92,9 +93,9 @@ def prune(cli: CliContext, name: str | None, dry_run: bool) -> None:
     for record in unused:
         if not dry_run:
             hive.versions.remove(record.label)
-        click.echo(f"{record.label}{'' if dry_run else ' is removed'}: {record.identity[:_IDENTITY_DIGITS]}")
+        say(f"{record.label}{'' if dry_run else ' is removed'}: {record.identity[:_IDENTITY_DIGITS]}")
     if not unused:
-        click.echo("no version is unused")
+        say("no version is unused")
 
 
 COMMANDS = (versions, verify, export, remove_version, prune)

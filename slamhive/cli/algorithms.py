@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import click
@@ -11,6 +11,7 @@ from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.groups import LazyGroup
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.visible import say
 from slamhive.domain.algorithm import Algorithm as Entry
 from slamhive.domain.parameters import Parameter
 from slamhive.errors import InvalidInput, SlamHiveError
@@ -78,20 +79,20 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
     if as_json:
         print_json(Algorithm.of(entry).content)
         return
-    click.echo(f"{entry.name}: {entry.title} ({entry.package.title} {entry.package.version}, {entry.package.licence})")
-    click.echo(f"needs {', '.join(f'{i.role} ({i.kind})' for i in entry.inputs)}; {entry.package.upstream}")
+    say(f"{entry.name}: {entry.title} ({entry.package.title} {entry.package.version}, {entry.package.licence})")
+    say(f"needs {', '.join(f'{i.role} ({i.kind})' for i in entry.inputs)}; {entry.package.upstream}")
     if entry.pose_time is not None:
-        click.echo(f"a pose describes {entry.trajectory_role} {entry.pose_time.words}")
+        say(f"a pose describes {entry.trajectory_role} {entry.pose_time.words}")
     if entry.package.origin is not None:
-        click.echo(f"imported from {entry.package.origin.words}; runs are {entry.package.user.in_words}")
+        say(f"imported from {entry.package.origin.words}; runs are {entry.package.user.in_words}")
     for topic in entry.topics:
-        click.echo(f"{topic.role}: {topic.words}")
+        say(f"{topic.role}: {topic.words}")
     if entry.unknown:
-        click.echo(f"not known: {', '.join(entry.unknown)}; fill in {entry.package.folder / 'algorithm.yaml'}")
+        say(f"not known: {', '.join(entry.unknown)}; fill in {entry.package.folder / 'algorithm.yaml'}")
     rows = [(p.key, _default(p), p.expectation, p.general, p.help) for p in entry.parameters]
     print_table(("parameter", "default", "expected", "general name", "help"), rows, right=("default",))
     for bound in entry.bounds:
-        click.echo(f"on {bound.dataset}: {bound.words}")
+        say(f"on {bound.dataset}: {bound.words}")
 
 
 @algorithm.command("build")
@@ -111,15 +112,28 @@ def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | N
     for package in sorted(packages, key=lambda entry: entry.name):
         tell(f"building {package.name} for {chosen.name}", style="bold")
         try:
-            identity = chosen.build(package, lambda line: tell(line, style="dim"))
+            identity = chosen.build(package, _each_once(lambda line: tell(line, style="dim")))
         except SlamHiveError as error:
             failures.append(error)
             tell(f"error: {error}", style="red")
         else:
             record = hive.versions.register(chosen, package, identity)
-            click.echo(f"{record.label}: {identity}")
+            say(f"{record.label}: {identity}")
     if failures:
         raise click.exceptions.Exit(1)
+
+
+def _each_once(show: Callable[[str], None]) -> Callable[[str], None]:
+    """``show``, but not for a line that comes again while a program says nothing."""
+    last = ""
+
+    def line(text: str) -> None:
+        nonlocal last
+        if text != last:
+            last = text
+            show(text)
+
+    return line
 
 
 def _json(entry: Entry, identities: Mapping[str, str | None]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import click
 
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json, progress_bar, tell
+from slamhive.cli.visible import say
 from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput
 from slamhive.services.archive import (
@@ -68,7 +69,7 @@ def export(cli: CliContext, /, file: Path, as_json: bool, **options: object) -> 
         left_out = {"left_out": dict(report.left_out), "files_left_out": dict(report.files_left_out)}
         print_json({"counts": counts, **left_out, "size_bytes": report.size_bytes})
         return
-    click.echo(f"{report.counts['runs']} runs exported to {file}, {report.size_bytes / 1e6:.1f} MB")
+    say(f"{report.counts['runs']} runs exported to {file}, {report.size_bytes / 1e6:.1f} MB")
     for kind in Extra:
         if report.counts[kind]:
             tell(f"with {plural(report.counts[kind], kind.removesuffix('s'))}")
@@ -89,7 +90,7 @@ def verify(file: Path, as_json: bool) -> None:
     if as_json:
         print_json({"made_at": manifest.made_at, "software": manifest.software, "counts": manifest.counts})
     else:
-        click.echo(f"{file} is whole: {manifest.counts.get('runs', 0)} runs, made {manifest.made_at}")
+        say(f"{file} is whole: {manifest.counts.get('runs', 0)} runs, made {manifest.made_at}")
 
 
 @archive.command("import")
@@ -118,7 +119,7 @@ def import_archive(cli: CliContext, file: Path, as_json: bool) -> None:
         return
     numbers = "under the numbers that they had" if report.kept_numbers else "under numbers of this installation"
     text = f"{report.imported} runs imported {numbers}, {report.known} known already"
-    click.echo(text + (f", {report.completed} completed" if report.completed else ""))
+    say(text + (f", {report.completed} completed" if report.completed else ""))
     for note in report.notes:
         tell(f"note: {note}")
 
@@ -146,7 +147,7 @@ def site(cli: CliContext, folder: Path, title: str, unpublished: bool, afresh: b
         site = StaticSite(hive, SiteRequest(folder, run_ids, title, query, unpublished, afresh))
         written = site.write(lambda done, total: show(done / total, f"{done}/{total} runs"))
     kept = f", {site.kept} of them unchanged" if site.kept else ""
-    click.echo(f"{written} runs published in {folder}{kept}; open {folder / 'index.html'}")
+    say(f"{written} runs published in {folder}{kept}; open {folder / 'index.html'}")
 
 
 def _chosen(hive: Hive, everything: bool, where: object, experiment: object) -> Sequence[int] | None:

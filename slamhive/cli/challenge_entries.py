@@ -11,6 +11,7 @@ import click
 from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.visible import say
 
 if TYPE_CHECKING:
     from slamhive.schema.challenge import ChallengeSubmission
@@ -48,7 +49,7 @@ def submit(cli: CliContext, /, name: str, files: tuple[Path, ...], dry_run: bool
     if options["as_json"]:
         print_json(made.content)
     else:
-        click.echo(f"submission {made.id} of team {made.team} to phase {made.phase} is queued")
+        say(f"submission {made.id} of team {made.team} to phase {made.phase} is queued")
         tell("a worker evaluates it; `slamhive challenge evaluate` does so without one")
 
 
@@ -70,7 +71,7 @@ def _submit_files(
     if not dry_run:
         return challenges.submit(name, Entrant(options["team"]), content, options["phase"])
     for line in challenges.check(name, content, options["phase"]):
-        click.echo(line)
+        say(line)
     return None
 
 
@@ -85,11 +86,11 @@ def _submit_image(
         version = hive.versions.find(options["package"])
         if not dry_run:
             return hive.challenges.submit_version(name, entrant, version, options["phase"])
-        click.echo(f"package {version.label}")
+        say(f"package {version.label}")
     elif not dry_run:
         return hive.challenges.submit_image(name, entrant, options["image"], options["phase"])
     else:
-        click.echo(hive.challenges.check_image(name, options["image"], entrant.algorithm, options["phase"]))
+        say(hive.challenges.check_image(name, options["image"], entrant.algorithm, options["phase"]))
     return None
 
 
@@ -104,7 +105,7 @@ def cancel(cli: CliContext, name: str, submission: str, as_json: bool) -> None:
     if as_json:
         print_json(made.content)
     else:
-        click.echo(f"submission {made.id} of team {made.team} is cancelled")
+        say(f"submission {made.id} of team {made.team} is cancelled")
 
 
 @click.command()
@@ -136,9 +137,9 @@ def status(cli: CliContext, name: str, team: str | None, as_json: bool) -> None:
 def log(cli: CliContext, name: str, submission: str) -> None:
     """Show the log of SUBMISSION to the challenge NAME, and what its image printed on public recordings."""
     found = cli.hive().challenges.submission(name, submission)
-    click.echo("\n".join(found.log))
+    say("\n".join(found.log))
     for run, text in found.run_logs.items():
-        click.echo(f"\n== {run}\n{text}")
+        say(f"\n== {run}\n{text}")
 
 
 ENTRY_COMMANDS = (submit, cancel, status, log)

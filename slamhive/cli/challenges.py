@@ -12,6 +12,7 @@ import click
 from slamhive.cli.challenge_entries import ENTRY_COMMANDS, name_argument
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.visible import confirm, say
 from slamhive.domain.challenge import shown
 from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput
@@ -40,7 +41,7 @@ def create(cli: CliContext, file: Path) -> None:
     They are copied into a folder that only your user can read.
     """
     made = cli.hive().challenges.create(file)
-    click.echo(f"challenge {made.name}: {plural(len(made.sequences), 'sequence')}, {_phase_words(made)}")
+    say(f"challenge {made.name}: {plural(len(made.sequences), 'sequence')}, {_phase_words(made)}")
 
 
 @challenge.command("list")
@@ -71,13 +72,13 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
     if as_json:
         print_json(found.content)
         return
-    click.echo(f"{found.name}: {found.title}")
-    click.echo(f"{found.counts} Each sequence: {found.metric}, {found.protocol.label}.")
+    say(f"{found.name}: {found.title}")
+    say(f"{found.counts} Each sequence: {found.metric}, {found.protocol.label}.")
     if found.images is not None:
-        click.echo(_image_rules(found.images))
+        say(_image_rules(found.images))
     rows = [(entry.name, _extent(found, entry.name), entry.data or None) for entry in found.sequences]
     print_table(("sequence", "recording", "data"), rows, cut=("data",))
-    click.echo()
+    say()
     phases = [
         (
             entry.name,
@@ -107,7 +108,7 @@ def evaluate(cli: CliContext) -> None:
     done = 0
     while more := hive.challenge_judge.work_once(stopping):
         done += more
-    click.echo(f"{plural(done, 'submission')} evaluated")
+    say(f"{plural(done, 'submission')} evaluated")
     if done:
         tell(
             "results of trajectories are shown from the next full minute, those of images at the hours of the challenge"
@@ -143,7 +144,7 @@ def ranking(cli: CliContext, name: str, phase: str | None, as_json: bool) -> Non
 def phase(cli: CliContext, name: str, phase_name: str, ends: str) -> None:
     """Let PHASE of the challenge NAME end at another time."""
     made = cli.hive().challenges.end_phase(name, phase_name, _time(ends))
-    click.echo(f"challenge {name}: {_phase_words(made)}")
+    say(f"challenge {name}: {_phase_words(made)}")
 
 
 @challenge.command()
@@ -152,7 +153,7 @@ def phase(cli: CliContext, name: str, phase_name: str, ends: str) -> None:
 def close(cli: CliContext, name: str) -> None:
     """End all phases of the challenge NAME now, which also shows hidden scores."""
     made = cli.hive().challenges.close(name)
-    click.echo(f"challenge {name}: {_phase_words(made)}")
+    say(f"challenge {name}: {_phase_words(made)}")
 
 
 @challenge.command()
@@ -164,9 +165,9 @@ def remove(cli: CliContext, name: str, yes: bool) -> None:
     hive = cli.hive()
     found = hive.challenges.get(name)
     if not yes:
-        click.confirm(f"Remove {found.title} with all its submissions?", abort=True)
+        confirm(f"Remove {found.title} with all its submissions?")
     hive.challenge_images.remove(name)
-    click.echo(f"challenge {name} is removed")
+    say(f"challenge {name} is removed")
 
 
 def _print_ranking(found: Challenge, ranked: ChallengeRanking) -> None:

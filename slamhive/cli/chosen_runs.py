@@ -11,6 +11,7 @@ import click
 from slamhive.cli import offers
 from slamhive.cli.context import run_number
 from slamhive.cli.output import counting_bar, print_json, tell
+from slamhive.cli.visible import confirm, say
 from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput
 
@@ -67,14 +68,14 @@ class ChosenRuns:
         run_ids = hive.searches.find(self.where or "")
         asks = action.asks.format(runs=plural(len(run_ids), "run"))
         if run_ids and not self.yes:
-            click.confirm(asks, abort=True, err=True)
+            confirm(asks)
         with counting_bar(action.title, len(run_ids)) as bar:
             acted = act(run_ids, lambda done: bar(done, ""))
         if as_json:
             at = {} if acted.at is None else {"deleted_at": acted.at.isoformat()}
             print_json({"done": acted.done, "left_out": acted.left_out, "reasons": list(acted.reasons), **at})
             return acted
-        click.echo(action.says.format(runs=plural(acted.done, "run")) if run_ids else "no run matches this filter")
+        say(action.says.format(runs=plural(acted.done, "run")) if run_ids else "no run matches this filter")
         if acted.left_out:
             tell(f"{plural(acted.left_out, 'run')} left out:")
         for words in acted.words:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from slamhive.cli.context import CliContext, pass_cli
+from slamhive.cli.visible import write_out
 from slamhive.domain.bibliography import Reference, bibtex
 from slamhive.errors import NotFound
 from slamhive.services.hive import Hive
@@ -21,7 +22,7 @@ def cite(cli: CliContext, /, what: str) -> None:
     That is SLAM Hive, evo, the algorithms and the datasets. ANALYSIS is an analysis file, or the last part of the
     address of an analysis page.
     """
-    click.echo(bibtex(_references(cli.hive(), what)), nl=False)
+    write_out(bibtex(_references(cli.hive(), what)))
 
 
 def _references(hive: Hive, what: str) -> tuple[Reference, ...]:

@@ -8,6 +8,7 @@ import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import messages, print_json, print_table, tell
+from slamhive.cli.visible import confirm, say
 from slamhive.domain.numbers import plural
 from slamhive.schema.cloud import CloudPlan, CloudStatus
 
@@ -42,7 +43,7 @@ def up(cli: CliContext, file: Path, yes: bool, as_json: bool) -> None:
     clouds = cli.hive().clouds
     if messages.is_terminal and not (yes or as_json):
         _print_plan(clouds.plan(file))
-        click.confirm("rent these machines?", abort=True, err=True)
+        confirm("rent these machines?")
     status = clouds.up(file, tell)
     if as_json:
         print_json(status.content)
@@ -72,7 +73,7 @@ def status_(cli: CliContext, name: str | None, as_json: bool) -> None:
 def down(cli: CliContext, name: str) -> None:
     """Delete all that the cluster NAME has: machines, disks, image, snapshots and firewall."""
     deleted = cli.hive(indexed=False).clouds.down(name, tell)
-    click.echo(f"cluster {name} is down; {plural(deleted, 'resource')} deleted, nothing is left")
+    say(f"cluster {name} is down; {plural(deleted, 'resource')} deleted, nothing is left")
 
 
 @cloud.command()
@@ -86,27 +87,25 @@ def sweep(cli: CliContext, file: Path | None, everything: bool) -> None:
     """
     for swept in cli.hive(indexed=False).clouds.sweep(file, tell, everything=everything):
         foreign = f"; {plural(swept.foreign, 'resource')} of other installations left" if swept.foreign else ""
-        click.echo(f"{swept.provider} {swept.region}: {plural(swept.deleted, 'resource')} deleted{foreign}")
+        say(f"{swept.provider} {swept.region}: {plural(swept.deleted, 'resource')} deleted{foreign}")
 
 
 def _print_plan(found: CloudPlan) -> None:
     money = found.currency
     runs = "" if found.runs is None else f" for {plural(found.runs, 'run')}"
-    click.echo(f"{found.name}: {found.nodes} × {found.instance_type}, {found.provider} {found.region}{runs}")
-    click.echo(f"created: {', '.join(_created(found))}")
-    click.echo(
+    say(f"{found.name}: {found.nodes} × {found.instance_type}, {found.provider} {found.region}{runs}")
+    say(f"created: {', '.join(_created(found))}")
+    say(
         f"hours: {found.prepare_h:.1f} until all machines work, {found.run_h:.1f} for the runs, "
         f"{found.total_h:.1f} in all; machines end themselves after {found.lifetime_h:.1f}"
     )
-    click.echo(f"data to copy to the first machine: {found.data_bytes / 1e9:,.2f} GB")
-    click.echo(
+    say(f"data to copy to the first machine: {found.data_bytes / 1e9:,.2f} GB")
+    say(
         f"price: about {found.expected_cost:,.2f} {money}, at most {found.most_cost:,.2f} of {found.budget:,.2f} "
         f"{money}; {found.hour_price:,.4f} for a machine and hour, prices of {found.prices_date}"
     )
     if found.image_day_cost:
-        click.echo(
-            f"the image costs {found.image_day_cost:,.2f} {money} a day until `slamhive cloud down {found.name}`"
-        )
+        say(f"the image costs {found.image_day_cost:,.2f} {money} a day until `slamhive cloud down {found.name}`")
 
 
 def _created(found: CloudPlan) -> list[str]:
@@ -116,13 +115,13 @@ def _created(found: CloudPlan) -> list[str]:
 
 def _print_status(status: CloudStatus) -> None:
     cost = f"at most {status.cost_until_now:,.2f} of {status.most_cost:,.2f} {status.currency} until now"
-    click.echo(f"{status.name}: {status.state}, {status.provider} {status.region}, {cost}")
-    click.echo(f"machines end themselves at {status.ends_at:%Y-%m-%d %H:%M} UTC")
+    say(f"{status.name}: {status.state}, {status.provider} {status.region}, {cost}")
+    say(f"machines end themselves at {status.ends_at:%Y-%m-%d %H:%M} UTC")
     rows = [(entry.kind, entry.role or None, entry.id, entry.state, entry.address) for entry in status.resources]
     if rows:
         print_table(("kind", "role", "id", "state", "address"), rows)
     else:
-        click.echo("the provider has nothing of it")
+        say("the provider has nothing of it")
 
 
 COMMANDS = (cloud,)

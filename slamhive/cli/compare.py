@@ -9,6 +9,7 @@ import click
 from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.visible import say
 from slamhive.services.run_comparison import Figure, RunComparison, read_run_ids
 
 
@@ -45,7 +46,7 @@ def _print(comparison: RunComparison, *, everything: bool) -> None:
     settings = [(line.key, *line.texts) for line in comparison.settings if everything or line.differs]
     if settings:
         print_table(("setting", *heads), settings)
-        click.echo()
+        say()
     shown = [line for line in comparison.metrics if everything or line.differs]
     rows = [
         (
@@ -56,7 +57,7 @@ def _print(comparison: RunComparison, *, everything: bool) -> None:
         for line in shown
     ]
     print_table(("metric", "unit", *heads), rows, right=heads)
-    click.echo(comparison.address)
+    say(comparison.address)
 
 
 def _figure(figure: Figure | None, *, best: bool) -> str | None:

@@ -12,6 +12,7 @@ from click.shell_completion import get_completion_class
 
 from slamhive.cli.groups import LazyGroup
 from slamhive.cli.output import tell
+from slamhive.cli.visible import say, write_out
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.files import write_aside
 
@@ -77,7 +78,7 @@ def install(shell: str | None) -> None:
         raise Unavailable(
             f"{path} cannot be written: {error.strerror}", f"slamhive completion show {shell} prints the script"
         ) from None
-    click.echo(path)
+    say(path)
     tell(SHELLS[shell].next_step.format(path=path, folder=path.parent))
 
 
@@ -85,7 +86,7 @@ def install(shell: str | None) -> None:
 @_shell_argument
 def show(shell: str | None) -> None:
     """Print the completion script of SHELL (default: your login shell)."""
-    click.echo(_script(shell or _login_shell()), nl=False)
+    write_out(_script(shell or _login_shell()))
 
 
 def _login_shell() -> str:

@@ -15,6 +15,7 @@ from slamhive.cli.matching import print_match
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.run_options import all_of, content_options, run_options, submission_values
 from slamhive.cli.runs import print_runs
+from slamhive.cli.visible import say, write_out
 from slamhive.domain.parameters import Value
 from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.files import write_aside
@@ -109,15 +110,13 @@ def show(cli: CliContext, reference: str, as_json: bool) -> None:
         print_json({**configuration_document(record).content, "latest_runs": [run.id for run in runs]})
         return
     content = record.configuration
-    click.echo(f"{record.label}: {content.algorithm} on {content.dataset}")
-    click.echo(
-        f"playback {content.playback.mode.value} x {content.playback.rate:g}; variant: {_steps(record) or 'none'}"
-    )
+    say(f"{record.label}: {content.algorithm} on {content.dataset}")
+    say(f"playback {content.playback.mode.value} x {content.playback.rate:g}; variant: {_steps(record) or 'none'}")
     for what, text in (("groups", ", ".join(record.groups)), ("experiments", ", ".join(record.experiments))):
         if text:
-            click.echo(f"{what}: {text}")
+            say(f"{what}: {text}")
     if record.note:
-        click.echo(record.note)
+        say(record.note)
     rows = [
         (key, _text(value), definition.type, definition.unit, definition.general)
         for key, value in content.parameters.items()
@@ -177,7 +176,7 @@ def delete(cli: CliContext, references: tuple[str, ...]) -> None:
     records = [service.find(reference) for reference in references]
     service.delete([record.id for record in records])
     for record in records:
-        click.echo(f"{record.label} is deleted")
+        say(f"{record.label} is deleted")
 
 
 @configuration.command("export")
@@ -189,13 +188,13 @@ def export(cli: CliContext, reference: str, output: Path | None) -> None:
     service = cli.hive().configurations
     text = service.export_yaml(service.find(reference).id)
     if output is None:
-        click.echo(text, nl=False)
+        write_out(text)
         return
     try:
         write_aside(output, text)
     except OSError as error:
         raise InvalidInput(f"{output} cannot be written: {error.strerror}") from None
-    click.echo(f"wrote {output}")
+    say(f"wrote {output}")
 
 
 @configuration.command("import")
@@ -246,7 +245,7 @@ def group(cli: CliContext, name: str, references: tuple[str, ...], remove: bool)
     """Add configurations to the group NAME, or remove them."""
     service = cli.hive().configurations
     service.group(name, [service.find(reference).id for reference in references], remove=remove)
-    click.echo(f"{name}: {service.groups().get(name.strip(), 0)} configurations")
+    say(f"{name}: {service.groups().get(name.strip(), 0)} configurations")
 
 
 def _changes(options: dict[str, Any]) -> Changes:
@@ -270,7 +269,7 @@ def _tell(stored: Stored, as_json: bool) -> None:
             {**configuration_document(stored.record).content, "created": stored.created, "notes": list(stored.notes)}
         )
     else:
-        click.echo(stored.words)
+        say(stored.words)
 
 
 def _read(file: Path) -> str:

@@ -7,6 +7,7 @@ import click
 from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, progress_bar, tell
+from slamhive.cli.visible import say
 from slamhive.domain.checks import Severity
 from slamhive.schema.checks import DatasetCheck, Finding
 
@@ -39,7 +40,7 @@ def _print(report: DatasetCheck) -> None:
     width = max([len(finding.check) for finding in report.findings], default=0)
     for finding in report.findings:
         place = f"{finding.severity.value:8}{finding.check:{width}}  {finding.about}, {_where(finding)}"
-        click.echo(f"{place}: {finding.message} To do: {finding.remedy}.")
+        say(f"{place}: {finding.message} To do: {finding.remedy}.")
     counts = ", ".join(f"{report.count(severity)} {severity.value}s" for severity in Severity)
     tell(f"{report.dataset}: {counts}; {len(report.checks)} checks")
     if report.not_checked:

@@ -10,6 +10,7 @@ from slamhive.bags.exporters import SHIPPED, export_dataset, plan_export
 from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, progress_bar, tell
+from slamhive.cli.visible import say
 
 
 @click.command("export")
@@ -41,7 +42,7 @@ def export(cli: CliContext, name: str, format_name: str, folder: Path | None, pa
         tell(f"left out: {text}")
     for note in plan.notes:
         tell(note)
-    click.echo(str(target))
+    say(str(target))
 
 
 COMMANDS = (export,)

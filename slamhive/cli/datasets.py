@@ -13,6 +13,7 @@ from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.groups import LazyGroup
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
+from slamhive.cli.visible import say
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput
 
@@ -112,13 +113,13 @@ def _sensor_and_topic(text: str) -> tuple[str, str]:
 
 def _show_plan(planned: PlannedImport) -> None:
     plan, truth = planned.plan, planned.plan.truth
-    click.echo(f"{planned.name}: {planned.format}, {plan.duration_s:.1f} s, about {plan.needed_bytes / 1e6:.0f} MB")
+    say(f"{planned.name}: {planned.format}, {plan.duration_s:.1f} s, about {plan.needed_bytes / 1e6:.0f} MB")
     if truth is None:
         words = "none" if plan.relations is None else "relations"
     else:
         kind = "positions" if truth.quats_xyzw is None else "poses"
         words = f"{len(truth.times_s)} {kind}{', ' if truth.source else ''}{truth.source}"
-    click.echo(f"ground truth: {words}")
+    say(f"ground truth: {words}")
     rows = [
         (sensor.name, sensor.kind.value, sensor.topic, plan.counts[sensor.name], f"{sensor.rate_hz:g}")
         for sensor in plan.sensors
@@ -196,8 +197,8 @@ def show(cli: CliContext, name: str, picture: Path | None, as_json: bool) -> Non
     else:
         _report(entry, as_json)
         if motion is not None:
-            click.echo(_motion_in_words(motion))
-        click.echo()
+            say(_motion_in_words(motion))
+        say()
         print_table(("sensor", "calibration", "value"), _calibration(entry))
     if picture is not None:
         draw_ground_truth(entry, picture)
@@ -237,7 +238,7 @@ def _report(entry: Dataset, as_json: bool) -> None:
     if as_json:
         print_json(_to_json(entry))
         return
-    click.echo(f"{entry.name}: {entry.duration_s:.1f} s, {entry.bag_path if entry.bag else 'no recording'}")
+    say(f"{entry.name}: {entry.duration_s:.1f} s, {entry.bag_path if entry.bag else 'no recording'}")
     for label, text in (
         ("title", entry.title),
         ("attributes", ", ".join(entry.attributes)),
@@ -247,7 +248,7 @@ def _report(entry: Dataset, as_json: bool) -> None:
         ("relations", entry.relations),
     ):
         if text:
-            click.echo(f"{label}: {text}")
+            say(f"{label}: {text}")
     rows = [(s.name, s.kind.value, s.topic, f"{s.rate_hz:g}") for s in entry.sensors]
     print_table(("sensor", "kind", "topic", "rate Hz"), rows, right=("rate Hz",))
 

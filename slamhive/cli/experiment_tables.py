@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import click
-
 from slamhive.cli.output import print_table, tell
+from slamhive.cli.visible import say
 from slamhive.domain.numbers import plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.verdict import DEFAULT_RULE
@@ -39,26 +38,26 @@ FIGURES = (
 def print_preview(found: ExperimentPreview) -> None:
     """Print the preview of an experiment."""
     merged = f", {found.merged} of them identical to another" if found.merged else ""
-    click.echo(f"{found.name}: {found.combinations:,} combinations, {found.cells:,} configurations{merged}")
+    say(f"{found.name}: {found.combinations:,} combinations, {found.cells:,} configurations{merged}")
     varied = ", ".join(f"{axis} {count}" for axis, count in found.axes.items()) or "nothing varies"
-    click.echo(f"varied: {varied}")
-    click.echo(f"runs: {found.runs:,}; about {_time(found.time_s)} on {_places(found)}, {_basis(found)}")
+    say(f"varied: {varied}")
+    say(f"runs: {found.runs:,}; about {_time(found.time_s)} on {_places(found)}, {_basis(found)}")
     shares = [("to make variants", found.variant_time_s), ("to build packages", found.build_time_s)]
     parts = [f"{_time(time_s)} {words}" for words, time_s in shares if time_s]
-    click.echo(f"of this: {', '.join([*parts, f'{found.between_s:.1f} s to prepare, collect and evaluate each run'])}")
+    say(f"of this: {', '.join([*parts, f'{found.between_s:.1f} s to prepare, collect and evaluate each run'])}")
     if found.cluster is not None:
-        click.echo(_moved(found.cluster))
+        say(_moved(found.cluster))
     if found.repeat_disturbed:
-        click.echo(f"disturbed runs: each is repeated up to {plural(found.repeat_disturbed, 'time')}, not counted here")
+        say(f"disturbed runs: each is repeated up to {plural(found.repeat_disturbed, 'time')}, not counted here")
     if found.known_cells:
-        click.echo(f"stored already: {found.known_cells:,} of the configurations, with {found.known_runs:,} runs")
+        say(f"stored already: {found.known_cells:,} of the configurations, with {found.known_runs:,} runs")
     missing = sum(not need.made for need in found.variants)
-    click.echo(
+    say(
         f"variants: {len(found.variants)} needed, {missing} to be made, {found.variant_bytes / 1e6:,.0f} MB at most; "
         f"run folders: {found.run_bytes / 1e6:,.0f} MB; free: {found.free_bytes / 1e6:,.0f} MB"
     )
     if found.standing is not None:
-        click.echo(f"this experiment exists already: {found.standing}")
+        say(f"this experiment exists already: {found.standing}")
     axes = [axis for axis in found.rows[0].values if len({str(row.values.get(axis)) for row in found.rows}) > 1]
     print_table(
         ("name", *axes, "runs so far"),
@@ -66,7 +65,7 @@ def print_preview(found: ExperimentPreview) -> None:
         right=("runs so far",),
     )
     if found.cells > len(found.rows):
-        click.echo(f"… and {found.cells - len(found.rows):,} more")
+        say(f"… and {found.cells - len(found.rows):,} more")
     for text in found.warnings:
         tell(f"warning: {text}", style="yellow")
     for text in found.refusals:
@@ -96,18 +95,18 @@ def _basis(found: ExperimentPreview) -> str:
 def print_status(status: ExperimentStatus) -> None:
     """Print the progress of one experiment."""
     counts = ", ".join(f"{count:,} {phase.label}" for phase, count in status.counts.items() if count)
-    click.echo(f"{status.name}: {status.standing}; {status.runs:,} runs of {status.cells:,} configurations: {counts}")
+    say(f"{status.name}: {status.standing}; {status.runs:,} runs of {status.cells:,} configurations: {counts}")
     if status.failures:
         found = (f"{failure_words(failure)} {count:,}" for failure, count in status.failures.items())
-        click.echo(f"failed: {', '.join(found)}")
+        say(f"failed: {', '.join(found)}")
     if status.retried:
-        click.echo(f"not counted: {plural(status.retried, 'failed or disturbed run')} that another run replaces")
+        say(f"not counted: {plural(status.retried, 'failed or disturbed run')} that another run replaces")
     if status.disturbed:
-        click.echo(f"measured on a disturbed machine: {plural(status.disturbed, 'run')} (filter: disturbed = yes)")
+        say(f"measured on a disturbed machine: {plural(status.disturbed, 'run')} (filter: disturbed = yes)")
     if status.standing is Standing.STORING:
-        click.echo(f"{status.missing:,} runs are not stored yet; starting the same file again completes it")
+        say(f"{status.missing:,} runs are not stored yet; starting the same file again completes it")
     if status.left is not None and status.left_s and status.standing is Standing.ACTIVE:
-        click.echo(f"{status.left.words(', including builds and evaluations')}; now: {status.phase}")
+        say(f"{status.left.words(', including builds and evaluations')}; now: {status.phase}")
 
 
 def print_statuses(found: Sequence[ExperimentStatus]) -> None:
@@ -137,9 +136,9 @@ def print_report(status: ExperimentStatus, cells: Sequence[Cell], axes: Sequence
     numbers = ("cell", "runs", "good", "failed", "disturbed", *headings)
     print_table(columns, rows, right=numbers, spare=("failures", "time s", "disturbed", "median"))
     print_status(status)
-    click.echo("metrics: mean ± standard deviation of the runs that did not fail; failed ones are counted")
-    click.echo(DEFAULT_RULE.words)
-    click.echo("disturbed: how many of these were measured on a disturbed machine and are not replaced")
+    say("metrics: mean ± standard deviation of the runs that did not fail; failed ones are counted")
+    say(DEFAULT_RULE.words)
+    say("disturbed: how many of these were measured on a disturbed machine and are not replaced")
 
 
 def _report_row(cell: Cell, figures: CellFigures, axes: Sequence[str]) -> tuple[Any, ...]:

@@ -14,6 +14,7 @@ from slamhive.cli.experiment_tables import print_preview, print_report, print_st
 from slamhive.cli.meanings import id_option
 from slamhive.cli.output import messages, print_json, progress_bar, tell
 from slamhive.cli.sharing import share_experiment
+from slamhive.cli.visible import confirm, say, write_out
 from slamhive.cli.waiting import experiment_to_end
 from slamhive.errors import InvalidInput
 from slamhive.files import write_aside
@@ -78,7 +79,7 @@ def convert(cli: CliContext, file: Path, out: Path | None, ids: dict[str, str]) 
         for note in entry.notes:
             tell(f"{entry.name}: {note}" if len(made) > 1 else note, style="yellow")
         if out is None:
-            click.echo(entry.text, nl=False)
+            write_out(entry.text)
             continue
         path = out / f"{entry.name}.yaml" if len(made) > 1 or out.is_dir() else out
         if path.exists():
@@ -186,7 +187,7 @@ def retry_failed(cli: CliContext, name: str, as_json: bool) -> None:
     if as_json:
         print_json({"queued": count})
     else:
-        click.echo(f"{count} runs queued again")
+        say(f"{count} runs queued again")
 
 
 @experiment.command("add-repeats")
@@ -245,7 +246,7 @@ def _confirm(hive: Hive, source: ExperimentSource, executor: str | None) -> None
         found = hive.experiments.preview(source, executor, progress)
     if found.standing is None and not found.refusals:
         print_preview(found)
-        click.confirm(f"queue {found.runs} runs?", abort=True, default=True, err=True)
+        confirm(f"queue {found.runs} runs?", default=True)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.groups import LazyGroup
 from slamhive.cli.mistakes import Answering
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.visible import say
 from slamhive.domain.gate import DEFAULT_MARGINS, Answer, read_budget
 from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput
@@ -56,7 +57,7 @@ def baseline(cli: CliContext, name: str, where: str, protocol: str | None, repla
     if as_json:
         print_json(frozen.baseline.content)
     else:
-        click.echo(f"baseline {name}: {_counts(frozen.baseline)}")
+        say(f"baseline {name}: {_counts(frozen.baseline)}")
     if frozen.left_out:
         tell(f"{plural(frozen.left_out, 'run')} left out: not ended, cancelled, or not evaluated")
 
@@ -97,8 +98,8 @@ def show(cli: CliContext, baseline_name: str, as_json: bool) -> None:
     if as_json:
         print_json(found.content)
         return
-    click.echo(f"baseline {found.name}: {_counts(found)}")
-    click.echo(f"made {found.made_at:%Y-%m-%d %H:%M} by slamhive {found.software} of runs where {found.where}")
+    say(f"baseline {found.name}: {_counts(found)}")
+    say(f"made {found.made_at:%Y-%m-%d %H:%M} by slamhive {found.software} of runs where {found.where}")
     rows = [
         (
             name,
@@ -121,7 +122,7 @@ def show(cli: CliContext, baseline_name: str, as_json: bool) -> None:
 def export(cli: CliContext, name: str, file: Path) -> None:
     """Write the baseline NAME to FILE, to keep it in a repository; `gate check FILE` reads it."""
     cli.hive().gates.baselines.export(name, file)
-    click.echo(f"baseline {name} written to {file}")
+    say(f"baseline {name} written to {file}")
 
 
 @gate.command()
@@ -130,7 +131,7 @@ def export(cli: CliContext, name: str, file: Path) -> None:
 def remove(cli: CliContext, name: str) -> None:
     """Delete the baseline NAME; its runs stay."""
     cli.hive().gates.baselines.remove(name)
-    click.echo(f"baseline {name} removed")
+    say(f"baseline {name} removed")
 
 
 @gate.command()
@@ -219,7 +220,7 @@ def _print(answer: GateAnswer) -> None:
     from slamhive.services.gates import METRIC_HEADS, VALUE_HEADS, metric_row, value_rows  # noqa: PLC0415
 
     print_table(METRIC_HEADS, [metric_row(entry) for entry in answer.metrics], right=METRIC_HEADS[1:-1])
-    click.echo()
+    say()
     values = [tuple(f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row) for row in value_rows(answer)]
     print_table(VALUE_HEADS, values, right=VALUE_HEADS[2:])
     for note in (*answer.notes, *(f"No runs of {words}." for words in answer.missing)):

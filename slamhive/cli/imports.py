@@ -11,6 +11,7 @@ from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.hints import hints_of, print_hints
 from slamhive.cli.output import print_json, progress_bar, tell
+from slamhive.cli.visible import say
 from slamhive.domain.numbers import plural
 from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import SensorSetup
@@ -135,7 +136,7 @@ def _show(report: ImportReport, evaluated: int, failures: dict[int, str]) -> Non
     words += [] if report.dry_run else [f"{evaluated:,} evaluated"]
     words += [plural(len(report.problems), "problem")] if report.problems else []
     words += [f"{plural(len(failures), 'evaluation')} failed"] if failures else []
-    click.echo(", ".join(words))
+    say(", ".join(words))
 
 
 def _readings_in_words(readings: list[Reading]) -> list[str]:

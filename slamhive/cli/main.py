@@ -13,6 +13,7 @@ from slamhive import __version__
 from slamhive.cli.context import CliContext
 from slamhive.cli.groups import LazyGroup
 from slamhive.cli.mistakes import mistakes_end_with
+from slamhive.cli.visible import VisibleFormatter
 from slamhive.input_bounds import check_text
 
 MODULES = {
@@ -93,7 +94,9 @@ def main(context: click.Context, data: Path | None, database_url: str | None, ve
     Data lies in the data root (default: ./data in the project). `slamhive doctor` checks this machine.
     """
     level = logging.INFO if verbose else logging.ERROR
-    logging.basicConfig(level=level, format="%(levelname)s %(name)s: %(message)s")
+    to_terminal = logging.StreamHandler()
+    to_terminal.setFormatter(VisibleFormatter("%(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=level, handlers=[to_terminal])
     logging.getLogger(REGISTRY).setLevel(logging.WARNING)  # what it says of broken plug-ins is always shown
     context.obj = CliContext({"data": None if data is None else data.absolute(), "database_url": database_url})
     context.call_on_close(context.obj.close)

@@ -9,6 +9,7 @@ import click
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import counting_bar, print_json, print_table, tell
 from slamhive.cli.plugins import all_origins
+from slamhive.cli.visible import say
 from slamhive.executors.registry import declared_settings
 from slamhive.project import project_root
 from slamhive.services.doctor import Verdict, examine, examine_cluster, plugin_checks
@@ -33,13 +34,13 @@ def reindex_command(cli: CliContext, as_json: bool) -> None:
         }
         print_json({**counts, "skipped": skipped})
     else:
-        click.echo(f"{report.runs} runs and {report.evaluations} evaluations filed, {len(report.skipped)} left out")
+        say(f"{report.runs} runs and {report.evaluations} evaluations filed, {len(report.skipped)} left out")
         if report.experiments:
-            click.echo(f"{report.experiments} experiments filed, {report.queued} runs of theirs queued again")
+            say(f"{report.experiments} experiments filed, {report.queued} runs of theirs queued again")
         if report.waiting:
-            click.echo(f"{report.waiting} runs without a folder restored from the ledger")
+            say(f"{report.waiting} runs without a folder restored from the ledger")
         if report.analyses:
-            click.echo(f"{report.analyses} analyses filed")
+            say(f"{report.analyses} analyses filed")
         for folder, reason in report.skipped:
             tell(f"left out: {folder}: {reason}")
     if report.skipped:

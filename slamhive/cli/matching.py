@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import click
-
 from slamhive.cli.output import print_table
+from slamhive.cli.visible import say
 from slamhive.schema.matching import Match, UsedSensor
 
 
@@ -20,7 +19,7 @@ def print_match(match: Match) -> None:
     if match.parameters:
         print_table(("parameter", "value", "source"), list(bound_rows(match)))
     else:
-        click.echo("no parameter is taken from a sensor")
+        say("no parameter is taken from a sensor")
 
 
 def _others(used: UsedSensor) -> str | None:

@@ -6,6 +6,7 @@ import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.visible import say
 from slamhive.domain.numbers import plural
 from slamhive.schema import nodes as schema
 from slamhive.services.nodes import NodeRun, NodeView, Overview
@@ -60,16 +61,16 @@ def _print(found: Overview) -> None:
         if engine.problem is not None:
             tell(f"{engine.executor}: {engine.problem}", style="yellow")
         if engine.elsewhere:
-            click.echo(f"{engine.executor}, on no node yet: {_runs(engine.elsewhere)}")
+            say(f"{engine.executor}, on no node yet: {_runs(engine.elsewhere)}")
     for machine in found.machines:
         share = machine.disturbed_fraction
         disturbed = "disturbance unknown" if share is None else f"{share:.0%} disturbed"
-        click.echo(
+        say(
             f"{machine.cpu_model}, {machine.cpu_count} cores: {plural(machine.runs, 'run')} in {machine.hours:g} h, "
             f"{machine.runs_per_hour:.1f} per hour, {disturbed}"
         )
     left = f"; active experiments, one after the other: {found.left.words()}" if found.left_s else ""
-    click.echo(f"{plural(found.queued, 'run')} queued{left}")
+    say(f"{plural(found.queued, 'run')} queued{left}")
 
 
 def _row(node: NodeView) -> tuple[object, ...]:

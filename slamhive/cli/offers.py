@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import click
 from click.shell_completion import CompletionItem
 
+from slamhive.cli.visible import visible_line
 from slamhive.domain.numbers import plural
 from slamhive.errors import SlamHiveError
 
@@ -62,7 +63,11 @@ def _completion_of(names: Callable[[Hive], Iterable[Offer]], *, or_file: bool = 
     """Complete an argument by the names that begin so; ``or_file`` offers files where no name does."""
 
     def complete(context: click.Context, _: click.Parameter, begun: str) -> list[CompletionItem[str]]:
-        found = [CompletionItem(name, help=words) for name, words in _read(context, names) if name.startswith(begun)]
+        found = [
+            CompletionItem(name, help=visible_line(words))
+            for name, words in _read(context, names)
+            if name.startswith(begun) and name == visible_line(name)  # the shell prints it, and takes it as it is
+        ]
         return found if found or not or_file else [CompletionItem(begun, type="file")]
 
     return complete

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
-import click
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from slamhive.cli.visible import say, visible, visible_json, visible_line
 from slamhive.clock import monotonic_s
 
 if TYPE_CHECKING:
@@ -30,18 +30,18 @@ messages = Console(stderr=True, highlight=False)
 def print_error(text: str, pointer: Sequence[str] = ()) -> None:
     """An error on stderr, in one line; ``pointer`` are lines above it that show the place in a text."""
     if pointer:
-        messages.print("\n".join(pointer), markup=False, soft_wrap=True)
-    messages.print(Text.assemble(("error: ", "bold red"), text), soft_wrap=True)
+        messages.print("\n".join(map(visible_line, pointer)), markup=False, soft_wrap=True)
+    messages.print(Text.assemble(("error: ", "bold red"), visible(text)), soft_wrap=True)
 
 
 def tell(text: str, style: str | None = None) -> None:
     """A line on stderr. Nothing in it is taken for markup."""
-    messages.print(text, style=style, markup=False, soft_wrap=True)
+    messages.print(visible(text), style=style, markup=False, soft_wrap=True)
 
 
 def print_json(content: Any) -> None:
     """``content`` as JSON on stdout."""
-    click.echo(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False))
+    say(visible_json(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)))
 
 
 def print_table(
@@ -52,7 +52,7 @@ def print_table(
     spare: Sequence[str] = (),
     cut: Sequence[str] = (),
 ) -> None:
-    """A table on stdout. Nothing in a cell is taken for markup.
+    """A table on stdout. Nothing in a cell is taken for markup, and each is one line.
 
     Args:
         columns: The heading of each column.
@@ -99,7 +99,7 @@ def columns_to_leave_out(
 def _widths(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[str, int]:
     """The width of each column with the gap after it, in characters."""
     return {
-        column: max([len(column), *(len(str(row[index])) for row in rows)]) + COLUMN_GAP
+        column: max([len(column), *(len(visible_line(str(row[index]))) for row in rows)]) + COLUMN_GAP
         for index, column in enumerate(columns)
     }
 
@@ -119,7 +119,7 @@ def _shortened(widths: Mapping[str, int], cut: Sequence[str], width: int) -> dic
 def _cell(value: Any) -> Text:
     if value is None:
         return Text("–", style="dim")
-    text = str(value)
+    text = visible_line(str(value))
     return Text(text, style=STATE_STYLES.get(text, ""))
 
 
@@ -134,7 +134,7 @@ def progress_bar(title: str, *, tells_left: bool = True) -> Iterator[Callable[[f
         return
     with _bar("{task.percentage:>3.0f} %", tells_left=tells_left) as bar:
         task = bar.add_task(title, total=1.0)
-        yield lambda fraction, text: bar.update(task, completed=fraction, description=f"{title}: {text}")
+        yield lambda fraction, text: bar.update(task, completed=fraction, description=visible_line(f"{title}: {text}"))
 
 
 @contextmanager
@@ -149,7 +149,7 @@ def counting_bar(title: str, total: int, *, tells_left: bool = True) -> Iterator
         return
     with _bar("{task.completed}/{task.total}", tells_left=tells_left) as bar:
         task = bar.add_task(title, total=total)
-        yield lambda done, text: bar.update(task, completed=done, description=f"{title}: {text}")
+        yield lambda done, text: bar.update(task, completed=done, description=visible_line(f"{title}: {text}"))
 
 
 def _counted(done: int, total: int, text: str) -> str:
@@ -161,7 +161,13 @@ def _bar(share: str, *, tells_left: bool) -> Progress:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # noqa: PLC0415
 
     left = (TextColumn("left"), TimeRemainingColumn()) if tells_left else ()
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn(share), TimeElapsedColumn(), *left)
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn(share),
+        TimeElapsedColumn(),
+        *left,
+    )
     return Progress(*columns, console=messages)
 
 
@@ -177,6 +183,7 @@ def _plain_progress(title: str, *, tells_left: bool = True) -> Callable[[float, 
         last[:] = [now, fraction]
         elapsed_s = now - started
         left = f", {elapsed_s * (1 / fraction - 1):.0f} s left" if tells_left and 0.01 < fraction < 1 else ""
-        messages.print(Text(f"{title}: {text} ({fraction:.0%}, {elapsed_s:.0f} s{left})"), soft_wrap=True)
+        line = visible_line(f"{title}: {text} ({fraction:.0%}, {elapsed_s:.0f} s{left})")
+        messages.print(Text(line), soft_wrap=True)
 
     return show

@@ -8,6 +8,7 @@ import click
 
 from slamhive.cli.context import json_option
 from slamhive.cli.output import print_json, print_table
+from slamhive.cli.visible import say
 from slamhive.files import temporary_folder
 from slamhive.project import project_root
 from slamhive.registry import Origin, Registry
@@ -24,7 +25,7 @@ def plugins(with_shipped: bool, as_json: bool) -> None:
         print_json([_document(origin).content for origin in shown])
         return
     if not shown:
-        click.echo("no plug-ins installed; docs/extend/index.md shows how to write one")
+        say("no plug-ins installed; docs/extend/index.md shows how to write one")
         return
     rows = [
         (origin.seam, origin.name, origin.package, origin.version, origin.problem or "loaded", origin.remedy)

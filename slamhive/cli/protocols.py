@@ -10,6 +10,7 @@ from slamhive.cli import offers
 from slamhive.cli.batches import evaluate_to_end
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json, print_table
+from slamhive.cli.visible import say, write_out
 from slamhive.domain.metrics import described
 from slamhive.domain.numbers import plural
 from slamhive.errors import Conflict
@@ -60,10 +61,10 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
         )
         return
     if preset is not None:
-        click.echo(f"# {preset.title}\n# {preset.differs}\n# {preset.source}")
-        click.echo(f"# prints {', '.join(preset.metrics)}; fingerprint {preset.protocol.fingerprint}")
+        say(f"# {preset.title}\n# {preset.differs}\n# {preset.source}")
+        say(f"# prints {', '.join(preset.metrics)}; fingerprint {preset.protocol.fingerprint}")
     values = {key: list(value) if isinstance(value, tuple) else value for key, value in request.values.items()}
-    click.echo(dump({key: str(v) if isinstance(v, str) else v for key, v in values.items() if v is not None}), nl=False)
+    write_out(dump({key: str(v) if isinstance(v, str) else v for key, v in values.items() if v is not None}))
 
 
 @protocol.command("use")
@@ -78,7 +79,7 @@ def use(cli: CliContext, name: str, run_ids: tuple[int, ...]) -> None:
     hive = cli.hive()
     hive.check_writable()
     hive.current_protocols.use_asked(run_ids, hive.protocols.find(name))
-    click.echo(f"{plural(len(set(run_ids)), 'run')} changed")
+    say(f"{plural(len(set(run_ids)), 'run')} changed")
 
 
 @protocol.command("compare")
@@ -100,7 +101,7 @@ def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
         return
     print_table(("tool", "protocol", "metrics", "note"), [_tool_row(row) for row in rows])
     for row in rows:
-        click.echo(f"{row.name}: {row.preset.differs}")
+        say(f"{row.name}: {row.preset.differs}")
 
 
 def _tool_row(row: ToolFigures) -> tuple[Any, ...]:

@@ -10,6 +10,7 @@ import click
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.mistakes import Answering
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
+from slamhive.cli.visible import say
 from slamhive.domain.numbers import plural
 from slamhive.domain.replay import DEFAULT_MARGINS, Agreement
 from slamhive.errors import InvalidInput
@@ -73,9 +74,9 @@ def _print(answer: ReplayAnswer) -> None:
     from slamhive.services import replay as tables  # noqa: PLC0415
 
     print_table(tables.METRIC_HEADS, tables.metric_rows(answer), right=tables.METRIC_HEADS[1:-1])
-    click.echo()
+    say()
     print_table(tables.CONFIGURATION_HEADS, tables.configuration_rows(answer), right=tables.CONFIGURATION_HEADS[2:])
-    click.echo()
+    say()
     values = [
         tuple(f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row) for row in tables.value_rows(answer)
     ]

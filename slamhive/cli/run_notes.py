@@ -10,6 +10,7 @@ from slamhive.cli import offers
 from slamhive.cli.chosen_runs import ChosenRuns, SearchAction, runs_or_search
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json
+from slamhive.cli.visible import say
 from slamhive.domain.notes import NotesChange, RunNotes
 from slamhive.errors import InvalidInput
 
@@ -49,7 +50,7 @@ def _show(changed: dict[int, RunNotes], *, as_json: bool) -> None:
         return
     for run_id, notes in changed.items():
         said = [f"tags {', '.join(notes.tags)}" if notes.tags else "no tags"] + ([notes.note] if notes.note else [])
-        click.echo(f"run {run_id}: {'; '.join(said)}")
+        say(f"run {run_id}: {'; '.join(said)}")
 
 
 COMMANDS = (note, tag)

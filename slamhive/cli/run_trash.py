@@ -10,6 +10,7 @@ from slamhive.cli import offers
 from slamhive.cli.chosen_runs import ChosenRuns, SearchAction, runs_or_search
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import counting_bar, print_json, print_table, tell
+from slamhive.cli.visible import say
 from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput
 from slamhive.schema.api_answers import DeletedRun
@@ -29,16 +30,14 @@ def delete(cli: CliContext, /, as_json: bool, **chosen: Any) -> None:
         action = SearchAction("delete", "move {runs} to the trash?", "{runs} moved to the trash")
         acted = runs.act(hive, action, hive.search_actions.delete, as_json=as_json)
         if acted.at is not None and acted.done and not as_json:
-            click.echo(f"slamhive runs restore --deleted-at {acted.at.isoformat()} takes them out again")
+            say(f"slamhive runs restore --deleted-at {acted.at.isoformat()} takes them out again")
         return
     deleted = hive.trash.delete(runs.run_ids)
     if as_json:
         print_json({"done": len(deleted), "left_out": 0, "reasons": []})
         return
     numbers = " ".join(str(run.id) for run in deleted)
-    click.echo(
-        f"{plural(len(deleted), 'run')} moved to the trash; slamhive runs restore {numbers} takes them out again"
-    )
+    say(f"{plural(len(deleted), 'run')} moved to the trash; slamhive runs restore {numbers} takes them out again")
 
 
 @click.command("restore")
@@ -53,7 +52,7 @@ def restore(cli: CliContext, run_ids: tuple[int, ...], deleted_at: str | None) -
     wanted = list(run_ids) if deleted_at is None else hive.trash.deleted_together(deleted_at)
     with counting_bar("restore", len(wanted)) as bar:
         restored = hive.trash.restore(wanted, lambda done: bar(done, ""))
-    click.echo(f"{plural(len(restored), 'run')} restored")
+    say(f"{plural(len(restored), 'run')} restored")
 
 
 @click.command("trash")
@@ -64,7 +63,7 @@ def trash(cli: CliContext, empty: bool, as_json: bool) -> None:
     """List the deleted runs, or remove them for good."""
     hive = cli.hive()
     if empty:
-        click.echo(f"{plural(hive.trash.empty(), 'run')} removed for good")
+        say(f"{plural(hive.trash.empty(), 'run')} removed for good")
         return
     found = hive.trash.listed()
     rows = [(run.deleted.run_id, run.algorithm, run.dataset, run.deleted.at.isoformat()) for run in found]

@@ -15,6 +15,7 @@ from slamhive.cli.hints import hint_in_words
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.searching import Listing, print_export, print_groups, search_of, split_columns, write_parquet
 from slamhive.cli.sharing import in_words
+from slamhive.cli.visible import say, write_raw
 from slamhive.domain.metrics import described
 from slamhive.domain.numbers import plural
 from slamhive.domain.run import FailureReason, RunState
@@ -107,7 +108,7 @@ def list_runs(hive: Hive, options: dict[str, Any], *, as_json: bool) -> None:
     if options["parquet"] is not None:
         path = options["parquet"]
         rows = write_parquet(*listing.groups(), path) if grouped else write_parquet(*listing.runs(), path)
-        click.echo(f"{path}: {plural(rows, 'row' if grouped else 'run')}, {listing.in_words()}")
+        say(f"{path}: {plural(rows, 'row' if grouped else 'run')}, {listing.in_words()}")
     elif options["as_csv"] or (as_json and (grouped or listing.columns)):
         kind = "csv" if options["as_csv"] else "json"
         if grouped:
@@ -153,11 +154,11 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
     if as_json:
         print_json(content)
         return
-    click.echo(f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {entry.state}")
+    say(f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {entry.state}")
     _print_outcome(entry)
     if entry.owner is not None or entry.seen_by is not Visibility.TEAM:
-        click.echo(in_words(entry.owner, entry.seen_by))
-    click.echo(f"folder {content['folder']}")
+        say(in_words(entry.owner, entry.seen_by))
+    say(f"folder {content['folder']}")
     print_table(("parameter", "value"), [(key, value) for key, value in content["parameters"].items()])
     if recorded.get("match"):
         print_table(("parameter", "value", "source"), list(bound_rows(Match.read(recorded["match"]))))
@@ -169,13 +170,13 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
         ]
         print_table(("metric", "value", "unit", "over"), rows, right=("value",))
     if entry.protocol is not None:
-        click.echo(f"protocol {entry.protocol.fingerprint}: {entry.protocol.label}")
+        say(f"protocol {entry.protocol.fingerprint}: {entry.protocol.label}")
     if entry.protocol is not None:
         for hint in evaluation_notes(hive.runs.folder(run_id), entry.protocol.fingerprint).hints:
-            click.echo(f"hint: {hint_in_words(hint)}")
+            say(f"hint: {hint_in_words(hint)}")
     for evaluation in content["evaluations"]:
         if evaluation["reason"]:
-            click.echo(f"evaluation {evaluation['id']} {evaluation['state']}: {evaluation['reason']}")
+            say(f"evaluation {evaluation['id']} {evaluation['state']}: {evaluation['reason']}")
     rows_of_events = [(e["at"], e["from"], e["to"], e["why"]) for e in content["events"]]
     print_table(("at", "from", "to", "why"), rows_of_events)
 
@@ -190,10 +191,15 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
     show_default=True,
     help="At most this much of the end.",
 )
+@click.option("--raw", is_flag=True, help="Print also what steers the terminal, such as colours.")
 @pass_cli
-def log(cli: CliContext, run_id: int, max_bytes: int) -> None:
-    """Print the output of a run."""
-    click.echo(cli.hive().runs.log(run_id, max_bytes), nl=False)
+def log(cli: CliContext, run_id: int, max_bytes: int, raw: bool) -> None:
+    r"""Print the output of a run. What would steer the terminal is shown, such as \x1b."""
+    text = cli.hive().runs.log(run_id, max_bytes)
+    if raw:
+        write_raw(text)
+    else:
+        say(text, nl=False)
 
 
 @runs.command("cancel")
@@ -207,7 +213,7 @@ def cancel(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
         entry = cli.hive().runs.cancel(run_id)
         entries.append(entry)
         if not as_json:
-            click.echo(f"run {entry.id}: {entry.state if entry.state.ended else 'is being cancelled'}")
+            say(f"run {entry.id}: {entry.state if entry.state.ended else 'is being cancelled'}")
     if as_json:
         print_runs(entries, as_json)
 
@@ -229,18 +235,18 @@ def retry(cli: CliContext, /, as_json: bool, **options: Any) -> None:
 def _print_outcome(entry: RunRecord) -> None:
     """Print why the run ended, its verdict, how far it can be trusted, and what somebody wrote about it."""
     if entry.detail:
-        click.echo(f"{entry.reason or 'note'}: {entry.detail}")
+        say(f"{entry.reason or 'note'}: {entry.detail}")
     if entry.verdict is not None:
-        click.echo(f"verdict: {entry.verdict.kind.label}. {entry.verdict.words}")
+        say(f"verdict: {entry.verdict.kind.label}. {entry.verdict.words}")
     if entry.trust is not None:
         said = [part for part in (entry.trust.words, *entry.trust.remedies) if part]
-        click.echo(f"trust: {entry.trust.level or 'unknown'}{'. ' if said else ''}{'; '.join(said)}")
+        say(f"trust: {entry.trust.level or 'unknown'}{'. ' if said else ''}{'; '.join(said)}")
     if entry.owner:
-        click.echo(f"owner: {entry.owner}")
+        say(f"owner: {entry.owner}")
     if entry.tags:
-        click.echo(f"tags: {', '.join(entry.tags)}")
+        say(f"tags: {', '.join(entry.tags)}")
     if entry.note:
-        click.echo(f"note: {entry.note}")
+        say(f"note: {entry.note}")
 
 
 def run_row(entry: RunRecord) -> tuple[Any, ...]:

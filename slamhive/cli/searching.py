@@ -13,6 +13,7 @@ import click
 from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.visible import say, write_out
 from slamhive.domain.list_look import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.errors import InvalidInput
@@ -122,7 +123,7 @@ class Listing:
 def print_export(content: TableExport[Record], pages: Pages[Record], *, kind: str) -> None:
     """The rows on stdout as ``csv`` or ``json``."""
     for piece in content.csv(pages) if kind == "csv" else content.json(pages):
-        click.echo(piece, nl=False)
+        write_out(piece)
 
 
 def write_parquet(content: TableExport[Record], pages: Pages[Record], path: Path) -> int:
@@ -193,7 +194,7 @@ def save(cli: CliContext, /, name: str, where: str, **options: Any) -> None:
         options["colours"],
         options["sparks"],
     )
-    click.echo(f"search {name} {'saved' if hive.searches.save(record) else 'replaced'}")
+    say(f"search {name} {'saved' if hive.searches.save(record) else 'replaced'}")
 
 
 @search_group.command("list")
@@ -217,7 +218,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
 def delete(cli: CliContext, name: str) -> None:
     """Delete the saved search NAME."""
     cli.hive().searches.delete(name)
-    click.echo(f"search {name} deleted")
+    say(f"search {name} deleted")
 
 
 def split_columns(text: str) -> list[str]:

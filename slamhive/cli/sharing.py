@@ -11,6 +11,7 @@ from slamhive.cli import offers
 from slamhive.cli.chosen_runs import ChosenRuns, SearchAction, runs_or_search
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json
+from slamhive.cli.visible import say
 from slamhive.domain.visibility import Sharing, Visibility, visibility_of
 from slamhive.errors import InvalidInput
 
@@ -46,7 +47,7 @@ def share_runs(cli: CliContext, /, visibility: str | None, owner: str | None, as
         print_json([{"id": run.id, "owner": run.owner, "visibility": run.seen_by.value} for run in runs])
         return
     for run in runs:
-        click.echo(f"run {run.id}: {in_words(run.owner, run.seen_by)}")
+        say(f"run {run.id}: {in_words(run.owner, run.seen_by)}")
 
 
 @click.command("share")
@@ -59,7 +60,7 @@ def share_experiment(cli: CliContext, name: str, visibility: str | None, owner: 
     if as_json:
         print_json({"name": name, "owner": sharing.owner, "visibility": seen_by.value})
     else:
-        click.echo(f"experiment {name}: {in_words(sharing.owner, seen_by)}")
+        say(f"experiment {name}: {in_words(sharing.owner, seen_by)}")
 
 
 def in_words(owner: str | None, seen_by: Visibility) -> str:

@@ -10,6 +10,7 @@ from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.sharing import change_of, in_words, sharing_options
+from slamhive.cli.visible import say
 
 if TYPE_CHECKING:
     from slamhive.store.analysis_records import AnalysisRecord
@@ -46,7 +47,7 @@ def share(cli: CliContext, token: str, visibility: str | None, owner: str | None
     if as_json:
         print_json(_content(record))
     else:
-        click.echo(f"analysis {record.name}: {in_words(record.owner, record.seen_by)}")
+        say(f"analysis {record.name}: {in_words(record.owner, record.seen_by)}")
 
 
 @analyses.command("delete")
@@ -57,7 +58,7 @@ def delete(cli: CliContext, token: str) -> None:
     stored = cli.hive().stored_analyses
     name = stored.get(token).name
     stored.delete(token)
-    click.echo(f"analysis {name} deleted")
+    say(f"analysis {name} deleted")
 
 
 def _content(record: AnalysisRecord) -> dict[str, object]:

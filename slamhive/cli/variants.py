@@ -10,6 +10,7 @@ from slamhive.cli import offers
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.cli.run_options import parse_steps, step_option
+from slamhive.cli.visible import say
 from slamhive.domain.variant import Variant
 from slamhive.errors import Conflict, InvalidInput
 from slamhive.schema.model import load
@@ -35,7 +36,7 @@ def steps_(kind: str | None, as_json: bool) -> None:
         rows = [(name, ", ".join(RegisteredSteps().options(name)), describe_step(name)) for name in kinds]
         print_table(("step", "options", "what it does"), rows)
     else:
-        click.echo(f"{kind}: {describe_step(kind)}")
+        say(f"{kind}: {describe_step(kind)}")
         option_rows = [
             (entry.name, entry.type, entry.allowed, entry.unit, _default(entry.default, entry.required), entry.help)
             for entry in describe_options(kind)
@@ -95,7 +96,7 @@ def make(cli: CliContext, dataset: str, variant: tuple[str, ...], as_json: bool)
     if as_json:
         print_json(CachedVariant.of(entry).content)
     else:
-        click.echo(f"{entry.key}: {entry.size_bytes / 1e6:.1f} MB, {used.dataset.bag_path}")
+        say(f"{entry.key}: {entry.size_bytes / 1e6:.1f} MB, {used.dataset.bag_path}")
 
 
 @variants.command("drop")
@@ -124,7 +125,7 @@ def drop(cli: CliContext, keys: tuple[str, ...], dataset: str | None, everything
         print_json({"dropped": [entry.key for entry in dropped], "in_use": [entry.key for entry in kept]})
         return
     in_use = f", {len(kept)} in use stay" if kept else ""
-    click.echo(f"{len(dropped)} variants removed, {sum(entry.size_bytes for entry in dropped) / 1e6:.1f} MB{in_use}")
+    say(f"{len(dropped)} variants removed, {sum(entry.size_bytes for entry in dropped) / 1e6:.1f} MB{in_use}")
 
 
 @variants.command("verify")
@@ -146,8 +147,8 @@ def verify(cli: CliContext, keys: tuple[str, ...], dataset: str | None, as_json:
         print_json([{"key": key, "problem": problem} for key, problem in problems.items()])
     else:
         for key, problem in damaged.items():
-            click.echo(f"{key[:KEY_SHOWN]}: {problem}; `slamhive variants drop {key[:KEY_SHOWN]}` removes it")
-        click.echo(f"{len(problems) - len(damaged)} of {len(problems)} variants are whole")
+            say(f"{key[:KEY_SHOWN]}: {problem}; `slamhive variants drop {key[:KEY_SHOWN]}` removes it")
+        say(f"{len(problems) - len(damaged)} of {len(problems)} variants are whole")
     if damaged:
         raise click.exceptions.Exit(1)
 

@@ -30,6 +30,7 @@ ResultCallback = Callable[[EvaluationResult], None]
 
 START_TIMEOUT_S = 120.0
 TASK_TIMEOUT_S = 120.0
+_INTERRUPTION_S = 0.5
 _ENGINE_NOT_REACHED = "slamhive"
 _REMEDIES = {
     "estimate": "start the run again",
@@ -87,11 +88,12 @@ class EvaluationRunner:
         if ready:
             how_it_ended = self._run_batch(ready, scratch, collected, stopping, cores)
             collected.take_files(ready)
-            if not stopping.is_set():
-                for task in ready:
-                    if task.id not in collected.results:
-                        reason = f"evaluation ended early: {how_it_ended or 'no result was written'}"
-                        collected.add(failed_result(task, reason, _ENGINE_NOT_REACHED))
+            without = [task for task in ready if task.id not in collected.results]
+            # A signal to all processes of a systemd unit may reach the evaluation before it reaches us.
+            if without and not stopping.wait(_INTERRUPTION_S):
+                reason = f"evaluation ended early: {how_it_ended or 'no result was written'}"
+                for task in without:
+                    collected.add(failed_result(task, reason, _ENGINE_NOT_REACHED))
         return [collected.results[task.id] for task in tasks if task.id in collected.results]
 
     def _run_batch(

@@ -110,13 +110,21 @@ def weighted_percentile(values: FloatArray, weights: FloatArray, percent: float)
 
 def write_plots(folder: RunFolder) -> None:
     """Write ``profiling_cpu.png`` and ``profiling_ram.png``; nothing without two samples. Raises Unavailable."""
-    profile = read_profile(folder.profiling)
+    found = read_profile(folder.profiling)
+    rows = np.stack([found.times_s, found.cpu_cores, found.memory_bytes])
+    profile = Profile(*rows[:, np.isfinite(rows).all(axis=0)])  # those of imported archives hold anything
     if len(profile) < 2:
         return
     cpu = _plot(profile.times_s, profile.cpu_cores, "CPU in cores", _CPU_COLOUR)
     write_aside(folder.profiling_cpu_plot, cpu)
     ram = _plot(profile.times_s, profile.memory_bytes / 1e6, "Memory in MB", _RAM_COLOUR)
     write_aside(folder.profiling_ram_plot, ram)
+
+
+def plots_are_missing(folder: RunFolder) -> bool:
+    """Whether there is something to plot that :func:`write_plots` has not plotted."""
+    plots = (folder.profiling_cpu_plot, folder.profiling_ram_plot)
+    return folder.profiling.is_file() and not all(plot.exists() for plot in plots)
 
 
 def _usage_metrics(profile: Profile) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
@@ -136,7 +136,10 @@ def _keys(annotation: Any) -> Mapping[str, Any] | None:
     """The keys of a model or dataclass with their types, None for anything else."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return {name: field.annotation for name, field in annotation.model_fields.items()}
-    return get_type_hints(annotation) if is_dataclass(annotation) else None
+    if not is_dataclass(annotation):
+        return None
+    types = get_type_hints(annotation)
+    return {field.name: types[field.name] for field in fields(annotation)}  # class variables are no keys
 
 
 def _inner(annotation: Any) -> Any:

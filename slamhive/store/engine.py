@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sqlite3
+from configparser import Error as ConfigurationError
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
-from sqlalchemy.exc import ArgumentError
+from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from slamhive.errors import InvalidInput
 
@@ -20,6 +22,13 @@ _WRITES = "slamhive_writes"
 """Execution option of connections that are going to write."""
 
 _EXAMPLES = "use sqlite:////path/slamhive.db or mysql+pymysql://user:password@host/database"
+_SQLITE_OPTIONS = ("timeout", "cached_statements", "check_same_thread")
+_MYSQL_OPTIONS = (
+    *("ssl_ca", "ssl_capath", "ssl_cert", "ssl_key", "ssl_key_password", "ssl_cipher"),
+    *("ssl_check_hostname", "ssl_verify_cert", "ssl_verify_identity", "ssl_disabled"),
+    *("unix_socket", "bind_address", "read_default_file", "read_default_group", "program_name"),
+    *("charset", "connect_timeout", "read_timeout", "write_timeout"),
+)
 _MYSQL_SESSION = (
     "SET SESSION sql_mode='STRICT_ALL_TABLES,NO_ZERO_DATE,NO_ENGINE_SUBSTITUTION', "
     f"SESSION innodb_lock_wait_timeout={LOCK_WAIT_S}, time_zone='+00:00'"
@@ -33,6 +42,7 @@ def make_engine(database_url: str) -> Engine:
     message contains the URL itself: it may hold a password.
     """
     url = _checked(database_url)
+    _check_options(url)
     if url.get_backend_name() == "sqlite":
         return _sqlite(url)
     return create_engine(
@@ -79,24 +89,90 @@ def _checked(database_url: str) -> URL:
         url = make_url(database_url)
     except (ArgumentError, ValueError):
         raise InvalidInput("DATABASE_URL is not a database URL", _EXAMPLES) from None
+    if "\0" in (url.database or ""):
+        raise InvalidInput(f"DATABASE_URL: {url.database!r} is not the name of a database", _EXAMPLES)
     if url.drivername in {"sqlite", "sqlite+pysqlite"}:
         if url.database in {None, "", ":memory:"} or url.query.get("mode") == "memory":
             raise InvalidInput(
                 "DATABASE_URL names an in-memory SQLite database", "web server and worker share a file: " + _EXAMPLES
             )
+        if url.host or url.username or url.password or url.port:
+            raise InvalidInput("DATABASE_URL names a user or a server, but SQLite has a file", _EXAMPLES)
         return url
     if url.drivername in {"mysql", "mariadb", "mysql+pymysql", "mariadb+pymysql"}:
         if not url.database:
             raise InvalidInput("DATABASE_URL names no database on the server", _EXAMPLES)
+        _check_server(url)
         return url.set(drivername="mysql+pymysql")
     raise InvalidInput(f"DATABASE_URL: {url.drivername!r} is not supported", _EXAMPLES)
 
 
+def _check_server(url: URL) -> None:
+    """Refuse what would raise only when a connection is opened, and no error of the database then."""
+    try:
+        (url.host or "").encode("idna")
+    except UnicodeError:
+        raise InvalidInput(f"DATABASE_URL: {url.host!r} is not the name of a machine", _EXAMPLES) from None
+    if url.port is not None and not 0 < url.port <= 65535:
+        raise InvalidInput(f"DATABASE_URL: {url.port} is not a port", "use one from 1 to 65535, or leave it out")
+    try:
+        (url.password or "").encode("latin1")
+    except UnicodeError:
+        remedy = "give the account a password of such letters"
+        raise InvalidInput("DATABASE_URL: the password has letters that are not in Latin-1", remedy) from None
+
+
+def _check_options(url: URL) -> None:
+    """Refuse options that the driver does not know or cannot use. Each is tried alone, without a connection."""
+    known = _SQLITE_OPTIONS if url.get_backend_name() == "sqlite" else _MYSQL_OPTIONS
+    for name, value in url.query.items():
+        if name not in known:
+            remedy = f"leave it out; the options are {', '.join(known)}"
+            raise InvalidInput(f"DATABASE_URL has the unknown option {name!r}", remedy)
+        if not isinstance(value, str):
+            raise InvalidInput(f"DATABASE_URL has the option {name!r} {len(value)} times", "leave out all but one")
+        if name == "charset":
+            continue  # replaced by the one that the tables have
+        # A certificate is of use with its key only.
+        together = {"ssl_cert", "ssl_key", "ssl_key_password"} if name.startswith("ssl_") else {name}
+        alone = {key: url.query[key] for key in known if key in url.query and key in {name, *together}}
+        try:
+            _try_options(url.set(query=alone))
+        except (
+            TypeError,
+            ValueError,
+            LookupError,
+            ArithmeticError,
+            OSError,
+            ConfigurationError,
+            SQLAlchemyError,
+        ) as error:
+            shown = name if "password" in name else f"{name}={value}"
+            why = str(error.strerror if isinstance(error, OSError) and error.strerror else error).splitlines()
+            said = f": {why[0]}" if why else ""
+            raise InvalidInput(f"DATABASE_URL: the option {shown} cannot be used{said}", "correct it") from None
+
+
+def _try_options(url: URL) -> None:
+    dialect = url.get_dialect()()
+    _, options = dialect.create_connect_args(url)
+    if url.get_backend_name() == "sqlite":
+        sqlite3.connect(":memory:", **options).close()
+        return
+    import pymysql  # noqa: PLC0415 - SQLite needs none
+
+    pymysql.Connection(defer_connect=True, **options)
+
+
 def _sqlite(url: URL) -> Engine:
     path = sqlite_file(url)
-    if path.is_dir():
+    try:
+        is_folder, has_folder = path.is_dir(), path.parent.is_dir()
+    except OSError as error:  # too long, or in a folder of others
+        raise InvalidInput(f"DATABASE_URL: {path} cannot be used: {error.strerror}", "name another file") from None
+    if is_folder:
         raise InvalidInput(f"DATABASE_URL names the folder {path}", f"name a file in it: sqlite:///{path}/slamhive.db")
-    if not path.parent.is_dir():
+    if not has_folder:
         raise InvalidInput(f"the database's folder {path.parent} does not exist", "make it, or correct DATABASE_URL")
     if "timeout" not in url.query:
         url = url.update_query_dict({"timeout": str(BUSY_TIMEOUT_S)})

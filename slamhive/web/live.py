@@ -38,7 +38,8 @@ class LiveHub:
         self._changed = threading.Condition()
         self._streams = 0
         self._tick = 0
-        self._messages: dict[Viewer | None, str] = {}
+        self._messages: dict[Viewer | None, tuple[int, str]] = {}
+        """The latest snapshot of each viewer, and its number."""
         self._viewers: Counter[Viewer | None] = Counter()
         self._poller: threading.Thread | None = None
         self._closed = False
@@ -74,20 +75,24 @@ class LiveHub:
     def wait(self, seen: int, viewer: Viewer | None = None) -> tuple[int, str] | None:
         """Number and text of the latest snapshot for ``viewer``; None at the end.
 
-        It waits until the number differs from ``seen``, or for some seconds.
+        It waits until ``viewer`` has a snapshot with another number than ``seen``, or for some seconds. What others
+        got does not count: a viewer who has just come, or cannot be looked up now, would never wait.
         """
+        nothing_new = (seen, "")
         with self._changed:
-            self._changed.wait_for(lambda: self._ended or self._tick != seen, timeout=KEEPALIVE_S)
-            if self._ended:
-                return None
-            message = self._messages.get(viewer)
-            return (seen, "") if message is None else (self._tick, message)
+            self._changed.wait_for(
+                lambda: self._ended or self._messages.get(viewer, nothing_new)[0] != seen, timeout=KEEPALIVE_S
+            )
+            return None if self._ended else self._messages.get(viewer, nothing_new)
 
     def leave(self, viewer: Viewer | None = None) -> None:
         """Count one stream less."""
         with self._changed:
             self._streams -= 1
             self._viewers[viewer] -= 1
+            if not self._viewers[viewer]:
+                del self._viewers[viewer]
+                self._messages.pop(viewer, None)
 
     @property
     def _ended(self) -> bool:
@@ -107,16 +112,16 @@ class LiveHub:
         while True:
             began = monotonic_s()
             with self._changed:
-                viewers = [viewer for viewer, streams in self._viewers.items() if streams > 0]
-            messages = {viewer: self._look(viewer) for viewer in viewers}
+                viewers = list(self._viewers)
+            found = {viewer: message for viewer in viewers if (message := self._look(viewer)) is not None}
             with self._changed:
                 if self._closed or self._streams == 0:
                     self._poller = None
                     return
-                if None not in messages.values():
-                    self._tick += 1
-                    self._messages = {viewer: str(message) for viewer, message in messages.items()}
-                    self._changed.notify_all()
+                self._tick += 1
+                for viewer in found.keys() & self._viewers.keys():
+                    self._messages[viewer] = self._tick, found[viewer]
+                self._changed.notify_all()
                 left_s = max(0.05, self._interval_s - (monotonic_s() - began))
                 self._changed.wait_for(lambda: self._closed, timeout=left_s)
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any, cast
 
-from slamhive.http_server import HttpServer, listen
+from slamhive.http_server import HttpServer, Limits, listen
 from slamhive.services.analyses import AnalysisComputer
 from slamhive.services.hive import Hive
 from slamhive.web.app import BODY_LIMITS, MOST_STREAMS, MOST_UPLOAD_BYTES, create_app
@@ -43,8 +43,13 @@ class WebServer:
         self._server = HttpServer(
             app,
             listener,
+            Limits(
+                MOST_CONNECTIONS,
+                hive.settings.connections_per_address,
+                hive.settings.trusted_proxy,
+                health_path="/healthz",
+            ),
             threads=THREADS,
-            connection_limit=MOST_CONNECTIONS,
             max_request_body_size=max(BODY_LIMITS.values()) + MOST_UPLOAD_BYTES,
             **_proxy_options(hive.settings.trusted_proxy),
         )

@@ -17,6 +17,7 @@ from unittest import mock
 
 from slamhive.domain.run import RunState
 from slamhive.runs.folder import RunFolder
+from slamhive.runs.profiling import read_profile
 from slamhive.schema.submission import Submission
 from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.hive import Hive, open_hive
@@ -111,13 +112,16 @@ def kill_at_each_step(
 
 
 def check_whole(hive: Hive, run: RunRecord, when: str) -> None:
-    """The run has succeeded, says so everywhere, and is queued for one evaluation."""
+    """The run has succeeded, says so everywhere, is queued for one evaluation, and has its plots."""
     assert run.state is RunState.SUCCEEDED, f"{when}: {run.state}, {run.detail}"
     assert run.poses == 30
     assert len(hive.evaluations.of_run(run.id)) == 1, when
     record = hive.runs.record(run.id)
     assert (record["state"], record["poses"]) == ("succeeded", 30)
     assert [event.to_state for event in hive.runs.events(run.id)][-1] is RunState.SUCCEEDED
+    folder = hive.runs.folder(run.id)
+    plots = (folder.profiling_cpu_plot, folder.profiling_ram_plot)
+    assert len(read_profile(folder.profiling)) < 2 or all(plot.exists() for plot in plots), when
 
 
 if __name__ == "__main__":

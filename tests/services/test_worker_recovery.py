@@ -32,7 +32,7 @@ def processes_of(hive: Hive) -> list[str]:
 
 def test_killed_at_any_step_the_run_ends_once_and_well(hive):
     """Before each write and call. The remote executor has a test that kills after each."""
-    asked = Submission("tiny", "track", {"seconds": 0.05})
+    asked = Submission("tiny", "track", {"seconds": 0.3})  # long enough for samples, and so for plots
     kill_at_each_step(hive, asked, lambda count: range(1, count + 1, 2), partial(check_whole, hive))
     assert processes_of(hive) == []
 

@@ -78,6 +78,30 @@ def impatient(path: Path, clock: ManualClock, retry_s: float = 60.0) -> Store:
         ("sqlite:///file:x?mode=memory&uri=true", "in-memory"),
         ("sqlite:////", "names the folder /; name a file in it"),
         ("sqlite:////nonexistent/dir/x.db", "folder /nonexistent/dir does not exist; make it"),
+        (f"sqlite:////{'a' * 5000}", "cannot be used: File name too long; name another"),
+        ("sqlite:////tmp/%00.db", r"'/tmp/\\x00.db' is not the name of a database"),
+        (f"sqlite://user:{SECRET}@host/x.db", "names a user or a server, but SQLite has a file"),
+        ("sqlite:////tmp/x.db?foo=1", "unknown option 'foo'; leave it out; the options are timeout, cached"),
+        ("sqlite:////tmp/x.db?isolation_level=EXCLUSIVE", "unknown option 'isolation_level'"),
+        ("sqlite:////tmp/x.db?timeout=abc", "option timeout=abc cannot be used: could not convert string to float"),
+        ("sqlite:////tmp/x.db?timeout=5&timeout=6", "has the option 'timeout' 2 times; leave out all but one"),
+        ("sqlite:////tmp/x.db?cached_statements=99999999999999", "too large"),
+        ("sqlite:////tmp/x.db?check_same_thread=maybe", "option check_same_thread=maybe cannot be used"),
+        (f"mysql+pymysql://u:{SECRET}@host/db?foo=1", "unknown option 'foo'; leave it out; the options are ssl_ca"),
+        (f"mysql+pymysql://u@host/db?password={SECRET}", "unknown option 'password'"),
+        (f"mysql+pymysql://u:{SECRET}@host/db?cursorclass=x", "unknown option 'cursorclass'"),
+        (f"mysql+pymysql://u:{SECRET}@host/db?ssl_ca=/nowhere", "ssl_ca=/nowhere cannot be used: No such file"),
+        (f"mysql+pymysql://u:{SECRET}@host/db?ssl_ca=/etc/passwd", "ssl_ca=/etc/passwd cannot be used: .*no cert"),
+        (f"mysql+pymysql://u:{SECRET}@host/db?ssl_cert=/nowhere", "ssl_cert=/nowhere cannot be used: No such file"),
+        (f"mysql+pymysql://u:{SECRET}@host/db?ssl_cipher=x", "ssl_cipher=x cannot be used"),
+        (f"mysql+pymysql://u:{SECRET}@host/db?ssl_check_hostname=x", "ssl_check_hostname=x cannot be used"),
+        (f"mysql+pymysql://u:{SECRET}@host/db?connect_timeout=x", "connect_timeout=x cannot be used: invalid lit"),
+        (f"mysql+pymysql://u:{SECRET}@host/db?read_timeout=0", "read_timeout=0 cannot be used: .* > 0"),
+        (f"mysql+pymysql://u:{SECRET}@host/db?read_default_file=/etc/passwd", "/etc/passwd cannot be used: File cont"),
+        (f"mysql+pymysql://u:{SECRET}@host:99999/db", "99999 is not a port; use one from 1 to 65535"),
+        (f"mysql+pymysql://u:{SECRET}@a..b/db", "'a..b' is not the name of a machine"),
+        (f"mysql+pymysql://u:{SECRET}@{'a' * 70}/db", "is not the name of a machine"),
+        (f"mysql+pymysql://u:{SECRET}漢@host/db", "password has letters that are not in Latin-1"),
     ],
 )
 def test_urls_that_cannot_be_used(url: str, message: str) -> None:
@@ -86,6 +110,19 @@ def test_urls_that_cannot_be_used(url: str, message: str) -> None:
     assert SECRET not in str(caught.value)
     assert "\n" not in str(caught.value)
     assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "sqlite:////tmp/x.db?timeout=2.5&cached_statements=10&check_same_thread=false",
+        "mysql+pymysql://u@host/db?charset=latin1&connect_timeout=3&read_timeout=9&write_timeout=9",
+        "mysql+pymysql://u@host/db?ssl_check_hostname=false&unix_socket=/run/mysqld/mysqld.sock",
+        "mysql+pymysql://u@[::1]:3307/db?bind_address=::1&program_name=hive&read_default_file=/nowhere",
+    ],
+)
+def test_options_that_drivers_have_are_passed_on(url: str) -> None:
+    assert make_engine(url).url.query.items() >= {"charset": "utf8mb4"}.items() or url.startswith("sqlite")
 
 
 def test_names_of_mysql_mean_the_same() -> None:

@@ -12,6 +12,8 @@ from click.testing import CliRunner
 
 from slamhive.cli import main
 from slamhive.domain.run import RunState
+from slamhive.errors import InvalidInput
+from slamhive.schema.model import json_schema, parse
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.web.api import TABLE
@@ -40,6 +42,16 @@ def post(web: Web, path: str, body: dict[str, Any] | None = None, key: str | Non
 
 def get(web: Web, path: str) -> Any:
     return web.client.get(PREFIX + path).get_json()
+
+
+@pytest.mark.parametrize(
+    "body", {entry.body for entry in TABLE.operations if isinstance(entry.body, type)}, ids=lambda body: body.__name__
+)
+def test_an_unknown_key_is_answered_with_the_keys_that_are_described(body: type[Any]):
+    with pytest.raises(InvalidInput, match="unknown key 'zzzzzzzz'") as refused:
+        parse(body, {"zzzzzzzz": 1})
+    named = str(refused.value).partition("; known: ")[2].partition("; and")[0].split(", ")
+    assert named == sorted(json.loads(json_schema(body))["properties"])
 
 
 def references(value: Any) -> Iterator[str]:

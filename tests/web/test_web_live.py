@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from slamhive.domain.run import RunState
+from slamhive.domain.visibility import Viewer
 from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.services.hive import Hive
 from slamhive.services.runs.service import Runs
@@ -108,6 +109,86 @@ def test_a_database_that_is_away_does_not_end_the_stream(hub: LiveHub, monkeypat
     stream = hub.open()
     assert next_state(stream.events())["counts"]
     stream.close()
+
+
+class Reader:
+    """Reads a stream in a thread, and keeps what it said."""
+
+    def __init__(self, stream: LiveStream) -> None:
+        self.events: list[str] = []
+        self._stream = stream
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        for event in self._stream.events():
+            self.events.append(event)
+
+    def states(self) -> list[str]:
+        return [event for event in self.events if event.startswith("event: state")]
+
+    def close(self, hub: LiveHub) -> None:
+        hub.close()
+        self._thread.join(PATIENCE_S)
+        self._stream.close()
+
+
+def test_a_stream_whose_viewer_cannot_be_looked_up_waits_beside_an_older_one(
+    hub: LiveHub, shown: Web, monkeypatch: pytest.MonkeyPatch
+):
+    real = Runs.counts
+    newcomer = Viewer("newcomer")
+    away = threading.Event()
+    away.set()
+
+    def counts(runs: Runs) -> Any:
+        if away.is_set() and shown.hive.store.viewer == newcomer:
+            raise Unavailable("the database is away")
+        return real(runs)
+
+    monkeypatch.setattr(Runs, "counts", counts)
+    older = Reader(hub.open())
+    eventually(lambda: len(older.states()) > 2)
+    with shown.hive.store.seen_by(newcomer):
+        newer = Reader(hub.open())
+    had = len(older.states())
+    eventually(lambda: len(older.states()) > had + 5)  # the trouble of one viewer holds up no other
+    assert newer.events == ["retry: 3000\n\n"]
+    away.clear()
+    eventually(lambda: len(newer.states()) > 2)
+    older.close(hub)
+    newer.close(hub)
+
+
+def test_streams_wait_while_the_database_is_away_and_go_on_after_it(
+    hub: LiveHub, shown: Web, monkeypatch: pytest.MonkeyPatch
+):
+    real = Runs.counts
+    away = threading.Event()
+    asked = 0
+
+    def counts(runs: Runs) -> Any:
+        nonlocal asked
+        if away.is_set():
+            asked += 1
+            raise Unavailable("the database is away")
+        return real(runs)
+
+    monkeypatch.setattr(Runs, "counts", counts)
+    older = Reader(hub.open())
+    eventually(lambda: len(older.states()) > 2)
+    away.set()
+    eventually(lambda: asked > 1)
+    with shown.hive.store.seen_by(Viewer("newcomer")):
+        newer = Reader(hub.open())
+    had = len(older.events)
+    eventually(lambda: asked > 20)
+    assert len(older.events) == had
+    assert newer.events == ["retry: 3000\n\n"]
+    away.clear()
+    eventually(lambda: newer.states() and len(older.states()) > had)
+    older.close(hub)
+    newer.close(hub)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")

@@ -6,7 +6,9 @@ import errno
 import random
 import socket
 import threading
+import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -73,9 +75,9 @@ def port(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[int
     hive.close()
 
 
-def answer_to(port: int, data: bytes) -> bytes:
+def answer_to(port: int, data: bytes, address: str = "127.0.0.1") -> bytes:
     """All that the server says to these bytes, up to the end of the connection; empty if it hangs up."""
-    with socket.create_connection(("127.0.0.1", port), TIMEOUT_S) as connection:
+    with socket.create_connection(("127.0.0.1", port), TIMEOUT_S, (address, 0)) as connection:
         try:
             connection.sendall(data)
             connection.shutdown(socket.SHUT_WR)
@@ -101,8 +103,8 @@ def check(port: int, data: bytes, caplog: pytest.LogCaptureFixture) -> int:
     return status
 
 
-def is_served(port: int) -> bool:
-    answer = answer_to(port, b"GET /healthz HTTP/1.1\r\n" + HOST + b"Connection: close\r\n\r\n")
+def is_served(port: int, address: str = "127.0.0.1") -> bool:
+    answer = answer_to(port, b"GET /healthz HTTP/1.1\r\n" + HOST + b"Connection: close\r\n\r\n", address)
     return answer.startswith(b"HTTP/1.1 200")
 
 
@@ -118,3 +120,26 @@ def test_mutated_requests_are_refused_and_the_server_goes_on(port: int, seed: in
     statuses = [check(port, mutated(WHOLE, draw), caplog) for _ in range(300)]
     assert is_served(port)
     assert 400 in statuses
+
+
+def test_250_idle_connections_and_50_slow_heads_shut_out_nobody(port: int):
+    with ExitStack() as open_ones:
+        for number in range(300):
+            client = socket.create_connection(("127.0.0.1", port), TIMEOUT_S, (f"127.0.0.{1 + number % 4}", 0))
+            open_ones.enter_context(client)
+            if number % 6 == 0:
+                client.sendall(b"GET / HTTP/1.1\r\nHo")
+            if number % 50 == 0:
+                began = time.monotonic()
+                assert is_served(port)
+                assert time.monotonic() - began < 1
+        for address in ("127.0.0.1", "127.0.0.200"):
+            began = time.monotonic()
+            assert is_served(port, address)
+            assert time.monotonic() - began < 1
+
+
+def test_a_request_with_two_lengths_ends_its_connection(port: int):
+    answer = answer_to(port, BROKEN["length and chunks"] + b"GET /healthz HTTP/1.1\r\n" + HOST + b"\r\n")
+    assert answer.startswith(b"HTTP/1.1 400")
+    assert answer.count(b"HTTP/1.1 ") == 1

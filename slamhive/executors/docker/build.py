@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
+import os
 import tempfile
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,6 +18,7 @@ from docker.utils.build import tar
 
 from slamhive.catalogue.image_context import CONTENT_LABEL, BuildContext
 from slamhive.executors.base import ImageMissing, ProgressCallback
+from slamhive.executors.build_program import run_program
 from slamhive.executors.docker.engine import engine_errors
 from slamhive.files import temporary_folder
 
@@ -141,19 +142,23 @@ def choose_base(client: docker.DockerClient, project_root: Path, progress: Progr
         progress(f"{error.message}; making {OWN_BASE} with debootstrap")
     else:
         return PUBLIC_BASE
-    _make_base(client, project_root / "docker" / "base" / "make-base.sh")
+    _make_base(client, project_root / "docker" / "base" / "make-base.sh", progress)
     return OWN_BASE
 
 
-def _make_base(client: docker.DockerClient, script: Path) -> None:
+def _make_base(client: docker.DockerClient, script: Path, progress: ProgressCallback) -> None:
     """Make the base image's files with debootstrap and hand them to the engine."""
     repository, _, tag = OWN_BASE.rpartition(":")
     with temporary_folder() as folder:
         archive = folder / "base.tar"
-        made = subprocess.run(["/bin/sh", str(script), str(archive)], capture_output=True, text=True, check=False)
-        if made.returncode != 0:
-            words = (made.stderr or made.stdout).strip().splitlines() or ["it says nothing"]
-            raise ImageMissing(f"no registry answers and {script.name} failed: {words[-1]}", "set BASE_IMAGE")
+        last = ["it says nothing"]
+
+        def show(line: str) -> None:
+            last[0] = line
+            progress(f"{script.name}: {line}")
+
+        if run_program(["/bin/sh", str(script), str(archive)], os.environ, show) != 0:
+            raise ImageMissing(f"no registry answers and {script.name} failed: {last[0]}", "set BASE_IMAGE")
         with engine_errors(f"importing {OWN_BASE}", ImageMissing):
             answer = client.api.import_image_from_file(str(archive), repository, tag, changes=['CMD ["/bin/sh"]'])
     if get_image(client, OWN_BASE) is None:

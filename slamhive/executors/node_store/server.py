@@ -24,7 +24,7 @@ from slamhive.executors.node_store.on_node.connection import FROM_HEADER, OVER, 
 from slamhive.executors.node_store.on_node.mirror import MOST_BODY_BYTES
 from slamhive.executors.node_store.on_node.run import ARCHITECTURE
 from slamhive.executors.node_store.registrations import Registration, Registrations
-from slamhive.http_server import HttpServer, listen
+from slamhive.http_server import HttpServer, Limits, listen
 from slamhive.settings import Settings
 
 logger = logging.getLogger(__name__)
@@ -134,10 +134,9 @@ class NodeServer:
         self._server = HttpServer(
             NodeService(data),
             listen(host, port, "port in NODE_ADDRESS"),
+            Limits(MOST_CONNECTIONS, MOST_CONNECTIONS, idle_s=300),
             threads=THREADS,
-            connection_limit=MOST_CONNECTIONS,
             max_request_body_size=2 * MOST_BODY_BYTES,
-            channel_timeout=300,
         )
         self.url = self._server.url
         self._thread = threading.Thread(target=self._server.run, name="nodes", daemon=True)

@@ -27,6 +27,7 @@ from slamhive.catalogue.image_context import RUNTIME_PARTS, copy_parts
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import Unavailable
 from slamhive.executors.base import ImageMissing, ProgressCallback
+from slamhive.executors.build_program import run_program
 from slamhive.files import hash_files, sweep_folder, temporary_folder
 
 REQUIREMENTS_FILE = "requirements.txt"
@@ -222,20 +223,12 @@ def _run_step(title: str, command: list[str], variables: dict[str, str], progres
     """Run one build step, its output line by line to ``progress``; raises ImageMissing with its last lines."""
     inherited = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
     last: deque[str] = deque(maxlen=4)
-    with subprocess.Popen(
-        command,
-        env={**inherited, "PYTHONUNBUFFERED": "1", **variables},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        errors="replace",
-    ) as process:
-        assert process.stdout is not None
-        for raw in process.stdout:
-            line = raw.strip()
-            if line:
-                last.append(line)
-                progress(f"{title}: {line}")
-    if process.returncode != 0:
-        raise ImageMissing(f"{title} failed with exit code {process.returncode}: {' | '.join(last)}")
+
+    def show(line: str) -> None:
+        if not last or line != last[-1]:
+            last.append(line)
+        progress(f"{title}: {line}")
+
+    exit_code = run_program(command, {**inherited, "PYTHONUNBUFFERED": "1", **variables}, show)
+    if exit_code != 0:
+        raise ImageMissing(f"{title} failed with exit code {exit_code}: {' | '.join(last)}")

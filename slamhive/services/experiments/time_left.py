@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,6 +19,8 @@ from slamhive.store.experiment_records import ExperimentRecord
 MANY_RUNS = 5000
 """From this many waiting runs on, the means are kept for a while: they change slowly and cost a look at each run."""
 KEPT_S = 60.0
+_OVERDUE = 4 / 3
+"""What has taken longer than expected is expected to take so many times what it has taken."""
 
 
 class Left(NamedTuple):
@@ -65,12 +67,14 @@ class TimeLeft:
         means = self._known(record.id, waiting) or self._look(t, record.id)
         active = t.durations.active(record.id)
         building = {run.package: run for run in active if _builds(run, means)}
-        build_s, run_s = means.of_build.seconds, means.of_run.seconds
-        built_s = sum(self._elapsed_s(building.get(name), build_s) for name in means.unbuilt)
-        ran_s = sum(self._elapsed_s(run, run_s) for run in active if not _builds(run, means))
+        running = [run for run in active if not _builds(run, means)]
+        of_build = self._no_less(means.of_build, building.values())
+        of_run = means.of_run if means.measured else self._no_less(means.of_run, running)
+        built_s = sum(self._passed_s(building.get(name), of_build.seconds) for name in means.unbuilt)
+        ran_s = sum(self._passed_s(run, of_run.seconds) for run in running)
         amount = (
-            means.of_build.times(len(means.unbuilt), built_s)
-            + means.of_run.times(waiting, ran_s)
+            of_build.times(len(means.unbuilt), built_s)
+            + of_run.times(waiting, ran_s)
             + means.of_evaluation.times(evaluations + waiting * means.evaluated_fraction)
         )
         time = amount.remaining(min(self._slots, max(waiting, evaluations)))
@@ -78,9 +82,21 @@ class TimeLeft:
         phase = _phase(active, tuple(building), evaluations) or _waiting(record.cpu_model)
         return Left(time if measured else Remaining(time.seconds), phase)
 
-    def _elapsed_s(self, run: ActiveRun | None, expected_s: float) -> float:
-        """How much of the time of a run has passed; one that takes longer than expected is taken to end soon."""
-        return 0.0 if run is None else min((self._clock.utc_now() - run.claimed_at).total_seconds(), 0.9 * expected_s)
+    def _no_less(self, expected: Expected, under_way: Iterable[ActiveRun]) -> Expected:
+        """A guess that is no less than what takes longest now will take; what was measured stays."""
+        longest_s = max((_OVERDUE * self._elapsed_s(run) for run in under_way), default=0.0)
+        return Expected.guess(longest_s) if expected.guessed_s and longest_s > expected.seconds else expected
+
+    def _passed_s(self, run: ActiveRun | None, expected_s: float) -> float:
+        """How much of the expected time has passed; less than nothing of one that takes longer than expected.
+
+        Such a run is taken to need a third of its time again: the longer it has taken, the further is its end.
+        """
+        elapsed_s = 0.0 if run is None else self._elapsed_s(run)
+        return expected_s - max(expected_s - elapsed_s, (_OVERDUE - 1) * elapsed_s)
+
+    def _elapsed_s(self, run: ActiveRun) -> float:
+        return (self._clock.utc_now() - run.claimed_at).total_seconds()
 
     def _known(self, experiment_id: int, waiting: int) -> _Means | None:
         with self._lock:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from datetime import datetime
 
@@ -58,13 +58,21 @@ class Collecting:
         self._tidy_up()
 
     def _tidy_up(self) -> None:
-        """Clean up after the outcome is stored; errors here do not change the outcome."""
-        try:
-            self._hand.executor.remove(self._hand.handle)
-            remove_scratch(self._hand)
-            write_plots(self._hand.folder)
-        except (SlamHiveError, OSError) as error:
-            logger.warning("run %d has ended, but: %s", self._hand.run.id, str(error))
+        """Clean up and draw after the outcome is stored; errors here do not change the outcome.
+
+        What is left undone, the next worker does when it starts: see ``leftovers.py`` and ``derived.py``.
+        """
+        hand = self._hand
+        steps: tuple[Callable[[], None], ...] = (
+            lambda: hand.executor.remove(hand.handle),
+            lambda: remove_scratch(hand),
+            lambda: write_plots(hand.folder),
+        )
+        for step in steps:
+            try:
+                step()
+            except (SlamHiveError, OSError) as error:
+                logger.warning("run %d has ended, but: %s", hand.run.id, str(error))
 
     def _seal(
         self,

@@ -11,7 +11,7 @@ from typing import Any
 
 from slamhive.domain.gpu import Gpu
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import SlamHiveError
+from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.executors.base import EngineUnavailable, GpuGiver, ImageMissing, StartFailed
 from slamhive.executors.status import RunHandle
 from slamhive.services.datasets import variant_key
@@ -72,8 +72,13 @@ class RunDriver:
         return hand.run
 
     def give_up(self, why: str) -> None:
-        """End the run as failed because the controller cannot continue it; its record may be unreadable."""
+        """End the run as failed because the controller cannot continue it; its record may be unreadable.
+
+        Raises WorkerStopping if the worker is stopped before the run has started.
+        """
         hand = self._hand
+        if hand.run.state in (RunState.PREPARING, RunState.STARTING):
+            hand.check_not_interrupted(InvalidInput(why))
         try:
             self._end_what_runs()
         except (SlamHiveError, OSError) as error:
@@ -113,9 +118,11 @@ class RunDriver:
         try:
             handle = hand.executor.start(spec)
         except ImageMissing as error:
+            hand.check_not_interrupted(error)
             hand.fail(FailureReason.IMAGE_MISSING, str(error))
             return
         except StartFailed as error:
+            hand.check_not_interrupted(error)
             hand.executor.discard(spec)
             hand.fail(FailureReason.START_ERROR, str(error))
             return

@@ -56,9 +56,13 @@ class Preparing:
     def __init__(self, hand: RunInHand, held: ExitStack) -> None:
         self._hand = hand
         self._held = held
+        self._build_line = ""
 
     def prepare(self) -> None:
-        """Move the run to ``starting``, or to its end if it is skipped, cannot be prepared, or is cancelled."""
+        """Move the run to ``starting``, or to its end if it is skipped, cannot be prepared, or is cancelled.
+
+        Raises WorkerStopping if the worker is stopped meanwhile, whatever fails then.
+        """
         hand = self._hand
         if hand.cancel_requested():
             hand.move(RunState.CANCELLING, CANCELLED_BY_USER)
@@ -72,10 +76,10 @@ class Preparing:
             self._make()
         except PreparationCancelled:
             hand.move(RunState.CANCELLING, CANCELLED_BY_USER)
-        except (InvalidInput, NotFound) as error:
-            hand.fail(FailureReason.PREPROCESS_ERROR, str(error))
-        except ImageMissing as error:
-            hand.fail(FailureReason.IMAGE_MISSING, str(error))
+        except (InvalidInput, NotFound, ImageMissing) as error:
+            hand.check_not_interrupted(error)
+            missing = isinstance(error, ImageMissing)
+            hand.fail(FailureReason.IMAGE_MISSING if missing else FailureReason.PREPROCESS_ERROR, str(error))
 
     def _skipped(self) -> EarlyEnd | None:
         run = self._hand.run
@@ -187,6 +191,10 @@ class Preparing:
         return host, hand.context.store.write(work)
 
     def _show_build_line(self, line: str) -> None:
+        self._hand.check_still_ours()  # the next worker builds; layers and packages that are there, it finds
+        if line == self._build_line:
+            return
+        self._build_line = line
         logger.info("run %d: %s", self._hand.run.id, line)
         with contextlib.suppress(OSError):
             self._hand.folder.preparation.write_text(line[:MOST_OF_A_LINE], encoding="utf-8")

@@ -24,6 +24,8 @@ from slamhive.store.records import LeaseLost, RunFields, RunRecord
 logger = logging.getLogger(__name__)
 
 CANCELLED_BY_USER = "cancelled by the user"
+INTERRUPTION_S = 0.5
+"""A failure of a preparation may precede the signal that explains it by so long."""
 
 
 class RunInHand:
@@ -172,6 +174,14 @@ class RunInHand:
         self.folder.create()
         ending = {"reason": reason.value, "detail": detail}
         self.move(RunState.FAILED, detail, record=ending, reason=reason, detail=detail)
+
+    def check_not_interrupted(self, error: Exception) -> None:
+        """Raise WorkerStopping if the worker is asked to stop: the same signal may have caused ``error``.
+
+        A signal to all processes of a terminal or of a systemd unit reaches them in any order, hence the moment.
+        """
+        if self.context.stopping.wait(INTERRUPTION_S):
+            raise WorkerStopping(f"run {self.run.id} waits for the next worker: {error}")
 
     def reload(self) -> None:
         """Read the row again."""

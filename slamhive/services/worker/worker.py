@@ -6,6 +6,7 @@ them when the lease has expired, or at once if it sees that the process of the o
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import threading
@@ -23,11 +24,12 @@ from slamhive.services.notices import notices_of
 from slamhive.services.worker.chores import Chores
 from slamhive.services.worker.context import DriverContext, WorkerStopping
 from slamhive.services.worker.cpu_type import CpuType
+from slamhive.services.worker.derived import make_missing
 from slamhive.services.worker.driver import RunDriver
 from slamhive.services.worker.engine_sweep import EngineSweep
 from slamhive.services.worker.heartbeat import Heartbeat
 from slamhive.services.worker.held_runs import HeldRuns
-from slamhive.services.worker.leftovers import sweep_leftovers
+from slamhive.services.worker.leftovers import LATEST, sweep_leftovers
 from slamhive.services.worker.lock import WorkerLock
 from slamhive.services.worker.noticing import noticing
 from slamhive.services.worker.run_in_hand import RunInHand
@@ -194,8 +196,13 @@ class Worker:
         try:
             with self._one_at_a_time.turn(run.executor):
                 ended = self._drive_through_trouble(run, cores)
-        except (LeaseLost, WorkerStopping) as error:
+        except LeaseLost as error:
             logger.info("%s", error)
+            return
+        except WorkerStopping as error:
+            logger.info("%s", error)
+            with contextlib.suppress(LeaseLost):
+                RunInHand(self._context, run, None).put_back("the worker was stopped while it prepared the run")
             return
         finally:
             self._held.discard(run.id)
@@ -261,12 +268,16 @@ class Worker:
                 self._store.write(lambda t, owner=owner: _release(t, owner))  # type: ignore[misc]
 
     def _sweep(self) -> None:
-        """Remove leftovers of killed workers."""
+        """Remove leftovers of killed workers, and do what they had left to do."""
         self._engine_sweep.sweep()
         try:
             sweep_leftovers(self._settings, self._store, self._context.variants, self._context.executors)
         except (SlamHiveError, OSError) as error:
             logger.warning("leftovers of killed workers may remain: %s", error)
+        try:
+            make_missing(self._settings, self._store, LATEST)
+        except SlamHiveError as error:
+            logger.warning("what killed workers left undone may still be missing: %s", error)
 
     def _let_go(self) -> None:
         try:
