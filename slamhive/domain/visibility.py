@@ -73,6 +73,17 @@ NOT_SHARED = Sharing(None, Visibility.PRIVATE)
 """Of a file that cannot be read: it may have said so."""
 
 
+def taken_over(maker: Sharing, said: Visibility | None, within: Visibility | None = None) -> Sharing:
+    """Owner and visibility of what comes from outside: it belongs to whoever imports it, the ``maker``.
+
+    What its source ``said`` of it (None: for the team) can hide it, never show it to more people than what the maker
+    makes. ``within`` is the visibility of its experiment here.
+    """
+    most = maker.seen_by.within(Visibility.TEAM)
+    wanted, follows = (said or most).within(most), within or Visibility.TEAM
+    return Sharing(maker.owner, None if wanted.within(follows) is follows else wanted)
+
+
 def visibility_of(audience: str) -> Visibility:
     """The visibility in :meth:`Sharing.audience`."""
     return Visibility(audience.partition(":")[0])

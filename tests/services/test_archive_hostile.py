@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import resource
@@ -26,18 +25,16 @@ from slamhive.services.archive.layout import (
     PAYLOAD,
     RUNS,
     TAG_CHECKSUMS,
-    bag_format,
 )
 from slamhive.services.archive.reading import open_archive
 from slamhive.services.hive import Hive, open_hive
-from tests.services.archive_world import all_rows, make_runs
+from tests.services.archive_world import all_rows, in_bag, make_runs, rewritten, sealed
 from tests.services.tiny_project import environment, make_dataset, make_project
 
 pytestmark = pytest.mark.quick
 
 Members = dict[str, bytes]
 RECORD = "runs/1/run.json"
-TAGS = bag_format("a").tags
 
 
 @pytest.fixture(scope="module")
@@ -60,18 +57,6 @@ def members_of(path: Path) -> Members:
     """The members by their names in the bag; those of the payload without ``data/``."""
     with zipfile.ZipFile(path) as file:
         return {name.partition("/")[2].removeprefix(PAYLOAD): file.read(name) for name in file.namelist()}
-
-
-def sealed(members: Members) -> Members:
-    """The members with checksums that fit them, as a careful forger makes them."""
-
-    def sums(names: list[str], prefix: str) -> bytes:
-        return "".join(f"{hashlib.sha256(members[name]).hexdigest()}  {prefix}{name}\n" for name in names).encode()
-
-    members = {name: data for name, data in members.items() if name not in (CHECKSUMS, TAG_CHECKSUMS)}
-    members[CHECKSUMS] = sums([name for name in members if name not in TAGS], PAYLOAD)
-    members[TAG_CHECKSUMS] = sums([name for name in members if name in TAGS], "")
-    return members
 
 
 def with_record(members: Members, **changes: object) -> Members:
@@ -167,18 +152,6 @@ def refused(hive: Hive, path: Path) -> str:
     assert "\n" not in str(caught.value)
     assert isinstance(caught.value, InvalidInput | NotFound)
     return str(caught.value)
-
-
-def in_bag(name: str) -> str:
-    """The name in the zip file of a member that :func:`members_of` names."""
-    return f"a/{name if name in TAGS else PAYLOAD + name}"
-
-
-def rewritten(path: Path, members: Members, compression: int = zipfile.ZIP_DEFLATED) -> Path:
-    with zipfile.ZipFile(path, "w", compression) as file:
-        for name, data in members.items():
-            file.writestr(in_bag(name), data)
-    return path
 
 
 @pytest.mark.parametrize("name", TAMPERED)

@@ -15,7 +15,8 @@ from slamhive.domain.accounts import Role
 from slamhive.domain.visibility import ANYBODY, Viewer, Visibility
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound
 from slamhive.schema.submission import Submission
-from slamhive.services.archive import ArchiveImport, ExportRequest, export_archive
+from slamhive.services.archive import ArchiveImport, ArchiveReport, ExportRequest, export_archive
+from slamhive.services.archive.layout import PAYLOAD, RUNS
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
@@ -25,7 +26,7 @@ from slamhive.settings import NewRuns
 from slamhive.store import Act, RunRecord, open_store
 from slamhive.store.analysis_records import AnalysisState
 from tests.cheap_passwords import cheap_passwords
-from tests.services.archive_world import make_runs
+from tests.services.archive_world import make_runs, rewritten, sealed
 from tests.web.web_world import NOW
 
 pytestmark = pytest.mark.integration
@@ -234,13 +235,120 @@ def test_a_whole_archive_keeps_private_what_is_private(
     shutil.rmtree(shared.settings.runs_folder)
     shared.settings.runs_folder.mkdir()
     again = rebuilt(shared)
-    ArchiveImport(again.settings, again.store, again.catalogue).carry_out(tmp_path / "runs.zip", lambda *_: None)
-    expected = {1: (None, Visibility.PRIVATE), 2: (None, Visibility.PUBLIC), 3: (None, Visibility.TEAM)}
+    report = ArchiveImport(again.settings, again.store, again.catalogue).carry_out(
+        tmp_path / "runs.zip", lambda *_: None
+    )
+    expected = {1: (None, Visibility.PRIVATE), 2: (None, Visibility.TEAM), 3: (None, Visibility.TEAM)}
     assert seen(again) == expected
     assert json.loads(again.runs.folder(1).sharing.read_text()) == {"owner": None, "visibility": "private"}
     with again.store.seen_by(ANYBODY):
-        assert list(seen(again)) == [2]
+        assert seen(again) == {}
+    assert report.notes == [
+        "1 run public where the archive comes from are seen here by those who sign in; share them to publish them"
+    ]
     again.store.close()
+
+
+FORGED_FILES = {
+    "sharing.json": json.dumps({"owner": "ben", "visibility": "public"}).encode(),
+    "work/exit": b"0",
+    "token": b"abc",
+    "evaluations/9ef7844a7e18/more.json": b"{}",
+    "result/sharing.json": b"of the algorithm",
+}
+FORGED_DATASET_FILES = {"check.json": b"{}", "rosbag_play.py": b"import os"}
+
+
+@pytest.fixture
+def forged(archived: Callable[..., dict[str, bytes]], tmp_path: Path) -> Path:
+    """An archive whose runs are public, and bring files that no export writes; all checksums are right."""
+    members = members_of_bag(archived(unpublished=True))
+    rows = [json.loads(line) for line in members[RUNS].splitlines()]
+    lines = [json.dumps({**row, "visibility": "public"}).encode() + b"\n" for row in rows]
+    members[RUNS] = b"".join(lines)
+    for name, content in FORGED_FILES.items():
+        members[f"runs/1/{name}"] = content
+    for name, content in FORGED_DATASET_FILES.items():
+        members[f"datasets/track/{name}"] = content
+    record = json.loads(members["runs/1/run.json"])
+    handle = {"executor": "docker", "data": {"container": "of somebody else"}}
+    members["runs/1/run.json"] = json.dumps({**record, "handle": handle}).encode()
+    return rewritten(tmp_path / "forged.zip", sealed(members))
+
+
+def import_into_a_new_one(hive: Hive, path: Path) -> tuple[Hive, ArchiveReport]:
+    """Import into the installation after it has lost its runs and datasets."""
+    for folder in (hive.settings.runs_folder, hive.settings.datasets_folder):
+        shutil.rmtree(folder)
+        folder.mkdir()
+    again = rebuilt(hive)
+    with again.store.acting(Act("import", NOW, "anna", "pages", "", "archive", "")):
+        report = ArchiveImport(again.settings, again.store, again.catalogue).carry_out(path, lambda *_: None)
+    return again, report
+
+
+def members_of_bag(members: dict[str, bytes]) -> dict[str, bytes]:
+    """The members by the names that the modules use."""
+    return {name.partition("/")[2].removeprefix(PAYLOAD): content for name, content in members.items()}
+
+
+def test_an_archive_does_not_decide_who_owns_and_sees_its_runs(shared: Hive, forged: Path) -> None:
+    again, report = import_into_a_new_one(shared, forged)
+    for _ in range(2):
+        assert seen(again) == dict.fromkeys((1, 2, 3), ("anna", Visibility.TEAM))
+        with again.store.seen_by(ANYBODY):
+            assert seen(again) == {}
+        assert again.runs.get(1).handle is None
+        reindex(again, lambda _done, _total: None)
+    folder = again.runs.folder(1)
+    assert json.loads(folder.sharing.read_text()) == {"owner": "anna", "visibility": None}
+    assert json.loads(folder.record.read_text())["handle"] is None
+    there = {path.relative_to(folder.root).as_posix() for path in folder.root.rglob("*") if path.is_file()}
+    assert there & FORGED_FILES.keys() == {"sharing.json", "result/sharing.json"}
+    assert {path.name for path in (again.settings.datasets_folder / "track").iterdir()} == {
+        "dataset.yaml",
+        "groundtruth.txt",
+    }
+    (note, _) = report.notes
+    assert note.startswith("6 files left out, which no export writes: ")
+    assert "runs/1/sharing.json" in note or "and 1 more" in note
+    again.store.close()
+
+
+def test_an_archive_adds_nothing_public_to_a_public_experiment(shared: Hive, tmp_path: Path) -> None:
+    """A forger knows the uid of an experiment that everybody sees."""
+    experiment(shared, "trial", "anna")
+    first, second = sorted(seen(shared))
+    for run in (first, second):
+        shared.runs.cancel(run)
+    shared.sharings.experiment("trial", PUBLIC)
+    export_archive(shared.settings, shared.store, ExportRequest(tmp_path / "a.zip"), lambda *_: None)
+    with zipfile.ZipFile(tmp_path / "a.zip") as content:
+        members = members_of_bag({name: content.read(name) for name in content.namelist()})
+    rows = [json.loads(line) for line in members[RUNS].splitlines()]
+    rows[1]["uid"] = rows[1]["record"]["uid"] = "f" * 32
+    rows[1]["id"] = rows[1]["record"]["id"] = 99
+    members[RUNS] = b"".join(json.dumps(row).encode() + b"\n" for row in rows)
+    ArchiveImport(shared.settings, shared.store, shared.catalogue).carry_out(
+        rewritten(tmp_path / "b.zip", sealed(members)), lambda *_: None
+    )
+    kinds = {run: kind for run, (_, kind) in seen(shared).items()}
+    assert kinds.pop(max(kinds)) is Visibility.TEAM
+    assert set(kinds.values()) == {Visibility.PUBLIC}
+
+
+def test_an_archive_gives_no_folder_to_a_run_that_waits(shared: Hive, forged: Path) -> None:
+    with shared.store.acting(Act("w", NOW, "ben", "pages", "", "start.submit", ""), Visibility.PRIVATE):
+        (waiting,) = shared.runs.submit(Submission("tiny", "track"))
+    uid = f"{0:016x}{1:016x}"
+    for run in (1, 2, 3):
+        shared.trash.delete([run])
+    statement = f"UPDATE runs SET uid = '{uid}' WHERE id = {waiting.id}"
+    shared.store.write(lambda t: t.database.exec_driver_sql(statement))
+    report = ArchiveImport(shared.settings, shared.store, shared.catalogue).carry_out(forged, lambda *_: None)
+    assert (report.imported, report.known, report.completed) == (2, 1, 0)
+    assert not shared.runs.folder(waiting.id).root.exists()
+    assert seen(shared)[waiting.id] == ("ben", Visibility.PRIVATE)
 
 
 def test_analyses_are_computed_again_when_a_run_is_hidden(shared: Hive) -> None:
