@@ -31,6 +31,14 @@ class Visibility(StrEnum):
         return min(self, other, key=order.index)
 
 
+VISIBILITY_LABELS = {
+    Visibility.PRIVATE: "Owner and admins",
+    Visibility.TEAM: "Everybody who signs in",
+    Visibility.PUBLIC: "Everybody",
+}
+"""Who that is, in words."""
+
+
 @dataclass(frozen=True, slots=True)
 class Sharing:
     """The owner, None for nobody, and the visibility; None follows the experiment, and is ``team`` without one."""

@@ -16,6 +16,7 @@ from slamhive.analysis.colours import on_dark
 from slamhive.clock import utc_now
 from slamhive.domain.accounts import Action, Caller, Role
 from slamhive.domain.run import RunState
+from slamhive.domain.visibility import VISIBILITY_LABELS
 from slamhive.services.analyses import AnalysisComputer, may_analyse
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
@@ -234,6 +235,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         help_of=help_pages.OF_PAGE,
         relative_time=formatting.relative_time,
         version=__version__,
+        visibility_labels=VISIBILITY_LABELS,
         zip=zip,
     )
 

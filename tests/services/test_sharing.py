@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+import signal
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from sqlalchemy import Connection
+from sqlalchemy.engine.base import RootTransaction
 
 from slamhive.domain.accounts import Role
-from slamhive.domain.visibility import ANYBODY, Viewer, Visibility
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.visibility import ANYBODY, Sharing, Viewer, Visibility
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound
 from slamhive.schema.submission import Submission
 from slamhive.services.archive import ArchiveImport, ArchiveReport, ExportRequest, export_archive
@@ -22,6 +30,7 @@ from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
 from slamhive.services.runs.record import begin_record
 from slamhive.services.sharing import SharingChange
+from slamhive.services.worker.run_in_hand import RunInHand
 from slamhive.settings import NewRuns
 from slamhive.store import Act, RunRecord, open_store
 from slamhive.store.analysis_records import AnalysisState
@@ -104,10 +113,165 @@ def test_only_the_owner_and_the_command_line_share_a_run(shared: Hive) -> None:
         shared.sharings.runs([run], SharingChange(owner="nobody"))
 
 
-def test_a_run_without_a_folder_waits(shared: Hive) -> None:
-    (run,) = shared.runs.submit(Submission("tiny", "track"))
-    with pytest.raises(Conflict, match="no folder yet"):
-        shared.sharings.runs([run.id], PRIVATE)
+def submitted_by(hive: Hive, name: str, visibility: Visibility | None = None) -> RunRecord:
+    """A run that ``name`` has submitted, and no worker has touched."""
+    with hive.store.acting(Act(f"{name} submits", NOW, name, "pages", "", "start.submit", ""), Visibility.TEAM):
+        (run,) = hive.runs.submit(Submission("tiny", "track", visibility=visibility))
+    return run
+
+
+def claimed(hive: Hive, run_id: int) -> RunInHand:
+    """The run in the hand of a worker, as it was when the worker took it."""
+    hive.store.write(lambda t: t.queue.claim(t.lease("worker", 60.0), [run_id]))
+    context = SimpleNamespace(store=hive.store, settings=hive.settings, owner="worker", now=lambda: NOW)
+    hand = RunInHand(context, hive.runs.get(run_id), None)  # type: ignore[arg-type]
+    assert hand.run.state is RunState.PREPARING
+    return hand
+
+
+def prepared(hand: RunInHand) -> None:
+    """The folder of the run, as a worker begins it."""
+    hand.folder.create()
+    hand.begin()
+
+
+@pytest.mark.parametrize("visibility", list(Visibility))
+def test_who_sees_a_run_is_said_when_it_is_asked_for(shared: Hive, visibility: Visibility) -> None:
+    run = submitted_by(shared, "anna", visibility)
+    assert seen(shared) == {run.id: ("anna", visibility)}
+    again = rebuilt(shared)
+    assert seen(again) == {run.id: ("anna", visibility)}
+    prepared(claimed(again, run.id))
+    assert json.loads(again.runs.folder(run.id).sharing.read_text())["visibility"] == visibility
+    experiment_of = "name: own\nalgorithms: [tiny]\ndatasets: [track]\n"
+    status = again.experiments.start(ExperimentSource(experiment_of, "own.yaml"), visibility=visibility)
+    assert again.store.read(lambda t: t.experiments.get(status.name)).seen_by is visibility
+    again.store.close()
+
+
+def test_a_queued_run_is_hidden_at_once_and_for_good(shared: Hive) -> None:
+    run = submitted_by(shared, "anna").id
+    with shared.store.seen_by(ANNA):
+        (hidden,) = shared.sharings.runs([run], PRIVATE)
+    assert (hidden.state, hidden.seen_by) == (RunState.QUEUED, Visibility.PRIVATE)
+    with shared.store.seen_by(BEN):
+        assert seen(shared) == {}
+    reindex(shared, lambda _done, _total: None)
+    assert seen(shared) == {run: ("anna", Visibility.PRIVATE)}
+    shared.sharings.runs([run], PUBLIC)
+    shared.sharings.runs([run], SharingChange(Visibility.PRIVATE, "ben"))
+    again = rebuilt(shared)
+    assert seen(again) == {run: ("ben", Visibility.PRIVATE)}
+    prepared(claimed(again, run))
+    last = rebuilt(again)
+    assert seen(last) == {run: ("ben", Visibility.PRIVATE)}
+    last.store.close()
+
+
+def test_a_run_is_hidden_while_a_worker_prepares_it(shared: Hive) -> None:
+    """The worker took the run before it was hidden, and makes its folder after that."""
+    run = submitted_by(shared, "anna").id
+    hand = claimed(shared, run)
+    shared.sharings.runs([run], PRIVATE)
+    prepared(hand)
+    assert seen(rebuilt(shared)) == {run: ("anna", Visibility.PRIVATE)}
+
+
+@pytest.mark.parametrize("before", [Visibility.TEAM, Visibility.PRIVATE])
+def test_what_a_killed_preparation_left_does_not_count(shared: Hive, before: Visibility) -> None:
+    run = submitted_by(shared, "anna").id
+    shared.runs.folder(run).create()
+    shared.runs.folder(run).write_sharing(Sharing("anna", before))
+    after = PRIVATE if before is Visibility.TEAM else TEAM
+    shared.sharings.runs([run], after)
+    prepared(claimed(shared, run))
+    assert seen(rebuilt(shared)) == {run: ("anna", after.visibility)}
+
+
+def test_a_run_that_fails_before_it_is_prepared_stays_private(shared: Hive) -> None:
+    run = submitted_by(shared, "anna", Visibility.PRIVATE).id
+    claimed(shared, run).fail(FailureReason.PREPROCESS_ERROR, "no such dataset")
+    again = rebuilt(shared)
+    assert seen(again) == {run: ("anna", Visibility.PRIVATE)}
+    assert again.runs.get(run).state is RunState.FAILED
+
+
+def test_a_run_of_an_experiment_is_hidden_while_it_waits(shared: Hive) -> None:
+    experiment(shared, "trial", "anna")
+    first, second = sorted(seen(shared))
+    shared.sharings.runs([first], PRIVATE)
+    shared.sharings.experiment("trial", SharingChange(owner="ben"))
+    expected = {first: ("ben", Visibility.PRIVATE), second: ("ben", Visibility.TEAM)}
+    assert seen(shared) == expected
+    reindex(shared, lambda _done, _total: None)
+    assert seen(shared) == expected
+    assert seen(rebuilt(shared)) == expected
+
+
+def test_a_damaged_line_of_the_ledger_hides_its_runs(shared: Hive) -> None:
+    run = submitted_by(shared, "anna").id
+    with (shared.settings.ledger_folder / "runs.jsonl").open("a") as book:
+        book.write(json.dumps({"shared": [run], "owner": "A B", "visibility": "all"}) + "\n")
+    assert seen(rebuilt(shared)) == {run: (None, Visibility.PRIVATE)}
+
+
+def test_a_lost_folder_is_not_written_anew(shared: Hive) -> None:
+    run = made_by(shared, "anna").id
+    shutil.rmtree(shared.runs.folder(run).root)
+    statement = f"UPDATE runs SET state = 'succeeded' WHERE id = {run}"
+    shared.store.write(lambda t: t.database.exec_driver_sql(statement))
+    with pytest.raises(Conflict, match=f"the folder of run {run} is lost"):
+        shared.sharings.runs([run], PRIVATE)
+
+
+STEPS = (os, "fsync"), (Path, "replace"), (os, "write"), (Connection, "execute"), (RootTransaction, "commit")
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_a_kill_at_any_step_leaves_what_was_answered(shared: Hive, waits: bool) -> None:
+    """After each kill, the run is seen by the team or its owner alone, and reindex and a worker agree on it."""
+    shared.store.close()
+    step, answered = 0, False
+    while not answered:
+        step += 1
+        run = submitted_by(shared, "anna") if waits else made_by(shared, "anna")
+        shared.store.close()
+        answered = killed_at(step, partial(shared.sharings.runs, [run.id], PRIVATE))
+        reindex(shared, lambda _done, _total: None)
+        found = seen(shared)[run.id]
+        if answered:
+            assert found == ("anna", Visibility.PRIVATE)
+        if waits:
+            prepared(claimed(shared, run.id))
+            reindex(shared, lambda _done, _total: None)
+            assert seen(shared)[run.id] == found
+            shared.runs.cancel(run.id)
+            ended = {**shared.runs.record(run.id), "state": "cancelled", "ended_at": NOW.isoformat()}
+            shared.runs.folder(run.id).write_record(ended)
+            reindex(shared, lambda _done, _total: None)
+    assert step > 5
+
+
+def killed_at(step: int, work: Callable[[], object]) -> bool:
+    """Whether ``work`` ended before a child process that does it was killed before its step of this number."""
+    child = os.fork()
+    if child == 0:
+        left = [step]
+
+        def dying(function: Callable[..., Any]) -> Callable[..., Any]:
+            def wrapped(*arguments: Any, **options: Any) -> Any:
+                left[0] -= 1
+                if left[0] == 0:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return function(*arguments, **options)
+
+            return wrapped
+
+        for owner, name in STEPS:
+            setattr(owner, name, dying(getattr(owner, name)))
+        work()
+        os.kill(os.getpid(), signal.SIGTERM)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
 
 
 def test_the_folder_is_the_truth(shared: Hive) -> None:

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any, Unpack
 
 from slamhive.domain.run import FailureReason, RunEvent, RunState
-from slamhive.domain.visibility import Sharing
+from slamhive.domain.visibility import NO_SHARING, Sharing
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.executors.base import Executor
 from slamhive.executors.spec import RunSpec
@@ -74,19 +74,30 @@ class RunInHand:
 
     def begin(self) -> None:
         """Write the record of a run that is about to be prepared; raises LeaseLost."""
-        self._write_sharing()
-        self._write_held(lambda events: self.keeper.begin(self.run, events))
+        self._write_held(self._begin_record)
 
-    def _write_sharing(self) -> None:
-        """Write who owns and sees the run, unless its experiment says it. A later attempt leaves what users changed."""
-        run = self.run
-        owner = run.owner if run.experiment_id is None else None
-        if (owner, run.visibility) != (None, None) and not self.folder.sharing.exists():
-            self.folder.write_sharing(Sharing(owner, run.visibility))
+    def _begin_record(self, transaction: Transaction, changes: dict[str, Any] | None = None) -> None:
+        """Write a record that does not exist yet, and before it who owns and sees the run."""
+        self._write_sharing(transaction)
+        self.keeper.begin(self.run, transaction.runs.events(self.run.id), changes)
+
+    def _write_sharing(self, transaction: Transaction) -> None:
+        """Write who owns and sees the run, unless its experiment says it. A later attempt leaves what users changed.
+
+        Users may change it until the record exists: in the row, which this transaction has locked, and in the ledger.
+        """
+        if self.folder.record.exists() and self.folder.sharing.exists():
+            return
+        run = transaction.runs.get(self.run.id)
+        sharing = Sharing(run.owner if run.experiment_id is None else None, run.visibility)
+        if sharing == NO_SHARING:
+            self.folder.sharing.unlink(missing_ok=True)  # of an attempt that was killed before it wrote a record
+        else:
+            self.folder.write_sharing(sharing)
 
     def save(self, changes: dict[str, Any], *, without: str | None = None) -> None:
         """Add ``changes`` to the record and drop the key ``without``; raises LeaseLost."""
-        self._write_held(lambda events: self._save(events, changes, without=without))
+        self._write_held(lambda t: self._save(t.runs.events(self.run.id), changes, without=without))
 
     def move(
         self,
@@ -127,7 +138,7 @@ class RunInHand:
             except (InvalidInput, NotFound):
                 if target.active:
                     raise
-                self.keeper.begin(self.run, events, changes)
+                self._begin_record(transaction, changes)
 
         context.store.write(work)
         self.reload()
@@ -153,10 +164,10 @@ class RunInHand:
     def _save(self, events: Sequence[RunEvent], changes: dict[str, Any], *, without: str | None = None) -> None:
         self.keeper.save(events, {"attempt": self.run.attempt, **changes}, without=without)
 
-    def _write_held(self, write: Callable[[Sequence[RunEvent]], None]) -> None:
+    def _write_held(self, write: Callable[[Transaction], None]) -> None:
         def work(transaction: Transaction) -> None:
             self._lock(transaction)
-            write(transaction.runs.events(self.run.id))
+            write(transaction)
 
         self.context.store.write(work)
 
