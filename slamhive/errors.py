@@ -53,7 +53,17 @@ class Unauthenticated(SlamHiveError):
 
 
 class Unavailable(SlamHiveError):
-    """Something outside this process does not answer (Docker engine, database, disk space, a library)."""
+    """Something outside this process does not answer (Docker engine, database, disk space, a library).
+
+    Args:
+        message: As for all errors.
+        remedy: As for all errors.
+        retry_after_s: After how many seconds it is worth to try again, where that is known.
+    """
+
+    def __init__(self, message: str, remedy: str | None = None, *, retry_after_s: int | None = None) -> None:
+        super().__init__(message, remedy)
+        self.retry_after_s = retry_after_s
 
 
 class TooManyRequests(Unavailable):

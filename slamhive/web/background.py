@@ -61,19 +61,25 @@ class Background:
         return work
 
     def _run(self, work: Work, task: Callable[[Progress], object]) -> None:
-        def progress(fraction: float, text: str) -> None:
-            self._latest = replace(work, fraction=fraction, activity=text)
+        self._note(carried_out(work, task, self._note))
 
-        problem = None
-        try:
-            task(progress)
-        except SlamHiveError as error:
-            problem = str(error)
-        except Exception:
-            logger.exception("work on %s failed (%s)", work.dataset, self._kind)
-            problem = "an unexpected error; see the server's log"
-        self._end(replace(work, fraction=1.0, done=True, problem=problem))
-
-    def _end(self, work: Work) -> None:
-        """Note how a piece of work has ended. Other work can begin from now on."""
+    def _note(self, work: Work) -> None:
+        """Note how far a piece of work is. If it has ended, other work can begin from now on."""
         self._latest = work
+
+
+def carried_out(work: Work, task: Callable[[Progress], object], note: Callable[[Work], None]) -> Work:
+    """Carry out ``task``; how it has ended. ``note`` is called with its progress."""
+
+    def progress(fraction: float, text: str) -> None:
+        note(replace(work, fraction=fraction, activity=text))
+
+    problem = None
+    try:
+        task(progress)
+    except SlamHiveError as error:
+        problem = str(error)
+    except Exception:
+        logger.exception("work on %s failed", work.dataset)
+        problem = "an unexpected error; see the server's log"
+    return replace(work, fraction=1.0, done=True, problem=problem)

@@ -9,9 +9,7 @@ from http import HTTPStatus
 from flask import Flask, Response, make_response, render_template, request
 from werkzeug.exceptions import BadRequest, HTTPException
 
-from slamhive.errors import (
-    SlamHiveError,
-)
+from slamhive.errors import SlamHiveError, Unavailable
 from slamhive.schema.api_answers import OldError, Problem
 from slamhive.schema.problems import STATUS
 
@@ -55,6 +53,8 @@ def _explained(error: SlamHiveError) -> Response:
     answer = _answer(status_of(error), error.message, error.remedy)
     if answer.status_code == 401:
         answer.headers["WWW-Authenticate"] = "Bearer"
+    if isinstance(error, Unavailable) and error.retry_after_s is not None:
+        answer.headers["Retry-After"] = str(error.retry_after_s)
     return answer
 
 

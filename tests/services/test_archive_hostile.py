@@ -242,6 +242,24 @@ def test_a_bomb_is_stopped_where_it_claims_to_end(archive: Path, tmp_path: Path)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
 
 
+@pytest.mark.integration
+def test_a_small_archive_that_becomes_large_is_refused(hive: Hive, archive: Path, tmp_path: Path) -> None:
+    """All checksums are right: a log of 300 MB of zeros, packed into 300 kB."""
+    members = sealed({**members_of(archive), "runs/1/log.txt": bytes(300_000_000)})
+    path = rewritten(tmp_path / "b.zip", members)
+    assert path.stat().st_size < 500_000
+    assert "more than 200 MB: it looks like a bomb" in str(checked(path))
+    assert "it looks like a bomb" in refused(hive, path)
+
+
+def test_a_run_of_an_archive_has_no_more_files_than_a_run_may_have(hive: Hive, archive: Path, tmp_path: Path) -> None:
+    hive.settings = hive.settings.with_values({"run_files": 100})
+    members = members_of(archive) | {f"runs/2/result/{number}": b"" for number in range(101)}
+    words = refused(hive, rewritten(tmp_path / "b.zip", sealed(members)))
+    assert "run 2 has 11" in words
+    assert "files, more than 100; raise RUN_FILES if you trust it" in words
+
+
 def test_doubles_and_false_sizes_are_refused(hive: Hive, archive: Path, tmp_path: Path) -> None:
     members = members_of(archive)
     path = rewritten(tmp_path / "double.zip", members)

@@ -7,10 +7,11 @@ an import that was killed at any point.
 
 from __future__ import annotations
 
+import secrets
 import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -20,7 +21,8 @@ from slamhive.clock import utc_now
 from slamhive.domain.notes import NO_NOTES
 from slamhive.domain.numbers import plural
 from slamhive.domain.visibility import NO_SHARING, Sharing, Visibility, taken_over
-from slamhive.errors import InvalidInput, Unavailable
+from slamhive.errors import Conflict, InvalidInput, Unavailable
+from slamhive.files import held_folder, remedy_of
 from slamhive.runs.folder import RunFolder, travels
 from slamhive.schema.archive import AnalysisLine, ExperimentLine, RunLine
 from slamhive.services.archive import layout, lines
@@ -28,7 +30,7 @@ from slamhive.services.archive.checking import Contents, Progress, check_archive
 from slamhive.services.archive.reading import ArchiveReader, open_archive
 from slamhive.services.archive.surroundings import Surroundings
 from slamhive.services.datasets import Catalogue, check_writable
-from slamhive.services.imports import UNPACKED, one_import
+from slamhive.services.imports import UNPACKED, one_import, sweep_imports
 from slamhive.services.runs import (
     FolderRun,
     FoundEvaluation,
@@ -98,25 +100,34 @@ class ArchiveImport:
 
         Raises:
             InvalidInput: The archive is damaged, tampered with or none of ours; nothing has changed.
-            Conflict: Another import is under way.
+            Conflict: Another import files runs for long.
             Unavailable: The disk or the database refuses; what was imported until then stays.
         """
         check_writable(self._settings)
         report = ArchiveReport()
         with open_archive(path) as archive:
-            self._check_space(archive)
-            with self._alone() as aside:
+            self._check_size(archive, path)
+            with self._aside() as aside:
                 contents = self._check_and_unpack(archive, aside, progress)
                 report.notes += [note for note in (contents.note, _publicly_seen(archive)) if note is not None]
                 around = Surroundings(self._settings, self._store, self._catalogue, archive, contents, report.notes)
-                around.import_before_runs(report.counts)
+                with self._alone(contents, progress):
+                    around.import_before_runs(report.counts)
                 self._runs(archive, contents, _Ready(aside, around), report, progress)
-                around.import_after_runs(report.counts, kept_numbers=report.kept_numbers)
+                with self._alone(contents, progress):
+                    around.import_after_runs(report.counts, kept_numbers=report.kept_numbers)
         self._store.recheck()
         self._store.refresh_statistics()
         return report
 
-    def _check_space(self, archive: ArchiveReader) -> None:
+    def _check_size(self, archive: ArchiveReader, path: Path) -> None:
+        """Refuse runs with more files than a run may have here, and what there is no room for."""
+        for number, files in archive.files_of_runs().items():
+            if files > self._settings.run_files:
+                raise InvalidInput(
+                    f"{path}: run {number} has {files:,} files, more than {self._settings.run_files:,}",
+                    "raise RUN_FILES if you trust it",
+                )
         free = shutil.disk_usage(self._settings.data).free
         needed = archive.size_bytes + self._settings.min_free_disk_mb * _MB
         if free < needed:
@@ -150,11 +161,23 @@ class ArchiveImport:
         return {number for uid, number in with_folder.items() if uid not in known or known[uid] in lacking}
 
     @contextmanager
-    def _alone(self) -> Iterator[Path]:
-        """One import at a time; gives the folder for what is unpacked."""
+    def _aside(self) -> Iterator[Path]:
+        """The folder for what is unpacked. It is held, so that only that of a killed import is removed."""
         runs = self._settings.runs_folder
-        with one_import(runs):
-            yield runs / UNPACKED
+        sweep_imports(runs)
+        root = runs / f"{UNPACKED}-{secrets.token_hex(8)}"
+        with ExitStack() as held:
+            held.callback(shutil.rmtree, root, ignore_errors=True)
+            try:
+                held.enter_context(held_folder(root))
+            except OSError as error:
+                raise Unavailable(f"{root} cannot be made: {error.strerror}", remedy_of(error)) from None
+            yield root
+
+    def _alone(self, contents: Contents, progress: Progress) -> AbstractContextManager[None]:
+        """The turn of this import to file something."""
+        what = f"an archive of {plural(len(contents.runs), 'run')}"
+        return one_import(self._settings.runs_folder, what, lambda text: progress(_CHECKING, text))
 
     # -- runs ------------------------------------------------------------------------------------------------------
 
@@ -168,7 +191,10 @@ class ArchiveImport:
         stream = iter(archive.lines(layout.RUNS))
         done = 0
         while batch := [lines.read_line(RunLine, content) for content in islice(stream, BATCH)]:
-            self._batch(batch, ready, numbers, report)
+            with self._alone(contents, progress):
+                # Other imports may have filed the same runs in between.
+                numbers.update(self._store.read(lambda t: t.runs.ids_by_uid([line.uid for line in batch])))
+                self._batch(batch, ready, numbers, report)
             done += len(batch)
             progress(_CHECKING + (1 - _CHECKING) * done / len(contents.runs), f"{done}/{len(contents.runs)} runs")
 
@@ -207,6 +233,8 @@ class ArchiveImport:
         folder, record, found = None, line.record, []
         if record is None:
             folder = RunFolder(ready.aside / str(line.id))
+            if not folder.record.exists():
+                raise Conflict(f"run {line.id} of the archive was deleted here meanwhile", "import it again")
             record, found = folder.read_record(), found_evaluations(folder)
         experiment = ready.around.experiment_name(line.experiment)
         record = {**lines.without_handle(record), "request": {**record["request"], "experiment": experiment}}
