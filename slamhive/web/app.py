@@ -22,6 +22,7 @@ from slamhive.services.analyses import AnalysisComputer, may_analyse
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
 from slamhive.settings import Mode, Settings
+from slamhive.shown_paths import relative_paths
 from slamhive.store import Store
 from slamhive.web import api, assets, context, formatting
 from slamhive.web.caching import PageCache, add_caching, keep_pages
@@ -29,7 +30,7 @@ from slamhive.web.challenge_files import MOST_SENT_BYTES
 from slamhive.web.columns import Kind
 from slamhive.web.compression import add_compression
 from slamhive.web.dataset_work import DatasetChecker, VariantMaker
-from slamhive.web.errors import handle_errors
+from slamhive.web.errors import handle_errors, hide_paths
 from slamhive.web.live import LiveHub
 from slamhive.web.oidc import find_provider
 from slamhive.web.pages import register_pages
@@ -123,6 +124,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
         WTF_CSRF_CHECK_DEFAULT=True,
     )
     app.extensions[context.EXTENSION] = hive
+    hide_paths(app, relative_paths(hive.settings.data, root))
     app.extensions[context.BUDGET_EXTENSION] = lent_to_requests(hive.settings)
     app.extensions[context.LIVE_EXTENSION] = LiveHub(hive, MOST_STREAMS)
     app.extensions[context.VARIANTS_EXTENSION] = VariantMaker(hive)

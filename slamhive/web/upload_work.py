@@ -68,7 +68,7 @@ class UploadWork:
 
         def run() -> None:
             try:
-                self._end(carried_out(work, importing, self._note))
+                self._end(carried_out(self._hive, work, importing, self._note))
             finally:
                 share.give_back()
 

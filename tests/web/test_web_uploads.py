@@ -285,3 +285,24 @@ def test_what_imports_unpack_has_a_limit_together(empty: Web, tmp_path: Path) ->
     problem = ended(empty, token)["work"]["problem"]
     assert "of unpacked uploads, and all together may have 0 MB" in problem
     assert all(budget.used(kind) == 0 for kind in Lent)
+
+
+def test_problems_of_an_import_name_files_as_they_were_sent(empty: Web, tmp_path: Path) -> None:
+    """What was wrong is named relative to the archive; nobody learns where the server keeps its files."""
+    source = tmp_path / "runs"
+    write(source / "desk" / "groundtruth.txt", trajectory(0))
+    write(source / "orb" / "desk" / "1.txt", trajectory(1))
+    for name, text in (("2", "0 0 0 0 0 0 0 x\n"), ("3", "\0"), ("4", "")):
+        (source / "orb" / "desk" / f"{name}.txt").write_text(text)
+    token = upload(empty, tar_of(source), "runs.tar")
+    assert start(empty, "runs", token, sensors={"": "stereo"}).status_code == 202
+    found = ended(empty, token)
+    problems = {problem["name"]: problem["text"] for problem in found["imported"]["runs"]["problems"]}
+    assert sorted(problems) == ["orb/desk/2.txt", "orb/desk/3.txt", "orb/desk/4.txt"]
+    assert problems["orb/desk/2.txt"].startswith("runs/orb/desk/2.txt, line 1: 'x' is not a number")
+    shown = str(found)
+    assert str(empty.hive.settings.data) not in shown
+    assert ".slamhive-" not in shown
+    other = upload(empty, b"no archive", "broken.tar")
+    assert start(empty, "runs", other).status_code == 202
+    assert str(empty.hive.settings.data) not in str(ended(empty, other))

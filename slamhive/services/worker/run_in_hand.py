@@ -18,6 +18,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.json_values import exact
 from slamhive.services.runs import RecordKeeper, handle_from_json, spec_from_json
 from slamhive.services.worker.context import DriverContext, WorkerStopping
+from slamhive.shown_paths import relative_paths
 from slamhive.store import Transaction
 from slamhive.store.records import LeaseLost, RunFields, RunRecord
 
@@ -178,8 +179,9 @@ class RunInHand:
             raise LeaseLost(f"run {self.run.id} is held by another worker now")
 
     def fail(self, reason: FailureReason, detail: str) -> None:
-        """End the run as failed."""
+        """End the run as failed. Whoever sees the run reads ``detail``, so it does not say where the data root lies."""
         logger.warning("run %d failed: %s: %s", self.run.id, reason, detail)
+        detail = relative_paths(self.context.settings.data)(detail)
         self.folder.create()
         ending = {"reason": reason.value, "detail": detail}
         self.move(RunState.FAILED, detail, record=ending, reason=reason, detail=detail)
