@@ -30,7 +30,7 @@ _PIECE_BYTES = 256 * 1024
 def send_form(name: str, team: str, phase: str, uploads: Iterable[FileStorage]) -> ChallengeSubmission:
     """Submit the trajectories of a web form for the caller; raises as :func:`send_body`."""
     with _working(name, Lent.SUBMISSIONS) as share, temporary_folder() as folder:
-        share.take(Lent.DISK, request.content_length or 0)  # the parts of the form are temporary files, too
+        share.take(Lent.DISK, request.content_length or 0)  # its parts are temporary files, too
         paths = []
         for upload in uploads:
             if upload.filename:
