@@ -8,6 +8,9 @@ bug and keeps its traceback.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from difflib import get_close_matches
 
 CONTROL_CHARACTERS = r"\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x84\x86-\x9f\ufffe\uffff"
@@ -16,6 +19,21 @@ SURROGATES = r"\ud800-\udfff"
 """Halves of pairs, as a part of a regular expression: text that holds one cannot be encoded."""
 LONGEST_MESSAGE = 2000
 _NOT_SHOWN = re.compile(f"[{CONTROL_CHARACTERS}{SURROGATES}]")
+_CHANGE: ContextVar[Callable[[str], str] | None] = ContextVar("slamhive_error_text", default=None)
+
+
+@contextmanager
+def changed_text(change: Callable[[str], str]) -> Iterator[None]:
+    """Pass the texts of all errors that this thread makes in the block through ``change``.
+
+    A server uses it to keep its paths to itself, whichever of its parts shows an error.
+    """
+    before = _CHANGE.get()
+    _CHANGE.set(change)
+    try:
+        yield
+    finally:
+        _CHANGE.set(before)
 
 
 class SlamHiveError(Exception):
@@ -27,8 +45,9 @@ class SlamHiveError(Exception):
     """
 
     def __init__(self, message: str, remedy: str | None = None) -> None:
-        self.message = one_line(message)
-        self.remedy = one_line(remedy) if remedy else None
+        change = _CHANGE.get() or str
+        self.message = one_line(change(message))
+        self.remedy = one_line(change(remedy)) if remedy else None
         super().__init__(self.message if self.remedy is None else f"{self.message}; {self.remedy}")
 
 
@@ -53,7 +72,17 @@ class Unauthenticated(SlamHiveError):
 
 
 class Unavailable(SlamHiveError):
-    """Something outside this process does not answer (Docker engine, database, disk space, a library)."""
+    """Something outside this process does not answer (Docker engine, database, disk space, a library).
+
+    Args:
+        message: As for all errors.
+        remedy: As for all errors.
+        retry_after_s: After how many seconds it is worth to try again, where that is known.
+    """
+
+    def __init__(self, message: str, remedy: str | None = None, *, retry_after_s: int | None = None) -> None:
+        super().__init__(message, remedy)
+        self.retry_after_s = retry_after_s
 
 
 class TooManyRequests(Unavailable):

@@ -7,9 +7,12 @@ import errno
 import logging
 import socket
 import threading
+import weakref
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from http import HTTPStatus
 from ipaddress import IPv4Address, IPv6Network, ip_address
 from typing import Any
 
@@ -21,6 +24,7 @@ from waitress.server import TcpWSGIServer
 from waitress.task import ThreadedTaskDispatcher
 from waitress.utilities import Error
 
+from slamhive.budget import RETRY_AFTER_S, Budget, Lent, Share
 from slamhive.clock import monotonic_s
 from slamhive.errors import InvalidInput, Unavailable
 
@@ -33,7 +37,10 @@ HEALTH_CONNECTIONS = 8
 _TURNED_AWAY = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 _WAKE_S = 1.0
 _RECEIVED_BYTES = 65_536
-"""Taken from a connection at a time. With the 8 KiB of waitress, a part of an upload takes a thousand turns."""
+"""Taken from a connection at a time, and kept of a body in memory before it goes into a temporary file.
+
+With the 8 KiB of waitress, a part of an upload takes a thousand turns; with its 512 KiB, 200 connections take 100 MB.
+"""
 
 
 def listen(host: str, port: int, asked: str = "--port") -> socket.socket:
@@ -73,13 +80,50 @@ class Limits:
     transfer_s: float = 60.0
 
 
-class _ServiceUnavailable(Error):  # type: ignore[misc]
-    code = 503
-    reason = "Service Unavailable"
+class _Busy(Error):  # type: ignore[misc]
+    """The answer to a request that the server has no room for now."""
+
+    code, reason = HTTPStatus.SERVICE_UNAVAILABLE.value, HTTPStatus.SERVICE_UNAVAILABLE.phrase
+
+    def to_response(self, ident: str | None = None) -> tuple[str, list[tuple[str, str]], bytes]:
+        """Status, headers and body."""
+        status, headers, body = super().to_response(ident)
+        return status, [*headers, ("Retry-After", str(RETRY_AFTER_S))], body
 
 
 class _Parser(HTTPRequestParser):  # type: ignore[misc]
-    """Waitress's parser, which answers malformed requests instead of closing the connection with a traceback."""
+    """Waitress's parser, which answers malformed requests instead of closing the connection with a traceback.
+
+    The bodies of all requests together, which waitress keeps in temporary files, take no more than the budget lends.
+    """
+
+    error: Any
+
+    def __init__(self, budget: Budget, adj: Any) -> None:
+        super().__init__(adj)
+        self._budget = budget
+        self._share: Share | None = None
+
+    def received(self, data: bytes) -> int:
+        """Take some bytes of a request; how many of them belong to it."""
+        before: int = self.body_bytes_received
+        consumed: int = super().received(data)
+        if self.body_bytes_received > before and not self.error:
+            if self._share is None:
+                self._share = self._budget.open_share("the body of a request")
+                # Requests that wait behind another one are dropped without being closed when their connection breaks.
+                weakref.finalize(self, self._share.give_back)
+            try:
+                self._share.take(Lent.DISK, self.body_bytes_received - before)
+            except (Unavailable, InvalidInput) as error:
+                self.error, self.completed = _Busy(str(error)), True
+        return consumed
+
+    def close(self) -> None:
+        """Remove the body; the request has been answered."""
+        super().close()
+        if self._share is not None:
+            self._share.give_back()
 
     def parse_header(self, header_plus: bytes) -> None:
         """Parse the head of a request. Python rejects some addresses and lengths that waitress passes on."""
@@ -97,11 +141,11 @@ class _Parser(HTTPRequestParser):  # type: ignore[misc]
 class _Channel(HTTPChannel):  # type: ignore[misc]
     """A connection that knows how long its client has taken. Only the thread of :meth:`HttpServer.run` closes it."""
 
-    parser_class = _Parser
     for_health_only = False
 
     def __init__(self, server: Any, sock: socket.socket, addr: Any, adj: Adjustments, map: Any = None) -> None:  # noqa: A002 - the name is waitress's
         super().__init__(server, sock, addr, adj, map)
+        self.parser_class = partial(_Parser, server.budget)
         self.client = client_of(addr[0])
         self.is_local = self.client.is_loopback
         self.waits_since_s = monotonic_s()
@@ -130,6 +174,12 @@ class _Channel(HTTPChannel):  # type: ignore[misc]
         super().service()
         self._answered += 1
         self.waits_since_s = monotonic_s()
+
+    def del_channel(self, map: dict[int, Any] | None = None) -> None:  # noqa: A002 - its name in waitress
+        """Forget a connection that is closed, by whoever; what has arrived of a request goes."""
+        super().del_channel(map)
+        if self.request is not None:
+            self.request.close()
 
     @property
     def can_go(self) -> bool:
@@ -164,7 +214,10 @@ class _Server(TcpWSGIServer):  # type: ignore[misc]
     the client with most that wait. Where none waits, the newcomer is turned away.
     """
 
-    def __init__(self, app: Any, listener: socket.socket, limits: Limits, connections: Any, **options: Any) -> None:
+    def __init__(
+        self, app: Any, listener: socket.socket, limits: Limits, budget: Budget, connections: Any, **options: Any
+    ) -> None:
+        self.budget = budget
         most_open = limits.connections + HEALTH_CONNECTIONS
         # Beyond ours, so that it never holds: waitress counts listener and trigger too.
         adjustments = Adjustments(sockets=[listener], connection_limit=2 * most_open + 100, **options)
@@ -207,7 +260,7 @@ class _Server(TcpWSGIServer):  # type: ignore[misc]
         request = task.requests[0]
         asks_health = task.is_local and request.error is None and request.path == self._limits.health_path
         if task.for_health_only and not asks_health:
-            request.error = _ServiceUnavailable("too many connections are open; try again later")
+            request.error = _Busy("too many connections are open; try again later")
         (self._for_health if asks_health or task.for_health_only else self.task_dispatcher).add_task(task)
 
     def maintenance(self, now: float) -> None:
@@ -250,13 +303,24 @@ class HttpServer:
         app: The application.
         listener: What :func:`listen` returned.
         limits: For its connections.
+        budget: What bodies of requests are taken out of; None for no limit but that of each.
         options: Further ones of ``waitress.Adjustments``.
     """
 
-    def __init__(self, app: Any, listener: socket.socket, limits: Limits, **options: Any) -> None:
+    def __init__(
+        self, app: Any, listener: socket.socket, limits: Limits, budget: Budget | None = None, **options: Any
+    ) -> None:
         self._connections: dict[int, Any] = {}
         self._server = _Server(
-            app, listener, limits, self._connections, ident="slamhive", recv_bytes=_RECEIVED_BYTES, **options
+            app,
+            listener,
+            limits,
+            budget or Budget({}),
+            self._connections,
+            ident="slamhive",
+            recv_bytes=_RECEIVED_BYTES,
+            inbuf_overflow=_RECEIVED_BYTES,
+            **options,
         )
         self._ended = threading.Event()
         host, port = listener.getsockname()[:2]

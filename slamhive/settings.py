@@ -232,6 +232,12 @@ class Settings:
     uploads_max_bytes: int = setting(
         100_000_000_000, "Most that uploads may have together; 0 means no uploads", unit="bytes", minimum=0
     )
+    requests_memory_mb: int = setting(
+        500, "Most memory that checks of submissions on the web use together", unit="MB", minimum=50
+    )
+    requests_disk_mb: int = setting(
+        2000, "Most that temporary files of all requests of the web server have together", unit="MB", minimum=50
+    )
     analysis_max_runs: int = setting(200_000, "Most runs of one analysis on the web", minimum=1)
     analysis_time_limit_s: float = setting(600.0, "Longest that one analysis may compute", unit="s", minimum=1)
     analysis_memory_mb: int = setting(4000, "Most address space of a process that computes one", unit="MB", minimum=500)

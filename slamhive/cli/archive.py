@@ -85,12 +85,15 @@ def export(cli: CliContext, /, file: Path, as_json: bool, **options: object) -> 
 def verify(file: Path, as_json: bool) -> None:
     """Check FILE as an import would, without changing anything."""
     with progress_bar("checking") as show, open_archive(file) as opened:
-        check_archive(opened, show)
+        contents = check_archive(opened, show)
         manifest = opened.manifest
     if as_json:
-        print_json({"made_at": manifest.made_at, "software": manifest.software, "counts": manifest.counts})
+        said = {"made_at": manifest.made_at, "software": manifest.software, "counts": manifest.counts}
+        print_json({**said, "left_out": contents.left_out})
     else:
         say(f"{file} is whole: {manifest.counts.get('runs', 0)} runs, made {manifest.made_at}")
+        if contents.note is not None:
+            tell(f"note: {contents.note}")
 
 
 @archive.command("import")

@@ -64,14 +64,14 @@ def _check_one_kind(files: tuple[Path, ...], options: Mapping[str, Any]) -> None
 def _submit_files(
     cli: CliContext, name: str, files: tuple[Path, ...], options: Mapping[str, Any], *, dry_run: bool
 ) -> ChallengeSubmission | None:
-    from slamhive.services.challenges import Entrant, read_files  # noqa: PLC0415 - loads numpy
+    from slamhive.services.challenges import Entrant, opened_files  # noqa: PLC0415 - loads numpy
 
     challenges = cli.hive().challenges
-    content = read_files(files)
-    if not dry_run:
-        return challenges.submit(name, Entrant(options["team"]), content, options["phase"])
-    for line in challenges.check(name, content, options["phase"]):
-        say(line)
+    with opened_files(files) as content:
+        if not dry_run:
+            return challenges.submit(name, Entrant(options["team"]), content, options["phase"])
+        for line in challenges.check(name, content, options["phase"]):
+            say(line)
     return None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -13,9 +14,10 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.experiment_tables import print_preview, print_report, print_status, print_statuses
 from slamhive.cli.meanings import id_option
 from slamhive.cli.output import messages, print_json, progress_bar, tell
-from slamhive.cli.sharing import share_experiment
+from slamhive.cli.sharing import share_experiment, visibility_option
 from slamhive.cli.visible import confirm, say, write_out
 from slamhive.cli.waiting import experiment_to_end
+from slamhive.domain.visibility import Visibility
 from slamhive.errors import InvalidInput
 from slamhive.files import write_aside
 from slamhive.schema import experiment as schema
@@ -92,19 +94,22 @@ def convert(cli: CliContext, file: Path, out: Path | None, ids: dict[str, str]) 
 @experiment.command("start")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--executor", help="An executor that `slamhive doctor` lists; default: the file's, or the one in force.")
+@visibility_option
 @click.option("--wait", is_flag=True, help="Wait until all runs have ended; run them here if there is no worker.")
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation.")
 @json_option
 @pass_cli
-def start(cli: CliContext, file: Path, executor: str | None, wait: bool, yes: bool, as_json: bool) -> None:
+def start(cli: CliContext, /, file: Path, wait: bool, as_json: bool, **options: Any) -> None:
     """Queue all runs of FILE. Running it again completes an interrupted start; no run is queued twice."""
     hive = cli.hive()
     hive.check_writable()
     source = ExperimentSource.read(file)
-    if messages.is_terminal and not (yes or as_json):
+    executor, visibility = options["executor"], options["visibility"]
+    if messages.is_terminal and not (options["yes"] or as_json):
         _confirm(hive, source, executor)
+    seen_by = None if visibility is None else Visibility(visibility)
     with _counting("storing") as progress:
-        status = hive.experiments.start(source, executor, progress)
+        status = hive.experiments.start(source, executor, progress, seen_by)
     if wait:
         experiment_to_end(hive, status.name)
         status = hive.experiments.status(status.name)

@@ -18,7 +18,7 @@ from slamhive.errors import InvalidInput
 if TYPE_CHECKING:
     from slamhive.services.sharing import SharingChange
 
-_VISIBILITY = click.option(
+visibility_option = click.option(
     "--visibility", type=choice(Visibility), help="private: owner and admins; team: who signs in; public: everybody."
 )
 _OWNER = click.option("--owner", metavar="ACCOUNT", help="Give them to this account.")
@@ -26,7 +26,7 @@ _OWNER = click.option("--owner", metavar="ACCOUNT", help="Give them to this acco
 
 def sharing_options(command: Callable[..., None]) -> Callable[..., None]:
     """The options of all commands that share."""
-    for option in (pass_cli, json_option, _OWNER, _VISIBILITY):
+    for option in (pass_cli, json_option, _OWNER, visibility_option):
         command = option(command)
     return command
 

@@ -31,6 +31,14 @@ class Visibility(StrEnum):
         return min(self, other, key=order.index)
 
 
+VISIBILITY_LABELS = {
+    Visibility.PRIVATE: "Owner and admins",
+    Visibility.TEAM: "Everybody who signs in",
+    Visibility.PUBLIC: "Everybody",
+}
+"""Who that is, in words."""
+
+
 @dataclass(frozen=True, slots=True)
 class Sharing:
     """The owner, None for nobody, and the visibility; None follows the experiment, and is ``team`` without one."""
@@ -71,6 +79,17 @@ NO_SHARING = Sharing()
 """Of what was made without accounts."""
 NOT_SHARED = Sharing(None, Visibility.PRIVATE)
 """Of a file that cannot be read: it may have said so."""
+
+
+def taken_over(maker: Sharing, said: Visibility | None, within: Visibility | None = None) -> Sharing:
+    """Owner and visibility of what comes from outside: it belongs to whoever imports it, the ``maker``.
+
+    What its source ``said`` of it (None: for the team) can hide it, never show it to more people than what the maker
+    makes. ``within`` is the visibility of its experiment here.
+    """
+    most = maker.seen_by.within(Visibility.TEAM)
+    wanted, follows = (said or most).within(most), within or Visibility.TEAM
+    return Sharing(maker.owner, None if wanted.within(follows) is follows else wanted)
 
 
 def visibility_of(audience: str) -> Visibility:

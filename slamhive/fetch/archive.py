@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import lzma
+import os
 import struct
 import tarfile
 import zipfile
@@ -24,6 +25,10 @@ _LONGEST_HEADER = 1_000_000
 _UNIX = 3
 _TYPE_BITS = 0o170000
 _ZIP_KINDS = {0: "file", 0o100000: "file", 0o040000: "folder", 0o120000: "link"}
+_END = struct.Struct("<4s4H2LH")
+_END64 = struct.Struct("<4sQ2H2L4Q")
+_LOCATOR = struct.Struct("<4sLQL")
+_LONGEST_COMMENT = 1 << 16
 _LONG_HEADERS = {tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK}
 
 
@@ -53,6 +58,29 @@ def members(path: Path, kind: FileKind) -> Iterator[Member]:
         yield from _tar_members(path)
     else:
         raise InvalidInput(f"{path.name} is a {kind} file, which SLAM Hive does not unpack", "unpack it by hand")
+
+
+def zip_directory_bytes(stream: IO[bytes]) -> int | None:
+    """The size of the list of members of a zip file, as its end states it; None if it has no end.
+
+    :mod:`zipfile` holds all of the list in memory, some ten times as large.
+    """
+    length = stream.seek(0, os.SEEK_END)
+    start = max(0, length - _LONGEST_COMMENT - _END.size - _LOCATOR.size)
+    stream.seek(start)
+    tail = stream.read()
+    stream.seek(0)
+    place = tail.rfind(b"PK\x05\x06")
+    if place < 0 or len(tail) - place < _END.size:
+        return None
+    size: int = _END.unpack_from(tail, place)[5]
+    if size == 0xFFFFFFFF and place >= _LOCATOR.size:
+        signature, _, offset, _ = _LOCATOR.unpack_from(tail, place - _LOCATOR.size)
+        stream.seek(min(offset, length) if signature == b"PK\x06\x07" else length)
+        record = stream.read(_END64.size)
+        stream.seek(0)
+        size = _END64.unpack(record)[8] if len(record) == _END64.size else length
+    return size
 
 
 @contextmanager

@@ -10,13 +10,15 @@ from pathlib import Path, PurePosixPath
 
 from slamhive.domain.collection import FileKind
 from slamhive.errors import InvalidInput, Unavailable
-from slamhive.fetch.archive import Member, MemberKind, damage_explained, members
+from slamhive.fetch.archive import Member, MemberKind, damage_explained, members, zip_directory_bytes
 from slamhive.files import remedy_of
 
 _PIECE_BYTES = 1024 * 1024
 _LONGEST_NAME_BYTES = 255
 _DEEPEST = 30
-_ALWAYS_ALLOWED_BYTES = 200_000_000
+_DIRECTORY_BYTES = 100_000
+_ENTRY_BYTES = 400
+"""Most of an entry in the list of members, which has name, extra field and comment: a few long names do not count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,12 +26,13 @@ class UnpackLimits:
     """What an archive may become: recordings shrink to a third at best, bombs to a thousandth."""
 
     ratio: float = 100.0
+    always_bytes: int = 200_000_000
     total_bytes: int = 2_000_000_000_000
     files: int = 1_000_000
 
     def bytes_of(self, packed_bytes: int) -> int:
         """How much may come out of an archive of ``packed_bytes``."""
-        return min(self.total_bytes, max(int(self.ratio * packed_bytes), _ALWAYS_ALLOWED_BYTES))
+        return min(self.total_bytes, max(int(self.ratio * packed_bytes), self.always_bytes))
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +53,8 @@ class Choice:
         return PurePosixPath(self.to) / inside
 
 
-Unpacked = Callable[[int], None]
-"""Called from time to time with the bytes that came out."""
+Room = Callable[[int], None]
+"""Called before a piece is written, with its bytes; whoever has no room for them raises."""
 
 
 def unpack(
@@ -60,7 +63,7 @@ def unpack(
     folder: Path,
     choice: Choice = Choice(),
     limits: UnpackLimits = UnpackLimits(),
-    unpacked: Unpacked = lambda _bytes: None,
+    room: Room = lambda _bytes: None,
 ) -> int:
     """Unpack the chosen members of ``archive`` into ``folder``; they replace files of other archives.
 
@@ -71,9 +74,11 @@ def unpack(
         InvalidInput: the archive is damaged or hostile; the message names the member.
         Unavailable: the disk refuses.
     """
-    writer = _Writer(archive, folder, limits, unpacked)
+    writer = _Writer(archive, folder, limits, room)
     try:
         with damage_explained(archive):
+            if kind is FileKind.ZIP:
+                writer.check_directory()
             for member in members(archive, kind):
                 writer.add(member, choice)
     except OSError as error:
@@ -82,10 +87,10 @@ def unpack(
 
 
 class _Writer:
-    def __init__(self, archive: Path, folder: Path, limits: UnpackLimits, unpacked: Unpacked) -> None:
+    def __init__(self, archive: Path, folder: Path, limits: UnpackLimits, room: Room) -> None:
         self._archive = archive
         self._folder = folder
-        self._unpacked = unpacked
+        self._room = room
         self._most_files = limits.files
         self._left_bytes = limits.bytes_of(archive.stat().st_size)
         self._written_bytes = 0
@@ -95,6 +100,13 @@ class _Writer:
     def files(self) -> int:
         """How many files were written."""
         return len(self._own)
+
+    def check_directory(self) -> None:
+        """Refuse a zip file that lists more members than are allowed, before the list is in memory."""
+        with self._archive.open("rb") as stream:
+            size = zip_directory_bytes(stream) or 0
+        if size > _ENTRY_BYTES * self._most_files + _DIRECTORY_BYTES:
+            raise self._refusal(f"more than {self._most_files:,} files")
 
     def add(self, member: Member, choice: Choice) -> None:
         """Write a member, if it is wanted."""
@@ -127,8 +139,8 @@ class _Writer:
                 self._written_bytes += len(piece)
                 if self._written_bytes > self._left_bytes:
                     raise self._refusal(f"more than {self._left_bytes / 1e6:,.0f} MB: it looks like a bomb")
+                self._room(len(piece))
                 stream.write(piece)
-        self._unpacked(self._written_bytes)
 
     def _refusal(self, what: str) -> InvalidInput:
         return InvalidInput(f"{self._archive.name} is not unpacked: it holds {what}", "it is no archive of a dataset")

@@ -7,6 +7,7 @@ apart so that an algorithm can neither forge its provenance nor break a sealed r
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,49 @@ from slamhive.runtime.localisation import LOCALISATION_FILE
 from slamhive.runtime.paths import TRAJECTORY_FILES
 
 _FINGERPRINT_CHARACTERS = 32
+
+EVALUATION_FILES = (
+    "result.json",
+    "traj.tum",
+    "groundtruth.tum",
+    "errors.csv",
+    "ape.zip",
+    "rpe.zip",
+    *(f"traj_{kind}.png" for kind in ("trajectories", "xyz", "rpy", "speeds")),
+    *(f"{kind}_{name}.png" for kind in ("ape", "rpe") for name in ("raw", "map")),
+)
+"""What an evaluation writes beside ``protocol.json``, which it is asked with."""
+TRAVELLING = frozenset(
+    {
+        "run.json",
+        "notes.json",
+        "config.yaml",
+        "log.txt",
+        "profiling.csv",
+        "energy.csv",
+        "host.csv",
+        "gpu.csv",
+        "profiling_cpu.png",
+        "profiling_ram.png",
+        "preparation.txt",
+        "kitti_poses.txt",
+    }
+)
+"""The files of a run folder that archives hold, besides the result and the evaluations."""
+STAYING = frozenset({"sharing.json", "work"})
+"""What never leaves an installation or comes into one: who owns and sees the run, and what its executor works with."""
+_EVALUATION = re.compile(r"evaluations/(?:current|[0-9a-f]{12}/(?P<file>[^/]+))")
+
+
+def travels(name: str) -> bool:
+    """Whether archives hold the file called ``name`` below a run folder: this list is closed, on the way out and in.
+
+    What an algorithm left in its result may have any name.
+    """
+    if name in TRAVELLING or name.startswith("result/"):
+        return True
+    evaluation = _EVALUATION.fullmatch(name)
+    return evaluation is not None and evaluation["file"] in (None, "protocol.json", *EVALUATION_FILES)
 
 
 @dataclass(frozen=True, slots=True)

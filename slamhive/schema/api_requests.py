@@ -143,6 +143,9 @@ class ExperimentRequest(Request):
 
     yaml: Yaml
     executor: Annotated[str | None, described("Overrides the one in the file.")] = None
+    visibility: Annotated[
+        Visibility | None, described("Who may see it and its runs from the beginning; by default as NEW_RUNS says.")
+    ] = None
 
 
 class YamlRequest(Request):

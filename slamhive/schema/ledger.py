@@ -117,6 +117,14 @@ class CancelledLine(Document):
     why: str
 
 
+class SharedLine(Document):
+    """Who owns and may see runs that have no folder yet; later lines and the folder of a run override it."""
+
+    shared: tuple[int, ...]
+    owner: Annotated[str | None, described("Null also for a run of an experiment, whose owner it has.")]
+    visibility: Visibility | None
+
+
 class AskedLine(Document):
     """Evaluations that were queued together."""
 
@@ -177,6 +185,7 @@ LedgerLine = (
     | CellsLine
     | RunsLine
     | CancelledLine
+    | SharedLine
     | AskedLine
     | EndedLine
 )

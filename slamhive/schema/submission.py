@@ -12,6 +12,7 @@ from slamhive.domain.configuration import Configuration, InputMap, Playback, Pla
 from slamhive.domain.parameters import Value, parse_settings
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.variant import Variant
+from slamhive.domain.visibility import Visibility
 from slamhive.errors import InvalidInput, unknown
 from slamhive.schema.limits import NEVER, RULES, CpuCores, MemoryMb, StopWhen, TimeoutS
 from slamhive.schema.options import Asked, options_of
@@ -49,6 +50,10 @@ SameCpu = Annotated[
     Asked("All runs of the experiment are measured on one CPU model; false allows several.", title="Same CPU model"),
 ]
 
+SeenBy = Annotated[
+    Visibility | None,
+    Asked("Who may see the runs, where there are accounts; by default as NEW_RUNS says.", title="Seen by"),
+]
 
 _RULE_PREFIX = "stop_when."
 
@@ -97,6 +102,7 @@ class Submission:
     map: StartingMap = None
     stop_when: Annotated[StopWhen, Asked("Rules that end a run early.")] = NEVER
     repeat_disturbed: RepeatDisturbed = 0
+    visibility: SeenBy = None
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {
         "extra": "forbid",

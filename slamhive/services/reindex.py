@@ -67,7 +67,7 @@ def _reindexed(hive: Hive, progress: Callable[[int, int], None]) -> ReindexRepor
     report = ReindexReport()
     deleted = [run.deleted for run in deleted_runs(hive.settings.trash_folder)]
     hive.store.write(lambda t: t.deleted_runs.remember(deleted))
-    ledger = LedgerRestore(hive.store, hive.catalogue, hive.ledger.files)
+    ledger = LedgerRestore(hive.store, hive.catalogue, hive.ledger.files, hive.settings.runs_folder)
     for restored in hive.experiments.restore_rows():
         report.experiments += restored.problem is None
         _note(report, restored)

@@ -28,7 +28,10 @@ class SharingRepository(Repository):
     """A run of an experiment belongs to the owner of the experiment, and is seen by nobody who does not see that."""
 
     def of_new_runs(self, requests: Sequence[RunRequest]) -> list[RunRequest]:
-        """New runs with owner and visibility: of who stores them; of the run that is repeated if a worker does."""
+        """New runs with owner and visibility: of who stores them; of the run that is repeated if a worker does.
+
+        A request that states who may see its run is heeded.
+        """
         maker = maker_of(self._connection)
         repeated = self.of_runs({request.retry_of for request in requests if request.retry_of is not None})
         found = []
@@ -37,7 +40,7 @@ class SharingRepository(Repository):
             alone = maker.visibility if request.experiment_id is None else None
             # The repetition of a run is seen by no more people than the run.
             own = alone and first.visibility and alone.within(first.visibility)
-            visibility = own or first.visibility or alone
+            visibility = request.visibility or own or first.visibility or alone
             found.append(replace(request, owner=maker.owner or first.owner, visibility=visibility))
         return self.of_experiments(found)
 
@@ -64,6 +67,13 @@ class SharingRepository(Repository):
     def of_runs(self, run_ids: Collection[int]) -> dict[int, Sharing]:
         """{run: owner and own visibility} of those of these runs that are stored."""
         return self._of(_RUNS, run_ids)
+
+    def lock(self, run_ids: Sequence[int]) -> None:
+        """Let no other transaction change these runs until this one ends."""
+        for part in chunks(sorted(run_ids)):
+            # SQLite has locked everything already, and MySQL locks the rows that a write finds, changed or not.
+            same = update(_RUNS).where(_RUNS.c.id.in_(part)).values(audience=_RUNS.c.audience)
+            self._connection.execute(same)
 
     def share_runs(self, shared: Mapping[int, Sharing]) -> None:
         """Write owner and visibility of runs."""

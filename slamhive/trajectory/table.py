@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import stat
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +18,16 @@ from slamhive.trajectory.model import FloatArray
 MAX_FILE_BYTES = 200_000_000
 """Longer files are refused: at 100 bytes a pose this is two million poses."""
 
+MOST_ROWS = 2_500_000
+"""Files with more are refused: 23 hours at 30 Hz. A row takes memory even if it holds little text."""
+LONGEST_LINE = 10_000_000
+_BLOCK_BYTES = 1 << 20
 _SHOWN_CHARACTERS = 40
 
 
 @dataclass(frozen=True, slots=True)
 class NumberTable:
-    """The numbers of a text file, and their lines.
+    """The numbers of a text file, and its text.
 
     Attributes:
         name: The file, as messages shall call it.
@@ -29,11 +36,12 @@ class NumberTable:
 
     name: str
     values: FloatArray
-    _lines: list[str]
+    _data: bytes
 
     def line_number(self, row: int) -> int:
         """The line of row ``row`` in the file, from 1."""
-        holding = (number for number, line in enumerate(self._lines, start=1) if _is_row(line))
+        lines = chain.from_iterable(_lines(self._data, self.name))
+        holding = (number for number, line in enumerate(lines, start=1) if _is_row(line))
         return next(number for index, number in enumerate(holding) if index == row)
 
     def error(self, row: int, found: str, remedy: str) -> InvalidInput:
@@ -83,37 +91,64 @@ def parse_table(data: bytes, name: str, columns: int, layout: str, *, more_colum
     Raises:
         InvalidInput: Not text, no row at all, or a bad row, named by its line.
     """
-    lines = _text(data, name, layout).splitlines()
-    rows = [line for line in lines if _is_row(line)]
-    if not rows:
+    _check_text(data, name, layout)
+    rows = _rows(data, name)
+    first = next(rows, None)
+    if first is None:
         raise InvalidInput(f"{name} is empty: it holds no line of numbers", f"expected lines of {layout}")
-    if any("," in row for row in rows):
-        rows = [row.replace(",", " ") for row in rows]
     try:
-        values = np.loadtxt(rows, dtype=np.float64, comments=None, ndmin=2)
+        values = np.loadtxt(chain([first], rows), dtype=np.float64, comments=None, ndmin=2)
     except ValueError:
         values = np.empty((0, 0))
     if values.shape[1] == columns:
-        return NumberTable(name, values, lines)
+        return NumberTable(name, values, data)
     if more_columns and values.shape[1] > columns:
-        return NumberTable(name, values[:, :columns], lines)
+        return NumberTable(name, values[:, :columns], data)
     if more_columns:
-        columns = max(columns, len(rows[0].split()))
-    raise _first_bad_row(NumberTable(name, values, lines), rows, columns, layout)
+        columns = max(columns, len(first.split()))
+    raise _first_bad_row(NumberTable(name, values, data), _rows(data, name), columns, layout)
 
 
-def _text(data: bytes, name: str, layout: str) -> str:
+def _check_text(data: bytes, name: str, layout: str) -> None:
+    """Raise InvalidInput unless ``data`` is text. It is decoded in blocks: as a whole, it would take its size again."""
+    decoder, done = codecs.getincrementaldecoder("utf-8-sig")(), 0
+    place = data.find(b"\0")
     try:
-        text = data.decode("utf-8-sig")
+        for start in range(0, len(data), _BLOCK_BYTES):
+            done = start - len(decoder.getstate()[0])
+            decoder.decode(data[start : start + _BLOCK_BYTES], final=start + _BLOCK_BYTES >= len(data))
     except UnicodeDecodeError as error:
-        found = f"byte 0x{data[error.start]:02x} at position {error.start}"
-        raise InvalidInput(f"{name} is not a text file: {found}", f"expected lines of {layout}") from None
-    position = text.find("\0")
-    if position >= 0:
-        raise InvalidInput(
-            f"{name} is not a text file: byte 0x00 at position {position}", f"expected lines of {layout}"
-        )
-    return text
+        place = done + error.start
+    if place >= 0:
+        found = f"byte 0x{data[place]:02x} at position {place}"
+        raise InvalidInput(f"{name} is not a text file: {found}", f"expected lines of {layout}")
+
+
+def _lines(data: bytes, name: str) -> Iterator[list[str]]:
+    """The lines, some thousand at a time: all at once would take many times the memory of their numbers.
+
+    Raises InvalidInput for a line that is too long to be a row.
+    """
+    decoder, rest = codecs.getincrementaldecoder("utf-8-sig")(), ""
+    for start in range(0, len(data), _BLOCK_BYTES):
+        last = start + _BLOCK_BYTES >= len(data)
+        text = rest + decoder.decode(data[start : start + _BLOCK_BYTES], final=last)
+        # The last line may go on in the next block, or end there: "\r\n" is one end.
+        rest = "" if last or not text else text.splitlines(keepends=True)[-1]
+        if len(rest) > LONGEST_LINE:
+            raise InvalidInput(f"{name} has a line of more than {LONGEST_LINE:,} characters", "write one row a line")
+        yield text[: len(text) - len(rest)].splitlines()
+
+
+def _rows(data: bytes, name: str) -> Iterator[str]:
+    """The lines that hold numbers, separated by blanks; raises InvalidInput if there are too many."""
+    commas, count = b"," in data, 0
+    for lines in _lines(data, name):
+        rows = [line for line in lines if _is_row(line)]
+        count += len(rows)
+        if count > MOST_ROWS:
+            raise InvalidInput(f"{name} has more than {MOST_ROWS:,} rows", "split it, or write less")
+        yield from (row.replace(",", " ") for row in rows) if commas else rows
 
 
 def _is_row(line: str) -> bool:
@@ -121,7 +156,7 @@ def _is_row(line: str) -> bool:
     return content != "" and content[0] != "#"
 
 
-def _first_bad_row(table: NumberTable, rows: list[str], columns: int, layout: str) -> InvalidInput:
+def _first_bad_row(table: NumberTable, rows: Iterable[str], columns: int, layout: str) -> InvalidInput:
     for index, row in enumerate(rows):
         words = row.split()
         for word in words:

@@ -13,13 +13,16 @@ from markupsafe import Markup
 
 from slamhive import __version__
 from slamhive.analysis.colours import on_dark
+from slamhive.budget import Budget, Lent
 from slamhive.clock import utc_now
 from slamhive.domain.accounts import Action, Caller, Role
 from slamhive.domain.run import RunState
+from slamhive.domain.visibility import VISIBILITY_LABELS
 from slamhive.services.analyses import AnalysisComputer, may_analyse
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
-from slamhive.settings import Mode
+from slamhive.settings import Mode, Settings
+from slamhive.shown_paths import relative_paths
 from slamhive.store import Store
 from slamhive.web import api, assets, context, formatting
 from slamhive.web.caching import PageCache, add_caching, keep_pages
@@ -27,7 +30,7 @@ from slamhive.web.challenge_files import MOST_SENT_BYTES
 from slamhive.web.columns import Kind
 from slamhive.web.compression import add_compression
 from slamhive.web.dataset_work import DatasetChecker, VariantMaker
-from slamhive.web.errors import handle_errors
+from slamhive.web.errors import handle_errors, hide_paths
 from slamhive.web.live import LiveHub
 from slamhive.web.oidc import find_provider
 from slamhive.web.pages import register_pages
@@ -69,6 +72,7 @@ BODY_LIMITS = {
 }
 """{endpoint: the most bytes of its body}, where that is more than :data:`MOST_UPLOAD_BYTES`."""
 MOST_STREAMS = 8
+MB = 1_000_000
 _ACCOUNT_BLUEPRINTS = (accounts.blueprint, administration.blueprint)
 _BLUEPRINTS = (
     dashboard.blueprint,
@@ -120,10 +124,12 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
         WTF_CSRF_CHECK_DEFAULT=True,
     )
     app.extensions[context.EXTENSION] = hive
+    hide_paths(app, relative_paths(hive.settings.data, root))
+    app.extensions[context.BUDGET_EXTENSION] = lent_to_requests(hive.settings)
     app.extensions[context.LIVE_EXTENSION] = LiveHub(hive, MOST_STREAMS)
     app.extensions[context.VARIANTS_EXTENSION] = VariantMaker(hive)
     app.extensions[context.CHECKS_EXTENSION] = DatasetChecker(hive)
-    app.extensions[context.UPLOADS_EXTENSION] = UploadWork(hive)
+    app.extensions[context.UPLOADS_EXTENSION] = UploadWork(hive, app.extensions[context.BUDGET_EXTENSION])
     app.extensions[context.COMPUTER_EXTENSION] = _analysis_computer(hive)
     app.extensions[context.RATES_EXTENSION] = visitor_limits(hive.settings.analyses_per_hour_per_address)
     app.jinja_options["trim_blocks"] = True
@@ -149,6 +155,20 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     _add_template_words(app, hive)
     app.jinja_env.globals["needs_account"] = callers.needed
     return app
+
+
+def lent_to_requests(settings: Settings) -> Budget:
+    """What all requests that bring files may use together."""
+    return Budget(
+        {
+            Lent.MEMORY: settings.requests_memory_mb * MB,
+            Lent.DISK: settings.requests_disk_mb * MB,
+            Lent.UNPACKED: settings.uploads_max_bytes,
+            Lent.SUBMISSIONS: 2,
+            Lent.IMAGES: 1,
+            Lent.IMPORTS: 3,
+        }
+    )
 
 
 def _allow_parts_of_files(app: Flask) -> None:
@@ -234,6 +254,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         help_of=help_pages.OF_PAGE,
         relative_time=formatting.relative_time,
         version=__version__,
+        visibility_labels=VISIBILITY_LABELS,
         zip=zip,
     )
 

@@ -7,7 +7,9 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from slamhive.errors import Conflict, SlamHiveError
+from slamhive.errors import Conflict, SlamHiveError, changed_text
+from slamhive.services.hive import Hive
+from slamhive.shown_paths import relative_paths
 
 logger = logging.getLogger(__name__)
 
@@ -33,11 +35,13 @@ class Background:
     """Does one piece of work at a time in a thread.
 
     Args:
+        hive: The services.
         kind: The name of the threads.
         busy: What messages say of a dataset that is worked on: ``a variant of {} is being created``.
     """
 
-    def __init__(self, kind: str, busy: str) -> None:
+    def __init__(self, hive: Hive, kind: str, busy: str) -> None:
+        self._hive = hive
         self._kind = kind
         self._busy = busy
         self._lock = threading.Lock()
@@ -61,19 +65,26 @@ class Background:
         return work
 
     def _run(self, work: Work, task: Callable[[Progress], object]) -> None:
-        def progress(fraction: float, text: str) -> None:
-            self._latest = replace(work, fraction=fraction, activity=text)
+        self._note(carried_out(self._hive, work, task, self._note))
 
-        problem = None
-        try:
-            task(progress)
-        except SlamHiveError as error:
-            problem = str(error)
-        except Exception:
-            logger.exception("work on %s failed (%s)", work.dataset, self._kind)
-            problem = "an unexpected error; see the server's log"
-        self._end(replace(work, fraction=1.0, done=True, problem=problem))
-
-    def _end(self, work: Work) -> None:
-        """Note how a piece of work has ended. Other work can begin from now on."""
+    def _note(self, work: Work) -> None:
+        """Note how far a piece of work is. If it has ended, other work can begin from now on."""
         self._latest = work
+
+
+def carried_out(hive: Hive, work: Work, task: Callable[[Progress], object], note: Callable[[Work], None]) -> Work:
+    """Carry out ``task``; how it has ended. ``note`` is called with its progress."""
+
+    def progress(fraction: float, text: str) -> None:
+        note(replace(work, fraction=fraction, activity=text))
+
+    problem = None
+    try:
+        with changed_text(relative_paths(hive.settings.data, hive.project_root)):
+            task(progress)
+    except SlamHiveError as error:
+        problem = str(error)
+    except Exception:
+        logger.exception("work on %s failed", work.dataset)
+        problem = "an unexpected error; see the server's log"
+    return replace(work, fraction=1.0, done=True, problem=problem)

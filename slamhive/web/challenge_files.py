@@ -2,55 +2,73 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from shutil import copyfileobj
 from typing import IO
 
+from flask import request
 from werkzeug.datastructures import FileStorage
 
+from slamhive.budget import Lent, Share
 from slamhive.domain.accounts import Action
 from slamhive.domain.names import check_name
-from slamhive.errors import Conflict, InvalidInput
+from slamhive.errors import InvalidInput
 from slamhive.files import temporary_folder
 from slamhive.schema.challenge import ChallengeSubmission
 from slamhive.schema.challenge_requests import ImageEntry
-from slamhive.services.challenges import Entrant, read_files
-from slamhive.web.context import caller, hive
+from slamhive.services.challenges import Entrant, opened_files
+from slamhive.web.context import budget, caller, hive
 
 MOST_SENT_BYTES = 16_000_000
 """One request with a submission."""
-_CHECKING = threading.Lock()
-"""A check of an image reads all of it, so there is one at a time."""
+_WAIT_S = 5.0
+"""Longest that a request waits for its turn: a thread that waits serves no pages."""
+_PIECE_BYTES = 256 * 1024
 
 
-def of_form(uploads: Iterable[FileStorage]) -> dict[str, bytes]:
-    """The trajectories of a web form by file name; raises InvalidInput."""
-    with temporary_folder() as folder:
+def send_form(name: str, team: str, phase: str, uploads: Iterable[FileStorage]) -> ChallengeSubmission:
+    """Submit the trajectories of a web form for the caller; raises as :func:`send_body`."""
+    with _working(name, Lent.SUBMISSIONS) as share, temporary_folder() as folder:
+        share.take(Lent.DISK, request.content_length or 0)  # its parts are temporary files, too
         paths = []
         for upload in uploads:
             if upload.filename:
                 path = folder / check_name("file", Path(upload.filename).name)
                 if path.exists():
                     raise InvalidInput(f"two files are called {path.name}", "send one of them")
-                upload.save(path)
-                paths.append(path)
-        return read_files(paths)
+                paths.append(_received(upload.stream, path, share))
+        return _send(name, team, phase, paths, share)
 
 
-def of_body(body: IO[bytes]) -> dict[str, bytes]:
-    """The trajectories in a zip archive; raises InvalidInput."""
-    with temporary_folder() as folder:
-        path = folder / "submission.zip"
-        with path.open("wb") as stream:
-            copyfileobj(body, stream)
-        return read_files([path])
+def send_body(name: str, team: str, phase: str, body: IO[bytes]) -> ChallengeSubmission:
+    """Submit the trajectories in a zip archive for the caller.
+
+    Raises what :meth:`Challenges.submit` raises, and Unavailable while the server works on as much as it may.
+    """
+    with _working(name, Lent.SUBMISSIONS) as share, temporary_folder() as folder:
+        return _send(name, team, phase, [_received(body, folder / "submission.zip", share)], share)
 
 
-def send(name: str, team: str, phase: str, files: dict[str, bytes]) -> ChallengeSubmission:
-    """Submit for the caller; raises what :meth:`Challenges.submit` raises."""
-    made = hive().challenges.submit(name, Entrant(team or caller().account, caller().account), files, phase or None)
+def _working(name: str, kind: Lent) -> AbstractContextManager[Share]:
+    known = name if name in hive().challenges.names() else ""
+    what = "an image" if kind is Lent.IMAGES else "a submission"
+    return budget().share(f"{what} to challenge {known}", kind, _WAIT_S)
+
+
+def _received(body: IO[bytes], path: Path, share: Share) -> Path:
+    """Write what was sent to ``path``, a piece at a time."""
+    with path.open("wb") as stream:
+        while piece := body.read(_PIECE_BYTES):
+            share.take(Lent.DISK, len(piece))
+            stream.write(piece)
+    return path
+
+
+def _send(name: str, team: str, phase: str, paths: Sequence[Path], share: Share) -> ChallengeSubmission:
+    entrant = Entrant(team or caller().account, caller().account)
+    with opened_files(paths, share) as files:
+        made = hive().challenges.submit(name, entrant, files, phase or None, share)
     hive().store.note_act()
     return made
 
@@ -58,7 +76,7 @@ def send(name: str, team: str, phase: str, files: dict[str, bytes]) -> Challenge
 def send_image(name: str, asked: ImageEntry) -> ChallengeSubmission:
     """Submit an uploaded image, or a version of a package, for the caller.
 
-    Raises what :meth:`Challenges.submit` raises, and Conflict while another image is checked.
+    Raises what :meth:`Challenges.submit` raises, and Unavailable while another image is checked.
     """
     challenges, mine = hive().challenges, caller().account
     entrant = Entrant(asked.team or mine, mine, asked.algorithm or None)
@@ -73,16 +91,12 @@ def send_image(name: str, asked: ImageEntry) -> ChallengeSubmission:
 
 def _send_upload(name: str, entrant: Entrant, asked: ImageEntry) -> ChallengeSubmission:
     token, owner = str(asked.upload), caller().account or ""
-    if not _CHECKING.acquire(blocking=False):
-        raise Conflict("another image is being checked now", "try again in a minute; the upload stays")
-    try:
+    with _working(name, Lent.IMAGES):
         hive().uploads.folder(token, owner).check_complete()
         with hive().upload_imports.opened(token, owner) as path:
             made = hive().challenges.submit_image(name, entrant, path, asked.phase or None)
         hive().uploads.remove(token, owner)
         return made
-    finally:
-        _CHECKING.release()
 
 
 def cancel(name: str, submission: str) -> ChallengeSubmission:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, cast
 from flask import current_app, g
 
 if TYPE_CHECKING:
+    from slamhive.budget import Budget
     from slamhive.domain.accounts import Caller
     from slamhive.services.analyses import AnalysisComputer
     from slamhive.services.hive import Hive
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from slamhive.web.upload_work import UploadWork
 
 EXTENSION = "slamhive"
+BUDGET_EXTENSION = "slamhive-budget"
 LIVE_EXTENSION = "slamhive-live"
 VARIANTS_EXTENSION = "slamhive-variants"
 CHECKS_EXTENSION = "slamhive-dataset-checks"
@@ -33,6 +35,11 @@ SIGN_IN_EXTENSION = "slamhive-sign-in"
 def hive() -> Hive:
     """The services of this application."""
     return cast("Hive", current_app.extensions[EXTENSION])
+
+
+def budget() -> Budget:
+    """What the server lends to all requests together."""
+    return cast("Budget", current_app.extensions[BUDGET_EXTENSION])
 
 
 def live_hub() -> LiveHub:

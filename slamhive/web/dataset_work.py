@@ -17,8 +17,7 @@ class VariantMaker(Background):
     """Creates one variant at a time. Runs that need the same variant wait for it."""
 
     def __init__(self, hive: Hive) -> None:
-        super().__init__("variant", "a variant of {} is being created")
-        self._hive = hive
+        super().__init__(hive, "variant", "a variant of {} is being created")
 
     def start(self, dataset: Dataset, variant: Variant) -> threading.Thread:
         """Start creating ``variant``, which is already checked; raises Conflict while another one is being created."""
@@ -36,8 +35,7 @@ class DatasetChecker(Background):
     """Checks one dataset at a time."""
 
     def __init__(self, hive: Hive) -> None:
-        super().__init__("check", "dataset {} is being checked")
-        self._hive = hive
+        super().__init__(hive, "check", "dataset {} is being checked")
 
     def start(self, dataset: Dataset) -> threading.Thread:
         """Start checking ``dataset``; raises InvalidInput without a recording, Conflict while another check runs."""

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Callable
+from contextlib import ExitStack
 from http import HTTPStatus
 
-from flask import Flask, Response, make_response, render_template, request
+from flask import Flask, Response, current_app, g, make_response, render_template, request
 from werkzeug.exceptions import BadRequest, HTTPException
 
-from slamhive.errors import (
-    SlamHiveError,
-)
+from slamhive.errors import SlamHiveError, Unavailable, changed_text
 from slamhive.schema.api_answers import OldError, Problem
 from slamhive.schema.problems import STATUS
 
 logger = logging.getLogger(__name__)
 
+_CHANGE = "slamhive-error-texts"
 TITLES = {
     400: "Invalid request",
     401: "Sign in first",
@@ -29,6 +30,20 @@ TITLES = {
     500: "Internal error",
     503: "Temporarily unavailable",
 }
+
+
+def hide_paths(app: Flask, change: Callable[[str], str]) -> None:
+    """Pass the texts of all errors of requests through ``change``; register this before anything that can fail."""
+    app.extensions[_CHANGE] = change
+
+    @app.before_request
+    def begin() -> None:
+        g.error_texts = ExitStack()
+        g.error_texts.enter_context(changed_text(change))
+
+    @app.teardown_request
+    def end(_error: BaseException | None) -> None:
+        g.pop("error_texts", ExitStack()).close()
 
 
 def handle_errors(app: Flask) -> None:
@@ -52,9 +67,12 @@ def wants_json() -> bool:
 
 
 def _explained(error: SlamHiveError) -> Response:
-    answer = _answer(status_of(error), error.message, error.remedy)
+    change = current_app.extensions[_CHANGE]  # an error may have been made before the request, when the server began
+    answer = _answer(status_of(error), change(error.message), error.remedy and change(error.remedy))
     if answer.status_code == 401:
         answer.headers["WWW-Authenticate"] = "Bearer"
+    if isinstance(error, Unavailable) and error.retry_after_s is not None:
+        answer.headers["Retry-After"] = str(error.retry_after_s)
     return answer
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -46,6 +47,7 @@ class RateLimit:
                 raise TooManyRequests(
                     f"your address has sent {self._most} {what} in {self._window_s / 60:g} min",
                     f"try again in {max(1, round(wait_s / 60))} min",
+                    retry_after_s=math.ceil(wait_s),
                 )
             calls.append(now)
 

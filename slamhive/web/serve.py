@@ -10,11 +10,12 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any, cast
 
+from slamhive.budget import Budget
 from slamhive.http_server import HttpServer, Limits, listen
 from slamhive.services.analyses import AnalysisComputer
 from slamhive.services.hive import Hive
 from slamhive.web.app import BODY_LIMITS, MOST_STREAMS, MOST_UPLOAD_BYTES, create_app
-from slamhive.web.context import COMPUTER_EXTENSION, LIVE_EXTENSION
+from slamhive.web.context import BUDGET_EXTENSION, COMPUTER_EXTENSION, LIVE_EXTENSION
 from slamhive.web.live import LiveHub
 
 THREADS = MOST_STREAMS + 8
@@ -40,6 +41,7 @@ class WebServer:
         app = create_app(hive, host)
         self._hub = cast("LiveHub", app.extensions[LIVE_EXTENSION])
         self._computer = cast("AnalysisComputer | None", app.extensions[COMPUTER_EXTENSION])
+        self.budget = cast("Budget", app.extensions[BUDGET_EXTENSION])
         self._server = HttpServer(
             app,
             listener,
@@ -49,6 +51,7 @@ class WebServer:
                 hive.settings.trusted_proxy,
                 health_path="/healthz",
             ),
+            self.budget,
             threads=THREADS,
             max_request_body_size=max(BODY_LIMITS.values()) + MOST_UPLOAD_BYTES,
             **_proxy_options(hive.settings.trusted_proxy),

@@ -8,7 +8,7 @@ import pytest
 
 from slamhive.errors import InvalidInput, NotFound, Unavailable
 from slamhive.files import make_shared_folder, write_aside
-from slamhive.runs.folder import RunFolder
+from slamhive.runs.folder import STAYING, TRAVELLING, RunFolder, travels
 from slamhive.runs.untrusted import read_regular_file
 
 
@@ -86,3 +86,40 @@ def test_a_folder_is_shared_with_the_group_that_shares_the_one_around_it(tmp_pat
     finally:
         os.umask(before)
     assert (parent / "trial").stat().st_mode & 0o7777 == made
+
+
+def test_it_is_decided_of_each_file_whether_archives_hold_it(tmp_path):
+    """A new file of the run folder has to be listed: it travels, or it stays."""
+    folder = RunFolder(tmp_path)
+    paths = {name: getattr(folder, name) for name, kind in vars(RunFolder).items() if isinstance(kind, property)}
+    for name, path in paths.items():
+        if name in ("contract_files", "watched_files"):
+            continue
+        place = path.relative_to(tmp_path).as_posix()
+        top = place.partition("/")[0]
+        assert travels(place) or top in STAYING or place == "result", name
+        assert not (travels(place) and top in STAYING), name
+    known = {path.name for path in paths.values() if isinstance(path, Path) and path.parent == tmp_path}
+    assert TRAVELLING | STAYING | {"result"} == known
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("result/anything/of.the/algorithm", True),
+        ("result/.hidden", True),
+        ("evaluations/current", True),
+        ("evaluations/9ef7844a7e18/protocol.json", True),
+        ("evaluations/9ef7844a7e18/ape_raw.png", True),
+        ("sharing.json", False),
+        ("work/exit", False),
+        ("evaluations/9ef7844a7e18/sharing.json", False),
+        ("evaluations/../sharing.json", False),
+        ("evaluations/9ef7844a7e18/.errors.csv.abcdefgh", False),
+        ("token", False),
+        ("run.json/x", False),
+        ("", False),
+    ],
+)
+def test_the_list_of_what_archives_hold_is_closed(name, expected):
+    assert travels(name) is expected

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
+import zipfile
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,6 +15,7 @@ from sqlalchemy import text
 
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.job import EvaluationResult, result_to_json
+from slamhive.services.archive.layout import CHECKSUMS, PAYLOAD, TAG_CHECKSUMS, bag_format
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
 
@@ -21,6 +24,7 @@ HOST = {"cpu_model": "Test", "cpu_count": 2, "memory_bytes": 10**9, "kernel": "6
 ALGORITHM = {"package": "tiny", "mode": "lidar", "identity": "sha256:1", "package_hash": "2", "version": "1"}
 PROTOCOL = Protocol(Alignment.SE3)
 REASONS = ("crash", "nonzero_exit")
+TAGS = bag_format("a").tags
 
 
 def make_runs(hive: Hive, count: int, *, first: int = 1, poses: int = 30, salt: int = 0) -> None:
@@ -182,3 +186,27 @@ def all_files(hive: Hive) -> Iterator[tuple[str, bytes]]:
 def _numbers(hive: Hive) -> list[int]:
     with hive.store.engine.connect() as connection:
         return [row[0] for row in connection.execute(text("SELECT id FROM runs ORDER BY id"))]
+
+
+def sealed(members: dict[str, bytes]) -> dict[str, bytes]:
+    """The members with checksums that fit them, as a careful forger makes them."""
+
+    def sums(names: list[str], prefix: str) -> bytes:
+        return "".join(f"{hashlib.sha256(members[name]).hexdigest()}  {prefix}{name}\n" for name in names).encode()
+
+    members = {name: data for name, data in members.items() if name not in (CHECKSUMS, TAG_CHECKSUMS)}
+    members[CHECKSUMS] = sums([name for name in members if name not in TAGS], PAYLOAD)
+    members[TAG_CHECKSUMS] = sums([name for name in members if name in TAGS], "")
+    return members
+
+
+def in_bag(name: str) -> str:
+    """The name in the zip file of a member that :func:`members_of` names."""
+    return f"a/{name if name in TAGS else PAYLOAD + name}"
+
+
+def rewritten(path: Path, members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> Path:
+    with zipfile.ZipFile(path, "w", compression) as file:
+        for name, data in members.items():
+            file.writestr(in_bag(name), data)
+    return path

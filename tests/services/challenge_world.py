@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,8 +14,10 @@ from typing import Any
 import numpy as np
 import yaml
 
+from slamhive.budget import Share
 from slamhive.evaluation.job import EvaluationResult, EvaluationTask
-from slamhive.services.challenges import ChallengeJudge, Challenges
+from slamhive.schema.challenge import ChallengeSubmission
+from slamhive.services.challenges import ChallengeJudge, Challenges, Entrant
 from slamhive.settings import Settings
 
 NOW = datetime(2026, 5, 4, 12, 0, 7, tzinfo=UTC)
@@ -58,6 +61,36 @@ class InThisProcess:
         return [entry if isinstance(entry, EvaluationResult) else entry.result for entry in found]
 
 
+def kept(folder: Path, files: Mapping[str, bytes]) -> dict[str, Path]:
+    """The files of a submission by name, written into a new folder below ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    place = Path(tempfile.mkdtemp(dir=folder))
+    for name, content in files.items():
+        (place / name).write_bytes(content)
+    return {name: place / name for name in files}
+
+
+class ChallengesOfBytes(Challenges):
+    """Challenges that take the contents of files, as tests make them."""
+
+    def __init__(self, folder: Path, settings: Settings, clock: Clock) -> None:
+        super().__init__(settings, clock)
+        self._sent = folder / "sent"
+
+    def submit(
+        self,
+        name: str,
+        entrant: Entrant,
+        files: Mapping[str, Any],
+        phase: str | None = None,
+        share: Share | None = None,
+    ) -> ChallengeSubmission:
+        return super().submit(name, entrant, kept(self._sent, files), phase, share)
+
+    def check(self, name: str, files: Mapping[str, Any], phase: str | None = None) -> list[str]:
+        return super().check(name, kept(self._sent, files), phase)
+
+
 @dataclass
 class World:
     """An empty data root with a clock of its own."""
@@ -70,9 +103,9 @@ class World:
         self.settings.data.mkdir(parents=True, exist_ok=True)
 
     @property
-    def challenges(self) -> Challenges:
+    def challenges(self) -> ChallengesOfBytes:
         """As a process that has just started has them."""
-        return Challenges(self.settings, self.clock)
+        return ChallengesOfBytes(self.folder, self.settings, self.clock)
 
     def judge(self, stopping: threading.Event | None = None) -> int:
         """Evaluate what waits, and let the minute pass after which results are shown."""

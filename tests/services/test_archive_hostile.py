@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import resource
@@ -26,18 +25,16 @@ from slamhive.services.archive.layout import (
     PAYLOAD,
     RUNS,
     TAG_CHECKSUMS,
-    bag_format,
 )
 from slamhive.services.archive.reading import open_archive
 from slamhive.services.hive import Hive, open_hive
-from tests.services.archive_world import all_rows, make_runs
+from tests.services.archive_world import all_rows, in_bag, make_runs, rewritten, sealed
 from tests.services.tiny_project import environment, make_dataset, make_project
 
 pytestmark = pytest.mark.quick
 
 Members = dict[str, bytes]
 RECORD = "runs/1/run.json"
-TAGS = bag_format("a").tags
 
 
 @pytest.fixture(scope="module")
@@ -60,18 +57,6 @@ def members_of(path: Path) -> Members:
     """The members by their names in the bag; those of the payload without ``data/``."""
     with zipfile.ZipFile(path) as file:
         return {name.partition("/")[2].removeprefix(PAYLOAD): file.read(name) for name in file.namelist()}
-
-
-def sealed(members: Members) -> Members:
-    """The members with checksums that fit them, as a careful forger makes them."""
-
-    def sums(names: list[str], prefix: str) -> bytes:
-        return "".join(f"{hashlib.sha256(members[name]).hexdigest()}  {prefix}{name}\n" for name in names).encode()
-
-    members = {name: data for name, data in members.items() if name not in (CHECKSUMS, TAG_CHECKSUMS)}
-    members[CHECKSUMS] = sums([name for name in members if name not in TAGS], PAYLOAD)
-    members[TAG_CHECKSUMS] = sums([name for name in members if name in TAGS], "")
-    return members
 
 
 def with_record(members: Members, **changes: object) -> Members:
@@ -169,18 +154,6 @@ def refused(hive: Hive, path: Path) -> str:
     return str(caught.value)
 
 
-def in_bag(name: str) -> str:
-    """The name in the zip file of a member that :func:`members_of` names."""
-    return f"a/{name if name in TAGS else PAYLOAD + name}"
-
-
-def rewritten(path: Path, members: Members, compression: int = zipfile.ZIP_DEFLATED) -> Path:
-    with zipfile.ZipFile(path, "w", compression) as file:
-        for name, data in members.items():
-            file.writestr(in_bag(name), data)
-    return path
-
-
 @pytest.mark.parametrize("name", TAMPERED)
 def test_what_was_tampered_with_is_refused(hive: Hive, archive: Path, tmp_path: Path, name: str) -> None:
     change, message = TAMPERED[name]
@@ -267,6 +240,24 @@ def test_a_bomb_is_stopped_where_it_claims_to_end(archive: Path, tmp_path: Path)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert "log.txt" in str(checked(path))
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
+
+
+@pytest.mark.integration
+def test_a_small_archive_that_becomes_large_is_refused(hive: Hive, archive: Path, tmp_path: Path) -> None:
+    """All checksums are right: a log of 300 MB of zeros, packed into 300 kB."""
+    members = sealed({**members_of(archive), "runs/1/log.txt": bytes(300_000_000)})
+    path = rewritten(tmp_path / "b.zip", members)
+    assert path.stat().st_size < 500_000
+    assert "more than 200 MB: it looks like a bomb" in str(checked(path))
+    assert "it looks like a bomb" in refused(hive, path)
+
+
+def test_a_run_of_an_archive_has_no_more_files_than_a_run_may_have(hive: Hive, archive: Path, tmp_path: Path) -> None:
+    hive.settings = hive.settings.with_values({"run_files": 100})
+    members = members_of(archive) | {f"runs/2/result/{number}": b"" for number in range(101)}
+    words = refused(hive, rewritten(tmp_path / "b.zip", sealed(members)))
+    assert "run 2 has 11" in words
+    assert "files, more than 100; raise RUN_FILES if you trust it" in words
 
 
 def test_doubles_and_false_sizes_are_refused(hive: Hive, archive: Path, tmp_path: Path) -> None:

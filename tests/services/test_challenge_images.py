@@ -36,7 +36,7 @@ from slamhive.services.hive import Hive
 from slamhive.services.weights import WeightsStore
 from tests.fuzzing import mutated
 from tests.services import image_world as made
-from tests.services.challenge_world import text
+from tests.services.challenge_world import kept, text
 from tests.services.fake_executor import FakeExecutor
 from tests.services.image_world import OPEN, SECRET
 
@@ -166,7 +166,7 @@ def test_a_challenge_with_images_that_cannot_be_held_is_refused(hive: Hive, tmp_
     assert not hive.settings.challenges_folder.exists()
 
 
-def test_a_secret_recording_is_kept_apart_and_its_times_are_not_published(hive: Hive, engine: Engine):
+def test_a_secret_recording_is_kept_apart_and_its_times_are_not_published(hive: Hive, engine: Engine, tmp_path: Path):
     folder = hive.settings.challenges_folder / "rooms"
     assert stat.S_IMODE((folder / "secret").stat().st_mode) == 0o700
     public = (folder / "challenge.yaml").read_text()
@@ -182,7 +182,7 @@ def test_a_secret_recording_is_kept_apart_and_its_times_are_not_published(hive: 
     }
     assert not (folder / "secret" / "recordings" / SECRET / "groundtruth.txt").exists()
     with pytest.raises(Conflict, match="phase public takes no trajectories"):
-        hive.challenges.submit("rooms", Entrant("a"), {f"{SECRET}.txt": b""}, "public")
+        hive.challenges.submit("rooms", Entrant("a"), kept(tmp_path, {f"{SECRET}.txt": b""}), "public")
 
 
 def test_what_is_no_image_is_refused_and_counts_nothing(hive: Hive, engine: Engine, archive: Path, tmp_path: Path):
@@ -236,9 +236,9 @@ def test_limits_and_repeated_sending_are_those_of_trajectories(hive: Hive, archi
     assert send(hive, archive, phase="open").id == first.id
     files = [{f"{OPEN}.txt": text(made.truth(OPEN) + number * 1e-3)} for number in range(3)]
     for entry in files[:2]:
-        hive.challenges.submit("rooms", Entrant("a"), entry, "open")
+        hive.challenges.submit("rooms", Entrant("a"), kept(tmp_path, entry), "open")
     with pytest.raises(TooManyRequests, match="team a has sent 3"):
-        hive.challenges.submit("rooms", Entrant("a"), files[2], "open")
+        hive.challenges.submit("rooms", Entrant("a"), kept(tmp_path, files[2]), "open")
 
 
 # -- runs ------------------------------------------------------------------------------------------------------------

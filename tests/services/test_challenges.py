@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 import stat
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -18,7 +20,7 @@ import yaml
 from slamhive.domain.challenge import Failure
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, TooManyRequests
 from slamhive.files import TEMPORARY
-from slamhive.services.challenges import Entrant, read_files, sweep_challenges
+from slamhive.services.challenges import Entrant, opened_files, sweep_challenges
 from slamhive.services.challenges.folder import ChallengeFolder
 from slamhive.services.evaluations import Evaluations
 from tests.services import challenge_world as made
@@ -459,13 +461,14 @@ def test_files_are_read_from_folders_and_archives(tmp_path: Path):
     (folder / "room-0.txt").write_text("0")
     (folder / ".hidden").write_text("x")
     archive = Path(shutil.make_archive(str(tmp_path / "packed"), "zip", tmp_path / "mine"))
-    assert read_files([folder.parent]) == {"room-0.txt": b"0"}
-    assert read_files([archive]) == {"room-0.txt": b"0"}
-    with pytest.raises(InvalidInput, match=r"two files are called room-0\.txt"):
-        read_files([archive, folder])
+    for sent in (folder.parent, archive):
+        with opened_files([sent]) as files:
+            assert {name: path.read_bytes() for name, path in files.items()} == {"room-0.txt": b"0"}
+    with pytest.raises(InvalidInput, match=r"two files are called room-0\.txt"), opened_files([archive, folder]):
+        pass
     (tmp_path / "torn.zip").write_bytes(archive.read_bytes()[:40])
-    with pytest.raises(SlamHiveError):
-        read_files([tmp_path / "torn.zip"])
+    with pytest.raises(SlamHiveError), opened_files([tmp_path / "torn.zip"]):
+        pass
     assert not list(tmp_path.glob(f"{TEMPORARY}*"))
 
 
@@ -502,3 +505,39 @@ def test_the_preset_of_hilti_counts_scores(tmp_path: Path):
     assert 95 < scores["good"] <= 100
     assert scores["half"] == 50.0
     assert 0 < scores["bad"] < 50
+
+
+MEASURED = """
+import re, sys
+from pathlib import Path
+from slamhive.budget import unbounded
+from slamhive.domain.challenge import Format
+from slamhive.services.challenges.checking import MEMORY_PER_LINE, in_memory
+from slamhive.services.challenges.frames import frame_trajectory
+from slamhive.trajectory.kitti import parse_kitti_matrices
+from slamhive.trajectory.tum import parse_tum
+def most_bytes():
+    return int(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1]) * 1024
+path, kind = Path(sys.argv[1]), Format(sys.argv[2])
+parse_tum(b"0 0 0 0 0 0 0 1\\n", "small")
+before = most_bytes()
+with in_memory(path, path.name, kind, unbounded("a submission")) as data:
+    if kind is Format.KITTI:
+        frame_trajectory(parse_kitti_matrices(data, path.name))
+    else:
+        parse_tum(data, path.name)
+lines = int(sys.argv[3])
+print(most_bytes() - before, path.stat().st_size + MEMORY_PER_LINE[kind] * lines)
+"""
+
+
+@pytest.mark.parametrize(("kind", "lines"), [("tum", 1_000_000), ("kitti", 250_000)])
+def test_a_check_takes_no_more_memory_than_it_asks_for(tmp_path: Path, kind: str, lines: int):
+    """The shortest lines take the most memory for each of their bytes."""
+    rows = (f"{n} 0 0 0 0 0 0 1\n" if kind == "tum" else "1 0 0 0 0 1 0 0 0 0 1 0\n" for n in range(lines))
+    path = tmp_path / "room-0.txt"
+    path.write_text("".join(rows))
+    command = [sys.executable, "-c", MEASURED, str(path), kind, str(lines)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=100)
+    taken, asked = map(int, done.stdout.split())
+    assert 0.3 * asked < taken < asked

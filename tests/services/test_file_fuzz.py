@@ -49,9 +49,9 @@ from slamhive.trajectory.pose_file import TrajectoryFormat
 from slamhive.trajectory.tum import read_tum
 from tests.analysis.test_paper_file import NUMBERS, PAPER
 from tests.fuzzing import NASTY_TEXTS, mutated
-from tests.services.archive_world import PROTOCOL, make_runs
+from tests.services.archive_world import PROTOCOL, make_runs, rewritten, sealed
 from tests.services.imports.world import trajectory
-from tests.services.test_archive_hostile import members_of, rewritten, sealed
+from tests.services.test_archive_hostile import members_of
 from tests.services.test_published_experiments import FILE
 from tests.services.tiny_project import ALGORITHM, environment, make_dataset, make_project
 

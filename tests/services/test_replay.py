@@ -31,9 +31,10 @@ from slamhive.services.hive import Hive, open_hive
 from slamhive.services.replay.packages import Packages
 from slamhive.services.replay.request import ReplayRequest
 from slamhive.store.records import AlgorithmVersion
+from tests.services.archive_world import rewritten, sealed
 from tests.services.docker_base import run_docker
 from tests.services.installation import TINY_IMAGE
-from tests.services.test_archive_hostile import members_of, rewritten, sealed
+from tests.services.test_archive_hostile import members_of
 from tests.services.test_versions import Engine
 from tests.services.tiny_project import environment, make_dataset, make_project
 

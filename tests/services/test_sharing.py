@@ -3,29 +3,39 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+import signal
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from sqlalchemy import Connection
+from sqlalchemy.engine.base import RootTransaction
 
 from slamhive.domain.accounts import Role
-from slamhive.domain.visibility import ANYBODY, Viewer, Visibility
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.visibility import ANYBODY, Sharing, Viewer, Visibility
 from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound
 from slamhive.schema.submission import Submission
-from slamhive.services.archive import ArchiveImport, ExportRequest, export_archive
+from slamhive.services.archive import ArchiveImport, ArchiveReport, ExportRequest, export_archive
+from slamhive.services.archive.layout import PAYLOAD, RUNS
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
 from slamhive.services.runs.record import begin_record
 from slamhive.services.sharing import SharingChange
+from slamhive.services.worker.run_in_hand import RunInHand
 from slamhive.settings import NewRuns
 from slamhive.store import Act, RunRecord, open_store
 from slamhive.store.analysis_records import AnalysisState
 from tests.cheap_passwords import cheap_passwords
-from tests.services.archive_world import make_runs
+from tests.services.archive_world import make_runs, rewritten, sealed
 from tests.web.web_world import NOW
 
 pytestmark = pytest.mark.integration
@@ -103,10 +113,165 @@ def test_only_the_owner_and_the_command_line_share_a_run(shared: Hive) -> None:
         shared.sharings.runs([run], SharingChange(owner="nobody"))
 
 
-def test_a_run_without_a_folder_waits(shared: Hive) -> None:
-    (run,) = shared.runs.submit(Submission("tiny", "track"))
-    with pytest.raises(Conflict, match="no folder yet"):
-        shared.sharings.runs([run.id], PRIVATE)
+def submitted_by(hive: Hive, name: str, visibility: Visibility | None = None) -> RunRecord:
+    """A run that ``name`` has submitted, and no worker has touched."""
+    with hive.store.acting(Act(f"{name} submits", NOW, name, "pages", "", "start.submit", ""), Visibility.TEAM):
+        (run,) = hive.runs.submit(Submission("tiny", "track", visibility=visibility))
+    return run
+
+
+def claimed(hive: Hive, run_id: int) -> RunInHand:
+    """The run in the hand of a worker, as it was when the worker took it."""
+    hive.store.write(lambda t: t.queue.claim(t.lease("worker", 60.0), [run_id]))
+    context = SimpleNamespace(store=hive.store, settings=hive.settings, owner="worker", now=lambda: NOW)
+    hand = RunInHand(context, hive.runs.get(run_id), None)  # type: ignore[arg-type]
+    assert hand.run.state is RunState.PREPARING
+    return hand
+
+
+def prepared(hand: RunInHand) -> None:
+    """The folder of the run, as a worker begins it."""
+    hand.folder.create()
+    hand.begin()
+
+
+@pytest.mark.parametrize("visibility", list(Visibility))
+def test_who_sees_a_run_is_said_when_it_is_asked_for(shared: Hive, visibility: Visibility) -> None:
+    run = submitted_by(shared, "anna", visibility)
+    assert seen(shared) == {run.id: ("anna", visibility)}
+    again = rebuilt(shared)
+    assert seen(again) == {run.id: ("anna", visibility)}
+    prepared(claimed(again, run.id))
+    assert json.loads(again.runs.folder(run.id).sharing.read_text())["visibility"] == visibility
+    experiment_of = "name: own\nalgorithms: [tiny]\ndatasets: [track]\n"
+    status = again.experiments.start(ExperimentSource(experiment_of, "own.yaml"), visibility=visibility)
+    assert again.store.read(lambda t: t.experiments.get(status.name)).seen_by is visibility
+    again.store.close()
+
+
+def test_a_queued_run_is_hidden_at_once_and_for_good(shared: Hive) -> None:
+    run = submitted_by(shared, "anna").id
+    with shared.store.seen_by(ANNA):
+        (hidden,) = shared.sharings.runs([run], PRIVATE)
+    assert (hidden.state, hidden.seen_by) == (RunState.QUEUED, Visibility.PRIVATE)
+    with shared.store.seen_by(BEN):
+        assert seen(shared) == {}
+    reindex(shared, lambda _done, _total: None)
+    assert seen(shared) == {run: ("anna", Visibility.PRIVATE)}
+    shared.sharings.runs([run], PUBLIC)
+    shared.sharings.runs([run], SharingChange(Visibility.PRIVATE, "ben"))
+    again = rebuilt(shared)
+    assert seen(again) == {run: ("ben", Visibility.PRIVATE)}
+    prepared(claimed(again, run))
+    last = rebuilt(again)
+    assert seen(last) == {run: ("ben", Visibility.PRIVATE)}
+    last.store.close()
+
+
+def test_a_run_is_hidden_while_a_worker_prepares_it(shared: Hive) -> None:
+    """The worker took the run before it was hidden, and makes its folder after that."""
+    run = submitted_by(shared, "anna").id
+    hand = claimed(shared, run)
+    shared.sharings.runs([run], PRIVATE)
+    prepared(hand)
+    assert seen(rebuilt(shared)) == {run: ("anna", Visibility.PRIVATE)}
+
+
+@pytest.mark.parametrize("before", [Visibility.TEAM, Visibility.PRIVATE])
+def test_what_a_killed_preparation_left_does_not_count(shared: Hive, before: Visibility) -> None:
+    run = submitted_by(shared, "anna").id
+    shared.runs.folder(run).create()
+    shared.runs.folder(run).write_sharing(Sharing("anna", before))
+    after = PRIVATE if before is Visibility.TEAM else TEAM
+    shared.sharings.runs([run], after)
+    prepared(claimed(shared, run))
+    assert seen(rebuilt(shared)) == {run: ("anna", after.visibility)}
+
+
+def test_a_run_that_fails_before_it_is_prepared_stays_private(shared: Hive) -> None:
+    run = submitted_by(shared, "anna", Visibility.PRIVATE).id
+    claimed(shared, run).fail(FailureReason.PREPROCESS_ERROR, "no such dataset")
+    again = rebuilt(shared)
+    assert seen(again) == {run: ("anna", Visibility.PRIVATE)}
+    assert again.runs.get(run).state is RunState.FAILED
+
+
+def test_a_run_of_an_experiment_is_hidden_while_it_waits(shared: Hive) -> None:
+    experiment(shared, "trial", "anna")
+    first, second = sorted(seen(shared))
+    shared.sharings.runs([first], PRIVATE)
+    shared.sharings.experiment("trial", SharingChange(owner="ben"))
+    expected = {first: ("ben", Visibility.PRIVATE), second: ("ben", Visibility.TEAM)}
+    assert seen(shared) == expected
+    reindex(shared, lambda _done, _total: None)
+    assert seen(shared) == expected
+    assert seen(rebuilt(shared)) == expected
+
+
+def test_a_damaged_line_of_the_ledger_hides_its_runs(shared: Hive) -> None:
+    run = submitted_by(shared, "anna").id
+    with (shared.settings.ledger_folder / "runs.jsonl").open("a") as book:
+        book.write(json.dumps({"shared": [run], "owner": "A B", "visibility": "all"}) + "\n")
+    assert seen(rebuilt(shared)) == {run: (None, Visibility.PRIVATE)}
+
+
+def test_a_lost_folder_is_not_written_anew(shared: Hive) -> None:
+    run = made_by(shared, "anna").id
+    shutil.rmtree(shared.runs.folder(run).root)
+    statement = f"UPDATE runs SET state = 'succeeded' WHERE id = {run}"
+    shared.store.write(lambda t: t.database.exec_driver_sql(statement))
+    with pytest.raises(Conflict, match=f"the folder of run {run} is lost"):
+        shared.sharings.runs([run], PRIVATE)
+
+
+STEPS = (os, "fsync"), (Path, "replace"), (os, "write"), (Connection, "execute"), (RootTransaction, "commit")
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_a_kill_at_any_step_leaves_what_was_answered(shared: Hive, waits: bool) -> None:
+    """After each kill, the run is seen by the team or its owner alone, and reindex and a worker agree on it."""
+    shared.store.close()
+    step, answered = 0, False
+    while not answered:
+        step += 1
+        run = submitted_by(shared, "anna") if waits else made_by(shared, "anna")
+        shared.store.close()
+        answered = killed_at(step, partial(shared.sharings.runs, [run.id], PRIVATE))
+        reindex(shared, lambda _done, _total: None)
+        found = seen(shared)[run.id]
+        if answered:
+            assert found == ("anna", Visibility.PRIVATE)
+        if waits:
+            prepared(claimed(shared, run.id))
+            reindex(shared, lambda _done, _total: None)
+            assert seen(shared)[run.id] == found
+            shared.runs.cancel(run.id)
+            ended = {**shared.runs.record(run.id), "state": "cancelled", "ended_at": NOW.isoformat()}
+            shared.runs.folder(run.id).write_record(ended)
+            reindex(shared, lambda _done, _total: None)
+    assert step > 5
+
+
+def killed_at(step: int, work: Callable[[], object]) -> bool:
+    """Whether ``work`` ended before a child process that does it was killed before its step of this number."""
+    child = os.fork()
+    if child == 0:
+        left = [step]
+
+        def dying(function: Callable[..., Any]) -> Callable[..., Any]:
+            def wrapped(*arguments: Any, **options: Any) -> Any:
+                left[0] -= 1
+                if left[0] == 0:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return function(*arguments, **options)
+
+            return wrapped
+
+        for owner, name in STEPS:
+            setattr(owner, name, dying(getattr(owner, name)))
+        work()
+        os.kill(os.getpid(), signal.SIGTERM)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
 
 
 def test_the_folder_is_the_truth(shared: Hive) -> None:
@@ -234,13 +399,120 @@ def test_a_whole_archive_keeps_private_what_is_private(
     shutil.rmtree(shared.settings.runs_folder)
     shared.settings.runs_folder.mkdir()
     again = rebuilt(shared)
-    ArchiveImport(again.settings, again.store, again.catalogue).carry_out(tmp_path / "runs.zip", lambda *_: None)
-    expected = {1: (None, Visibility.PRIVATE), 2: (None, Visibility.PUBLIC), 3: (None, Visibility.TEAM)}
+    report = ArchiveImport(again.settings, again.store, again.catalogue).carry_out(
+        tmp_path / "runs.zip", lambda *_: None
+    )
+    expected = {1: (None, Visibility.PRIVATE), 2: (None, Visibility.TEAM), 3: (None, Visibility.TEAM)}
     assert seen(again) == expected
     assert json.loads(again.runs.folder(1).sharing.read_text()) == {"owner": None, "visibility": "private"}
     with again.store.seen_by(ANYBODY):
-        assert list(seen(again)) == [2]
+        assert seen(again) == {}
+    assert report.notes == [
+        "1 run public where the archive comes from are seen here by those who sign in; share them to publish them"
+    ]
     again.store.close()
+
+
+FORGED_FILES = {
+    "sharing.json": json.dumps({"owner": "ben", "visibility": "public"}).encode(),
+    "work/exit": b"0",
+    "token": b"abc",
+    "evaluations/9ef7844a7e18/more.json": b"{}",
+    "result/sharing.json": b"of the algorithm",
+}
+FORGED_DATASET_FILES = {"check.json": b"{}", "rosbag_play.py": b"import os"}
+
+
+@pytest.fixture
+def forged(archived: Callable[..., dict[str, bytes]], tmp_path: Path) -> Path:
+    """An archive whose runs are public, and bring files that no export writes; all checksums are right."""
+    members = members_of_bag(archived(unpublished=True))
+    rows = [json.loads(line) for line in members[RUNS].splitlines()]
+    lines = [json.dumps({**row, "visibility": "public"}).encode() + b"\n" for row in rows]
+    members[RUNS] = b"".join(lines)
+    for name, content in FORGED_FILES.items():
+        members[f"runs/1/{name}"] = content
+    for name, content in FORGED_DATASET_FILES.items():
+        members[f"datasets/track/{name}"] = content
+    record = json.loads(members["runs/1/run.json"])
+    handle = {"executor": "docker", "data": {"container": "of somebody else"}}
+    members["runs/1/run.json"] = json.dumps({**record, "handle": handle}).encode()
+    return rewritten(tmp_path / "forged.zip", sealed(members))
+
+
+def import_into_a_new_one(hive: Hive, path: Path) -> tuple[Hive, ArchiveReport]:
+    """Import into the installation after it has lost its runs and datasets."""
+    for folder in (hive.settings.runs_folder, hive.settings.datasets_folder):
+        shutil.rmtree(folder)
+        folder.mkdir()
+    again = rebuilt(hive)
+    with again.store.acting(Act("import", NOW, "anna", "pages", "", "archive", "")):
+        report = ArchiveImport(again.settings, again.store, again.catalogue).carry_out(path, lambda *_: None)
+    return again, report
+
+
+def members_of_bag(members: dict[str, bytes]) -> dict[str, bytes]:
+    """The members by the names that the modules use."""
+    return {name.partition("/")[2].removeprefix(PAYLOAD): content for name, content in members.items()}
+
+
+def test_an_archive_does_not_decide_who_owns_and_sees_its_runs(shared: Hive, forged: Path) -> None:
+    again, report = import_into_a_new_one(shared, forged)
+    for _ in range(2):
+        assert seen(again) == dict.fromkeys((1, 2, 3), ("anna", Visibility.TEAM))
+        with again.store.seen_by(ANYBODY):
+            assert seen(again) == {}
+        assert again.runs.get(1).handle is None
+        reindex(again, lambda _done, _total: None)
+    folder = again.runs.folder(1)
+    assert json.loads(folder.sharing.read_text()) == {"owner": "anna", "visibility": None}
+    assert json.loads(folder.record.read_text())["handle"] is None
+    there = {path.relative_to(folder.root).as_posix() for path in folder.root.rglob("*") if path.is_file()}
+    assert there & FORGED_FILES.keys() == {"sharing.json", "result/sharing.json"}
+    assert {path.name for path in (again.settings.datasets_folder / "track").iterdir()} == {
+        "dataset.yaml",
+        "groundtruth.txt",
+    }
+    (note, _) = report.notes
+    assert note.startswith("6 files left out, which no export writes: ")
+    assert "runs/1/sharing.json" in note or "and 1 more" in note
+    again.store.close()
+
+
+def test_an_archive_adds_nothing_public_to_a_public_experiment(shared: Hive, tmp_path: Path) -> None:
+    """A forger knows the uid of an experiment that everybody sees."""
+    experiment(shared, "trial", "anna")
+    first, second = sorted(seen(shared))
+    for run in (first, second):
+        shared.runs.cancel(run)
+    shared.sharings.experiment("trial", PUBLIC)
+    export_archive(shared.settings, shared.store, ExportRequest(tmp_path / "a.zip"), lambda *_: None)
+    with zipfile.ZipFile(tmp_path / "a.zip") as content:
+        members = members_of_bag({name: content.read(name) for name in content.namelist()})
+    rows = [json.loads(line) for line in members[RUNS].splitlines()]
+    rows[1]["uid"] = rows[1]["record"]["uid"] = "f" * 32
+    rows[1]["id"] = rows[1]["record"]["id"] = 99
+    members[RUNS] = b"".join(json.dumps(row).encode() + b"\n" for row in rows)
+    ArchiveImport(shared.settings, shared.store, shared.catalogue).carry_out(
+        rewritten(tmp_path / "b.zip", sealed(members)), lambda *_: None
+    )
+    kinds = {run: kind for run, (_, kind) in seen(shared).items()}
+    assert kinds.pop(max(kinds)) is Visibility.TEAM
+    assert set(kinds.values()) == {Visibility.PUBLIC}
+
+
+def test_an_archive_gives_no_folder_to_a_run_that_waits(shared: Hive, forged: Path) -> None:
+    with shared.store.acting(Act("w", NOW, "ben", "pages", "", "start.submit", ""), Visibility.PRIVATE):
+        (waiting,) = shared.runs.submit(Submission("tiny", "track"))
+    uid = f"{0:016x}{1:016x}"
+    for run in (1, 2, 3):
+        shared.trash.delete([run])
+    statement = f"UPDATE runs SET uid = '{uid}' WHERE id = {waiting.id}"
+    shared.store.write(lambda t: t.database.exec_driver_sql(statement))
+    report = ArchiveImport(shared.settings, shared.store, shared.catalogue).carry_out(forged, lambda *_: None)
+    assert (report.imported, report.known, report.completed) == (2, 1, 0)
+    assert not shared.runs.folder(waiting.id).root.exists()
+    assert seen(shared)[waiting.id] == ("ben", Visibility.PRIVATE)
 
 
 def test_analyses_are_computed_again_when_a_run_is_hidden(shared: Hive) -> None:

@@ -5,18 +5,25 @@ from __future__ import annotations
 import http.client
 import io
 import shutil
+import socket
 import tarfile
 import threading
+import time
+import urllib.error
+import urllib.request
 import zipfile
 from collections.abc import Iterator
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from flask.testing import FlaskClient
 
+from slamhive.budget import Lent
 from slamhive.catalogue.algorithm_file import package_hash
 from slamhive.domain.accounts import Role, Scope
 from slamhive.schema.uploads import OCTETS
@@ -25,10 +32,12 @@ from slamhive.services.versions.exporting import export_version
 from slamhive.settings import Mode
 from slamhive.store import VersionRecord
 from slamhive.web.api.operation import PREFIX
+from slamhive.web.context import BUDGET_EXTENSION
 from slamhive.web.security import API_HEADER
 from slamhive.web.serve import WebServer
 from tests.services.challenge_world import START_S, World, entry_of, rooms, write_challenge
 from tests.services.image_world import image_challenge, write_package
+from tests.waiting import eventually
 from tests.web import web_world as world
 from tests.web.account_world import NAMES, AccountWeb, account_web, token_of
 from tests.web.web_world import Web, make_web
@@ -193,6 +202,118 @@ def test_a_large_submission_comes_through_the_socket_and_a_huge_one_does_not(own
             connection.close()
         assert statuses == [202, 413]
     finally:
+        server.close()
+        thread.join()
+
+
+BOMBS = {
+    "zeros": bytes(199_000_000),
+    "rows": b"1000.0 0 0 0 0 0 0 1\n" * 9_000_000,
+}
+
+
+@pytest.mark.parametrize("kind", BOMBS)
+def test_many_bombs_at_once_take_neither_memory_nor_time(own: Web, kind: str):
+    """Six archives of some hundred kB that hold 200 MB each: 1.9 GB of zeros, and 3 GB for each file of short rows."""
+    sent = io.BytesIO()
+    with zipfile.ZipFile(sent, "w", zipfile.ZIP_DEFLATED) as bomb:
+        bomb.writestr("room-0.txt", BOMBS[kind])
+    assert len(sent.getvalue()) < 600_000
+    server = WebServer(own.hive, "127.0.0.1", 0)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    answers: list[tuple[int, str]] = []
+
+    def attack(number: int) -> None:
+        request = urllib.request.Request(
+            f"{server.url}{ADDRESS}?team=t{number}", sent.getvalue(), {**HEADERS, "Content-Type": OCTETS}
+        )
+        try:
+            with urllib.request.urlopen(request, timeout=60) as answer:
+                answers.append((answer.status, ""))
+        except urllib.error.HTTPError as error:
+            answers.append((error.code, error.read().decode()))
+
+    process = psutil.Process()
+    before, most, slowest = process.memory_info().rss, 0, 0.0
+    attackers = [threading.Thread(target=attack, args=(number,)) for number in range(6)]
+    try:
+        for attacker in attackers:
+            attacker.start()
+        while any(attacker.is_alive() for attacker in attackers):
+            began = time.monotonic()
+            with urllib.request.urlopen(f"{server.url}/healthz", timeout=60) as answer:
+                assert answer.status == 200
+            slowest = max(slowest, time.monotonic() - began)
+            most = max(most, process.memory_info().rss)
+    finally:
+        for attacker in attackers:
+            attacker.join()
+        server.close()
+        thread.join()
+    assert len(answers) == 6
+    assert {status for status, _ in answers} <= {400, 503}
+    assert any("looks like a bomb" in text for _, text in answers)
+    assert most - before < 100_000_000
+    assert slowest < 3.0
+    assert own.hive.challenges.submissions("rooms") == []
+
+
+def test_who_is_refused_learns_what_the_server_works_on(own: Web):
+    budget = own.app.extensions[BUDGET_EXTENSION]
+    sent = packed(entry_of(2, 0.02))
+    with ExitStack() as held:
+        for _ in range(2):
+            held.enter_context(budget.share("a submission to challenge rooms", Lent.SUBMISSIONS))
+        budget.waiting = 100  # nobody waits in this test
+        refused = post(own.client, sent)
+        page = form(own.client, entry_of(2, 0.02), team="somebody")
+        budget.waiting = 0
+    for answer in (refused, page):
+        assert (answer.status_code, answer.headers["Retry-After"]) == (503, "5")
+    assert "this server works on 2 submissions at once (a submission to challenge rooms, for 0 s" in refused.text
+    assert post(own.client, sent).status_code == 202
+    assert all(budget.used(kind) == 0 for kind in Lent)
+    budget.most[Lent.MEMORY] = 1_100_000
+    large = post(own.client, packed(entry_of(2, 0.03)))
+    assert large.status_code == 400
+    assert "MB of memory, and all together may have 1 MB" in large.text
+
+
+def test_bodies_of_all_requests_together_have_a_limit(own: Web):
+    own.hive.settings = own.hive.settings.with_values({"requests_disk_mb": 50})
+    server = WebServer(own.hive, "127.0.0.1", 0)
+    budget = server.budget
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    port, open_now = int(server.url.rpartition(":")[2]), []
+    try:
+        for _ in range(4):
+            slow = socket.create_connection(("127.0.0.1", port), timeout=20)
+            open_now.append(slow)
+            head = f"POST {ADDRESS}?team=a HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 15000000\r\n\r\n"
+            slow.sendall(head.encode() + bytes(14_000_000 if len(open_now) < 4 else 8_000_000))
+            whole = min(14_000_000 * len(open_now), 50_000_000)
+            eventually(lambda: budget.used(Lent.DISK) == whole, "the bytes")  # noqa: B023
+        open_now[-1].sendall(b"0")
+        answer = ""
+        while piece := open_now[-1].recv(4096):
+            answer += piece.decode()
+        assert answer.startswith("HTTP/1.1 503 Service Unavailable")
+        assert "Retry-After: 5" in answer
+        assert "MB of temporary files are in use (the body of a request" in answer
+        for slow in open_now:
+            slow.close()
+        eventually(lambda: budget.used(Lent.DISK) == 0, "what is given back")
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+        content = {**HEADERS, "Content-Type": OCTETS}
+        connection.request("POST", f"{ADDRESS}?team=a", packed(entry_of(2, 0.02)), content)
+        assert connection.getresponse().status == 202
+        connection.close()
+        eventually(lambda: budget.used(Lent.DISK) == 0, "what is given back")
+    finally:
+        for slow in open_now:
+            slow.close()
         server.close()
         thread.join()
 

@@ -188,3 +188,20 @@ def test_a_field_without_a_name_is_refused(shown: Web):
     answer = shown.client.post("/runs/new", data=body, content_type="multipart/form-data; boundary=b")
     assert answer.status_code == 400
     assert "a field without a name" in answer.text
+
+
+@pytest.mark.parametrize("address", ["/runs/{run}", "/datasets/broken", "/api/v1/datasets/broken"])
+def test_errors_do_not_say_where_the_server_keeps_its_files(empty: Web, address: str):
+    """A damaged file is named relative to the data root, on pages and in the API."""
+    data = empty.hive.settings.data
+    world.make_dataset(empty.hive.settings, "room", ("camera", "camera", "imu"))
+    (run,) = world.add_runs(empty.hive)
+    world.start_run(empty.hive, run)
+    (data / "runs" / str(run)).mkdir(parents=True, exist_ok=True)
+    (data / "runs" / str(run) / "run.json").write_text("{")
+    (data / "datasets" / "broken").mkdir(parents=True)
+    (data / "datasets" / "broken" / "dataset.yaml").write_text("[")
+    answer = empty.client.get(address.format(run=run))
+    assert (answer.status_code, str(data) in answer.text) == (400, False)
+    damaged = "datasets/broken/dataset.yaml" if "datasets" in address else f"runs/{run}/run.json"
+    assert damaged in answer.text.lower()

@@ -100,6 +100,53 @@ def test_the_api_shares_and_filters(shared: Shared) -> None:
     assert wrong.status_code == 400
 
 
+START = {"algorithm": "eye-slam-stereo", "dataset": "room"}
+
+
+def test_a_run_is_private_from_the_moment_it_is_asked_for(shared: Shared) -> None:
+    owner, other = shared.client("max"), shared.client("ben")
+    form = owner.get("/runs/new").text
+    assert 'name="visibility"' in form
+    assert "Owner and admins" in form
+    known = {run.id for run in shared.hive.runs.page(limit=100).records}
+    data = {**START, "executor": "process", "visibility": "private", "csrf_token": token_in(form)}
+    assert owner.post("/runs/new", data={**data, "visibility": "all"}).status_code == 400
+    assert owner.post("/runs/new", data=data).status_code == 303
+    _, key = shared.hive.accounts.create_token("max", TokenRequest("all", [Scope.CHANGE]))
+    headers = {"Authorization": f"Bearer {key}", API_HEADER: "1"}
+    program = shared.accounts.web.app.test_client()
+    body = {**START, "executor": "process", "visibility": "private"}
+    (sent,) = program.post("/api/v1/runs", json=body, headers=headers).get_json()["runs"]
+    assert sent["visibility"] == "private"
+    made = {run.id for run in shared.hive.runs.page(limit=100).records} - known
+    assert len(made) == 2
+    for run in made:
+        assert other.get(f"/runs/{run}").status_code == 404
+        page = owner.get(f"/runs/{run}").text
+        assert 'action="/runs/share"' in page
+        change = {"run": str(run), "back": "1", "csrf_token": token_in(page)}
+        assert owner.post("/runs/share", data={**change, "visibility": "team"}).status_code == 303
+        assert other.get(f"/runs/{run}").status_code == 200
+        assert owner.post("/runs/share", data={**change, "visibility": "private"}).status_code == 303
+        assert other.get(f"/runs/{run}").status_code == 404
+
+
+def test_an_experiment_is_private_from_its_start(shared: Shared) -> None:
+    owner, other = shared.client("max"), shared.client("ben")
+    page = owner.get("/new-experiment").text
+    text = "name: hidden\nexecutor: process\nalgorithms: eye-slam-stereo\ndatasets: room\n"
+    data = {"yaml": text, "from": "text", "do": "start", "visibility": "private", "csrf_token": token_in(page)}
+    assert owner.post("/new-experiment", data=data).status_code == 303
+    _, key = shared.hive.accounts.create_token("max", TokenRequest("all", [Scope.CHANGE]))
+    headers = {"Authorization": f"Bearer {key}", API_HEADER: "1"}
+    body = {"yaml": text.replace("hidden", "unseen"), "visibility": "private"}
+    answer = shared.accounts.web.app.test_client().post("/api/v1/experiments", json=body, headers=headers)
+    assert (answer.status_code, answer.get_json()["visibility"]) == (201, "private")
+    for name in ("hidden", "unseen"):
+        assert owner.get(f"/experiments/{name}").status_code == 200
+        assert other.get(f"/experiments/{name}").status_code == 404
+
+
 def test_without_accounts_nothing_is_offered(shared: Shared, compiled: Path) -> None:
     hive = shared.hive
     hive.settings = hive.settings.with_values({"auth": Auth.NONE})
@@ -108,4 +155,6 @@ def test_without_accounts_nothing_is_offered(shared: Shared, compiled: Path) -> 
     assert page.status_code == 200
     assert "/runs/share" not in page.text
     assert "/runs/share" not in client.get("/runs").text
+    assert 'name="visibility"' not in client.get("/runs/new").text
+    assert 'name="visibility"' not in client.get("/new-experiment").text
     assert client.get("/api/v1/runs?where=owner+%3D+me").status_code == 400

@@ -6,6 +6,7 @@ import hashlib
 import io
 import os
 import tarfile
+import threading
 import zipfile
 from datetime import timedelta
 from pathlib import Path
@@ -13,10 +14,12 @@ from typing import Any
 
 import pytest
 
+from slamhive.budget import Lent
 from slamhive.clock import utc_now
-from slamhive.schema.uploads import OCTETS, UploadRequest
-from slamhive.services.uploads import PART_BYTES, Uploads
+from slamhive.schema.uploads import OCTETS, DatasetUpload, UploadRequest
+from slamhive.services.uploads import PART_BYTES, UploadImports, Uploads
 from slamhive.web.api.operation import PREFIX
+from slamhive.web.context import BUDGET_EXTENSION, UPLOADS_EXTENSION
 from slamhive.web.security import API_HEADER
 from tests.bags.format_world import make_euroc
 from tests.services.imports.world import trajectory, write
@@ -231,3 +234,75 @@ def test_a_body_of_another_type_is_refused(empty: Web) -> None:
     address = f"{PREFIX}/uploads/{token}/parts?offset=0"
     answer = empty.client.post(address, json={"a": 1}, headers=HEADERS)
     assert (answer.status_code, OCTETS in answer.get_json()["remedy"]) == (400, True)
+
+
+def test_a_small_import_passes_a_large_one_and_who_waits_learns_for_what(
+    empty: Web, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three imports hang; one more is refused without the tokens of the others, and passes when one has ended."""
+    go_on, began = threading.Event(), []
+    work = empty.app.extensions[UPLOADS_EXTENSION]
+    make = UploadImports.dataset
+
+    def slow(imports: UploadImports, request: DatasetUpload, *rest: Any) -> Any:
+        began.append(request.upload)
+        go_on.wait(60)
+        return make(imports, request, *rest)
+
+    monkeypatch.setattr(UploadImports, "dataset", slow)
+    data = tar_of(make_euroc(tmp_path / "desk"))
+    tokens = [upload(empty, data, f"desk{number}.tar") for number in range(3)]
+    write(tmp_path / "runs" / "orb" / "desk" / "1.txt", trajectory(1))
+    write(tmp_path / "runs" / "desk" / "groundtruth.txt", trajectory(0))
+    small = upload(empty, tar_of(tmp_path / "runs"), "runs.tar")
+    assert start(empty, "datasets", tokens[0]).status_code == 202
+    eventually(lambda: began == tokens[:1], "the import")
+    assert start(empty, "runs", small, sensors={"": "stereo"}).status_code == 202
+    assert ended(empty, small)["imported"]["runs"]["imported"] == 1
+    again = start(empty, "datasets", tokens[0])
+    assert (again.status_code, "this upload is being imported" in again.text) == (409, True)
+    for token in tokens[1:]:
+        assert start(empty, "datasets", token, name="other").status_code == 202
+    eventually(lambda: len(began) == 3, "the imports")
+    other = upload(empty, data, "last.tar")
+    refused = start(empty, "datasets", other)
+    assert (refused.status_code, refused.headers["Retry-After"]) == (503, "5")
+    assert "this server works on 3 imports at once (the import of a dataset, for " in refused.text
+    assert not any(token in refused.text for token in tokens)
+    go_on.set()
+    for token in tokens:
+        ended(empty, token)
+    eventually(lambda: work.latest(tokens[0]) is None or work.latest(tokens[0]).done, "the end")
+    assert start(empty, "datasets", other, name="last").status_code == 202
+    assert ended(empty, other)["imported"]["datasets"] == ["last"]
+
+
+def test_what_imports_unpack_has_a_limit_together(empty: Web, tmp_path: Path) -> None:
+    budget = empty.app.extensions[BUDGET_EXTENSION]
+    budget.most[Lent.UNPACKED] = 500
+    token = upload(empty, tar_of(make_euroc(tmp_path / "desk")), "desk.tar")
+    assert start(empty, "datasets", token).status_code == 202
+    problem = ended(empty, token)["work"]["problem"]
+    assert "of unpacked uploads, and all together may have 0 MB" in problem
+    assert all(budget.used(kind) == 0 for kind in Lent)
+
+
+def test_problems_of_an_import_name_files_as_they_were_sent(empty: Web, tmp_path: Path) -> None:
+    """What was wrong is named relative to the archive; nobody learns where the server keeps its files."""
+    source = tmp_path / "runs"
+    write(source / "desk" / "groundtruth.txt", trajectory(0))
+    write(source / "orb" / "desk" / "1.txt", trajectory(1))
+    for name, text in (("2", "0 0 0 0 0 0 0 x\n"), ("3", "\0"), ("4", "")):
+        (source / "orb" / "desk" / f"{name}.txt").write_text(text)
+    token = upload(empty, tar_of(source), "runs.tar")
+    assert start(empty, "runs", token, sensors={"": "stereo"}).status_code == 202
+    found = ended(empty, token)
+    problems = {problem["name"]: problem["text"] for problem in found["imported"]["runs"]["problems"]}
+    assert sorted(problems) == ["orb/desk/2.txt", "orb/desk/3.txt", "orb/desk/4.txt"]
+    assert problems["orb/desk/2.txt"].startswith("runs/orb/desk/2.txt, line 1: 'x' is not a number")
+    shown = str(found)
+    assert str(empty.hive.settings.data) not in shown
+    assert ".slamhive-" not in shown
+    other = upload(empty, b"no archive", "broken.tar")
+    assert start(empty, "runs", other).status_code == 202
+    assert str(empty.hive.settings.data) not in str(ended(empty, other))

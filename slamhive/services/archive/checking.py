@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 
+from slamhive.bags.staging import PLAY_SCRIPT
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.names import check_name
+from slamhive.domain.numbers import plural
 from slamhive.errors import InvalidInput
 from slamhive.files import temporary_folder
+from slamhive.runs.folder import travels
 from slamhive.schema.archive import AlgorithmLine, RunLine
 from slamhive.schema.record import RunFile
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.reading import ArchiveReader, Place, not_unpacked
+from slamhive.services.datasets import REPORT_FILE
 from slamhive.services.experiments import RECORD, SOURCE
 from slamhive.store.experiment_records import ExperimentRecord
 from slamhive.sweep.experiment_file import parse_experiment
+
+_MOST_SHOWN = 5
 
 Progress = Callable[[float, str], None]
 """Called with the share done (0..1) and what is being done."""
@@ -29,15 +35,27 @@ class Contents:
 
     Attributes:
         runs: {uid: number}.
-        datasets: {name: file or folder of the recording}, empty for one that is not described.
+        datasets: Those that are described, None for the others, by name.
         experiments: As they are stated.
         runs_of_experiment: {name: how many runs of it there are}.
+        left_out: Members that are not taken over: no run folder or dataset has such a file, or it says what only the
+            installation itself decides, such as who sees a run.
     """
 
     runs: dict[str, int] = field(default_factory=dict)
-    datasets: dict[str, str] = field(default_factory=dict)
+    datasets: dict[str, Dataset | None] = field(default_factory=dict)
     experiments: list[ExperimentRecord] = field(default_factory=list)
     runs_of_experiment: dict[str, int] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+
+    @property
+    def note(self) -> str | None:
+        """In words, what is not taken over; None if everything is."""
+        if not self.left_out:
+            return None
+        shown = ", ".join(map(layout.shown, self.left_out[:_MOST_SHOWN]))
+        more = f" and {len(self.left_out) - _MOST_SHOWN} more" if len(self.left_out) > _MOST_SHOWN else ""
+        return f"{plural(len(self.left_out), 'file')} left out, which no export writes: {shown}{more}"
 
 
 def check_archive(archive: ArchiveReader, progress: Progress, place: Place = not_unpacked) -> Contents:
@@ -105,8 +123,7 @@ def recorded_runs(archive: ArchiveReader) -> Iterator[tuple[RunLine, RunFile]]:
 def _check_datasets(archive: ArchiveReader, contents: Contents) -> None:
     for content in archive.lines(layout.DATASETS):
         name, _ = lines.dataset_from_line(content)
-        dataset = archived_dataset(archive, name)
-        contents.datasets[name] = "" if dataset is None else dataset.bag
+        contents.datasets[name] = archived_dataset(archive, name)
 
 
 def archived_dataset(archive: ArchiveReader, name: str) -> Dataset | None:
@@ -123,23 +140,33 @@ def archived_dataset(archive: ArchiveReader, name: str) -> Dataset | None:
 
 
 def _check_folders(archive: ArchiveReader, contents: Contents, experiments: set[str]) -> None:
-    """No member is outside the folders of what is filed."""
-    numbers = set(contents.runs.values())
-    datasets = contents.datasets
+    """Check that no member is outside the folders of what is filed, and note those that are not taken over."""
+    numbers, datasets = set(contents.runs.values()), contents.datasets
     for name in archive.names:
         kind, *rest = PurePosixPath(name).parts
-        belongs = (
-            not rest
-            or kind == "rows"
-            or (kind == "runs" and int(rest[0]) in numbers)
-            or kind == layout.VERSIONS
-            or (kind == "datasets" and rest[0] in datasets and _of_dataset(rest[1:], datasets[rest[0]]))
-            or (kind == "experiments" and rest[0] in experiments and rest[1:] in ([SOURCE], [RECORD]))
+        file = "/".join(rest[1:])
+        known = (
+            (kind == "runs" and int(rest[0]) in numbers and travels(file))
+            or (kind == "datasets" and rest[0] in datasets and _of_dataset(file, datasets[rest[0]]))
+            or (kind == "experiments" and rest[0] in experiments and file in (SOURCE, RECORD))
         )
-        if not belongs:
+        if not rest or kind in ("rows", layout.VERSIONS) or known:
+            continue
+        if (kind == "runs" and int(rest[0]) in numbers) or (
+            kind == "datasets" and rest[0] in datasets and "/" not in file
+        ):
+            contents.left_out.append(name)
+        else:
             raise InvalidInput(f"{layout.shown(name)} belongs to nothing in the archive", "it is not imported")
 
 
-def _of_dataset(rest: Sequence[str], recording: str) -> bool:
-    """Whether a member with these parts below the folder of a dataset is a file of it, or of its recording."""
-    return len(rest) == 1 or recording in ("/".join(rest), "/".join(rest[:-1]))
+def _of_dataset(file: str, dataset: Dataset | None) -> bool:
+    """Whether archives hold this file of a dataset: what its description names, and its recording.
+
+    What a check has found, and the script that plays the recording in a run, are always those of the installation.
+    """
+    if dataset is None or file in (REPORT_FILE, PLAY_SCRIPT):
+        return False
+    truth = dataset.groundtruth
+    named = {DATASET_FILE, dataset.relations, *(() if truth is None else (truth.file, truth.kitti_poses))}
+    return file in named or (bool(dataset.bag) and dataset.bag in (file, file.rpartition("/")[0]))

@@ -224,7 +224,7 @@ class _Export:
         record = self._sealed(folder, run, events)
         instead = None
         if record is None:
-            instead = lines.row_as_record(run, self._modes.get(run.algorithm, ""), events)
+            instead = lines.without_handle(lines.row_as_record(run, self._modes.get(run.algorithm, ""), events))
         else:
             self._folder(folder, record)
         original = None if run.retry_of is None else batch.originals.get(run.retry_of)
@@ -245,7 +245,7 @@ class _Export:
             return None
         if (record.get("id"), record.get("uid")) != (run.id, run.uid):
             return None
-        return lines.completed(record, run, events)
+        return lines.without_handle(lines.completed(record, run, events))
 
     def _folder(self, folder: RunFolder, record: dict[str, Any]) -> None:
         own = f"runs/{folder.root.name}/"

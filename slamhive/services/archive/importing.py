@@ -7,10 +7,11 @@ an import that was killed at any point.
 
 from __future__ import annotations
 
+import secrets
 import shutil
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -18,16 +19,18 @@ from typing import Any
 
 from slamhive.clock import utc_now
 from slamhive.domain.notes import NO_NOTES
-from slamhive.domain.visibility import Sharing
-from slamhive.errors import InvalidInput, Unavailable
-from slamhive.runs.folder import RunFolder
-from slamhive.schema.archive import RunLine
+from slamhive.domain.numbers import plural
+from slamhive.domain.visibility import NO_SHARING, Sharing, Visibility, taken_over
+from slamhive.errors import Conflict, InvalidInput, Unavailable
+from slamhive.files import held_folder, remedy_of
+from slamhive.runs.folder import RunFolder, travels
+from slamhive.schema.archive import AnalysisLine, ExperimentLine, RunLine
 from slamhive.services.archive import layout, lines
 from slamhive.services.archive.checking import Contents, Progress, check_archive
 from slamhive.services.archive.reading import ArchiveReader, open_archive
 from slamhive.services.archive.surroundings import Surroundings
 from slamhive.services.datasets import Catalogue, check_writable
-from slamhive.services.imports import UNPACKED, one_import
+from slamhive.services.imports import UNPACKED, one_import, sweep_imports
 from slamhive.services.runs import (
     FolderRun,
     FoundEvaluation,
@@ -97,24 +100,34 @@ class ArchiveImport:
 
         Raises:
             InvalidInput: The archive is damaged, tampered with or none of ours; nothing has changed.
-            Conflict: Another import is under way.
+            Conflict: Another import files runs for long.
             Unavailable: The disk or the database refuses; what was imported until then stays.
         """
         check_writable(self._settings)
         report = ArchiveReport()
         with open_archive(path) as archive:
-            self._check_space(archive)
-            with self._alone() as aside:
+            self._check_size(archive, path)
+            with self._aside() as aside:
                 contents = self._check_and_unpack(archive, aside, progress)
+                report.notes += [note for note in (contents.note, _publicly_seen(archive)) if note is not None]
                 around = Surroundings(self._settings, self._store, self._catalogue, archive, contents, report.notes)
-                around.import_before_runs(report.counts)
+                with self._alone(contents, progress):
+                    around.import_before_runs(report.counts)
                 self._runs(archive, contents, _Ready(aside, around), report, progress)
-                around.import_after_runs(report.counts, kept_numbers=report.kept_numbers)
+                with self._alone(contents, progress):
+                    around.import_after_runs(report.counts, kept_numbers=report.kept_numbers)
         self._store.recheck()
         self._store.refresh_statistics()
         return report
 
-    def _check_space(self, archive: ArchiveReader) -> None:
+    def _check_size(self, archive: ArchiveReader, path: Path) -> None:
+        """Refuse runs with more files than a run may have here, and what there is no room for."""
+        for number, files in archive.files_of_runs().items():
+            if files > self._settings.run_files:
+                raise InvalidInput(
+                    f"{path}: run {number} has {files:,} files, more than {self._settings.run_files:,}",
+                    "raise RUN_FILES if you trust it",
+                )
         free = shutil.disk_usage(self._settings.data).free
         needed = archive.size_bytes + self._settings.min_free_disk_mb * _MB
         if free < needed:
@@ -128,7 +141,8 @@ class ArchiveImport:
 
         def place(name: str) -> Path | None:
             kind, _, below = name.partition("/")
-            return aside / below if kind == "runs" and int(below.partition("/")[0]) in wanted else None
+            number, _, file = below.partition("/")
+            return aside / below if kind == "runs" and int(number) in wanted and travels(file) else None
 
         try:
             return check_archive(archive, lambda share, text: progress(_CHECKING * share, text), place)
@@ -143,14 +157,27 @@ class ArchiveImport:
             if line.record is None
         }
         known = self._store.read(lambda t: t.runs.ids_by_uid(list(with_folder)))
-        return {number for uid, number in with_folder.items() if uid not in known or self._lacks_folder(known[uid])}
+        lacking = self._lacking(known.values())
+        return {number for uid, number in with_folder.items() if uid not in known or known[uid] in lacking}
 
     @contextmanager
-    def _alone(self) -> Iterator[Path]:
-        """One import at a time; gives the folder for what is unpacked."""
+    def _aside(self) -> Iterator[Path]:
+        """The folder for what is unpacked. It is held, so that only that of a killed import is removed."""
         runs = self._settings.runs_folder
-        with one_import(runs):
-            yield runs / UNPACKED
+        sweep_imports(runs)
+        root = runs / f"{UNPACKED}-{secrets.token_hex(8)}"
+        with ExitStack() as held:
+            held.callback(shutil.rmtree, root, ignore_errors=True)
+            try:
+                held.enter_context(held_folder(root))
+            except OSError as error:
+                raise Unavailable(f"{root} cannot be made: {error.strerror}", remedy_of(error)) from None
+            yield root
+
+    def _alone(self, contents: Contents, progress: Progress) -> AbstractContextManager[None]:
+        """The turn of this import to file something."""
+        what = f"an archive of {plural(len(contents.runs), 'run')}"
+        return one_import(self._settings.runs_folder, what, lambda text: progress(_CHECKING, text))
 
     # -- runs ------------------------------------------------------------------------------------------------------
 
@@ -164,18 +191,21 @@ class ArchiveImport:
         stream = iter(archive.lines(layout.RUNS))
         done = 0
         while batch := [lines.read_line(RunLine, content) for content in islice(stream, BATCH)]:
-            self._batch(batch, ready, numbers, report)
+            with self._alone(contents, progress):
+                # Other imports may have filed the same runs in between.
+                numbers.update(self._store.read(lambda t: t.runs.ids_by_uid([line.uid for line in batch])))
+                self._batch(batch, ready, numbers, report)
             done += len(batch)
             progress(_CHECKING + (1 - _CHECKING) * done / len(contents.runs), f"{done}/{len(contents.runs)} runs")
 
     def _batch(self, batch: list[RunLine], ready: _Ready, numbers: dict[str, int], report: ArchiveReport) -> None:
-        wanted = [
-            line
-            for line in batch
-            if line.uid not in numbers or (line.record is None and self._lacks_folder(numbers[line.uid]))
-        ]
+        lacking = self._lacking(numbers[line.uid] for line in batch if line.uid in numbers and line.record is None)
+        wanted = [line for line in batch if line.uid not in numbers or numbers[line.uid] in lacking]
         report.known += len(batch) - len(wanted)
-        unpacked = [self._read(line, ready) for line in wanted]
+        shared = self._store.read(
+            lambda t: t.sharing.of_runs([numbers[line.uid] for line in wanted if line.uid in numbers])
+        )
+        unpacked = [self._read(line, ready, shared.get(numbers.get(line.uid, 0))) for line in wanted]
         new = [entry for entry in unpacked if entry.line.uid not in numbers]
         report.completed += len(unpacked) - len(new)
         keep = report.kept_numbers and not any(self._folder(entry.line.id).root.exists() for entry in new)
@@ -190,19 +220,28 @@ class ArchiveImport:
             if entry.folder is not None:
                 self._put_in_place(entry, entry.folder, numbers)
 
-    def _lacks_folder(self, number: int) -> bool:
-        return not self._folder(number).record.exists()
+    def _lacking(self, numbers: Iterable[int]) -> set[int]:
+        """Those of these runs whose folder a killed import has left out.
 
-    def _read(self, line: RunLine, ready: _Ready) -> _Unpacked:
+        A run that waits here has no folder either; it must not get that of an archive that claims to hold it.
+        """
+        without = [number for number in numbers if not self._folder(number).record.exists()]
+        return {run.id for run in self._store.read(lambda t: t.runs.get_many(without)) if run.state.ended}
+
+    def _read(self, line: RunLine, ready: _Ready, here: Sharing | None) -> _Unpacked:
+        """The run as it is filed; ``here`` is the owner and visibility of one that is only completed."""
         folder, record, found = None, line.record, []
         if record is None:
             folder = RunFolder(ready.aside / str(line.id))
+            if not folder.record.exists():
+                raise Conflict(f"run {line.id} of the archive was deleted here meanwhile", "import it again")
             record, found = folder.read_record(), found_evaluations(folder)
         experiment = ready.around.experiment_name(line.experiment)
-        record = {**record, "request": {**record["request"], "experiment": experiment}}
+        record = {**lines.without_handle(record), "request": {**record["request"], "experiment": experiment}}
         filed = read_filed(self._catalogue, record, f"the record of run {line.id}")
         notes = NO_NOTES if folder is None else found_notes(folder)
-        said = notes, None if line.visibility is None else Sharing(None, line.visibility)
+        shared = here or taken_over(self._store.maker, line.visibility, ready.around.seen_by(experiment))
+        said = notes, None if shared == NO_SHARING else shared
         run = FolderRun(filed, found, _current(line, folder, found), lines.evaluations_of(line), line.attempt, *said)
         return _Unpacked(line, run, folder, record)
 
@@ -231,6 +270,25 @@ def _current(line: RunLine, folder: RunFolder | None, found: list[FoundEvaluatio
         return None
     done = {result.fingerprint for _, result, _ in found if result.succeeded}
     return line.current_protocol if line.current_protocol in done else current_protocol(folder, found)
+
+
+def _publicly_seen(archive: ArchiveReader) -> str | None:
+    """A note if the archive calls something public: who sees it here is decided here."""
+    kinds: dict[str, tuple[str, type[RunLine | ExperimentLine | AnalysisLine]]] = {
+        "run": (layout.RUNS, RunLine),
+        "experiment": (layout.EXPERIMENTS, ExperimentLine),
+        "analysis": (layout.ANALYSES, AnalysisLine),
+    }
+    counts = {
+        kind: sum(lines.read_line(line, content).visibility is Visibility.PUBLIC for content in archive.lines(member))
+        for kind, (member, line) in kinds.items()
+    }
+    if not any(counts.values()):
+        return None
+    found = ", ".join(
+        plural(count, kind, "analyses" if kind == "analysis" else None) for kind, count in counts.items() if count
+    )
+    return f"{found} public where the archive comes from are seen here by those who sign in; share them to publish them"
 
 
 def _original(entry: _Unpacked, numbers: dict[str, int]) -> int | None:

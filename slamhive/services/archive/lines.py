@@ -84,6 +84,14 @@ def completed(record: dict[str, Any], run: RunRecord, events: list[RunEvent]) ->
     return {**record, **Outcome.of(run).content, "events": events_to_json(events)}
 
 
+def without_handle(record: Mapping[str, Any]) -> dict[str, Any]:
+    """The record of a run that has ended, without what its engine finds it by.
+
+    A worker removes what it finds by a handle. One from outside may name a container or a job of somebody else.
+    """
+    return {**record, "handle": None} if record.get("handle") is not None else dict(record)
+
+
 def check_record(record: Mapping[str, Any], line: RunLine) -> RunFile:
     """The record of a run; raises InvalidInput unless it is that of the ended run ``line``, and whole."""
     file = _whole(RunFile, lambda: RunFile.read(record), f"record of run {line.id}")

@@ -10,12 +10,15 @@ import struct
 import zipfile
 import zlib
 from calendar import timegm
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from slamhive.errors import InvalidInput, NotFound, Unavailable
+from slamhive.fetch.archive import zip_directory_bytes
+from slamhive.fetch.unpack import UnpackLimits
 from slamhive.input_bounds import parse_json_object
 from slamhive.schema.archive import Manifest
 from slamhive.services.archive.layout import (
@@ -31,10 +34,6 @@ from slamhive.services.archive.layout import (
 )
 
 _BLOCK_BYTES = 1 << 20
-_END = struct.Struct("<4s4H2LH")
-_END64 = struct.Struct("<4sQ2H2L4Q")
-_LOCATOR = struct.Struct("<4sLQL")
-_LONGEST_COMMENT = 1 << 16
 _SUM = re.compile(r"([0-9a-f]{64})  (.+)")
 _ENCRYPTED = 0x1
 _REFUSED = "nothing of it is imported"
@@ -76,6 +75,10 @@ class ArchiveReader:
     def size_bytes(self) -> int:
         """Size of all members once they are unpacked."""
         return sum(info.file_size for info in self._members.values())
+
+    def files_of_runs(self) -> Counter[int]:
+        """How many files each run has, by its number in the archive."""
+        return Counter(int(name.split("/", 2)[1]) for name in self._members if name.startswith("runs/"))
 
     def below(self, prefix: str) -> list[str]:
         """The members whose name begins with ``prefix``."""
@@ -225,19 +228,9 @@ def open_archive(path: Path) -> Iterator[ArchiveReader]:
 
 def _check_directory(stream: IO[bytes], path: Path) -> None:
     """Refuse a file that is no zip file, was cut short, or whose list of members is too long for memory."""
-    length = stream.seek(0, os.SEEK_END)
-    start = max(0, length - _LONGEST_COMMENT - _END.size - _LOCATOR.size)
-    stream.seek(start)
-    tail = stream.read()
-    place = tail.rfind(b"PK\x05\x06")
-    if place < 0 or len(tail) - place < _END.size:
+    size = zip_directory_bytes(stream)
+    if size is None:
         raise InvalidInput(f"{path} is no archive, or was cut short", _DAMAGED)
-    size = _END.unpack_from(tail, place)[5]
-    if size == 0xFFFFFFFF and place >= _LOCATOR.size:
-        signature, _, offset, _ = _LOCATOR.unpack_from(tail, place - _LOCATOR.size)
-        stream.seek(min(offset, length) if signature == b"PK\x06\x07" else length)
-        record = stream.read(_END64.size)
-        size = _END64.unpack(record)[8] if len(record) == _END64.size else length
     if size > LARGEST_DIRECTORY_BYTES:
         raise InvalidInput(f"{path} lists its members in {size} bytes, more than any export writes")
     stream.seek(0)
@@ -258,6 +251,11 @@ def _checked_members(file: zipfile.ZipFile, path: Path, format_: Format) -> dict
             raise InvalidInput(f"{path}: {shown(inside)} is a file and a folder at once", _REFUSED)
     if sum(info.compress_size for info in members.values()) > path.stat().st_size:
         raise InvalidInput(f"{path}: its members overlap", _REFUSED)
+    most, total = UnpackLimits().bytes_of(path.stat().st_size), sum(info.file_size for info in members.values())
+    if total > most:
+        raise InvalidInput(
+            f"{path} holds {total / 1e6:,.0f} MB, more than {most / 1e6:,.0f} MB: it looks like a bomb", _REFUSED
+        )
     for name in (format_.about, *sorted(format_.tags), *ROWS):
         if name not in members:
             raise InvalidInput(f"{path} lacks {name}", "make an archive with slamhive archive export")

@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 from enum import StrEnum
 from pathlib import Path
 
+from slamhive.runs.folder import STAYING, travels
 from slamhive.services.archive import layout
 from slamhive.tree import Entry, walk
 
 ODD_NAMES = "files with names that no archive holds"
-_SCRATCH, _RESULT = "work", "result"
-_SHARING = "sharing.json"
-"""Accounts belong to an installation. Who may see a run is in its line of the archive."""
+STRANGE_FILES = "files that do not belong to a run folder"
 
 
 class Part(StrEnum):
@@ -55,20 +54,20 @@ def files_of_run(root: Path, without: Sequence[Part], left_out: Counter[str]) ->
 
 def _files(root: Path, left_out: Counter[str]) -> Iterator[tuple[str, Path]]:
     for top in sorted(root.iterdir()):
-        if top.name.startswith(".") or top.name in (_SCRATCH, _SHARING):
+        if top.name.startswith(".") or top.name in STAYING:
             continue
-        if top.is_file() and not top.is_symlink():
-            yield top.name, top
+        found: list[tuple[str, str | None]] = [(top.name, "")] if top.is_file() and not top.is_symlink() else []
         entries = walk(top) if top.is_dir() and not top.is_symlink() else ()
-        hidden = top.name != _RESULT
-        found = [(f"{top.name}/{entry.place}", _unfit(entry)) for entry in entries]
-        for name, problem in sorted(found):
-            if hidden and "/." in name:
+        found += [(f"{top.name}/{entry.place}", _unfit(entry)) for entry in entries]
+        for name, unfit in sorted(found):
+            cut_off = "/." in name and not travels(name)
+            if unfit is None or cut_off:
                 continue
-            if problem == "" and layout.is_safe(name):
+            problem = unfit or (ODD_NAMES if not layout.is_safe(name) else STRANGE_FILES if not travels(name) else "")
+            if problem:
+                left_out[problem] += 1
+            else:
                 yield name, root / name
-            elif problem is not None:
-                left_out[problem or ODD_NAMES] += 1
 
 
 def _unfit(entry: Entry) -> str | None:

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from slamhive.bags.staging import new_dataset_folder
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.domain.parameters import Parameter
+from slamhive.domain.visibility import Visibility, taken_over
 from slamhive.errors import Conflict, SlamHiveError
 from slamhive.schema.archive import AlgorithmLine, ConfigurationLine
 from slamhive.services.analyses import AnalysisFolder
@@ -58,6 +59,7 @@ class Surroundings:
         self._contents = contents
         self._notes = notes
         self._experiment_names: dict[str, str] = {}
+        self._seen_by: dict[str, Visibility] = {}
         self._configurations: dict[int, int] = {}
 
     def import_before_runs(self, counts: Counter[str]) -> None:
@@ -88,7 +90,9 @@ class Surroundings:
     def _analyses(self, counts: Counter[str]) -> None:
         """Under the addresses that they have, to be computed by the worker."""
         for content in self._archive.lines(layout.ANALYSES):
-            record, source = lines.analysis_from_line(content)
+            stated, source = lines.analysis_from_line(content)
+            shared = taken_over(self._store.maker, stated.visibility)
+            record = replace(stated, owner=shared.owner, visibility=shared.visibility)
             folder = AnalysisFolder(self._settings.analyses_folder / record.token)
             if not folder.root.exists():
                 folder.create(source, record)
@@ -98,6 +102,10 @@ class Surroundings:
     def experiment_name(self, name: str | None) -> str | None:
         """What the experiment of this name in the archive is called here."""
         return None if name is None else self._experiment_names.get(name)
+
+    def seen_by(self, experiment: str | None) -> Visibility | None:
+        """Who sees the experiment of this name here; None without one."""
+        return None if experiment is None else self._seen_by.get(experiment)
 
     # -- datasets and algorithms -----------------------------------------------------------------------------------
 
@@ -117,7 +125,7 @@ class Surroundings:
 
     def _dataset_folder(self, name: str) -> bool:
         """Make the folder, without the recording, if there is none; whether it was made."""
-        members = self._archive.below(f"datasets/{name}/")
+        members = sorted(set(self._archive.below(f"datasets/{name}/")).difference(self._contents.left_out))
         folder = self._settings.datasets_folder / name
         if folder.exists() or f"datasets/{name}/{DATASET_FILE}" not in members:
             return False
@@ -193,14 +201,23 @@ class Surroundings:
         here = self._store.read(lambda t: t.archive.experiment(record.uid))
         if here is not None:
             self._experiment_names[record.name] = here
+            self._seen_by[here] = self._store.read(lambda t: t.experiments.get(here)).seen_by
             return
         name = self._free_name(record)
         self._experiment_names[record.name] = name
         if name != record.name:
             self._notes.append(f"experiment {record.name} is called {name} here: there is another one of its name")
-        settled = replace(record, name=name, state=self._settled_state(record))
+        shared = taken_over(self._store.maker, record.visibility)
+        settled = replace(
+            record,
+            name=name,
+            state=self._settled_state(record),
+            owner=shared.owner,
+            visibility=shared.visibility,
+        )
         if settled.state is not record.state:
             self._notes.append(f"experiment {name} counts as cancelled: the archive has not all of its runs")
+        self._seen_by[name] = settled.seen_by
         same_cpu = parse_experiment(record.source, f"experiment {record.name} of the archive").same_cpu
         values = asdict(settled) | {"cpu_model": NOT_KNOWN if same_cpu else None}
         for key in ("id", "uid", "name"):

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from slamhive.services.challenges.image_loading import Installation
     from slamhive.services.challenges.image_work import ImageWork
     from slamhive.services.challenges.judging import ChallengeJudge
-    from slamhive.services.challenges.reading import read_files
+    from slamhive.services.challenges.reading import opened_files
     from slamhive.services.challenges.service import Challenges
     from slamhive.services.challenges.submitting import Entrant
 
@@ -21,7 +21,7 @@ __all__ = [
     "Entrant",
     "ImageWork",
     "Installation",
-    "read_files",
+    "opened_files",
     "sweep_challenges",
 ]
 

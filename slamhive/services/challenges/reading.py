@@ -1,10 +1,13 @@
-"""Reads the files of a submission: trajectories, folders of them, and archives."""
+"""Finds the files of a submission: trajectories, folders of them, and archives. They stay on the disk."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 
+from slamhive.budget import Lent, Share, unbounded
 from slamhive.catalogue.collection_file import kind_of
 from slamhive.domain.collection import FileKind
 from slamhive.errors import InvalidInput
@@ -13,45 +16,52 @@ from slamhive.files import temporary_folder
 from slamhive.services.challenges.checking import MOST_BYTES
 
 MOST_FILES = 1000
-_LIMITS = UnpackLimits(total_bytes=MOST_BYTES, files=MOST_FILES)
+_LIMITS = UnpackLimits(ratio=50.0, always_bytes=20_000_000, total_bytes=MOST_BYTES, files=MOST_FILES)
+"""Text of digits shrinks to a third, and to a twentieth where nothing moves."""
 
 
-def read_files(paths: Iterable[Path]) -> dict[str, bytes]:
-    """The files of a submission by name. A folder or a zip or tar archive stands for the files in it.
+@contextmanager
+def opened_files(paths: Iterable[Path], share: Share | None = None) -> Iterator[dict[str, Path]]:
+    """The files of a submission by name, for the block. A folder, or a zip or tar archive, stands for the files in it.
 
-    Raises InvalidInput for what cannot be read or is too large, and for two files of one name.
+    Args:
+        paths: What was sent.
+        share: What is unpacked is taken out of it; None for no limit but those of a submission.
+
+    Raises InvalidInput for what cannot be read or is too large, and for two files of one name; and as Share.take.
     """
-    found: dict[str, bytes] = {}
-    for path in paths:
-        for name, data in _contents(path):
-            if name in found:
-                raise InvalidInput(f"two files are called {name}", "send one of them")
-            found[name] = data
-            if sum(map(len, found.values())) > MOST_BYTES or len(found) > MOST_FILES:
-                raise InvalidInput(f"{path.name} holds too much", "send trajectories only")
-    return found
+    share = share or unbounded("a submission")
+    found: dict[str, Path] = {}
+    total = 0
+    with ExitStack() as unpacked:
+        for path in paths:
+            for file in _files(path, share, unpacked):
+                if file.name in found:
+                    raise InvalidInput(f"two files are called {file.name}", "send one of them")
+                found[file.name] = file
+                total += _size_bytes(file)
+                if total > MOST_BYTES or len(found) > MOST_FILES:
+                    raise InvalidInput(f"{path.name} holds too much", "send trajectories only")
+        yield found
 
 
-def _contents(path: Path) -> Iterator[tuple[str, bytes]]:
+def _files(path: Path, share: Share, unpacked: ExitStack) -> Iterator[Path]:
     kind = kind_of(path.name)
     if path.is_dir():
-        for file in sorted(path.rglob("*")):
-            if file.is_file() and not file.name.startswith("."):
-                yield file.name, _content(file)
+        yield from (file for file in sorted(path.rglob("*")) if file.is_file() and not file.name.startswith("."))
     elif kind in (FileKind.ZIP, FileKind.TAR):
-        with temporary_folder() as folder:
-            unpack(path, kind, folder, limits=_LIMITS)
-            yield from _contents(folder)
+        folder = unpacked.enter_context(temporary_folder())
+        unpack(path, kind, folder, limits=_LIMITS, room=partial(share.take, Lent.DISK))
+        yield from _files(folder, share, unpacked)
     else:
-        yield path.name, _content(path)
+        yield path
 
 
-def _content(path: Path) -> bytes:
+def _size_bytes(path: Path) -> int:
     try:
-        with path.open("rb") as stream:
-            data = stream.read(MOST_BYTES + 1)
+        size = path.stat().st_size
     except OSError as error:
         raise InvalidInput(f"{path} cannot be read: {error.strerror}") from None
-    if len(data) > MOST_BYTES:
+    if size > MOST_BYTES:
         raise InvalidInput(f"{path.name} has more than {MOST_BYTES:,} bytes", "send trajectories only")
-    return data
+    return size

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 
+from slamhive.budget import Share, unbounded
 from slamhive.catalogue.algorithm_file import load_algorithms
 from slamhive.catalogue.version_folders import version_folder
 from slamhive.clock import utc_now
@@ -79,18 +80,23 @@ class Challenges:
         """What is public of a challenge; raises NotFound."""
         return challenge_of(self._folder(name).definition, self._clock())
 
-    def check(self, name: str, files: Mapping[str, bytes], phase: str | None = None) -> list[str]:
+    def check(self, name: str, files: Mapping[str, Path], phase: str | None = None) -> list[str]:
         """Lines about files that could be submitted; raises what :meth:`submit` would raise for them."""
         definition = self._folder(name).definition
         wanted = open_phase(definition, phase, self._clock())
         check_taken(definition, wanted, Taken.TRAJECTORIES)
-        checked = check_files(definition, wanted, files)
+        checked = check_files(definition, wanted, files, unbounded("a submission"))
         return [f"{entry.sequence}: {entry.facts.poses:,} poses" for entry in checked]
 
     def submit(
-        self, name: str, entrant: Entrant, files: Mapping[str, bytes], phase: str | None = None
+        self,
+        name: str,
+        entrant: Entrant,
+        files: Mapping[str, Path],
+        phase: str | None = None,
+        share: Share | None = None,
     ) -> ChallengeSubmission:
-        """Keep trajectories by file name, and queue their evaluation.
+        """Keep trajectories by file name, and queue their evaluation; the memory for that is taken out of ``share``.
 
         Raises:
             NotFound: There is no such challenge or phase.
@@ -98,11 +104,12 @@ class Challenges:
             InvalidInput: The files are not what the challenge asks for.
             Forbidden: The team is that of another account, or this installation is view-only.
             TooManyRequests: There were as many submissions today as there may be.
-            Unavailable: The disk refuses.
+            Unavailable: The disk refuses, or others use the memory.
         """
         check_writable(self._settings)
         folder, now = self._folder(name), self._clock()
-        found = enter(folder, open_phase(folder.definition, phase, now), entrant, files, now)
+        share = share or unbounded("a submission")
+        found = enter(folder, open_phase(folder.definition, phase, now), entrant, files, now, share)
         return submission_of(folder.definition, found, now)
 
     def submit_image(self, name: str, entrant: Entrant, image: Path, phase: str | None = None) -> ChallengeSubmission:

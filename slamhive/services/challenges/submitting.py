@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import secrets
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -14,16 +15,19 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from slamhive.domain.challenge import PhaseState, Taken, phase_state
+from slamhive.budget import Share
+from slamhive.domain.challenge import Format, PhaseState, Taken, phase_state
 from slamhive.domain.names import check_name
 from slamhive.domain.numbers import plural
 from slamhive.errors import Conflict, Forbidden, InvalidInput, SlamHiveError, TooManyRequests, Unavailable
 from slamhive.files import held_folder, remedy_of, share_with_group, write_aside
 from slamhive.schema.challenge import PhaseEntry, StoredImage, StoredSubmission
-from slamhive.services.challenges.checking import CheckedFile, check_files
+from slamhive.services.challenges.checking import CheckedFile, check_files, in_memory
 from slamhive.services.challenges.definition import Definition
 from slamhive.services.challenges.folder import IMAGE, SENT, ChallengeFolder, SubmissionFolder
+from slamhive.services.challenges.frames import frame_trajectory
 from slamhive.services.challenges.packed_images import check_image
+from slamhive.trajectory.kitti import parse_kitti_matrices
 
 DAY = "%Y%m%d"
 _BLOCK_BYTES = 1 << 20
@@ -72,21 +76,28 @@ class Submitted:
 
 
 def enter(
-    folder: ChallengeFolder, phase: PhaseEntry, entrant: Entrant, files: Mapping[str, bytes], now: datetime
+    folder: ChallengeFolder,
+    phase: PhaseEntry,
+    entrant: Entrant,
+    files: Mapping[str, Path],
+    now: datetime,
+    share: Share,
 ) -> SubmissionFolder:
     """Keep a submission, which then waits for its evaluation. What a team sends twice on one day is kept once.
+
+    The memory for its check is taken out of ``share``.
 
     Raises:
         InvalidInput: The files are not what the challenge asks for; nothing counts.
         Forbidden: The team is that of another account.
         TooManyRequests: The account or the team has sent as many as it may today.
-        Unavailable: The disk refuses.
+        Unavailable: The disk refuses, or others use the memory.
     """
     check_taken(folder.definition, phase, Taken.TRAJECTORIES)
 
     def check() -> Submitted:
-        checked = check_files(folder.definition, phase, files)
-        return Submitted(digest, lambda aside: _write_files(aside, checked), checked)
+        checked = check_files(folder.definition, phase, files, share)
+        return Submitted(digest, lambda aside: _write_files(aside, checked, share), checked)
 
     digest = _digest(files)
     return _enter(folder, phase, entrant, digest, check, now)
@@ -204,22 +215,33 @@ def _store(
     return final
 
 
-def _write_files(aside: Path, checked: Sequence[CheckedFile]) -> None:
+def _write_files(aside: Path, checked: Sequence[CheckedFile], share: Share) -> None:
     for entry in checked:
-        for name, data in entry.files.items():
-            write_aside(aside / name, data, _FILE_MODE)
+        _copy(entry.path, aside / f"{entry.sequence}.{entry.format}")
+        if entry.format is Format.KITTI:
+            with in_memory(entry.path, entry.sequence, entry.format, share) as data:
+                frames = frame_trajectory(parse_kitti_matrices(data, entry.sequence))
+            write_aside(aside / f"{entry.sequence}.{Format.TUM}", frames, _FILE_MODE)
 
 
 def _copy(source: Path, target: Path) -> None:
-    shutil.copyfile(source, target)
+    with source.open("rb") as content, target.open("xb") as stream:
+        shutil.copyfileobj(content, stream, _BLOCK_BYTES)
+        stream.flush()
+        os.fsync(stream.fileno())
     target.chmod(_FILE_MODE)
 
 
-def _digest(files: Mapping[str, bytes]) -> str:
+def _digest(files: Mapping[str, Path]) -> str:
     digest = hashlib.sha256()
-    for name, data in sorted(files.items()):
-        digest.update(f"{name}\0{len(data)}\0".encode())
-        digest.update(data)
+    for name, path in sorted(files.items()):
+        try:
+            with path.open("rb") as stream:
+                digest.update(f"{name}\0{os.fstat(stream.fileno()).st_size}\0".encode())
+                while block := stream.read(_BLOCK_BYTES):
+                    digest.update(block)
+        except OSError as error:
+            raise InvalidInput(f"{name} cannot be read: {error.strerror}") from None
     return digest.hexdigest()
 
 

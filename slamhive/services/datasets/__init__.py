@@ -8,7 +8,7 @@ from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
     from slamhive.services.datasets.catalogue import Catalogue, PlannedImport, check_writable, dataset_document
-    from slamhive.services.datasets.checking import DatasetChecks
+    from slamhive.services.datasets.checking import REPORT_FILE, DatasetChecks
     from slamhive.services.datasets.external import algorithm_here_or_elsewhere, choose_algorithm, imported_algorithms
     from slamhive.services.datasets.numbers import stored_numbers
     from slamhive.services.datasets.variants import IDENTITY, UsedVariant, Variants, variant_key
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "IDENTITY",
+    "REPORT_FILE",
     "Catalogue",
     "DatasetChecks",
     "DatasetViews",

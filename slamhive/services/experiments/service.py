@@ -26,6 +26,7 @@ from slamhive.store import Transaction
 from slamhive.store.experiment_records import ExperimentState
 
 if TYPE_CHECKING:
+    from slamhive.domain.visibility import Visibility
     from slamhive.foreign.experiment import Converted
     from slamhive.services.experiments.ranking import Ranking
     from slamhive.services.experiments.restoring import Restored
@@ -89,12 +90,16 @@ class Experiments:
         return convert_published(self._context.catalogue, source, meanings)
 
     def start(
-        self, source: ExperimentSource, executor: str | None = None, progress: Progress = silent
+        self,
+        source: ExperimentSource,
+        executor: str | None = None,
+        progress: Progress = silent,
+        visibility: Visibility | None = None,
     ) -> ExperimentStatus:
         """Store the experiment and queue its runs; ``progress`` is called with the runs stored and their total.
 
         Starting the same file again completes an interrupted start, or changes nothing. ``executor`` overrides that of
-        the file.
+        the file. ``visibility`` says who may see the experiment and its runs from the beginning.
 
         Raises:
             InvalidInput: the file is not valid; names file and line, and nothing is stored.
@@ -105,7 +110,7 @@ class Experiments:
         from slamhive.services.experiments.starting import start  # noqa: PLC0415
 
         check_writable(self._context.settings)
-        return self.status(start(self._context, source, executor, progress))
+        return self.status(start(self._context, source, executor, progress, visibility))
 
     def list(self) -> tuple[ExperimentStatus, ...]:
         """All experiments, the newest first, without the time left."""

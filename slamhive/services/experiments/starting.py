@@ -6,7 +6,7 @@ import uuid
 from dataclasses import replace
 
 from slamhive.clock import utc_now
-from slamhive.domain.visibility import Sharing
+from slamhive.domain.visibility import Sharing, Visibility
 from slamhive.errors import Conflict, InvalidInput
 from slamhive.schema.submission import MAX_REPEATS
 from slamhive.services.experiments.changing import changing, write_record
@@ -21,7 +21,13 @@ from slamhive.sweep.experiment import Experiment
 from slamhive.sweep.experiment_file import parse_experiment
 
 
-def start(context: ExperimentContext, source: ExperimentSource, executor: str | None, progress: Progress) -> str:
+def start(
+    context: ExperimentContext,
+    source: ExperimentSource,
+    executor: str | None,
+    progress: Progress,
+    visibility: Visibility | None = None,
+) -> str:
     """Store all runs of ``source`` that are not stored yet; returns the name of the experiment."""
     source = context.with_datasets(source)
     experiment = parse_experiment(source.text, source.name)
@@ -35,7 +41,8 @@ def start(context: ExperimentContext, source: ExperimentSource, executor: str | 
     known = folder.read() if record is None else StoredExperiment.of(record)
     if known is None:
         chosen = context.executors.choose(executor or experiment.executor)
-        known = _new(experiment, chosen, context.store.maker)
+        maker = context.store.maker
+        known = _new(experiment, chosen, Sharing(maker.owner, visibility or maker.visibility))
     elif not experiment.has_hash(known.content_hash):
         raise Conflict(
             f"{folder.root} holds another experiment of this name, which the database does not know",

@@ -39,6 +39,7 @@ Progress = Callable[[float, str], None]
 """Called with the fraction done (0..1) and the current activity."""
 
 _DOWNLOADED, _UNPACKED = 0.7, 0.8
+_TOLD_BYTES = 10_000_000
 
 
 class Fetching:
@@ -233,10 +234,15 @@ def take(part: Part, path: Path, folder: Path, tell: Callable[[str], None]) -> N
 
 
 def _unpack(part: Part, path: Path, folder: Path, choice: Choice, tell: Callable[[str], None]) -> None:
-    def unpacked(count_bytes: int) -> None:
-        tell(f"unpacking {part.file.name}: {count_bytes / 1e6:,.0f} MB")
+    done_bytes = 0
 
-    files = unpack(path, part.file.kind, folder, choice, unpacked=unpacked)
+    def room(piece_bytes: int) -> None:
+        nonlocal done_bytes
+        before, done_bytes = done_bytes, done_bytes + piece_bytes
+        if before // _TOLD_BYTES != done_bytes // _TOLD_BYTES:
+            tell(f"unpacking {part.file.name}: {done_bytes / 1e6:,.0f} MB")
+
+    files = unpack(path, part.file.kind, folder, choice, room=room)
     if not files and not part.optional:
         raise InvalidInput(f"{path.name} holds no {part.take or 'file'}", "the archive has changed; unpack it by hand")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
@@ -77,7 +78,7 @@ class Imports:
 
         Raises:
             InvalidInput: The source, a pattern or a table cannot be used, or holds nothing to import.
-            Conflict: Another import is running.
+            Conflict: Another import files runs for long.
             Unavailable: The disk or the database failed; runs imported until then stay.
         """
         check_writable(self._settings)
@@ -85,18 +86,19 @@ class Imports:
         if not found.candidates and not found.problems:
             raise _nothing(request, found)
         report = ImportReport(dry_run, problems=found.problems, left_out=found.left_out)
-        with one_import(self._settings.runs_folder):
-            if not dry_run:
-                check_disk(self._settings)
-            homes = self._homes(request, found, report)
-            ready = [entry for entry in found.candidates if entry.algorithm in homes.algorithms]
-            for start in range(0, len(ready), BATCH):
-                part = [entry for entry in ready[start : start + BATCH] if entry.dataset not in homes.lost]
-                files = list(_read(part, report))
+        if not dry_run:
+            check_disk(self._settings)
+        homes = self._homes(request, found, report)
+        ready = [entry for entry in found.candidates if entry.algorithm in homes.algorithms]
+        for start in range(0, len(ready), BATCH):
+            part = [entry for entry in ready[start : start + BATCH] if entry.dataset not in homes.lost]
+            files = list(_read(part, report))
+            alone = one_import(self._settings.runs_folder, f"{plural(len(ready), 'trajectory', 'trajectories')}")
+            with nullcontext() if dry_run else alone:
                 self._find_datasets(files, homes, found, report)
                 usable = [entry for entry in files if entry[0].dataset in homes.datasets]
                 self._batch(list(_loaded(usable, homes, request, report)), homes, request, report)
-                progress(min(start + BATCH, len(ready)), len(ready))
+            progress(min(start + BATCH, len(ready)), len(ready))
         report.problems.sort(key=lambda problem: problem.name)
         report.datasets.sort()
         return report

@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING
 from slamhive.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from slamhive.services.ledger.files import LedgerFiles
     from slamhive.services.ledger.keeping import Ledger
+    from slamhive.services.ledger.lines import shared_line
     from slamhive.services.ledger.restoring import LedgerRestore
 
 __all__ = [
     "Ledger",
+    "LedgerFiles",
     "LedgerRestore",
+    "shared_line",
 ]
 
 if not TYPE_CHECKING:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -12,6 +13,7 @@ from typing import Any
 from slamhive.domain.configuration import Configuration, InputMap
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.variant import Variant
+from slamhive.domain.visibility import NOT_SHARED, Sharing
 from slamhive.errors import InvalidInput
 from slamhive.schema.ledger import (
     CancelledLine,
@@ -22,6 +24,7 @@ from slamhive.schema.ledger import (
     LabelLine,
     RunRow,
     RunsLine,
+    SharedLine,
     SharedRequest,
 )
 from slamhive.schema.model import dump
@@ -31,6 +34,8 @@ from slamhive.store.changes import NewRow
 from slamhive.store.configuration_records import ConfigurationRecord
 from slamhive.store.experiment_records import NewCell, NewConfiguration
 from slamhive.store.records import RunRequest
+
+logger = logging.getLogger(__name__)
 
 NOT_A_LINE = (InvalidInput, KeyError, TypeError, ValueError, AttributeError, IndexError)
 """What reading a damaged line may raise."""
@@ -170,3 +175,28 @@ def cells_of(line: Line) -> list[NewCell]:
 def cancelled_line(run_ids: Sequence[int], at: datetime, why: str) -> Line:
     """Runs that were cancelled before they had a folder."""
     return CancelledLine(cancelled=tuple(run_ids), at=at, why=why).content
+
+
+def shared_line(run_ids: Sequence[int], sharing: Sharing) -> Line:
+    """Runs without a folder, with their owner and visibility from now on."""
+    return SharedLine(shared=tuple(run_ids), owner=sharing.owner, visibility=sharing.visibility).content
+
+
+def last_shared(book: Book) -> dict[int, Sharing]:
+    """{run: owner and visibility} as they were stated last of runs that had no folder.
+
+    Only admins see the runs of a line that somebody has damaged, as those of a damaged ``sharing.json``.
+    """
+    found: dict[int, Sharing] = {}
+    for line in book.read():
+        if "shared" not in line:
+            continue
+        try:
+            stated = SharedLine.read(line)
+            sharing = Sharing.of({"owner": stated.owner, "visibility": stated.visibility})
+            found.update(dict.fromkeys(stated.shared, sharing))
+        except InvalidInput as error:
+            logger.warning("%s: a line on who sees runs cannot be used, so only admins see them: %s", book.path, error)
+            numbers = line["shared"] if isinstance(line["shared"], list) else []
+            found.update((number, NOT_SHARED) for number in numbers if isinstance(number, int))
+    return found

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 from slamhive.clock import utc_now
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.run import RunEvent, RunState
+from slamhive.domain.visibility import Sharing
 from slamhive.errors import SlamHiveError
+from slamhive.runs.folder import RunFolder
 from slamhive.schema.ledger import AlgorithmLine, CancelledLine, LabelLine, VersionLine, VersionRow
 from slamhive.services.archive import dataset_from_line, search_from_line
 from slamhive.services.datasets import Catalogue
@@ -25,6 +28,7 @@ from slamhive.services.ledger.lines import (
     LedgerRun,
     cells_of,
     configurations_of,
+    last_shared,
     live_configurations,
     runs_of,
 )
@@ -54,9 +58,11 @@ class LedgerRestore:
         store: To be filled.
         catalogue: The algorithms and datasets that are here.
         files: The ledger.
+        runs_folder: Where the folders of runs lie; what they say counts more than the ledger.
     """
 
-    def __init__(self, store: Store, catalogue: Catalogue, files: LedgerFiles) -> None:
+    def __init__(self, store: Store, catalogue: Catalogue, files: LedgerFiles, runs_folder: Path) -> None:
+        self._runs_folder = runs_folder
         self._store = store
         self._catalogue = catalogue
         self._files = files
@@ -204,15 +210,41 @@ class LedgerRestore:
     def _runs(self) -> int:
         """The runs that have no folder."""
         cancelled = self._cancelled()
+        shared = last_shared(self._files.runs)
         experiments = self._experiments()
         restored = 0
         for line in self._files.runs.read():
             found: list[LedgerRun] = []
             self._guarded(self._files.runs, lambda: found.extend(runs_of(line)))  # noqa: B023
+            found = [_shared_as(run, shared.get(run.id)) for run in found]
             for start in range(0, len(found), _AT_ONCE):
                 restored += self._restore_runs(found[start : start + _AT_ONCE], experiments, cancelled)
         self._store.write(lambda t: t.ledger.ask_to_end(cancelled.active))
+        self._share({run: said for run, said in shared.items() if not self._folder(run).record.exists()})
         return restored
+
+    def _share(self, shared: Mapping[int, Sharing]) -> None:
+        """Let rows without a folder say who owns and sees their runs, as the ledger does."""
+
+        def work(t: Transaction, part: Sequence[int]) -> None:
+            here = t.ledger.requests(part)
+            # A run of an experiment belongs to its owner.
+            t.sharing.share_runs(
+                {
+                    row.id: shared[row.id]
+                    if row.content.experiment_id is None
+                    else replace(shared[row.id], owner=row.content.owner)
+                    for row in here
+                }
+            )
+
+        numbers = sorted(shared)
+        for start in range(0, len(numbers), _AT_ONCE):
+            part = numbers[start : start + _AT_ONCE]
+            self._store.write(lambda t: work(t, part))  # noqa: B023
+
+    def _folder(self, run_id: int) -> RunFolder:
+        return RunFolder(self._runs_folder / str(run_id))
 
     def _cancelled(self) -> _Cancelled:
         found = _Cancelled()
@@ -302,6 +334,13 @@ class LedgerRestore:
         except (SlamHiveError, *NOT_A_LINE) as error:
             detail = str(error) if isinstance(error, SlamHiveError) else repr(error)
             self.problems.append(f"{book.path.name}: {detail}")
+
+
+def _shared_as(run: LedgerRun, sharing: Sharing | None) -> LedgerRun:
+    """The run as it was shared while it waited; as it was asked for if nobody shared it."""
+    if sharing is None:
+        return run
+    return replace(run, request=replace(run.request, owner=sharing.owner, visibility=sharing.visibility))
 
 
 def _definitions(entry: LedgerConfiguration, aliases: Mapping[tuple[str, str], Any]) -> list[Parameter]:

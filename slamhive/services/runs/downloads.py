@@ -11,29 +11,15 @@ from typing import BinaryIO
 
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.errors import NotFound
-from slamhive.runs.folder import RunFolder
+from slamhive.runs.folder import EVALUATION_FILES, RunFolder
 from slamhive.runs.untrusted import open_regular_file
 
-EVALUATION_FILES = {
-    "result.json": "application/json",
-    "traj.tum": "text/plain; charset=utf-8",
-    "groundtruth.tum": "text/plain; charset=utf-8",
-    "errors.csv": "text/csv; charset=utf-8",
-    "ape.zip": "application/zip",
-    "rpe.zip": "application/zip",
-    **{
-        f"{name}.png": "image/png"
-        for name in (
-            "traj_trajectories",
-            "traj_xyz",
-            "traj_rpy",
-            "traj_speeds",
-            "ape_raw",
-            "ape_map",
-            "rpe_raw",
-            "rpe_map",
-        )
-    },
+_MEDIA_TYPES = {
+    ".json": "application/json",
+    ".tum": "text/plain; charset=utf-8",
+    ".csv": "text/csv; charset=utf-8",
+    ".zip": "application/zip",
+    ".png": "image/png",
 }
 
 
@@ -97,5 +83,5 @@ def _known(folder: RunFolder, fingerprints: Iterable[str]) -> list[tuple[str, Pa
     ]
     for fingerprint in fingerprints:
         place = folder.evaluation(fingerprint)
-        known += [(f"{fingerprint}-{name}", place / name, kind) for name, kind in EVALUATION_FILES.items()]
+        known += [(f"{fingerprint}-{name}", place / name, _MEDIA_TYPES[Path(name).suffix]) for name in EVALUATION_FILES]
     return known

@@ -14,6 +14,7 @@ from slamhive.domain.affinity import run_affinity
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.protocol_request import exactly
 from slamhive.domain.run import RunState
+from slamhive.domain.visibility import Visibility
 from slamhive.errors import SlamHiveError
 from slamhive.files import temporary_folder
 from slamhive.runs.log_line import read_tail
@@ -199,6 +200,7 @@ def _requests(
             affinity=affinity,
             stop_when=submission.stop_when,
             repeat_disturbed=submission.repeat_disturbed,
+            visibility=None if submission.visibility is None else Visibility(submission.visibility),
         )
         for index in range(submission.repeat)
     ]

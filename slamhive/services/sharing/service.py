@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from slamhive.domain.run import RunState
 from slamhive.domain.visibility import Sharing, Visibility, viewer_of
 from slamhive.errors import Conflict, Forbidden, InvalidInput
 from slamhive.runs.folder import RunFolder
 from slamhive.services.analyses import AnalysisFolder
 from slamhive.services.datasets import check_writable
 from slamhive.services.experiments import ExperimentFolder
+from slamhive.services.ledger import LedgerFiles, shared_line
 from slamhive.settings import Settings
 from slamhive.store import RunRecord, Store, Transaction
 from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
@@ -41,22 +43,16 @@ class Sharings:
         self._store = store
 
     def runs(self, run_ids: Sequence[int], change: SharingChange) -> tuple[RunRecord, ...]:
-        """Share runs; the runs afterwards.
+        """Share runs; the runs afterwards. The folder of a run says it, and the ledger of one that has none yet.
 
         A run of an experiment belongs to the owner of the experiment, and is seen by no more people.
 
-        Raises NotFound, Forbidden, Conflict for a run without a folder, InvalidInput for what its experiment rules
+        Raises NotFound, Forbidden, Conflict for a run whose folder is lost, InvalidInput for what its experiment rules
         out; nothing is changed then.
         """
         runs = self._store.read(lambda t: t.runs.get_many(run_ids))
         self._check(change, [(f"run {run.id}", run.owner) for run in runs])
-        within = self._experiments(runs)
-        shared = {run.id: _of_run(run, change, within.get(run.id)) for run in runs}
-        folders = {run.id: self._run_folder(run) for run in runs}
-        for run in runs:
-            sharing = shared[run.id]
-            folders[run.id].write_sharing(sharing if run.experiment_id is None else replace(sharing, owner=None))
-        narrowed = self._store.write(lambda t: _write_runs(t, shared))
+        narrowed = self._store.write(lambda t: self._share_runs(t, run_ids, change))
         self._renew_analyses(narrowed)
         return self._store.read(lambda t: t.runs.get_many(run_ids, with_metrics=True))
 
@@ -99,18 +95,38 @@ class Sharings:
                 whose = f"belongs to {named}" if named else "has no owner"
                 raise Forbidden(f"{what} {whose}, so you cannot share it", "ask its owner or an admin")
 
-    def _experiments(self, runs: Sequence[RunRecord]) -> dict[int, tuple[str, Visibility]]:
+    def _experiments(self, t: Transaction, runs: Sequence[RunRecord]) -> dict[int, tuple[str, Visibility]]:
         """{run: name and visibility of its experiment} of those that have one."""
         named = {run.experiment for run in runs if run.experiment is not None}
-        known = self._store.read(lambda t: {name: t.experiments.get(name).seen_by for name in named})
+        known = {name: t.experiments.get(name).seen_by for name in named}
         return {run.id: (run.experiment, known[run.experiment]) for run in runs if run.experiment is not None}
 
-    def _run_folder(self, run: RunRecord) -> RunFolder:
-        folder = RunFolder(self._settings.runs_folder / str(run.id))
-        if not folder.record.exists():
-            whole = "; share its experiment instead" if run.experiment else ""
-            raise Conflict(f"run {run.id} has no folder yet", f"wait until a worker has prepared it{whole}")
-        return folder
+    def _share_runs(self, t: Transaction, run_ids: Sequence[int], change: SharingChange) -> list[str]:
+        """Store the change, in folders and ledger first; the audiences that runs have now and did not have before.
+
+        The rows are locked before anything is looked at, so that a worker does not make the folder of a run meanwhile.
+        """
+        t.sharing.lock(run_ids)
+        runs = t.runs.get_many(run_ids)
+        within = self._experiments(t, runs)
+        shared = {run.id: _of_run(run, change, within.get(run.id)) for run in runs}
+        stated = {run.id: replace(shared[run.id], owner=None) if run.experiment else shared[run.id] for run in runs}
+        folders = {run.id: RunFolder(self._settings.runs_folder / str(run.id)) for run in runs}
+        waiting: dict[Sharing, list[int]] = {}
+        for run in runs:
+            if not folders[run.id].record.exists():
+                if run.state.ended and run.state is not RunState.CANCELLED:
+                    raise Conflict(f"the folder of run {run.id} is lost", "slamhive doctor says what is missing")
+                waiting.setdefault(stated[run.id], []).append(run.id)
+        for run in runs:
+            if folders[run.id].record.exists():
+                folders[run.id].write_sharing(stated[run.id])
+        LedgerFiles(self._settings.ledger_folder).runs.append(
+            shared_line(members, sharing) for sharing, members in waiting.items()
+        )
+        t.sharing.share_runs(shared)
+        after = {run.id: run.audience for run in t.runs.get_many(run_ids)}
+        return [after[run.id] for run in runs if after[run.id] != run.audience]
 
     def _renew_analyses(self, audiences: Iterable[str]) -> None:
         """Compute those analyses again that may show what only these audiences may see now."""
@@ -148,10 +164,3 @@ def _of_run(run: RunRecord, change: SharingChange, experiment: tuple[str, Visibi
         )
     own = run.visibility if wanted is None else wanted
     return Sharing(run.owner, None if own is most else own)
-
-
-def _write_runs(t: Transaction, shared: dict[int, Sharing]) -> list[str]:
-    """Store the change; the audiences that runs have now and did not have before."""
-    before = {run.id: run.audience for run in t.runs.get_many(shared)}
-    t.sharing.share_runs(shared)
-    return [run.audience for run in t.runs.get_many(shared) if run.audience != before[run.id]]

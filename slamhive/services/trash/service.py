@@ -120,7 +120,7 @@ class Trash:
     def _restore(self, run: DeletedRun) -> None:
         number, uid = run.deleted.run_id, run.deleted.uid
         folder = self._folder(uid)
-        ledger = LedgerRestore(self._store, self._catalogue, self._ledger.files)
+        ledger = LedgerRestore(self._store, self._catalogue, self._ledger.files, self._settings.runs_folder)
         if folder.run.exists():
             self._file(folder.run, self._run_folder(number), ledger)
         else:

@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 from slamhive.bags.importing import ImportOptions
+from slamhive.budget import Lent, Share
 from slamhive.catalogue.collection_file import kind_of
 from slamhive.domain.collection import FileKind
 from slamhive.errors import InvalidInput, nearest
@@ -62,10 +63,10 @@ class UploadImports:
         for token in _tokens(request):
             self.uploads.folder(token, owner).check_complete()
 
-    def dataset(self, request: DatasetUpload, owner: str, progress: Progress) -> Imported:
+    def dataset(self, request: DatasetUpload, owner: str, progress: Progress, share: Share) -> Imported:
         """Make a dataset of a recording; raises what `slamhive dataset import` raises."""
         with ExitStack() as opened:
-            source = opened.enter_context(self._unpacked(request.upload, owner, progress))
+            source = opened.enter_context(self._unpacked(request.upload, owner, progress, share))
             truth = (
                 None if request.groundtruth is None else opened.enter_context(self.opened(request.groundtruth, owner))
             )
@@ -73,13 +74,13 @@ class UploadImports:
             made = import_dataset(self.catalogue, request, source, truth, calibration, _part(progress, _UNPACKED, 1.0))
         return self._finish(request, owner, made)
 
-    def runs(self, request: RunsUpload, owner: str, progress: Progress) -> Imported:
+    def runs(self, request: RunsUpload, owner: str, progress: Progress, share: Share) -> Imported:
         """Import trajectories, and queue their evaluation; raises what `slamhive runs import` raises."""
-        with self._unpacked(request.upload, owner, progress) as folder:
+        with self._unpacked(request.upload, owner, progress, share) as folder:
             made = import_runs(self.imports, self.evaluations, request, folder, _part(progress, _UNPACKED, 1.0))
         return self._finish(request, owner, made)
 
-    def algorithm(self, request: AlgorithmUpload, owner: str, progress: Progress) -> Imported:
+    def algorithm(self, request: AlgorithmUpload, owner: str, progress: Progress, share: Share) -> Imported:
         """Import a package and its image; raises what `slamhive algorithm import` raises."""
 
         def show(line: str) -> None:
@@ -90,7 +91,7 @@ class UploadImports:
                 executor = self.executors.get(self.executors.choose(request.executor))
                 version, record = self.versions.load(path, executor)
                 return self._finish(request, owner, Imported(algorithms=(version.package.name,), notes=(record.label,)))
-            source = _unpack(path) if kind_of(path.name) is FileKind.ZIP else path
+            source = self._unpack(path, share) if kind_of(path.name) is FileKind.ZIP else path
             asked = AlgorithmRequest(
                 name=request.name, setup=request.setup, replace=request.replace, executor=request.executor
             )
@@ -117,23 +118,30 @@ class UploadImports:
             yield path
 
     @contextmanager
-    def _unpacked(self, token: str, owner: str, progress: Progress) -> Iterator[Path]:
+    def _unpacked(self, token: str, owner: str, progress: Progress, share: Share) -> Iterator[Path]:
         """The checked file, or the folder that was in the archive, for the block."""
         with self.opened(token, owner, progress) as path:
             if kind_of(path.name) not in (FileKind.ZIP, FileKind.TAR):
                 yield path
                 return
             progress(_CHECKED, "unpacking")
-            yield _unpack(path)
+            yield self._unpack(path, share)
 
+    def _unpack(self, path: Path, share: Share) -> Path:
+        """Unpack an archive beside itself; the only folder in it, or all of it if there is more.
 
-def _unpack(path: Path) -> Path:
-    """Unpack an archive beside itself; the only folder in it, or all of it if there is more."""
-    folder = path.parent / "unpacked" / _stem(path.name)
-    folder.mkdir(parents=True)
-    unpack(path, kind_of(path.name), folder)
-    entries = list(folder.iterdir())
-    return entries[0] if len(entries) == 1 and entries[0].is_dir() else folder
+        What is unpacked is taken out of ``share``, and leaves the room on the disk that runs need.
+        """
+        folder = path.parent / "unpacked" / _stem(path.name)
+        folder.mkdir(parents=True)
+
+        def room(piece_bytes: int) -> None:
+            share.take(Lent.UNPACKED, piece_bytes)
+            self.uploads.check_free(path.name)
+
+        unpack(path, kind_of(path.name), folder, room=room)
+        entries = list(folder.iterdir())
+        return entries[0] if len(entries) == 1 and entries[0].is_dir() else folder
 
 
 def _stem(name: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import secrets
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -101,6 +102,12 @@ class Uploads:
         if not _TOKEN.fullmatch(token) or folder.promise.owner != owner:
             raise folder.unknown
         return folder
+
+    def check_free(self, name: str) -> None:
+        """Raise Unavailable if the disk has no more room than runs need."""
+        free = shutil.disk_usage(self.root).free
+        if free < self._settings.min_free_disk_mb * 1_000_000:
+            raise Unavailable(f"{name} does not fit on the disk: {free / 1e6:,.0f} MB are free", "free some space")
 
     def remove(self, token: str, owner: str) -> None:
         """Remove one upload; raises NotFound, and Conflict while it is in use."""

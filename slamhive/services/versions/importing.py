@@ -128,7 +128,7 @@ def _unpack_checked(path: Path, aside: Path) -> dict[str, Any]:
             elif member.name.startswith(PACKAGE):
                 unpacked += member.size
                 _check_size(path, unpacked)
-                _write(aside / "package" / _relative(path, member.name), hashed.read())
+                _write(aside / "package" / _relative(path, member.name), hashed)
             while hashed.read(BLOCK_BYTES):
                 pass
             found[member.name] = hashed.checksum
@@ -152,10 +152,12 @@ def _relative(path: Path, name: str) -> PurePosixPath:
     return inside
 
 
-def _write(target: Path, content: bytes) -> None:
+def _write(target: Path, content: HashedReader) -> None:
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(content)
+        with target.open("wb") as stream:
+            while block := content.read(BLOCK_BYTES):
+                stream.write(block)
     except OSError as error:
         raise Unavailable(f"{target} cannot be written: {error.strerror}", "check space and rights") from None
 

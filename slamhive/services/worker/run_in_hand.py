@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any, Unpack
 
 from slamhive.domain.run import FailureReason, RunEvent, RunState
-from slamhive.domain.visibility import Sharing
+from slamhive.domain.visibility import NO_SHARING, Sharing
 from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.executors.base import Executor
 from slamhive.executors.spec import RunSpec
@@ -18,6 +18,7 @@ from slamhive.runs.folder import RunFolder
 from slamhive.services.json_values import exact
 from slamhive.services.runs import RecordKeeper, handle_from_json, spec_from_json
 from slamhive.services.worker.context import DriverContext, WorkerStopping
+from slamhive.shown_paths import relative_paths
 from slamhive.store import Transaction
 from slamhive.store.records import LeaseLost, RunFields, RunRecord
 
@@ -76,19 +77,30 @@ class RunInHand:
 
     def begin(self) -> None:
         """Write the record of a run that is about to be prepared; raises LeaseLost."""
-        self._write_sharing()
-        self._write_held(lambda events: self.keeper.begin(self.run, events))
+        self._write_held(self._begin_record)
 
-    def _write_sharing(self) -> None:
-        """Write who owns and sees the run, unless its experiment says it. A later attempt leaves what users changed."""
-        run = self.run
-        owner = run.owner if run.experiment_id is None else None
-        if (owner, run.visibility) != (None, None) and not self.folder.sharing.exists():
-            self.folder.write_sharing(Sharing(owner, run.visibility))
+    def _begin_record(self, transaction: Transaction, changes: dict[str, Any] | None = None) -> None:
+        """Write a record that does not exist yet, and before it who owns and sees the run."""
+        self._write_sharing(transaction)
+        self.keeper.begin(self.run, transaction.runs.events(self.run.id), changes)
+
+    def _write_sharing(self, transaction: Transaction) -> None:
+        """Write who owns and sees the run, unless its experiment says it. A later attempt leaves what users changed.
+
+        Users may change it until the record exists: in the row, which this transaction has locked, and in the ledger.
+        """
+        if self.folder.record.exists() and self.folder.sharing.exists():
+            return
+        run = transaction.runs.get(self.run.id)
+        sharing = Sharing(run.owner if run.experiment_id is None else None, run.visibility)
+        if sharing == NO_SHARING:
+            self.folder.sharing.unlink(missing_ok=True)  # of an attempt that was killed before it wrote a record
+        else:
+            self.folder.write_sharing(sharing)
 
     def save(self, changes: dict[str, Any], *, without: str | None = None) -> None:
         """Add ``changes`` to the record and drop the key ``without``; raises LeaseLost."""
-        self._write_held(lambda events: self._save(events, changes, without=without))
+        self._write_held(lambda t: self._save(t.runs.events(self.run.id), changes, without=without))
 
     def move(
         self,
@@ -129,7 +141,7 @@ class RunInHand:
             except (InvalidInput, NotFound):
                 if target.active:
                     raise
-                self.keeper.begin(self.run, events, changes)
+                self._begin_record(transaction, changes)
 
         context.store.write(work)
         self.reload()
@@ -155,10 +167,10 @@ class RunInHand:
     def _save(self, events: Sequence[RunEvent], changes: dict[str, Any], *, without: str | None = None) -> None:
         self.keeper.save(events, {"attempt": self.run.attempt, **changes}, without=without)
 
-    def _write_held(self, write: Callable[[Sequence[RunEvent]], None]) -> None:
+    def _write_held(self, write: Callable[[Transaction], None]) -> None:
         def work(transaction: Transaction) -> None:
             self._lock(transaction)
-            write(transaction.runs.events(self.run.id))
+            write(transaction)
 
         self.context.store.write(work)
 
@@ -169,8 +181,9 @@ class RunInHand:
             raise LeaseLost(f"run {self.run.id} is held by another worker now")
 
     def fail(self, reason: FailureReason, detail: str) -> None:
-        """End the run as failed."""
+        """End the run as failed. Whoever sees the run reads ``detail``, so it does not say where the data root lies."""
         logger.warning("run %d failed: %s: %s", self.run.id, reason, detail)
+        detail = relative_paths(self.context.settings.data)(detail)
         self.folder.create()
         ending = {"reason": reason.value, "detail": detail}
         self.move(RunState.FAILED, detail, record=ending, reason=reason, detail=detail)

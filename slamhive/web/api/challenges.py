@@ -59,8 +59,7 @@ def submit_to_challenge(name: str, body: IO[bytes]) -> ChallengeSubmission:
 
     The same files sent again on the same day are the same submission, and count once.
     """
-    files = challenge_files.of_body(body)
-    return challenge_files.send(name, request.args.get("team", ""), request.args.get("phase", ""), files)
+    return challenge_files.send_body(name, request.args.get("team", ""), request.args.get("phase", ""), body)
 
 
 @TABLE.post(Section.CHALLENGES, "/challenges/{name}/images", ChallengeSubmission, body=ImageEntry, status=202)

@@ -26,7 +26,8 @@ def experiments() -> Experiments:
 @TABLE.post(Section.EXPERIMENTS, "/experiments", ExperimentStatus, body=ExperimentRequest, status=201)
 def start_experiment(body: ExperimentRequest) -> ExperimentStatus:
     """Store the experiment in the file and queue its runs. The same file again completes an interrupted start."""
-    return ExperimentStatus.of(hive().experiments.start(ExperimentSource(body.yaml, SOURCE), body.executor))
+    source = ExperimentSource(body.yaml, SOURCE)
+    return ExperimentStatus.of(hive().experiments.start(source, body.executor, visibility=body.visibility))
 
 
 @TABLE.post(Section.EXPERIMENTS, "/experiments/preview", ExperimentPreview, body=YamlRequest)

@@ -72,7 +72,7 @@ def delete_upload(upload: str) -> Removal:
 def import_dataset(body: DatasetUpload) -> Upload:
     """Start making a dataset of an upload: one file, or a zip or tar archive of a folder."""
     imports, mine = hive().upload_imports, owner()
-    upload_work().start(body, mine, lambda progress: imports.dataset(body, mine, progress))
+    upload_work().start(body, mine, lambda progress, share: imports.dataset(body, mine, progress, share))
     return shown(body.upload)
 
 
@@ -80,7 +80,7 @@ def import_dataset(body: DatasetUpload) -> Upload:
 def import_runs(body: RunsUpload) -> Upload:
     """Start importing the trajectories in an uploaded archive as runs."""
     imports, mine = hive().upload_imports, owner()
-    upload_work().start(body, mine, lambda progress: imports.runs(body, mine, progress))
+    upload_work().start(body, mine, lambda progress, share: imports.runs(body, mine, progress, share))
     return shown(body.upload)
 
 
@@ -92,5 +92,5 @@ def import_algorithm(body: AlgorithmUpload) -> Upload:
     what `slamhive algorithm export` wrote.
     """
     imports, mine = hive().upload_imports, owner()
-    upload_work().start(body, mine, lambda progress: imports.algorithm(body, mine, progress))
+    upload_work().start(body, mine, lambda progress, share: imports.algorithm(body, mine, progress, share))
     return shown(body.upload)

@@ -39,8 +39,8 @@ def show(name: str) -> str:
 @blueprint.post("/<name>/submit")
 def submit(name: str) -> Response:
     """Take trajectories, and queue their evaluation."""
-    files = challenge_files.of_form(request.files.getlist("files"))
-    made = challenge_files.send(name, request.form.get("team", "").strip(), request.form.get("phase", ""), files)
+    team, phase = request.form.get("team", "").strip(), request.form.get("phase", "")
+    made = challenge_files.send_form(name, team, phase, request.files.getlist("files"))
     flash(f"Submission {made.id} of team {made.team} waits for its evaluation.", "success")
     return make_response(redirect(address("challenges.show", name=name, phase=made.phase), 303))
 

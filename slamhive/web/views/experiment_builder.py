@@ -8,6 +8,7 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 from flask import url_for as address
 
 from slamhive.domain.protocol import ALIGNMENT_LABELS
+from slamhive.domain.visibility import Visibility
 from slamhive.errors import SlamHiveError
 from slamhive.executors.registry import EXECUTORS
 from slamhive.services.experiments import ExperimentSource
@@ -46,7 +47,9 @@ def _start(edited: Draft) -> Response | tuple[str, int]:
     if edited.preview is None:
         return _builder_page(edited), 400
     try:
-        started = hive().experiments.start(ExperimentSource(edited.text, SOURCE))
+        chosen = request.form.get("visibility")
+        seen_by = Visibility.named(chosen) if chosen else None
+        started = hive().experiments.start(ExperimentSource(edited.text, SOURCE), visibility=seen_by)
     except SlamHiveError as error:
         return _builder_page(with_error(edited, error)), status_of(error)
     flash(f"Started {started.name} with {plural(started.runs, 'run')}.", "success")
@@ -54,7 +57,8 @@ def _start(edited: Draft) -> Response | tuple[str, int]:
 
 
 def _builder_page(edited: Draft) -> str:
-    return render_template("experiments/new.html", **_builder_words(edited))
+    visibility = request.form.get("visibility", "")
+    return render_template("experiments/new.html", **_builder_words(edited), visibility=visibility)
 
 
 def _parts(edited: Draft) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 
 from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.domain.run import RunState
+from slamhive.domain.visibility import VISIBILITY_LABELS
 from slamhive.errors import SlamHiveError
 from slamhive.executors.registry import EXECUTORS
 from slamhive.web.context import hive
@@ -76,6 +77,10 @@ def _page(filled: RunForm) -> str:
         preview=_preview(filled),
         content_options=CONTENT_OPTIONS,
         options=RUN_OPTIONS,
-        labels={"executor": {name: name for name in EXECUTORS.names()}, "alignment": ALIGNMENT_LABELS},
+        labels={
+            "executor": {name: name for name in EXECUTORS.names()},
+            "alignment": ALIGNMENT_LABELS,
+            "visibility": VISIBILITY_LABELS,
+        },
         step_kinds=step_kinds(),
     )

@@ -28,7 +28,7 @@ pytestmark = [
 def as_file(poses: Trajectory, unit: TimeUnit, order: QuaternionOrder, zero_s: float) -> PoseFile:
     """The poses as eight columns in that unit and order, counted from ``zero_s``."""
     quats = poses.quats_xyzw if order is XYZW else np.roll(poses.quats_xyzw, 1, axis=1)
-    table = NumberTable("run.txt", np.empty((0, 8)), [])
+    table = NumberTable("run.txt", np.empty((0, 8)), b"")
     return PoseFile(
         b"",
         TrajectoryFormat.TUM,

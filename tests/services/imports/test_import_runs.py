@@ -2,6 +2,8 @@
 
 import json
 import os
+import shutil
+import threading
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,6 +19,7 @@ from slamhive.errors import Conflict, InvalidInput
 from slamhive.files import write_aside
 from slamhive.schema.submission import Submission
 from slamhive.services.hive import open_hive
+from slamhive.services.imports import exclusive, service
 from slamhive.services.imports.exclusive import one_import
 from slamhive.services.imports.request import ImportRequest
 from slamhive.services.reindex import reindex
@@ -300,9 +303,37 @@ def test_reindex_restores_imported_runs(hive, source):
         again.close()
 
 
-def test_two_imports_at_once_are_refused(hive, source):
-    with one_import(hive.settings.runs_folder), pytest.raises(Conflict, match="another import"):
-        carry_out(hive, source)
+def test_who_waits_for_another_import_is_told_for_which_and_since_when(hive, source, monkeypatch):
+    monkeypatch.setattr(exclusive, "WAIT_S", 0.2)
+    said: list[str] = []
+    with one_import(hive.settings.runs_folder, "an archive of 30,000 runs"):
+        with pytest.raises(Conflict, match=r"another import files an archive of 30,000 runs since \d\d:\d\d:\d\d UTC"):
+            carry_out(hive, source)
+        with pytest.raises(Conflict), one_import(hive.settings.runs_folder, "1 trajectory", said.append):
+            pass
+        carry_out(hive, source, dry_run=True)
+    assert said
+    assert all(text.startswith("waiting: another import files an archive of 30,000 runs since") for text in said)
+
+
+def test_a_small_import_gets_its_turn_between_the_batches_of_a_large_one(hive, source, tmp_path, monkeypatch):
+    monkeypatch.setattr(service, "BATCH", 1)
+    small, reports = tmp_path / "small", []
+    shutil.copytree(source, small)
+    threads = []
+
+    def meanwhile(done, _total):
+        if done == 1:
+            threads.append(threading.Thread(target=lambda: reports.append(carry_out(hive, small))))
+            threads[0].start()
+            threads[0].join(20)
+
+    report = hive.imports.carry_out(ImportRequest(source, sensors=STEREO), meanwhile)
+    assert not threads[0].is_alive()
+    (other,) = reports
+    assert other.imported > 0
+    assert report.imported == 1
+    assert report.imported + other.imported == len(hive.runs.page(limit=1000).records)
 
 
 def test_a_full_disk_leaves_no_half_run(hive, source, monkeypatch):
