@@ -14,20 +14,21 @@ import threading
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 from slamhive.errors import Unavailable
-from slamhive.executors.process import landlock, namespaces
+from slamhive.executors.process import landlock, namespaces, supervisors
 from slamhive.executors.process.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.supervisor import OUTPUT_FOLDER
 from slamhive.executors.process.supervisors import launch
-from slamhive.executors.process.table import ProcessEntry, end_all, living, read_process
+from slamhive.executors.process.table import ProcessEntry, end_all, living, processes_of_user, read_process
 from slamhive.executors.registry import installation_id
 from slamhive.executors.spec import Limits
 from slamhive.executors.status import Gone, Running
 from slamhive.runs.log_line import last_error_line
-from tests.executors.conftest import wait_for_end
+from tests.executors.conftest import HOLDING, wait_for_end
 from tests.executors.test_contract import SAVES_ITS_MAP
 from tests.waiting import PATIENCE_S, eventually
 
@@ -310,3 +311,28 @@ def test_a_slow_list_does_not_keep_processes_alive():
 
         assert end_all(listed, 0.1)
         assert process.wait(PATIENCE_S) == -signal.SIGKILL
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("maker", ["process-user"], indirect=True)
+def test_a_supervisor_that_ends_slowly_leaves_nobody(bench, monkeypatch):
+    """Root without the right to look into processes of others, as in a container, finds a run by its user alone."""
+    if bench.containment not in HOLDING:
+        pytest.skip("a run cannot have a user of its own here")
+
+    def later(process: psutil.Process, number: signal.Signals) -> None:
+        threading.Timer(0.5, process.send_signal, (number,)).start()
+
+    monkeypatch.setattr(supervisors, "send_signal", later)
+    monkeypatch.setattr(supervisors, "_environment", lambda _pid: [])
+    script = (
+        "import os, pathlib, time\n"
+        "if os.fork() == 0:\n    os.setsid()\n    time.sleep(100)\n"
+        "pathlib.Path(os.environ.get('SLAMHIVE_RESULT', '/slamhive/result'), 'ready').touch()\ntime.sleep(100)\n"
+    )
+    spec, handle = bench.start(script)
+    bench.wait_for(spec, handle)
+    uid = json.loads(handle.data["containment"])["uid"]
+    assert len(living(processes_of_user(uid))) == 2
+    supervisors.kill_leftovers(handle)
+    assert living(processes_of_user(uid)) == []

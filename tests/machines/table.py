@@ -283,10 +283,14 @@ def table(rows: list[Row]) -> str:
 
 
 def main(wanted: list[str]) -> int:
-    """Measure all contexts, or those whose names hold one of the words, and print the table."""
+    """Measure all contexts, or those whose executor and name hold one of the words, and print the table."""
     lab = Lab()
     lab.build()
-    contexts = tuple(context for context in CONTEXTS if not wanted or any(word in context.name for word in wanted))
+    contexts = tuple(
+        context
+        for context in CONTEXTS
+        if not wanted or any(word in f"{context.executor}: {context.name}" for word in wanted)
+    )
     rows = []
     for kernel, group in itertools.groupby(contexts, key=lambda context: context.kernel):
         with lab.machine(NUMBER, kernel) as machine:

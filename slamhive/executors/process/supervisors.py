@@ -140,6 +140,8 @@ def kill_leftovers(handle: RunHandle) -> None:
     supervisor = supervisor_of(handle)
     if supervisor is not None:
         send_signal(supervisor, signal.SIGKILL)
+        # Until it has ended it holds the lock on the run's user, and nobody else can tell who belongs to the run.
+        wait_until(lambda: supervisor_of(handle) is None, KILL_WAIT_S)
     containment = containment_of(handle)
     if containment is not None:
         containment.end(KILL_WAIT_S)
