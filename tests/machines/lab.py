@@ -58,7 +58,7 @@ class Lab:
         if not (self.folder / "base.img").exists():
             self._vm("build")
         root = self.folder / "slamhive-root"
-        shutil.rmtree(root, ignore_errors=True)
+        _remove(root)
         subprocess.run(["cp", "-a", self.folder / "root", root], check=True)
         self._certificates(root)
         with _mounted(root):
@@ -84,7 +84,7 @@ class Lab:
             stream.truncate(24 * 2**30)
         _quietly(["mkfs.ext4", "-q", "-F", "-d", str(root), str(aside)])
         aside.rename(self.image)
-        shutil.rmtree(root)
+        _remove(root)
 
     @contextmanager
     def machine(self, number: int, kernel: str = "") -> Iterator[Machine]:
@@ -184,6 +184,15 @@ def _copy_tree(to: Path) -> None:
         tar.stdin.write(present)
         tar.stdin.close()
         assert untar.wait() == 0
+
+
+def _remove(root: Path) -> None:
+    """Remove the files of a machine. A build that was killed has left this machine's own devices mounted in there."""
+    for line in reversed(Path("/proc/self/mounts").read_text(encoding="utf-8").splitlines()):
+        place = line.split()[1]
+        if place.startswith(f"{root}/"):
+            subprocess.run(["umount", place], check=True)
+    subprocess.run(["rm", "-rf", "--one-file-system", str(root)], check=True)
 
 
 def _quietly(command: Sequence[str]) -> None:
