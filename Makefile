@@ -18,11 +18,12 @@ demo:
 	@python=$$(sh tools/find-python.sh) && "$$python" tools/bootstrap.py demo
 	@.venv/bin/slamhive demo $(if $(filter 0 no false,$(SERVE)),--no-serve,--serve)
 
-test: environment
+test:
+	@python=$$(sh tools/find-python.sh) && "$$python" tools/bootstrap.py test $(TIERS)
 	@.venv/bin/python tools/test.py $(TIERS)
 
 environment:
-	@python=$$(sh tools/find-python.sh) && "$$python" tools/bootstrap.py test
+	@python=$$(sh tools/find-python.sh) && "$$python" tools/bootstrap.py environment
 
 docs-serve: environment
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs serve --dev-addr 127.0.0.1:8000
