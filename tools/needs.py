@@ -90,9 +90,10 @@ def database() -> tuple[str, ...]:
 
 
 def libraries() -> tuple[str, ...]:
-    """The shared libraries that ORB-SLAM3 loads outside containers, and a compose that checks the deployment."""
+    """The shared libraries that ORB-SLAM3 loads outside containers, and what checks the deployment."""
     compose = () if machine.has_compose() else (machine.available(*COMPOSE_PACKAGES),)
-    return (*_missing(ORB_SLAM3_LIBRARIES), *(name for name in compose if name))
+    systemd = () if find_program("systemd-analyze") else ("systemd",)
+    return (*_missing(ORB_SLAM3_LIBRARIES), *(name for name in compose if name), *systemd)
 
 
 def browser() -> tuple[str, ...]:
