@@ -25,6 +25,7 @@ test:
 
 install:
 	@python=$$(sh tools/find-python.sh) && "$$python" tools/bootstrap.py demo
+	@.venv/bin/python -m compileall -q slamhive  # services may not write here, and would compile at each start
 
 environment:
 	@python=$$(sh tools/find-python.sh) && "$$python" tools/bootstrap.py environment

@@ -17,6 +17,7 @@ import machine
 from steps import StepFailed, say
 
 from slamhive.debian import find_program, install_command
+from slamhive.executors.docker.address import JOIN
 
 ROOT = Path(__file__).resolve().parent.parent
 BASE_SCRIPT = ROOT / "docker" / "base" / "make-base.sh"
@@ -41,6 +42,8 @@ class Need:
     packages: tuple[str, ...]
     purpose: str
     required: bool = False
+    then: str = ""
+    """A command for root that follows the installation."""
 
 
 def for_environment() -> list[Need]:
@@ -142,7 +145,12 @@ def for_tests(tiers: Iterable[str]) -> list[Need]:
     for tier, needed in OF_TIERS.items():
         for look in needed if tier in chosen else ():
             looks.setdefault(look, []).append(tier)
-    return [*for_environment(), *(Need(look(), f"tests of {', '.join(names)}") for look, names in looks.items())]
+    found = for_environment()
+    for look, names in looks.items():
+        packages = look()
+        join = JOIN if ENGINE_PACKAGES[0] in packages else ""
+        found.append(Need(packages, f"tests of {', '.join(names)}", then=join))
+    return found
 
 
 def provide(needs: Iterable[Need]) -> None:
@@ -160,9 +168,13 @@ def provide(needs: Iterable[Need]) -> None:
     print("Only root can install what is missing here:")
     for need in needs:
         print(f"  {' '.join(need.packages)}\n    {need.purpose}")
-    command = install_command(packages)
-    print(f"This installs all of it:\n  {command}", flush=True)
-    if _agrees() and subprocess.run(command.split(), check=False).returncode == 0:
+    afterwards = [need.then for need in needs if need.then]
+    command = " && ".join([install_command(packages), *afterwards])
+    print(f"This installs all of it:\n  {command}")
+    if afterwards:
+        print("Then log in again, so that your new group counts.")
+    sys.stdout.flush()
+    if _agrees() and subprocess.run(["/bin/sh", "-c", command], check=False).returncode == 0:
         return
     required = [package for need in needs if need.required for package in need.packages]
     if required:

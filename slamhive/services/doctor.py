@@ -111,8 +111,8 @@ def _executor(hive: Hive) -> list[Check]:
         problem = executor.unavailable_because()
         verdict = Verdict.OK if problem is None else Verdict.WARNING
         checks.append(Check(f"executor {executor.name}", verdict, problem or "can be used"))
-    chosen, reason = hive.executors.default()
-    return [*checks, Check("executor in force", Verdict.OK, f"{chosen} ({reason})")]
+    _, reason = hive.executors.default()
+    return [*checks, Check("executor in force", Verdict.OK, reason)]
 
 
 def _executor_findings(hive: Hive) -> list[Check]:

@@ -49,8 +49,11 @@ def test_the_system_comes_first_then_the_rootless_engine(user, tmp_path, listeni
 
 def test_a_closed_system_socket_gives_way_to_the_rootless_engine(user, tmp_path, listening, monkeypatch):
     (tmp_path / "system.sock").touch()
-    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    monkeypatch.setattr(os, "access", lambda path, mode: path == listening)
     assert engine_address(user) == f"unix://{listening}"
+    # Both are closed: a service that may not look into the folders of users.
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    assert engine_address(user) == f"unix://{tmp_path}/system.sock"
 
 
 def test_the_variable_and_the_context_come_before_both(user, tmp_path, listening):

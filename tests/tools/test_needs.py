@@ -107,6 +107,13 @@ def test_the_tests_ask_for_what_the_named_tiers_need():
     assert {"docker.io", "debootstrap", "poppler-utils", "slurm-wlm", *needs.ORB_SLAM3_LIBRARIES} <= everything
 
 
+def test_who_gets_an_engine_joins_its_group_in_the_same_line(capsys):
+    needs.provide(needs.for_tests(["docker"]))
+    said = capsys.readouterr().out
+    assert re.search(r"^  sudo apt-get install .*docker\.io.* && sudo usermod -aG docker \$USER$", said, re.MULTILINE)
+    assert "Then log in again" in said
+
+
 def test_root_installs_what_is_missing(monkeypatch):
     installed: list[str] = []
     monkeypatch.setattr(machine, "can_install", lambda: True)
@@ -128,7 +135,8 @@ def test_who_sits_at_a_terminal_may_have_it_run(monkeypatch, capsys, answer, run
 
     monkeypatch.setattr("needs.subprocess.run", run)
     needs.provide(needs.for_demo())
-    assert ran == ([["sudo", "apt-get", "install", *needs.ORB_SLAM3_LIBRARIES]] if runs else [])
+    command = f"sudo apt-get install {' '.join(needs.ORB_SLAM3_LIBRARIES)}"
+    assert ran == ([["/bin/sh", "-c", command]] if runs else [])
     assert ("Going on without it." in capsys.readouterr().out) is not runs
 
 

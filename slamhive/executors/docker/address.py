@@ -19,7 +19,7 @@ from slamhive.debian import as_root, find_program, install_command
 
 SYSTEM_SOCKET = "/var/run/docker.sock"
 _SOCKET_TIMEOUT_S = 5
-_JOIN = "sudo usermod -aG docker $USER"
+JOIN = "sudo usermod -aG docker $USER"
 _AGAIN = "then log in again"
 
 
@@ -44,13 +44,18 @@ def engine_address(environment: Mapping[str, str] = os.environ) -> str:
     if chosen is not None:
         return chosen
     own = user_socket(environment)
-    rootless = not os.access(SYSTEM_SOCKET, os.R_OK | os.W_OK) and own.exists()
+    # Services that may not look into /run/user learn no more than that there is nothing for them.
+    rootless = not _may_use(SYSTEM_SOCKET) and _may_use(own)
     return f"unix://{own if rootless else SYSTEM_SOCKET}"
 
 
 def user_socket(environment: Mapping[str, str] = os.environ) -> Path:
     """The socket of a rootless engine of this user. A service of the system lacks the variable, but not the folder."""
     return Path(environment.get("XDG_RUNTIME_DIR") or f"/run/user/{os.getuid()}", "docker.sock")
+
+
+def _may_use(path: str | Path) -> bool:
+    return os.access(path, os.R_OK | os.W_OK)
 
 
 def socket_path(address: str) -> str | None:
@@ -79,7 +84,7 @@ def _closed(path: str) -> Trouble:
     try:
         group = grp.getgrgid(Path(path).stat().st_gid)
     except (OSError, KeyError):
-        return Trouble(problem, f"{_JOIN}, {_AGAIN}", is_closed=True)
+        return Trouble(problem, f"{JOIN}, {_AGAIN}", is_closed=True)
     remedy = f"sudo usermod -aG {group.gr_name} $USER, {_AGAIN}"
     if user in group.gr_mem:
         problem += f": this session is older than its membership of the group {group.gr_name}"
@@ -99,7 +104,7 @@ def _start(path: str) -> str:
     if find_program("dockerd") is not None:
         return as_root("systemctl start docker")
     install = install_command(["docker.io"])
-    return install if os.geteuid() == 0 else f"{install} && {_JOIN}, {_AGAIN}"
+    return install if os.geteuid() == 0 else f"{install} && {JOIN}, {_AGAIN}"
 
 
 def _address_of_context(environment: Mapping[str, str]) -> str | None:
