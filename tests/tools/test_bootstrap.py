@@ -79,6 +79,7 @@ def test_failed_install_leaves_no_stamp(project, capsys, monkeypatch):
         raise steps.StepFailed("no network")
 
     (project / "constraints.txt").write_text("")
+    monkeypatch.setattr(needs, "for_tests", lambda tiers: [])
     monkeypatch.setattr(bootstrap, "run_step", refuse)
     monkeypatch.setattr(installer, "run_step", refuse)
     assert bootstrap.main(["test"]) == 1
