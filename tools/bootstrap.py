@@ -1,29 +1,32 @@
 """Makes ``.venv`` and installs SLAM Hive into it. Standard library only; needs Python >= 3.11.
 
-``bootstrap.py demo`` installs what running needs, ``bootstrap.py test`` the development and documentation tools
-and what drives a browser too. An environment made from the same files is used again.
+``bootstrap.py demo`` installs what running needs, ``bootstrap.py test TIER ...`` the development and documentation
+tools and what drives a browser too. Both first ask for what only root can install, for the demo or for the tiers.
+``bootstrap.py environment`` does as ``test``, but asks for what makes the environment alone.
+An environment made from the same files is used again.
 ``PIP_*`` variables and pip's own configuration are honoured; nothing here names a package index.
 """
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import installer
-import machine
+import needs
 from steps import StepFailed, run_step, say
 
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / ".venv"
 STAMP = ENVIRONMENT / ".slamhive-stamp.json"
-EXTRAS: dict[str, tuple[str, ...]] = {"demo": (), "test": ("browser", "dev", "docs")}
+_TOOLS = ("browser", "dev", "docs")
+EXTRAS: dict[str, tuple[str, ...]] = {"demo": (), "test": _TOOLS, "environment": _TOOLS}
 SOURCES = ("pyproject.toml", "setup.py", "constraints.txt")
 COMPILE = (
     "import compileall, re, sysconfig;"
@@ -55,11 +58,6 @@ def missing_extras(wanted: tuple[str, ...]) -> tuple[str, ...] | None:
 
 def make_environment() -> None:
     """Make an empty ``.venv``; nothing is left if that fails."""
-    if importlib.util.find_spec("ensurepip") is None:
-        machine.install_or_explain(
-            (f"python{sys.version_info.major}.{sys.version_info.minor}-venv",),
-            f"{sys.executable} cannot make virtual environments",
-        )
     shutil.rmtree(ENVIRONMENT, ignore_errors=True)
     try:
         run_step("make the environment .venv", [sys.executable, "-m", "venv", ENVIRONMENT])
@@ -97,13 +95,22 @@ def bootstrap(purpose: str) -> None:
     STAMP.write_text(json.dumps({"fingerprint": fingerprint(), "extras": sorted(extras)}) + "\n")
 
 
+def _needs(purpose: str, tiers: Sequence[str]) -> list[needs.Need]:
+    """What only root can install, of what ``purpose`` needs."""
+    if purpose == "demo":
+        return needs.for_demo()
+    return needs.for_tests(tiers) if purpose == "test" else needs.for_environment()
+
+
 def main(arguments: list[str]) -> int:
     """Run from the Makefile."""
-    if len(arguments) != 1 or arguments[0] not in EXTRAS:
-        print(f"usage: bootstrap.py {'|'.join(EXTRAS)}", file=sys.stderr)
+    purpose, *tiers = arguments or [""]
+    if purpose not in EXTRAS or (tiers and purpose != "test"):
+        print(f"usage: bootstrap.py {'|'.join(EXTRAS)} [TIER ...]", file=sys.stderr)
         return 2
     try:
-        bootstrap(arguments[0])
+        needs.provide(_needs(purpose, tiers))
+        bootstrap(purpose)
     except StepFailed as error:
         print(error, file=sys.stderr)
         return 1

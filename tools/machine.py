@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import http.client
+import json
 import os
 import shutil
 import signal
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -16,19 +18,19 @@ from urllib.parse import urlsplit
 
 from steps import StepFailed, run_step, say
 
-DOCKER_SOCKET = "/var/run/docker.sock"
+sys.path.insert(1, str(Path(__file__).resolve().parent.parent))  # SLAM Hive may not be installed yet
+
+from slamhive.executors.docker.address import Trouble, engine_address, socket_path, trouble_with
+
 ENGINE_PID_FILE = Path("/var/run/docker.pid")
 ENGINE_START_S = 60.0
+ASK_S = 5.0
+PULL_S = 600.0
 
 
 def can_install() -> bool:
     """Root on Debian or Ubuntu."""
     return os.geteuid() == 0 and shutil.which("apt-get") is not None
-
-
-def install_command(packages: Sequence[str]) -> str:
-    """The command for a user to type."""
-    return f"sudo apt-get install {' '.join(packages)}"
 
 
 def absent(packages: Sequence[str]) -> tuple[str, ...]:
@@ -54,13 +56,6 @@ def install(packages: Sequence[str]) -> None:
         run_step(label, command, environment)
 
 
-def install_or_explain(packages: Sequence[str], problem: str) -> None:
-    """Install what is missing where that is possible, else raise StepFailed naming the command."""
-    if not can_install():
-        raise StepFailed(f"{problem}; install what is missing: {install_command(packages)}")
-    install(packages)
-
-
 def available(*names: str) -> str | None:
     """The first of these packages that can be installed here, None if none can."""
     for name in names:
@@ -81,8 +76,8 @@ def has_compose() -> bool:
 class _UnixConnection(http.client.HTTPConnection):
     """HTTP over a Unix socket."""
 
-    def __init__(self, path: str) -> None:
-        super().__init__("localhost", timeout=5.0)
+    def __init__(self, path: str, timeout_s: float) -> None:
+        super().__init__("localhost", timeout=timeout_s)
         self._path = path
 
     def connect(self) -> None:
@@ -92,18 +87,63 @@ class _UnixConnection(http.client.HTTPConnection):
 
 
 def engine_answers() -> bool:
-    """A Docker engine answers on ``DOCKER_HOST`` or the usual socket."""
-    target = urlsplit(os.environ.get("DOCKER_HOST") or f"unix://{DOCKER_SOCKET}")
-    connection: http.client.HTTPConnection
-    if target.scheme == "unix":
-        connection = _UnixConnection(target.path)
-    else:
-        connection = http.client.HTTPConnection(target.hostname or "localhost", target.port or 2375, timeout=5.0)
+    """The Docker engine of this user answers."""
+    return engine_trouble() is None
+
+
+def engine_trouble() -> Trouble | None:
+    """Why no Docker engine answers this user, and the remedy; None if one does."""
+    address = engine_address()
+    path = socket_path(address)
+    trouble = None if path is None else trouble_with(path)
+    if trouble is not None:
+        return trouble
     try:
-        connection.request("GET", "/_ping")
-        return connection.getresponse().status == http.client.OK
+        if _ask_engine("GET", "/_ping", ASK_S)[0] == http.client.OK:
+            return None
+    except (OSError, http.client.HTTPException):
+        pass
+    return Trouble(f"no Docker engine answers at {address}", "start it, or correct DOCKER_HOST")
+
+
+def has_image(name: str) -> bool:
+    """Whether the engine has an image of this name."""
+    try:
+        return _ask_engine("GET", f"/images/{name}/json", ASK_S)[0] == http.client.OK
     except (OSError, http.client.HTTPException):
         return False
+
+
+def pull(name: str) -> str | None:
+    """Pull an image; why that failed in one line, None if it did not."""
+    repository, _, tag = name.rpartition(":")
+    started = time.monotonic()
+    try:
+        status, answer = _ask_engine("POST", f"/images/create?fromImage={repository}&tag={tag}", PULL_S)
+    except (OSError, http.client.HTTPException) as error:
+        return str(error) or type(error).__name__
+    # The engine answers 200 before it begins, and says in the last line how it went.
+    last = json.loads((answer.strip().splitlines() or ["{}"])[-1])
+    problem = last.get("error") or (None if status == http.client.OK else last.get("message", f"status {status}"))
+    if problem is None:
+        say(f"pull {name}", f"{time.monotonic() - started:6.1f} s")
+    return problem
+
+
+def _ask_engine(method: str, path: str, timeout_s: float) -> tuple[int, str]:
+    """Status and body of the engine's answer. Raises OSError or HTTPException."""
+    address = engine_address()
+    target = urlsplit(address)
+    socket_of_engine = socket_path(address)
+    connection: http.client.HTTPConnection
+    if socket_of_engine is not None:
+        connection = _UnixConnection(socket_of_engine, timeout_s)
+    else:
+        connection = http.client.HTTPConnection(target.hostname or "localhost", target.port or 2375, timeout=timeout_s)
+    try:
+        connection.request(method, path)
+        response = connection.getresponse()
+        return response.status, response.read().decode(errors="replace")
     finally:
         connection.close()
 

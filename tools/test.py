@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -27,8 +26,11 @@ from typing import IO
 from unittest import mock
 
 import machine
+import needs
 import speed
 from steps import StepFailed
+
+from slamhive.debian import install_command
 
 ROOT = Path(__file__).resolve().parent.parent
 BIN = Path(sys.executable).parent
@@ -43,15 +45,7 @@ MAY_BE_ABSENT = ("shared/data", "SOURCE_ARCHIVES is empty", "KUBE_TOOLS is empty
 """A skipped test whose reason names one is fine everywhere: recordings, and sources and programs of other projects."""
 
 RUFF = (("check", "."), ("format", "--check", "."))
-ORB_SLAM3_LIBRARIES = ("libgl1", "libegl1", "libopengl0", "libsm6", "libice6", "libx11-6", "libxext6")
-BROWSER_PACKAGES = ("chromium-headless-shell", "chromium")
-SLURM_PACKAGES = ("slurm-wlm", "munge", "charliecloud")
 MACHINES = ROOT.parent / "shared" / "machines" / "vm"
-MACHINE_PACKAGES = ("qemu-system-x86", "qemu-utils", "debootstrap", "e2fsprogs", "openssh-client")
-ENGINE_PACKAGES = ("docker.io", "iptables")
-BESIDE_THE_ENGINE = ("debootstrap", "docker-registry")
-COMPOSE_PACKAGES = ("docker-compose-v2", "docker-compose-plugin", "docker-compose")
-CLIENT_PACKAGE = "docker-cli"
 AT_ONCE = 4
 """Tiers at once. With more, processes take each other's caches, and the same tests a fifth more CPU time."""
 LONGEST_FILES = 6
@@ -65,9 +59,6 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 NO_TESTS = 5
 """The exit code of pytest if it found no tests."""
 NO_ENGINE = "unix:///nonexistent/docker.sock"
-DATABASE_PACKAGES = ("mariadb-server-core", "mariadb-client-core")
-DATABASE_SETUP = ("mariadb-install-db", "my_print_defaults")
-"""What makes the system tables of a new MariaDB server. Debian has moved the second into the package of the client."""
 
 
 class CannotRun(Exception):
@@ -347,86 +338,58 @@ def read_report(path: Path) -> Outcome:
 
 
 def prepare_database() -> str:
-    """A MariaDB or MySQL server and what sets it up; the tests start a private server themselves."""
-
-    def is_there(name: str) -> bool:
-        return shutil.which(name, path=_server_path()) is not None
-
-    if is_there("mariadbd") and all(map(is_there, DATABASE_SETUP)):
-        return ""
-    if is_there("mysqld") and not is_there("mariadbd"):
-        return ""
-    if not machine.can_install():
-        raise CannotRun(f"no MariaDB or MySQL server here; enable: {machine.install_command(DATABASE_PACKAGES)}")
-    machine.install(DATABASE_PACKAGES)
-    return ""
+    """A MariaDB or MySQL server."""
+    missing = needs.database()
+    if missing and not machine.can_install():
+        raise CannotRun(f"no MariaDB or MySQL server here; enable: {install_command(missing)}")
+    return provide(missing)
 
 
 def prepare_libraries() -> str:
-    """The shared libraries that ORB-SLAM3 loads outside containers, and a compose that checks the deployment."""
-    missing = machine.absent(ORB_SLAM3_LIBRARIES) if shutil.which("dpkg-query") else ()
-    wanted = list(missing)
-    if not machine.has_compose():
-        compose = machine.available(*COMPOSE_PACKAGES) if machine.can_install() else COMPOSE_PACKAGES[0]
-        wanted += [name for name in (compose,) if name]
-    return provide(wanted)
+    """What runs outside containers load, and a compose."""
+    return provide(needs.libraries())
 
 
 def prepare_browser() -> str:
-    """A browser without a screen, and what reads the PDF files that it prints."""
-    there = next(filter(shutil.which, (*BROWSER_PACKAGES, "google-chrome")), None)
-    browser = there or (machine.available(*BROWSER_PACKAGES) if machine.can_install() else BROWSER_PACKAGES[-1])
-    return prepare_packages([name for name in (browser if there is None else None, "poppler-utils") if name])
+    """A browser and what reads its PDF files."""
+    return provide(needs.browser())
 
 
 def prepare_pictures() -> str:
     """A browser, and what the algorithms of the demo load outside containers."""
-    return prepare_libraries() + prepare_browser()
+    return provide((*needs.libraries(), *needs.browser()))
 
 
 def prepare_clusters() -> str:
-    """Slurm, and a container runtime that needs no root."""
-    return prepare_packages(SLURM_PACKAGES)
+    """Slurm and a container runtime."""
+    return provide(needs.clusters())
 
 
 def prepare_machines() -> str:
     """Programs that make virtual machines, and the one of ../shared that drives them."""
     if not MACHINES.is_file():
         raise CannotRun(f"the program that makes virtual machines is not here: {MACHINES}")
-    return prepare_packages(MACHINE_PACKAGES)
-
-
-def prepare_packages(names: Sequence[str]) -> str:
-    """Provide those of these packages that dpkg does not have."""
-    return provide(machine.absent(names) if shutil.which("dpkg-query") else ())
+    return provide(needs.machines())
 
 
 def provide(missing: Sequence[str]) -> str:
     """Install these packages; what to do about them where that is not possible."""
     if missing and not machine.can_install():
-        return f"parts are skipped; enable: {machine.install_command(missing)}"
+        return f"parts are skipped; enable: {install_command(missing)}"
     if missing:
         machine.install(missing)
     return ""
 
 
 def prepare_engine(engine: machine.Engine) -> str:
-    """A Docker engine that answers, debootstrap for images where no registry answers, and a registry for tests."""
-    wanted = machine.absent(BESIDE_THE_ENGINE) if machine.can_install() else ()
-    if machine.engine_answers():
-        if wanted:
-            machine.install(wanted)
-        return ""
-    if not machine.can_install():
-        command = machine.install_command((*ENGINE_PACKAGES, *BESIDE_THE_ENGINE))
-        raise CannotRun(f"no Docker engine answers; enable: {command}, then: sudo usermod -aG docker $USER")
-    if shutil.which("dockerd", path=_server_path()) is None:
-        client = (CLIENT_PACKAGE,) if machine.available(CLIENT_PACKAGE) else ()
-        machine.install((*ENGINE_PACKAGES, *BESIDE_THE_ENGINE, *client))
-    elif wanted:
-        machine.install(wanted)
-    if not machine.engine_answers():
-        engine.start()
+    """A Docker engine that answers, and what its tests need beside it."""
+    trouble = machine.engine_trouble()
+    if machine.can_install():
+        provide(needs.engine())
+        if trouble is not None:
+            engine.start()
+    elif trouble is not None:
+        raise CannotRun(f"{trouble.problem}; enable: {trouble.remedy}")
     return ""
 
 
@@ -471,10 +434,6 @@ def _last_line(outcomes: dict[str, Outcome], bad: int, seconds: float) -> None:
     verdict += f" ({', '.join(not_run)} did not run)" if not_run else ""
     print(verdict)
     print(f"{passed} passed, {failed} failed, {skipped} skipped in {seconds:.1f}s")
-
-
-def _server_path() -> str:
-    return f"{os.environ.get('PATH', '')}:/usr/local/sbin:/usr/sbin:/sbin"
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from slamhive.files import hash_files
 HOST_CERTIFICATES = Path("/usr/local/share/ca-certificates")
 """Where Debian and Ubuntu keep the certificates of private authorities."""
 
-RUNTIME_PARTS = ("__init__.py", "errors.py", "files.py", "input_bounds.py", "strict_yaml.py", "runtime")
+RUNTIME_PARTS = ("__init__.py", "debian.py", "errors.py", "files.py", "input_bounds.py", "strict_yaml.py", "runtime")
 """What runs inside the images: the runtime and the modules that it imports."""
 
 RENDERING_PARTS = (

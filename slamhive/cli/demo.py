@@ -44,7 +44,7 @@ def run_demo(hive: Hive, seconds: float) -> None:
     hive.check_writable()
     began = monotonic_s()
     executor, reason = hive.executors.default()
-    tell(f"executor: {executor} ({reason})")
+    tell(f"executor: {reason}")
     text = (hive.catalogue.project_root / FILE).read_text(encoding="utf-8")
     asked = [str(name) for name in parse_experiment(text, FILE).algorithms.values]
     packages = list(dict.fromkeys(hive.catalogue.algorithm(name).package.name for name in asked))

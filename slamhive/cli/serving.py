@@ -40,8 +40,8 @@ def worker_command(cli: CliContext, slots: int | None, until_idle: bool, patient
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    name, reason = hive.executors.default()
-    tell(f"worker {worker.owner}: {hive.settings.worker_slots} slot(s), executor {name} ({reason})")
+    _, reason = hive.executors.default()
+    tell(f"worker {worker.owner}: {hive.settings.worker_slots} slot(s), executor {reason}")
     while patient and not stopped.is_set() and hive.worker_alive():
         stopped.wait(STAND_BY_S)
     if not stopped.is_set():

@@ -14,6 +14,7 @@ from slamhive.executors.energy import read_packages
 from slamhive.executors.gpu import list_gpus
 from slamhive.executors.host_counters import HostCounters, read_or_why, sources
 from slamhive.executors.registry import open_all
+from slamhive.executors.session import lifetime_here
 from slamhive.registry import Origin
 from slamhive.services.data_root import REMEDY
 from slamhive.services.hive import Hive
@@ -110,8 +111,8 @@ def _executor(hive: Hive) -> list[Check]:
         problem = executor.unavailable_because()
         verdict = Verdict.OK if problem is None else Verdict.WARNING
         checks.append(Check(f"executor {executor.name}", verdict, problem or "can be used"))
-    chosen, reason = hive.executors.default()
-    return [*checks, Check("executor in force", Verdict.OK, f"{chosen} ({reason})")]
+    _, reason = hive.executors.default()
+    return [*checks, Check("executor in force", Verdict.OK, reason)]
 
 
 def _executor_findings(hive: Hive) -> list[Check]:
@@ -192,6 +193,13 @@ def _worker(hive: Hive) -> list[Check]:
     return [Check("worker", Verdict.WARNING, "does not run", "slamhive worker, or slamhive serve, starts one")]
 
 
+def _session(_: Hive) -> list[Check]:
+    """What a worker ends with if it is started as this command was."""
+    found = lifetime_here()
+    verdict = Verdict.OK if found.remedy is None else Verdict.WARNING
+    return [Check("session", verdict, found.found, found.remedy)]
+
+
 def _notices(hive: Hive) -> list[Check]:
     try:
         channels = channels_of(hive.settings)
@@ -216,5 +224,6 @@ _EXAMINATIONS: tuple[Callable[[Hive], list[Check]], ...] = (
     _broken_folders,
     _datasets,
     _worker,
+    _session,
     _notices,
 )

@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Self
 
+from slamhive.debian import install_command
 from tests.waiting import eventually
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "ch-run")
@@ -60,7 +61,7 @@ def cannot_start_because() -> str | None:
     if os.geteuid() != 0:
         return "these tests start daemons of Slurm as root"
     missing = [name for name in PROGRAMS if shutil.which(name, path=_path()) is None]
-    return f"no {', '.join(missing)}; apt-get install slurm-wlm munge charliecloud" if missing else None
+    return f"no {', '.join(missing)}; {install_command(['slurm-wlm', 'munge', 'charliecloud'])}" if missing else None
 
 
 _HIDE = """

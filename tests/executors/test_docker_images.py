@@ -54,18 +54,80 @@ def test_a_packed_context_has_no_name_that_a_killed_process_would_leave(tmp_path
             assert set(archive.getnames()) == {"part", "part/Dockerfile"}
 
 
-def test_base_script_needs_debootstrap_only(tmp_path):
-    (tmp_path / "bin").mkdir()
-    made = subprocess.run(
-        ["/bin/sh", SCRIPT, tmp_path / "base.tar"],
-        env={"PATH": str(tmp_path / "bin")},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert made.returncode == 1
-    assert made.stderr.strip() == "debootstrap is missing; install it: apt-get install debootstrap"
-    assert "docker" not in SCRIPT.read_text().split("set -eu")[1]
+@pytest.fixture
+def script(tmp_path) -> Path:
+    """The script that makes the base, on a machine that has what the test puts into ``bin`` and ``sbin``."""
+    for folder in ("bin", "sbin"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "keyring").touch()
+    for name in ("subuid", "subgid"):
+        (tmp_path / name).write_text("dev:100000:65536\n")
+    (tmp_path / "bin" / "grep").symlink_to("/bin/grep")
+    places = {"/usr/local/sbin:/usr/sbin:/sbin": tmp_path / "sbin", "/etc/sub": tmp_path / "sub"}
+    places["/usr/share/keyrings/debian-archive-keyring.gpg"] = tmp_path / "keyring"
+    text = SCRIPT.read_text()
+    for known, place in places.items():
+        assert known in text
+        text = text.replace(known, str(place))
+    copy: Path = tmp_path / "make-base.sh"
+    copy.write_text(text)
+    return copy
+
+
+def put(script: Path, folder: str, name: str, says: str = "exit 0") -> None:
+    program = script.parent / folder / name
+    program.write_text(f"#!/bin/sh\n{says}\n")
+    program.chmod(0o755)
+
+
+def check(script: Path, uid: int) -> tuple[int, str]:
+    """Exit code and words of ``make-base.sh --check`` for a user."""
+    put(script, "bin", "id", f'[ "$1" = -u ] && echo {uid} || echo dev')
+    environment = {"PATH": str(script.parent / "bin")}
+    made = subprocess.run(["/bin/sh", script, "--check"], env=environment, capture_output=True, text=True, check=False)
+    return made.returncode, (made.stdout + made.stderr).strip()
+
+
+@pytest.mark.parametrize(
+    ("uid", "words"),
+    [
+        (0, "missing: debootstrap; apt-get install debootstrap"),
+        (1000, "missing: mmdebstrap uidmap; sudo apt-get install mmdebstrap uidmap"),
+    ],
+)
+def test_base_script_asks_for_what_is_missing_in_one_line(script, uid, words):
+    assert check(script, uid) == (1, words)
+
+
+def test_base_script_finds_programs_of_the_administrator(script):
+    put(script, "sbin", "debootstrap")
+    assert check(script, 0) == (0, "making a minimal Debian with debootstrap (this is root)")
+    (script.parent / "keyring").unlink()
+    assert check(script, 0)[1] == "missing: debian-archive-keyring; apt-get install debian-archive-keyring"
+
+
+def test_base_script_takes_a_user_namespace_without_root(script):
+    put(script, "sbin", "debootstrap")
+    for name in ("mmdebstrap", "newuidmap", "unshare"):
+        put(script, "bin", name)
+    way = "making a minimal Debian with mmdebstrap in a user namespace (only root can use debootstrap)"
+    assert check(script, 1000) == (0, way)
+    (script.parent / "subgid").write_text("")
+    code, words = check(script, 1000)
+    assert code == 1
+    assert "dev has no user numbers" in words
+    assert "sudo usermod --add-subuids 100000-165535 --add-subgids 100000-165535 dev" in words
+    put(script, "bin", "unshare", "exit 1")
+    code, words = check(script, 1000)
+    assert code == 1
+    assert "user namespaces are forbidden here" in words
+    assert "sudo sh docker/base/make-base.sh base.tar" in words
+
+
+def test_base_script_does_not_use_docker():
+    """The worker's container runs it too, and has no command of that name."""
+    commands = [line for line in SCRIPT.read_text().splitlines() if not line.lstrip().startswith(("#", "base image:"))]
+    assert not any(line.lstrip().startswith("docker") for line in commands)
 
 
 @pytest.fixture
@@ -82,12 +144,48 @@ def test_base_is_imported_without_the_docker_command(engine, name, tmp_path, mon
     folder = tmp_path / "docker" / "base"
     folder.mkdir(parents=True)
     (tmp_path / "hello").write_text("hello")
-    (folder / "make-base.sh").write_text(f'set -eu\ntar -C {tmp_path} -cf "$1" hello\n')
+    (folder / "make-base.sh").write_text(f'[ "$1" = --check ] || tar -C {tmp_path} -cf "$1" hello\necho by hand\n')
     monkeypatch.setattr(docker_build, "OWN_BASE", name)
     monkeypatch.setattr(docker_build, "PUBLIC_BASE", "localhost:9/nowhere:none")
     monkeypatch.setenv("PATH", "/bin")
-    assert choose_base(engine, tmp_path, lambda line: None) == name
+    monkeypatch.setattr(docker_build, "SAME_AS_PUBLIC", ())
+    said: list[str] = []
+    assert choose_base(engine, tmp_path, said.append) == name
+    assert f"{name}: by hand" in said
     assert engine.images.get(name).attrs["Config"]["Cmd"] == ["/bin/sh"]
+
+
+@pytest.fixture
+def no_public_base(name, monkeypatch) -> None:
+    """An engine without a base image, where no registry answers."""
+    monkeypatch.setattr(docker_build, "OWN_BASE", name)
+    monkeypatch.setattr(docker_build, "PUBLIC_BASE", "localhost:9/nowhere:none")
+    monkeypatch.setattr(docker_build, "SAME_AS_PUBLIC", ())
+
+
+@pytest.mark.docker
+def test_base_is_made_in_a_container_of_the_worker_where_this_machine_cannot(
+    engine, name, base_image, no_public_base, tmp_path, monkeypatch
+):
+    folder = tmp_path / "docker" / "base"
+    folder.mkdir(parents=True)
+    script = '[ "$1" = /base.tar ] || { echo missing: mmdebstrap >&2; exit 1; }\necho x > /x; tar -C / -cf "$1" x\n'
+    (folder / "make-base.sh").write_text(script)
+    monkeypatch.setattr(docker_build, "WORKER_IMAGE", base_image)
+    said: list[str] = []
+    assert choose_base(engine, tmp_path, said.append) == name
+    assert f"missing: mmdebstrap; so it is made in a container of {base_image}" in said
+    assert engine.images.get(name)
+
+
+@pytest.mark.docker
+def test_a_base_that_cannot_be_made_names_the_command(engine, no_public_base, tmp_path, monkeypatch):
+    folder = tmp_path / "docker" / "base"
+    folder.mkdir(parents=True)
+    (folder / "make-base.sh").write_text("echo 'missing: x; sudo apt-get install x' >&2; exit 1\n")
+    monkeypatch.setattr(docker_build, "WORKER_IMAGE", "localhost:9/nowhere:worker")
+    with pytest.raises(ImageMissing, match="cannot be made here: missing: x; sudo apt-get install x"):
+        choose_base(engine, tmp_path, lambda line: None)
 
 
 @pytest.mark.docker

@@ -1,19 +1,22 @@
 from __future__ import annotations
 
 import math
+import os
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import requests
 
-from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.domain.algorithm import AlgorithmPackage, RunUser
 from slamhive.errors import NotFound, Unavailable
 from slamhive.executors.base import Capabilities, EngineUnavailable, ExecutorContext, ImageMissing, StartFailed
 from slamhive.executors.docker.build import follow_build
 from slamhive.executors.docker.container import container_options
-from slamhive.executors.docker.engine import connect, container_name, engine_errors, lifetime
+from slamhive.executors.docker.engine import EngineTraits, connect, container_name, engine_errors, lifetime, traits_of
+from slamhive.executors.docker.run_user import in_words, is_foreign
 from slamhive.executors.docker.stats import parse_stats
 from slamhive.executors.process.capped_log import CappedLog, assemble
 from slamhive.executors.process.environment import Environments
@@ -137,6 +140,39 @@ def test_container_options_are_hardened(tmp_path, context):
     }
 
 
+def test_root_of_a_rootless_engine_is_the_worker(tmp_path, context):
+    """Any other number in its containers owns nothing here, so the run could not write its result."""
+    limits = Limits(1.5, 2_000_000_000, 64, (0, 2))
+    options = container_options(spec(tmp_path, limits), context, EngineTraits(rootless=True, limits_cpu=False))
+    assert options["user"] == "0:0"
+    assert options["environment"]["HOME"] == "/tmp"
+    assert "nano_cpus" not in options  # the engine would refuse the container
+    assert options["mem_limit"] == 2_000_000_000
+    words = in_words(RunUser.WORKER, rootless=True)
+    assert words.startswith(f"user {os.getuid()}:{os.getgid()} of the worker")
+    assert not is_foreign(RunUser.ROOT, rootless=True)
+    assert is_foreign(RunUser.IMAGE, rootless=True)
+
+
+@pytest.mark.parametrize(
+    ("info", "traits"),
+    [
+        ({"SecurityOptions": ["name=seccomp,profile=default"], "CpuCfsQuota": True}, EngineTraits()),
+        (
+            {
+                "SecurityOptions": ["name=seccomp,profile=default", "name=rootless", "name=cgroupns"],
+                "CpuCfsQuota": False,
+            },
+            EngineTraits(rootless=True, limits_cpu=False),
+        ),
+        ({"SecurityOptions": None}, EngineTraits()),
+    ],
+)
+def test_what_an_engine_says_of_itself(info, traits):
+    client: Any = SimpleNamespace(info=lambda: info)
+    assert traits_of(client) == traits
+
+
 def test_no_limit_means_no_option(tmp_path, context):
     assert {"mem_limit", "nano_cpus", "cpuset_cpus"}.isdisjoint(container_options(spec(tmp_path, Limits()), context))
 
@@ -219,10 +255,11 @@ def test_environment_follows_requirements_and_prepare(tmp_path):
     assert len({first, second, third, environments.identity(package(tmp_path))}) == 4
 
 
-def test_missing_library_names_the_apt_packages(tmp_path):
+def test_missing_library_names_the_apt_packages(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
     (tmp_path / "requirements.txt").write_text("")
     wanted = package(tmp_path, system_libraries=("libnotthere.so.9",), system_packages=("libnotthere9",))
-    with pytest.raises(ImageMissing, match=r"libnotthere\.so\.9.*apt-get install libnotthere9"):
+    with pytest.raises(ImageMissing, match=r"libnotthere\.so\.9.*sudo apt-get install libnotthere9"):
         Environments(tmp_path / "data").build(wanted, lambda line: None)
 
 

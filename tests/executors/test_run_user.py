@@ -147,4 +147,4 @@ def test_an_input_that_the_user_may_not_read_is_named(tmp_path):
     spec = made_spec(tmp_path, RunUser.IMAGE)
     spec.inputs[0].source.chmod(0o600)
     with pytest.raises(StartFailed, match=r"run 7 is the user of the image.* may not read .*config\.yaml"):
-        open_to_user(spec)
+        open_to_user(spec, rootless=False)

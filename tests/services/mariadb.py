@@ -18,10 +18,11 @@ from pathlib import Path
 import pymysql
 import pytest
 
+from slamhive.debian import install_command
 from tests.memory import folder_in_memory
 
 SERVERS = ("mariadbd", "mysqld")
-INSTALL_COMMAND = "apt-get install mariadb-server-core mariadb-client-core"
+INSTALL_COMMAND = install_command(["mariadb-server-core", "mariadb-client-core"])
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 30.0
 USER = "slamhive"

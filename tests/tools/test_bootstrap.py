@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -19,6 +20,7 @@ sys.path.insert(0, str(TOOLS))
 import bootstrap  # noqa: E402
 import installer  # noqa: E402
 import machine  # noqa: E402
+import needs  # noqa: E402
 import steps  # noqa: E402
 
 
@@ -54,17 +56,22 @@ def test_damaged_environment_is_made_anew(project, damage):
 
 def test_used_again_without_installing(project, capsys, monkeypatch):
     monkeypatch.setattr(bootstrap, "install", lambda extras: pytest.fail("installed again"))
+    monkeypatch.setattr(needs, "for_demo", list)
     assert bootstrap.main(["demo"]) == 0
     assert "used again" in capsys.readouterr().out
 
 
 def test_without_venv_module_the_command_is_named(project, capsys, monkeypatch):
     bootstrap.STAMP.unlink()
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr(needs, "find_spec", lambda name: None)
+    monkeypatch.setattr(needs, "for_demo", needs.for_environment)
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr(machine, "can_install", lambda: False)
     assert bootstrap.main(["demo"]) == 1
     version = f"python{sys.version_info.major}.{sys.version_info.minor}-venv"
-    assert f"sudo apt-get install {version}" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert f"sudo apt-get install {version}" in said.out
+    assert f"cannot go on without {version}" in said.err
 
 
 def test_failed_install_leaves_no_stamp(project, capsys, monkeypatch):
@@ -72,6 +79,7 @@ def test_failed_install_leaves_no_stamp(project, capsys, monkeypatch):
         raise steps.StepFailed("no network")
 
     (project / "constraints.txt").write_text("")
+    monkeypatch.setattr(needs, "for_tests", lambda tiers: [])
     monkeypatch.setattr(bootstrap, "run_step", refuse)
     monkeypatch.setattr(installer, "run_step", refuse)
     assert bootstrap.main(["test"]) == 1

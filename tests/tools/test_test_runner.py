@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import os
 import sys
 import threading
 from pathlib import Path
 
 import pytest
 
+from slamhive.executors.docker import address
 from tests.algorithms.from_sources import NEEDS_SOURCES
 from tests.executors.kubernetes_cluster import NO_PROGRAMS, why_no_kubernetes
 
@@ -183,18 +185,21 @@ def test_tiers_of_a_group_run_together_and_each_keeps_its_output(runner, tmp_pat
     ],
 )
 def test_a_database_server_has_what_sets_it_up(runner, monkeypatch, there: set[str], is_installed: bool):
-    monkeypatch.setattr(runner.shutil, "which", lambda name, path=None: name if name in there else None)
+    monkeypatch.setattr(runner.needs, "find_program", lambda name: name if name in there else None)
     monkeypatch.setattr(runner.machine, "can_install", lambda: True)
     asked: list[str] = []
     monkeypatch.setattr(runner.machine, "install", asked.extend)
     assert runner.prepare_database() == ""
-    assert asked == (list(runner.DATABASE_PACKAGES) if is_installed else [])
+    assert asked == (list(runner.needs.DATABASE_PACKAGES) if is_installed else [])
 
 
 def test_without_rights_the_engine_tier_names_the_command(runner, monkeypatch):
-    monkeypatch.setattr(runner.machine, "engine_answers", lambda: False)
     monkeypatch.setattr(runner.machine, "can_install", lambda: False)
-    monkeypatch.setattr(runner.shutil, "which", lambda name, path=None: f"/usr/sbin/{name}")
+    monkeypatch.setattr(runner.needs, "database", lambda: ())
+    monkeypatch.setattr(address, "find_program", lambda name: None)
+    monkeypatch.setattr(address, "SYSTEM_SOCKET", "/nonexistent/docker.sock")
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.delenv("DOCKER_HOST", raising=False)
     tier = next(tier for tier in runner.all_tiers(runner.machine.Engine()) if tier.name == "docker")
     outcome = runner.run_group([tier])["docker"]
     assert outcome.state == "not run"
@@ -206,10 +211,10 @@ def test_without_rights_the_engine_tier_names_the_command(runner, monkeypatch):
     [("chromium", ["poppler-utils"]), ("", ["chromium-headless-shell", "poppler-utils"])],
 )
 def test_a_browser_that_is_there_is_used(runner, monkeypatch, there: str, installed: list[str]):
-    monkeypatch.setattr(runner.shutil, "which", lambda name, path=None: name in {there, "dpkg-query"} and name)
+    monkeypatch.setattr(runner.needs, "find_program", lambda name: name == there and name)
     monkeypatch.setattr(runner.machine, "can_install", lambda: True)
     monkeypatch.setattr(runner.machine, "available", lambda *names: names[0])
-    monkeypatch.setattr(runner.machine, "absent", list)
+    monkeypatch.setattr(runner.needs, "_missing", tuple)
     asked: list[str] = []
     monkeypatch.setattr(runner.machine, "install", asked.extend)
     runner.prepare_browser()

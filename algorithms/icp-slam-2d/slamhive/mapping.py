@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from rawlog import RawlogWriter
 
+from slamhive.debian import install_command
 from slamhive.errors import InvalidInput
 from slamhive.runtime.app import run
 from slamhive.runtime.calibration import transform
@@ -90,7 +91,7 @@ def _run(settings: Path) -> None:
             check=False,
         )
     except FileNotFoundError:
-        raise InvalidInput(f"the program {PROGRAM} is not installed", "apt-get install mrpt-apps") from None
+        raise InvalidInput(f"the program {PROGRAM} is not installed", install_command(["mrpt-apps"])) from None
     # Its exit code is 0 after an exception too.
     lines = ended.stdout.splitlines()
     failed = [number for number, line in enumerate(lines) if "MRPT exception" in line]

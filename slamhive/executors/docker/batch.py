@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import threading
 from collections import deque
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ import requests
 from docker.types import Mount
 
 from slamhive.catalogue.image_context import HOST_CERTIFICATES, BuildContext, build_arguments
+from slamhive.domain.algorithm import RunUser
 from slamhive.errors import Unavailable
 from slamhive.evaluation.batch import Batch, LineCallback
 from slamhive.evaluation.image_context import EvaluationContext
@@ -27,7 +27,9 @@ from slamhive.executors.docker.engine import (
     connect,
     engine_errors,
     labels_of_helper,
+    traits_of,
 )
+from slamhive.executors.docker.run_user import container_user
 from slamhive.files import temporary_folder
 
 logger = logging.getLogger(__name__)
@@ -103,7 +105,7 @@ class DockerStarter:
                     mounts=mounts,
                     labels=labels_of_helper("evaluation", self._context.installation),
                     environment={"HOME": "/tmp"},  # noqa: S108 - the container's own; evo writes settings there
-                    user=f"{os.getuid()}:{os.getgid()}",
+                    user=container_user(RunUser.WORKER, rootless=traits_of(client).rootless),
                     pids_limit=_PIDS,
                     cpuset_cpus=None if batch.cores is None else ",".join(map(str, batch.cores)),
                     **HARDENING,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import tarfile
 import tempfile
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,12 +21,19 @@ from docker.utils.build import tar
 from slamhive.catalogue.image_context import CONTENT_LABEL, BuildContext
 from slamhive.executors.base import ImageMissing, ProgressCallback
 from slamhive.executors.build_program import run_program
-from slamhive.executors.docker.engine import engine_errors
+from slamhive.executors.docker.engine import closing_chunks, engine_errors, labels_of_helper
 from slamhive.files import temporary_folder
 
 PUBLIC_BASE = "debian:bookworm-slim"
 OWN_BASE = "slam-hive-base:bookworm"
+SAME_AS_PUBLIC = ("debian:12-slim", "debian:bookworm", "debian:12")
+"""Other names of the same Debian, or of the same with documentation."""
+WORKER_IMAGE = "slam-hive-worker:latest"
+"""The image of the deployment. It has debootstrap."""
 BASE_ARGUMENT = "BASE_IMAGE"
+CHECK = "--check"
+_MAKING_S = 1800
+_REASON_CHARACTERS = 300
 _LAST_LINES = 4
 _ENGINE_CHATTER = ("--->", "Removing intermediate container", "Removing container")
 
@@ -126,11 +135,12 @@ def follow_pull(
 
 
 def choose_base(client: docker.DockerClient, project_root: Path, progress: ProgressCallback) -> str:
-    """The image to build on: the public one if it is here or a registry answers, else one made with debootstrap.
+    """The image to build on. Raises ImageMissing that says what is missing.
 
-    Raises ImageMissing with the last line of what went wrong.
+    It is the public one if the engine has it or a registry offers it. Otherwise one is made: on this machine, or in a
+    container of the worker's image where the engine has that. ``progress`` gets the way and the reason for it.
     """
-    for name in (PUBLIC_BASE, OWN_BASE):
+    for name in (PUBLIC_BASE, OWN_BASE, *SAME_AS_PUBLIC):
         if get_image(client, name) is not None:
             return name
     repository, _, tag = PUBLIC_BASE.rpartition(":")
@@ -139,28 +149,71 @@ def choose_base(client: docker.DockerClient, project_root: Path, progress: Progr
         with engine_errors(f"pulling {PUBLIC_BASE}", ImageMissing):
             client.images.pull(repository, tag=tag)
     except ImageMissing as error:
-        progress(f"{error.message}; making {OWN_BASE} with debootstrap")
+        progress(f"{error.message}; making {OWN_BASE}")
     else:
         return PUBLIC_BASE
-    _make_base(client, project_root / "docker" / "base" / "make-base.sh", progress)
+    script = project_root / "docker" / "base" / "make-base.sh"
+    with temporary_folder() as folder:
+        archive = folder / "base.tar"
+        problem = _run_script(script, CHECK, progress)
+        if problem is None:
+            problem = _run_script(script, str(archive), progress)
+        elif get_image(client, WORKER_IMAGE) is not None:
+            progress(f"{problem}; so it is made in a container of {WORKER_IMAGE}")
+            problem = _make_in_container(client, script, archive)
+        if problem is not None:
+            raise ImageMissing(f"no registry offers {PUBLIC_BASE}, and it cannot be made here: {problem}")
+        _import_base(client, archive)
     return OWN_BASE
 
 
-def _make_base(client: docker.DockerClient, script: Path, progress: ProgressCallback) -> None:
-    """Make the base image's files with debootstrap and hand them to the engine."""
+def _run_script(script: Path, argument: str, progress: ProgressCallback) -> str | None:
+    """Run the script that makes the base, its lines to ``progress``; what went wrong in one line, None if nothing."""
+    said: list[str] = []
+
+    def show(line: str) -> None:
+        said.append(line)
+        progress(f"{OWN_BASE}: {line}")
+
+    return None if run_program(["/bin/sh", str(script), argument], os.environ, show) == 0 else _reason(said)
+
+
+def _reason(said: list[str]) -> str:
+    """The line that says what went wrong: the first error of debootstrap and mmdebstrap, else the last line."""
+    errors = [line for line in said if line.startswith("E: ")]
+    return shorten((errors or said[-1:] or ["it says nothing"])[0], _REASON_CHARACTERS, placeholder=" …")
+
+
+def _make_in_container(client: docker.DockerClient, script: Path, archive: Path) -> str | None:
+    """Make the base in a container of the worker's image, which has debootstrap; as :func:`_run_script`."""
+    command = ["/bin/sh", "-c", script.read_text(encoding="utf-8"), script.name, "/base.tar"]
+    options: dict[str, Any] = {"network_mode": "host", "user": "0:0", "labels": labels_of_helper("base", "")}
+    mirror = os.environ.get("MIRROR")
+    with engine_errors(f"making {OWN_BASE}", ImageMissing):
+        environment = {"MIRROR": mirror} if mirror else {}
+        container = client.containers.create(WORKER_IMAGE, command, environment=environment, **options)
+        try:
+            container.start()
+            if container.wait(timeout=_MAKING_S)["StatusCode"] != 0:
+                return _reason(container.logs().decode(errors="replace").strip().splitlines())
+            with closing_chunks(container.get_archive("/base.tar")[0]) as chunks, tempfile.TemporaryFile() as packed:
+                for chunk in chunks:
+                    packed.write(chunk)
+                packed.seek(0)
+                with tarfile.open(fileobj=packed) as outer, archive.open("wb") as target:
+                    member = outer.extractfile("base.tar")
+                    assert member is not None
+                    shutil.copyfileobj(member, target)
+        finally:
+            container.remove(force=True, v=True)
+    return None
+
+
+def _import_base(client: docker.DockerClient, archive: Path) -> None:
+    """Hand the files of the base image over to the engine."""
     repository, _, tag = OWN_BASE.rpartition(":")
-    with temporary_folder() as folder:
-        archive = folder / "base.tar"
-        last = ["it says nothing"]
-
-        def show(line: str) -> None:
-            last[0] = line
-            progress(f"{script.name}: {line}")
-
-        if run_program(["/bin/sh", str(script), str(archive)], os.environ, show) != 0:
-            raise ImageMissing(f"no registry answers and {script.name} failed: {last[0]}", "set BASE_IMAGE")
-        with engine_errors(f"importing {OWN_BASE}", ImageMissing):
-            answer = client.api.import_image_from_file(str(archive), repository, tag, changes=['CMD ["/bin/sh"]'])
+    with engine_errors(f"importing {OWN_BASE}", ImageMissing):
+        answer = client.api.import_image_from_file(str(archive), repository, tag, changes=['CMD ["/bin/sh"]'])
     if get_image(client, OWN_BASE) is None:
         raise ImageMissing(f"the engine did not take {OWN_BASE}: {answer}", "set BASE_IMAGE")
 

@@ -14,7 +14,9 @@ from slamhive.executors.docker.engine import (
     HARDENING,
     INSTALLATION_LABEL,
     KEY_LABEL,
+    PLAIN_ENGINE,
     RUN_LABEL,
+    EngineTraits,
     container_name,
 )
 from slamhive.executors.docker.run_user import container_user
@@ -25,7 +27,7 @@ WORKER_HOME = {"HOME": "/tmp"}  # noqa: S108 - the container's own
 """The worker's user has no other folder to write to. The users of images have the home that the image gives them."""
 
 
-def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]:
+def container_options(spec: RunSpec, context: ExecutorContext, traits: EngineTraits = PLAIN_ENGINE) -> dict[str, Any]:
     """The arguments of ``containers.create`` for a run. Pure, so that a test can check them."""
     limits = spec.limits
     home = WORKER_HOME if spec.user is RunUser.WORKER else {}
@@ -42,7 +44,7 @@ def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]
         },
         "environment": {**ROS_ENVIRONMENT, **home, **spec.environment},
         "mounts": _mounts(spec),
-        "user": container_user(spec.user),
+        "user": container_user(spec.user, rootless=traits.rootless),
         "pids_limit": limits.pids,
         "log_config": LogConfig(
             type=LogConfig.types.JSON,
@@ -52,7 +54,7 @@ def container_options(spec: RunSpec, context: ExecutorContext) -> dict[str, Any]
     if limits.memory_bytes is not None:
         options["mem_limit"] = limits.memory_bytes
         options["memswap_limit"] = limits.memory_bytes
-    if limits.cpu_cores is not None:
+    if limits.cpu_cores is not None and traits.limits_cpu:
         options["nano_cpus"] = round(limits.cpu_cores * 1e9)
     if limits.file_bytes is not None:
         options["ulimits"] = [Ulimit(name="fsize", soft=limits.file_bytes, hard=limits.file_bytes)]

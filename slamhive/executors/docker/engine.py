@@ -7,10 +7,10 @@ import hashlib
 import itertools
 import os
 import re
-import socket
 import uuid
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, cast
 
@@ -18,11 +18,11 @@ import docker
 import docker.errors
 import requests
 import urllib3
-from docker.constants import DEFAULT_UNIX_SOCKET
 
 from slamhive.errors import SlamHiveError
 from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.boot import boot_id
+from slamhive.executors.docker.address import engine_address, socket_path, trouble_with
 from slamhive.executors.identity import worker_identity
 
 KEY_LABEL = "slamhive.key"
@@ -38,7 +38,6 @@ OWNER_LABEL = "slamhive.owner"
 """The process that a container serves. Containers of runs do not have it: they outlive their worker."""
 
 _TIMEOUT_S = 60
-_SOCKET_TIMEOUT_S = 5
 _NAME_LIMIT = 63
 _SERVER_ERROR = 500
 _UNSET_TIME = "0001-"
@@ -51,6 +50,33 @@ HARDENING: dict[str, Any] = {
     "shm_size": 256 * 1024 * 1024,
 }
 """What every container of ours is started with. ROS 2 moves images through /dev/shm; its default of 64 MB is short."""
+
+
+@dataclass(frozen=True, slots=True)
+class EngineTraits:
+    """What differs between engines, and changes the options of containers.
+
+    Attributes:
+        rootless: The engine runs in a user namespace, whose root is the user of the engine. All other users of a
+            container are numbers that own nothing on this machine.
+        limits_cpu: Its kernel limits the CPU time of a container. Otherwise the engine refuses containers with such a
+            limit.
+    """
+
+    rootless: bool = False
+    limits_cpu: bool = True
+
+
+PLAIN_ENGINE = EngineTraits()
+"""An engine that root runs, on a kernel with all controllers."""
+
+
+def traits_of(client: docker.DockerClient) -> EngineTraits:
+    """Ask the engine what it is. Raises EngineUnavailable."""
+    with engine_errors("asking the Docker engine", EngineUnavailable):
+        info: dict[str, Any] = client.info()
+    options = info.get("SecurityOptions") or []
+    return EngineTraits("name=rootless" in options, bool(info.get("CpuCfsQuota", True)))
 
 
 def labels_of_helper(purpose: str, installation: str) -> dict[str, str]:
@@ -83,13 +109,18 @@ def engine_errors(doing: str, failure: type[SlamHiveError]) -> Iterator[None]:
 
 
 def connect(timeout_s: int = _TIMEOUT_S) -> docker.DockerClient:
-    """A client of the engine that the environment names (``DOCKER_HOST``). Raises EngineUnavailable.
+    """A client of the engine of this user (:func:`engine_address`). Raises EngineUnavailable.
 
     ``timeout_s``: how long the engine may be silent.
     """
-    _check_socket()
+    address = engine_address()
+    path = socket_path(address)
+    # The SDK would leave its own socket open where nobody listens.
+    trouble = None if path is None else trouble_with(path)
+    if trouble is not None:
+        raise EngineUnavailable(trouble.problem, trouble.remedy)
     with engine_errors("connecting to Docker", EngineUnavailable):
-        return docker.from_env(timeout=timeout_s)
+        return docker.from_env(timeout=timeout_s, environment={**os.environ, "DOCKER_HOST": address})
 
 
 @contextmanager
@@ -113,31 +144,12 @@ def container_name(key: str) -> str:
 
 def boot_labels() -> dict[str, str]:
     """The label with the boot of this machine; none if the engine may be on another machine."""
-    return {} if _socket_path() is None else {BOOT_LABEL: boot_id()}
+    return {} if socket_path(engine_address()) is None else {BOOT_LABEL: boot_id()}
 
 
 def is_of_earlier_boot(container: Any) -> bool:
     """Whether the machine was restarted since the container was created."""
     return container.labels.get(BOOT_LABEL) not in (None, boot_id())
-
-
-def _socket_path() -> str | None:
-    address = os.environ.get("DOCKER_HOST") or DEFAULT_UNIX_SOCKET
-    scheme, _, path = address.partition("://")
-    return path if scheme in {"unix", "http+unix"} else None
-
-
-def _check_socket() -> None:
-    """Refuse a Unix socket where nobody listens: the SDK would leave its own socket open when it fails there."""
-    path = _socket_path()
-    if path is None:
-        return
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.settimeout(_SOCKET_TIMEOUT_S)
-        try:
-            probe.connect(path)
-        except OSError as error:
-            raise _no_answer("connecting to Docker", error) from None
 
 
 def _no_answer(doing: str, error: Exception) -> EngineUnavailable:

@@ -39,6 +39,7 @@ from slamhive.executors.docker.engine import (
     engine_time,
     is_of_earlier_boot,
     lifetime,
+    traits_of,
 )
 from slamhive.executors.docker.foreign_images import DockerImages
 from slamhive.executors.docker.image import find_image, make_image
@@ -50,7 +51,7 @@ from slamhive.executors.docker.kept_images import (
     load_image,
     save_image,
 )
-from slamhive.executors.docker.refusals import RefusedProcesses, engine_protections
+from slamhive.executors.docker.refusals import DELEGATE, RefusedProcesses, engine_protections
 from slamhive.executors.docker.run_containers import RunContainers
 from slamhive.executors.docker.run_user import in_words, open_to_user, take_back
 from slamhive.executors.docker.stats import DockerStatsSource
@@ -93,7 +94,10 @@ class DockerExecutor(Executor):
 
     def examine(self) -> list[Finding]:
         """How the engine's kernel enforces limits."""
-        return [Finding("protections", self._protections().text)]
+        found = self._protections()
+        lacks = "not enforced" in found.text
+        remedy = DELEGATE if lacks and traits_of(self._engine()).rootless else None
+        return [Finding("protections", found.text, remedy)]
 
     def identity(self, package: AlgorithmPackage) -> str | None:
         """The digest of the image of this version of the package; None if it has to be built or pulled."""
@@ -139,7 +143,8 @@ class DockerExecutor(Executor):
         container = self._containers.find(container_name(spec.key)) or self._containers.create(spec)
         if container.labels.get(KEY_LABEL) != spec.key:
             raise StartFailed(f"container {container.name} belongs to another run", f"docker rm {container.name}")
-        open_to_user(spec)
+        rootless = traits_of(self._engine()).rootless
+        open_to_user(spec, rootless=rootless)
         if container.status == "created":
             if is_of_earlier_boot(container):
                 self._containers.remove(str(container.id))
@@ -151,7 +156,9 @@ class DockerExecutor(Executor):
         if started_at is not None:
             data["started_at"] = started_at.isoformat()
         found = self._protections()
-        return RunHandle(self.name, data, replace(found, held_by=f"{found.held_by}; {in_words(spec.user)}"))
+        return RunHandle(
+            self.name, data, replace(found, held_by=f"{found.held_by}; {in_words(spec.user, rootless=rootless)}")
+        )
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """The state that the engine reports."""

@@ -16,6 +16,13 @@ from slamhive.executors.status import Protections
 
 _ASK_EVERY_S = 1.0
 
+DELEGATE = (
+    "give your services all controllers: sudo mkdir -p /etc/systemd/system/user@.service.d; "
+    "printf '[Service]\nDelegate=cpu cpuset io memory pids\n' | "
+    "sudo tee /etc/systemd/system/user@.service.d/delegate.conf; sudo systemctl daemon-reload; then log in again"
+)
+"""What a rootless engine needs to limit the CPU time of containers: Debian 12 delegates memory and pids alone."""
+
 
 class _Counter(Protocol):
     def refused(self) -> bool:

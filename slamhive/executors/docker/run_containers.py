@@ -26,6 +26,7 @@ from slamhive.executors.docker.engine import (
     container_name,
     engine_errors,
     engine_time,
+    traits_of,
 )
 from slamhive.executors.identity import owner_is_dead
 from slamhive.executors.local_files import has_written, make_own_copies
@@ -77,7 +78,7 @@ class RunContainers:
         """Create the container; None if its name is taken."""
         with engine_errors(f"starting run {spec.run_id}", StartFailed):
             try:
-                options = container_options(spec, self._context)
+                options = container_options(spec, self._context, traits_of(self._engine()))
                 options["labels"] |= boot_labels()
                 return self._engine().containers.create(**options)
             except docker.errors.ImageNotFound:

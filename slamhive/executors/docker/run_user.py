@@ -22,7 +22,7 @@ from docker.types import Mount
 
 from slamhive.domain.algorithm import RunUser
 from slamhive.executors.base import EngineUnavailable, StartFailed
-from slamhive.executors.docker.engine import HARDENING, engine_errors, labels_of_helper
+from slamhive.executors.docker.engine import HARDENING, engine_errors, labels_of_helper, traits_of
 from slamhive.executors.local_files import read_places, written_places
 from slamhive.executors.spec import RunSpec
 from slamhive.files import remedy_of
@@ -46,28 +46,32 @@ for place in sys.argv[3:]:
 """Runs in the Python of the image, 3.3 or later; ``chown`` takes away rights to run as the owner."""
 
 
-def container_user(user: RunUser) -> str | None:
-    """The option ``user`` of a container; None for the user that the image names."""
+def container_user(user: RunUser, *, rootless: bool) -> str | None:
+    """The option ``user`` of a container; None for the user that the image names.
+
+    Root of a rootless engine's containers is the user who runs the engine, and has no other rights on this machine.
+    """
     if user is RunUser.IMAGE:
         return None
-    return ROOT if user is RunUser.ROOT else f"{os.getuid()}:{os.getgid()}"
+    return ROOT if rootless or user is RunUser.ROOT else f"{os.getuid()}:{os.getgid()}"
 
 
-def in_words(user: RunUser) -> str:
+def in_words(user: RunUser, *, rootless: bool) -> str:
     """Who the run is in its container, for ``run.json`` and messages."""
     if user is RunUser.WORKER:
-        return f"user {os.getuid()}:{os.getgid()} of the worker"
+        inside = "; root in the container, which the engine without root makes this user" if rootless else ""
+        return f"user {os.getuid()}:{os.getgid()} of the worker{inside}"
     return user.in_words
 
 
-def is_foreign(user: RunUser) -> bool:
+def is_foreign(user: RunUser, *, rootless: bool) -> bool:
     """Whether the user of the run is not the worker's own."""
-    return user is RunUser.IMAGE or (user is RunUser.ROOT and os.getuid() != 0)
+    return user is RunUser.IMAGE or (user is RunUser.ROOT and os.getuid() != 0 and not rootless)
 
 
-def open_to_user(spec: RunSpec) -> None:
+def open_to_user(spec: RunSpec, *, rootless: bool) -> None:
     """Let the foreign user of a run write to its folders, and nobody else into them. Raises StartFailed."""
-    if not is_foreign(spec.user):
+    if not is_foreign(spec.user, rootless=rootless):
         return
     _check_readable(spec)
     run_folder = spec.work.parent
@@ -78,7 +82,7 @@ def open_to_user(spec: RunSpec) -> None:
                 if not path.is_symlink():
                     path.chmod(0o777 if path.is_dir() or path.stat().st_mode & stat.S_IXUSR else 0o666)
     except OSError as error:
-        problem = f"{run_folder} cannot be opened to {in_words(spec.user)}: {error}"
+        problem = f"{run_folder} cannot be opened to {spec.user.in_words}: {error}"
         raise StartFailed(problem, remedy_of(error)) from None
 
 
@@ -89,14 +93,16 @@ def _check_readable(spec: RunSpec) -> None:
         for file in files:
             if not file.stat().st_mode & stat.S_IROTH:
                 raise StartFailed(
-                    f"run {spec.run_id} is {in_words(spec.user)}, which may not read {file} ({target})",
+                    f"run {spec.run_id} is {spec.user.in_words}, which may not read {file} ({target})",
                     f"chmod o+r {file}",
                 )
 
 
 def take_back(engine: Callable[[], docker.DockerClient], spec: RunSpec, installation: str) -> None:
     """Give what a foreign user has written in an ended run to this process's user, and close its folders again."""
-    if is_foreign(spec.user):
+    if spec.user is RunUser.WORKER:
+        return
+    if is_foreign(spec.user, rootless=traits_of(engine()).rootless):
         _hand_over(engine(), [*written_places(spec).values(), spec.work / "tmp"], spec.identity, installation)
         _close_again(spec.work.parent)
 
@@ -116,7 +122,8 @@ def _hand_over(client: docker.DockerClient, places: Iterable[Path], image: str, 
     mounts = [Mount(f"/handover/{number}", str(place), type="bind") for number, place in enumerate(strangers)]
     inside = [f"/handover/{number}" for number in range(len(strangers))]
     options = {**HARDENING, "mounts": mounts, "user": ROOT, "cap_add": HANDOVER_CAPABILITIES, "pids_limit": _PIDS}
-    command = ["python3", "-I", "-c", HANDOVER, str(os.getuid()), str(os.getgid()), *inside]
+    owner = ["0", "0"] if traits_of(client).rootless else [str(os.getuid()), str(os.getgid())]
+    command = ["python3", "-I", "-c", HANDOVER, *owner, *inside]
     with engine_errors("handing over the files of a run", EngineUnavailable):
         if _has_user_namespaces(client):
             options["userns_mode"] = "host"  # inside the namespace, users of this machine have no number

@@ -24,6 +24,7 @@ from pathlib import Path
 
 import slamhive
 from slamhive.catalogue.image_context import RUNTIME_PARTS, copy_parts
+from slamhive.debian import install_command
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.errors import Unavailable
 from slamhive.executors.base import ImageMissing, ProgressCallback
@@ -214,8 +215,8 @@ def _check_libraries(package: AlgorithmPackage) -> None:
     command = [sys.executable, "-c", _FIND_LIBRARIES, *package.system_libraries]
     missing = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
     if missing:
-        packages = " ".join(package.system_packages)
-        remedy = f"apt-get install {packages}, or use Docker" if packages else "install them, or use Docker"
+        installing = install_command(package.system_packages)
+        remedy = f"{installing}, or use Docker" if package.system_packages else "install them, or use Docker"
         raise ImageMissing(f"{package.name} needs {', '.join(missing)}, which this machine lacks", remedy)
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from slamhive.debian import install_command
 from slamhive.errors import InvalidInput, NotFound, Unavailable
 from slamhive.files import temporary_folder
 from slamhive.foreign.folder import looks_foreign
@@ -111,7 +112,7 @@ def _git(arguments: list[str], address: str) -> str:
             timeout=_GIT_S,
         )
     except FileNotFoundError:
-        raise Unavailable("git is not installed", "apt-get install git, or import a folder") from None
+        raise Unavailable("git is not installed", f"{install_command(['git'])}, or import a folder") from None
     except subprocess.TimeoutExpired:
         problem = f"{_without_secret(address)} did not answer within {_GIT_S} s"
         raise Unavailable(problem, "try again, or import a folder") from None

@@ -1,0 +1,64 @@
+"""What a worker ends with, by the control groups that processes were seen in."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from slamhive.executors.session import Place, lifetime, lifetime_here, place_of
+
+# Recorded on Debian 12 with control groups version 2, and on Debian 11 with version 1.
+SSH = "0::/user.slice/user-1000.slice/session-3.scope\n"
+SCOPE = "0::/user.slice/user-1000.slice/user@1000.service/app.slice/run-r1b6b8.scope\n"
+USER_SERVICE = "0::/user.slice/user-1000.slice/user@1000.service/app.slice/slamhive-worker.service/worker\n"
+SYSTEM_SERVICE = "0::/system.slice/slamhive-worker.service\n"
+ROOT_SSH = "0::/user.slice/user-0.slice/session-1.scope\n"
+CONTAINER = "0::/\n"
+V1 = "4:memory:/user.slice\n1:name=systemd:/user.slice/user-1000.slice/user@1000.service/a.scope\n0::/\n"
+V1_WITHOUT_SYSTEMD = "3:cpu,cpuacct:/docker/ab\n2:pids:/docker/ab\n"
+
+
+@pytest.mark.parametrize(
+    ("groups", "place"),
+    [
+        (SSH, Place.SESSION),
+        (ROOT_SSH, Place.SESSION),
+        (SCOPE, Place.USER),
+        (USER_SERVICE, Place.USER),
+        (V1, Place.USER),
+        (SYSTEM_SERVICE, Place.SYSTEM),
+        (CONTAINER, Place.NONE),
+        (V1_WITHOUT_SYSTEMD, Place.NONE),
+        ("", Place.NONE),
+    ],
+)
+def test_the_control_group_names_the_unit(groups, place):
+    assert place_of(groups) is place
+
+
+@pytest.mark.parametrize("place", [Place.USER, Place.SESSION])
+def test_without_lingering_the_last_logout_ends_it(monkeypatch, place):
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    found = lifetime(place, "dev", lingers=False)
+    assert "last session" in found.found
+    assert (found.remedy or "").startswith("sudo loginctl enable-linger $USER")
+
+
+@pytest.mark.parametrize(
+    ("place", "lingers", "words"),
+    [
+        (Place.USER, True, "user dev lingers"),
+        (Place.SESSION, True, "ends when its terminal closes"),
+        (Place.SYSTEM, False, "no logout ends it"),
+        (Place.NONE, False, "systemd does not end"),
+    ],
+)
+def test_what_outlives_sessions_needs_no_remedy(place, lingers, words):
+    found = lifetime(place, "dev", lingers=lingers)
+    assert words in found.found
+    assert found.remedy is None
+
+
+def test_this_process_has_a_place():
+    assert lifetime_here().found
