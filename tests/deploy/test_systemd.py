@@ -12,6 +12,7 @@ import pytest
 
 from slamhive.cli import main
 from slamhive.debian import find_program
+from slamhive.executors.process.cgroup_home import LEAF
 from slamhive.executors.registry import declared_settings
 from slamhive.settings_sources import describe
 
@@ -21,6 +22,7 @@ PAGE = ROOT / "docs" / "server.md"
 EXPOSURE = {"slamhive-worker": 60, "slamhive-web": 30}
 """The most that ``systemd-analyze security`` may say, in tenths. A service without any hardening has 96."""
 NAMES = ("slamhive-worker", "slamhive-web")
+IGNORED_BEFORE_254 = re.compile(r"Unknown key (name )?'DelegateSubgroup' in section '?\[?Service\]?'?, ignoring")
 
 Unit = list[tuple[str, str]]
 
@@ -58,6 +60,7 @@ def test_the_worker_may_make_groups_and_leaves_runs_alive(kind):
     options = dict(service_of(kind, "slamhive-worker"))
     assert set(options["Delegate"].split()) >= {"pids", "memory", "cpu"}
     assert options["KillMode"] == "process"
+    assert options["DelegateSubgroup"] == LEAF
     assert options["OOMPolicy"] == "continue"
     assert options["NoNewPrivileges"] == "yes"
 
@@ -113,7 +116,10 @@ def analyze(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("name", NAMES)
 def test_systemd_accepts_the_units(machine_root, name):
     checked = analyze("verify", "--man=no", "--recursive-errors=no", f"--root={machine_root}", f"{name}.service")
-    assert (checked.returncode, checked.stdout + checked.stderr) == (0, "")
+    said = (checked.stdout + checked.stderr).splitlines()
+    ignored = [line for line in said if IGNORED_BEFORE_254.search(line)]
+    assert said == ignored
+    assert (checked.returncode == 0) == (not ignored)
 
 
 @pytest.mark.integration

@@ -8,7 +8,7 @@ import pytest
 
 from slamhive.executors.session import Place, lifetime, lifetime_here, place_of
 
-# Recorded on Debian 12 with control groups version 2, and on Debian 11 with version 1.
+# The first three and ROOT_SSH are shaped as on Debian 12 with control groups version 2; the others are made up.
 SSH = "0::/user.slice/user-1000.slice/session-3.scope\n"
 SCOPE = "0::/user.slice/user-1000.slice/user@1000.service/app.slice/run-r1b6b8.scope\n"
 USER_SERVICE = "0::/user.slice/user-1000.slice/user@1000.service/app.slice/slamhive-worker.service/worker\n"
