@@ -120,7 +120,11 @@ class Settings:
     mode: Mode = setting(
         Mode.WORKSTATION, "workstation, view-only, or cluster and cloud, where algorithms run on other machines only"
     )
-    data: Path = setting(Path("data"), "Data root: datasets, runs, database; relative paths start at the project")
+    data: Path = setting(
+        Path("data"),
+        "Data root: datasets, runs, database; relative paths start at the checkout. Without one, the default is "
+        "~/.local/share/slamhive, see quick-start.md",
+    )
     database_url: str = setting("", "SQLAlchemy URL; empty means SQLite at <data>/slamhive.db")
     host: str = setting("127.0.0.1", "Address the web server binds to")
     port: int = setting(5000, "Port the web server binds to", minimum=0, maximum=65535)

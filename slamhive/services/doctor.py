@@ -14,6 +14,7 @@ from slamhive.executors.energy import read_packages
 from slamhive.executors.gpu import list_gpus
 from slamhive.executors.host_counters import HostCounters, read_or_why, sources
 from slamhive.executors.registry import open_all
+from slamhive.project import about_data_root, data_root_in_environment, move_command
 from slamhive.registry import Origin
 from slamhive.services.data_root import REMEDY
 from slamhive.services.hive import Hive
@@ -90,9 +91,14 @@ def _data_root(hive: Hive) -> list[Check]:
         return [Check("data root", Verdict.WARNING, f"{data} does not exist", REMEDY)]
     free_mb = shutil.disk_usage(data).free // 1_000_000
     enough = free_mb >= hive.settings.min_free_disk_mb
-    found = f"{data}, {free_mb / 1000:.1f} GB free"
-    remedy = None if enough else "free some space, or lower MIN_FREE_DISK_MB"
-    return [Check("data root", Verdict.OK if enough else Verdict.FAILED, found, remedy)]
+    remark = about_data_root(hive.project_root, data)
+    found = f"{data}, {free_mb / 1000:.1f} GB free{f' ({remark})' if remark else ''}"
+    if not enough:
+        return [Check("data root", Verdict.FAILED, found, "free some space, or lower MIN_FREE_DISK_MB")]
+    if data_root_in_environment(hive.project_root, data):
+        remedy = f"stop the worker, then {move_command(data)}"
+        return [Check("data root", Verdict.WARNING, found, remedy)]
+    return [Check("data root", Verdict.OK, found)]
 
 
 def _database(hive: Hive) -> list[Check]:
