@@ -170,7 +170,9 @@ class Settings:
     smtp_security: MailSecurity = setting(MailSecurity.STARTTLS, "Protects the connection: starttls, tls or none")
     smtp_user: str = setting("", "User name there; empty for none")
     smtp_password: str = setting("", "Password there", secret=True)
-    executor: str = setting("auto", "An executor that `slamhive doctor` lists; auto takes the first that can be used")
+    executor: str = setting(
+        "auto", "An executor that `slamhive doctor --all` lists; auto takes the first that can be used"
+    )
     cloud_join: str = setting(
         "", "Shell command that makes a rented machine a node of the cluster, see cloud.md", secret=True
     )

@@ -31,7 +31,7 @@ LiveKeys = Callable[[], Collection[str]]
 """Returns the keys of the runs that workers hold now."""
 
 
-_WITH_IMAGES = "use an executor with images; slamhive doctor lists them"
+_WITH_IMAGES = "use an executor with images; slamhive doctor --all lists them"
 
 
 class ImageMissing(SlamHiveError):
@@ -291,7 +291,7 @@ class Executor(ABC):
 
     def gpus(self) -> tuple[Gpu, ...]:
         """The GPUs that a run can get, at least one. Raises Unavailable with the reason if there is none."""
-        remedy = "choose one that does; slamhive doctor lists them"
+        remedy = "choose one that does; slamhive doctor --all lists them"
         raise Unavailable(f"the executor {self.name} gives runs no GPU", remedy)
 
     def check_gpu(self) -> None:

@@ -20,6 +20,9 @@ from slamhive.services.data_root import REMEDY
 from slamhive.services.hive import Hive
 from slamhive.services.notices import channels_of
 
+IN_FORCE = "executor in force"
+"""The check that names the executor in use."""
+NOT_BUILT = "not built yet"
 _CPU = "load of others and steal"
 
 
@@ -117,7 +120,7 @@ def _executor(hive: Hive) -> list[Check]:
         verdict = Verdict.OK if problem is None else Verdict.WARNING
         checks.append(Check(f"executor {executor.name}", verdict, problem or "can be used"))
     chosen, reason = hive.executors.default()
-    return [*checks, Check("executor in force", Verdict.OK, f"{chosen} ({reason})")]
+    return [*checks, Check(IN_FORCE, Verdict.OK, f"{chosen} ({reason})")]
 
 
 def _executor_findings(hive: Hive) -> list[Check]:
@@ -175,7 +178,7 @@ def _algorithms(hive: Hive) -> list[Check]:
             continue
         if identity is None:
             remedy = f"slamhive algorithm build {package.name} (or let the first run do it)"
-            checks.append(Check(f"algorithm {package.name}", Verdict.WARNING, "not built yet", remedy))
+            checks.append(Check(f"algorithm {package.name}", Verdict.WARNING, NOT_BUILT, remedy))
         else:
             checks.append(Check(f"algorithm {package.name}", Verdict.OK, f"built, {identity[:19]}"))
     return checks

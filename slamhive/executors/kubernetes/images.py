@@ -34,7 +34,7 @@ class NodeImages:
         if package.user is not RunUser.WORKER:
             raise ImageMissing(
                 f"{package.name} runs as {package.user.in_words}, and pods have the user of the worker only",
-                "choose another executor; slamhive doctor lists them",
+                "choose another executor; slamhive doctor --all lists them",
             )
 
     def has(self, digest: str) -> bool:

@@ -71,7 +71,7 @@ class ContainerSlurmExecutor(SlurmExecutor):
         if package.user is not RunUser.WORKER:
             raise ImageMissing(
                 f"{package.name} runs as {package.user.in_words} and writes into its image, which jobs cannot change",
-                "choose another executor; slamhive doctor lists them",
+                "choose another executor; slamhive doctor --all lists them",
             )
 
     def identity(self, package: AlgorithmPackage) -> str | None:
