@@ -101,7 +101,7 @@ class RunFolder:
 
     @property
     def result(self) -> Path:
-        """What the container sees as ``/slamhive/result``."""
+        """The folder that the container sees as ``/slamhive/result``."""
         return self.root / "result"
 
     @property

@@ -54,14 +54,14 @@ def container_user(user: RunUser) -> str | None:
 
 
 def in_words(user: RunUser) -> str:
-    """Who the run is in its container, for ``run.json`` and messages."""
+    """The user of the run in its container, for ``run.json`` and messages."""
     if user is RunUser.WORKER:
         return f"user {os.getuid()}:{os.getgid()} of the worker"
     return user.in_words
 
 
 def is_foreign(user: RunUser) -> bool:
-    """Whether the user of the run is not the worker's own."""
+    """Return whether the user of the run is not the worker's own."""
     return user is RunUser.IMAGE or (user is RunUser.ROOT and os.getuid() != 0)
 
 

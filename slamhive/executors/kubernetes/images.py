@@ -38,7 +38,7 @@ class NodeImages:
             )
 
     def has(self, digest: str) -> bool:
-        """Whether the Docker engine of this machine has an image, from which nodes can get it."""
+        """Return whether the Docker engine of this machine has an image, from which nodes can get it."""
         from slamhive.executors.docker.kept_images import has_image  # noqa: PLC0415 - the SDK takes long to load
 
         with self._engine() as client:

@@ -64,7 +64,7 @@ class Environment:
 
     @property
     def prepared(self) -> Path:
-        """What ``prepare.py`` made."""
+        """The folder that ``prepare.py`` filled."""
         return self.folder / "prepared"
 
     @property
