@@ -35,7 +35,7 @@ def project_root() -> Path:
 
 
 def is_checkout(root: Path) -> bool:
-    """Whether the project root ``root`` is a folder of the user, and not the part of an installed wheel."""
+    """Return whether the project root ``root`` is a folder of the user, and not the part of an installed wheel."""
     return root != _installed_root()
 
 
@@ -81,7 +81,7 @@ def about_data_root(root: Path, data: Path) -> str:
 
 
 def data_root_in_environment(root: Path, data: Path) -> bool:
-    """Whether the data root lies in the environment of an installed wheel, where earlier versions kept it."""
+    """Return whether the data root lies in the environment of an installed wheel, where earlier versions kept it."""
     return not is_checkout(root) and data.is_relative_to(root)
 
 

@@ -37,7 +37,7 @@ _SENTENCE_END = re.compile(r"(?<=[.!?;])[)\"”]*\s+(?=[^a-z])")
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong with a passage, and where its line is."""
+    """A fault in a passage, and its line."""
 
     line: int
     message: str
@@ -68,7 +68,7 @@ class Rule:
         return cls(entries["message"], {re.compile(rf"\b(?:{key})\b", flags): swaps[key] for key in swaps})
 
     def problems(self, passage: Passage) -> Iterator[Problem]:
-        """What this rule finds in a passage."""
+        """Find the faults of a passage."""
         if self.most is not None:
             yield from self._long_sentences(passage)
             return
@@ -169,7 +169,7 @@ def tracked_files() -> list[str]:
 
 
 def left_out(name: str, entry: str) -> bool:
-    """Whether an entry of ``LEFT_OUT`` names this file."""
+    """Return whether an entry of ``LEFT_OUT`` names this file."""
     return name.startswith(entry) if entry.endswith("/") else Path(name).match(entry)
 
 

@@ -1,4 +1,4 @@
-"""What all commands share: the installation, opened on first use."""
+"""State that all commands share: the installation, opened on first use."""
 
 from __future__ import annotations
 

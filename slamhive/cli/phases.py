@@ -45,7 +45,7 @@ class Phases:
 
     @property
     def count(self) -> int:
-        """How many phases there are."""
+        """The number of phases."""
         return len(self._phases)
 
     @contextmanager

@@ -13,9 +13,9 @@ sys.path.insert(0, str(ROOT / "tools"))
 import prose  # noqa: E402
 
 RULES = [prose.Rule.read(path) for path in sorted(prose.STYLE.glob("*.yml"))]
-MOST_STIFF_OPENINGS = 1054
+MOST_STIFF_OPENINGS = 1030
 """Lower this with the counts of ``tools/vale/openings.yml``."""
-CLEAN = ("slamhive/executors", "slamhive/runs", "slamhive/services/worker")
+CLEAN = ("slamhive/cli/", "slamhive/executors/", "slamhive/runs/", "slamhive/services/worker/")
 """Folders without any."""
 LONG = " ".join(["word"] * 31) + "."
 
@@ -176,4 +176,4 @@ def test_a_file_that_is_named_is_held_to_the_rule_without_a_count(counted):
 def test_the_counts_of_the_project_do_not_grow():
     openings = prose.Openings.read(prose.OPENINGS)
     assert sum(openings.allowed.values()) <= MOST_STIFF_OPENINGS
-    assert not [folder for folder in openings.allowed if folder.startswith(CLEAN)]
+    assert not [folder for folder in openings.allowed if f"{folder}/".startswith(CLEAN)]
