@@ -303,22 +303,27 @@ def test_a_narrow_terminal_goes_without_the_least_columns():
     assert columns_to_leave_out(columns, rows, ("time s", "state"), 20) == ["time s", "state"]
 
 
+@pytest.mark.integration
 def test_the_doctor_first_says_that_one_can_start_then_what_is_not_fine(slamhive):
     brief, full = slamhive("doctor"), slamhive("doctor", "--all")
     first, heading, *rows = brief.stdout.splitlines()
     assert first.startswith("this machine can start, runs use process (")
     assert heading.split() == ["what", "verdict", "found", "remedy"]
-    assert [row.split()[:3] for row in rows if not row.startswith(" ")] == [
-        ["algorithm", "tiny", "warning"],
-        ["worker", "warning", "does"],
+    checks = json.loads(slamhive("doctor", "--json").stdout)
+    # Another test may have built the package already. An executor that is not in force is no fault.
+    expected = [
+        check["name"].split()[0]
+        for check in checks
+        if check["verdict"] != "ok" and not check["name"].startswith("executor ")
     ]
+    assert [row.split()[0] for row in rows if not row.startswith(" ")] == expected
+    assert "worker" in expected
     assert brief.stderr == "slamhive doctor --all also shows what is fine\n"
     assert full.stdout.startswith(first)
-    assert {check["name"].split()[0] for check in json.loads(slamhive("doctor", "--json").stdout)} <= {
-        row.split()[0] for row in full.stdout.splitlines() if row
-    }
+    assert {check["name"].split()[0] for check in checks} <= {row.split()[0] for row in full.stdout.splitlines() if row}
 
 
+@pytest.mark.integration
 def test_the_doctor_says_first_what_prevents_a_start(slamhive, monkeypatch):
     monkeypatch.setenv("SLAMHIVE_EXECUTOR", "slurm")
     ended = slamhive("doctor")
@@ -329,6 +334,7 @@ def test_the_doctor_says_first_what_prevents_a_start(slamhive, monkeypatch):
     assert "cannot start yet: data root: " in slamhive("doctor").stdout.splitlines()[0]
 
 
+@pytest.mark.integration
 def test_the_doctor_lists_what_is_broken_of_a_machine_that_can_start(slamhive, tmp_path):
     broken = tmp_path / "project" / "algorithms" / "broken"
     broken.mkdir()
@@ -339,6 +345,7 @@ def test_the_doctor_lists_what_is_broken_of_a_machine_that_can_start(slamhive, t
     assert "folder broken" in ended.stdout
 
 
+@pytest.mark.integration
 def test_the_doctor_counts_packages_that_are_not_built_in_one_row(slamhive, tmp_path):
     algorithms = tmp_path / "project" / "algorithms"
     for name in ("second", "third"):
