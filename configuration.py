@@ -3,7 +3,7 @@
 Environment variables (SLAMHIVE_<NAME>) and command-line options win over what is written here.
 """
 
-# MODE = "workstation"            # workstation | view-only (cluster and cloud: not available yet)
+# MODE = "workstation"            # workstation | view-only | cluster | cloud
 # DATA = "data"                   # data root: datasets, runs, SQLite database
 # DATABASE_URL = ""               # "" = SQLite in the data root; or mysql+pymysql://user@host/slamhive
 # EXECUTOR = "auto"               # auto | docker | process | slurm | kubernetes

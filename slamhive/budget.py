@@ -1,4 +1,4 @@
-"""What a server lends to all requests together: memory, disk, and how many of a kind it works on at once.
+"""Budget of all requests of a server together: memory, disk, and how many of a kind it works on at once.
 
 A limit for each request is not enough: many requests at once would exhaust the machine. So whatever a request brings is
 taken out of one :class:`Budget` before it is read, unpacked or parsed, and given back when that has ended.
@@ -22,7 +22,7 @@ RETRY_AFTER_S = 5
 
 
 class Lent(StrEnum):
-    """What a budget lends, as messages call it."""
+    """Kinds of things that a budget lends, as messages call them."""
 
     MEMORY = "memory"
     DISK = "temporary files"
@@ -33,7 +33,7 @@ class Lent(StrEnum):
 
     @property
     def is_bytes(self) -> bool:
-        """Whether amounts are bytes; the others are pieces of work at once."""
+        """Return whether amounts are bytes; the others are pieces of work at once."""
         return self in (Lent.MEMORY, Lent.DISK, Lent.UNPACKED)
 
     def in_words(self, amount: int) -> str:
@@ -75,11 +75,11 @@ class Budget:
             share.give_back()
 
     def used(self, kind: Lent) -> int:
-        """How much of a kind is lent now."""
+        """The amount of a kind that is lent now."""
         return sum(share.held[kind] for share in self.shares)
 
     def holders(self, kind: Lent) -> str:
-        """Who holds something of a kind, and for how long; nobody's name or token is in it."""
+        """Pieces of work that hold something of a kind, and for how long; nobody's name or token is in it."""
         found = [share for share in self.shares if share.held[kind]]
         words = [f"{share.what}, for {self.clock() - share.since_s:.0f} s" for share in found[:_MOST_SHOWN]]
         more = [f"and {len(found) - _MOST_SHOWN} more"] if len(found) > _MOST_SHOWN else []
@@ -87,7 +87,7 @@ class Budget:
 
 
 class Share:
-    """What one piece of work has taken out of a budget."""
+    """The part of a budget that one piece of work has taken."""
 
     def __init__(self, budget: Budget, what: str) -> None:
         self._budget = budget

@@ -59,7 +59,7 @@ def listen(host: str, port: int, asked: str = "--port") -> socket.socket:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Who may hold connections, and for how long.
+    """Limits of connections: their number and their time.
 
     Attributes:
         connections: Most connections of all clients.
@@ -183,7 +183,7 @@ class _Channel(HTTPChannel):  # type: ignore[misc]
 
     @property
     def can_go(self) -> bool:
-        """Whether nothing is lost with it: no request has arrived yet, or all are answered."""
+        """Return whether nothing is lost with it: no request has arrived yet, or all are answered."""
         return not self.requests and not self.total_outbufs_len and not self._in_body
 
     @property
@@ -191,7 +191,7 @@ class _Channel(HTTPChannel):  # type: ignore[misc]
         return self.request is not None and self.request.headers_finished
 
     def is_overdue(self, now_s: float, limits: Limits) -> bool:
-        """Whether the client takes too long with a request, with an answer, or with nothing. To be asked often."""
+        """Return whether the client takes too long with a request, an answer or nothing. To be asked often."""
         if self.total_outbufs_len or (self._in_body and not self.requests):
             since_s, moved_before = self._transfer or (now_s, self._moved_bytes)
             took_s, moved = now_s - since_s, self._moved_bytes - moved_before
@@ -282,7 +282,7 @@ class _Server(TcpWSGIServer):  # type: ignore[misc]
 
 
 def client_of(address: str) -> IPv4Address | IPv6Network:
-    """Who counts as one client: one household or office has an IPv4 address, or 2^64 addresses of IPv6."""
+    """The client behind an address: one household or office has an IPv4 address, or 2^64 addresses of IPv6."""
     found = ip_address(address.partition("%")[0])
     if isinstance(found, IPv4Address):
         return found

@@ -1,4 +1,4 @@
-"""How fast this machine is, by the CPU time of a fixed piece of work. Standard library only."""
+"""The speed of this machine, by the CPU time of a fixed piece of work. Standard library only."""
 
 from __future__ import annotations
 
@@ -22,5 +22,5 @@ def work_s() -> float:
 
 
 def slowness() -> float:
-    """How many times longer CPU work takes here than on the reference; below 1 on a faster machine."""
+    """The factor by which CPU work takes longer here than on the reference; below 1 on a faster machine."""
     return min(work_s() for _ in range(3)) / REFERENCE_S

@@ -120,7 +120,11 @@ class Settings:
     mode: Mode = setting(
         Mode.WORKSTATION, "workstation, view-only, or cluster and cloud, where algorithms run on other machines only"
     )
-    data: Path = setting(Path("data"), "Data root: datasets, runs, database; relative paths start at the project")
+    data: Path = setting(
+        Path("data"),
+        "Data root: datasets, runs, database; relative paths start at the checkout. Without one, the default is "
+        "~/.local/share/slamhive, see quick-start.md",
+    )
     database_url: str = setting("", "SQLAlchemy URL; empty means SQLite at <data>/slamhive.db")
     host: str = setting("127.0.0.1", "Address the web server binds to")
     port: int = setting(5000, "Port the web server binds to", minimum=0, maximum=65535)
@@ -169,7 +173,9 @@ class Settings:
     smtp_security: MailSecurity = setting(MailSecurity.STARTTLS, "Protects the connection: starttls, tls or none")
     smtp_user: str = setting("", "User name there; empty for none")
     smtp_password: str = setting("", "Password there", secret=True)
-    executor: str = setting("auto", "An executor that `slamhive doctor` lists; auto takes the first that can be used")
+    executor: str = setting(
+        "auto", "An executor that `slamhive doctor --all` lists; auto takes the first that can be used"
+    )
     cloud_join: str = setting(
         "", "Shell command that makes a rented machine a node of the cluster, see cloud.md", secret=True
     )

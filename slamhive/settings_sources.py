@@ -13,7 +13,7 @@ from typing import Any
 
 from slamhive.errors import InvalidInput, unknown
 from slamhive.input_bounds import check_value
-from slamhive.project import ROOT_VARIABLE
+from slamhive.project import ROOT_VARIABLE, place_data_root
 from slamhive.settings import ENVIRONMENT_PREFIX, SETTINGS, ExecutorOption, SettingKind, Settings
 
 CONFIGURATION_FILE = "configuration.py"
@@ -88,7 +88,7 @@ def load_settings(
                 declared[name] = _read(str, raw)
         except ValueError as error:
             raise InvalidInput(f"{name.upper()}={raw!r} from {source}: {error}") from None
-    placed = project_root / values.get("data", SETTINGS["data"].default).expanduser()
+    placed = place_data_root(project_root, values["data"].expanduser() if "data" in values else None)
     return Settings(**{**values, "data": placed}, further=declared)
 
 

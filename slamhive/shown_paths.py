@@ -17,7 +17,7 @@ _UNPACKED = re.compile(rf"(?<![\w./-])\S*?{re.escape(TEMPORARY)}[A-Za-z0-9_]+(?:
 
 
 def relative_paths(data: Path, project: Path | None = None) -> Callable[[str], str]:
-    """What makes the paths in a text relative that begin with the data root, the project, or where temporary files are.
+    """A function that makes paths in a text relative: below the data root, the project, or the temporary folder.
 
     The data root itself becomes ``the data root``.
     """

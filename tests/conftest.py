@@ -41,6 +41,7 @@ MARKS_OF_MANY = re.compile(r"^([A-Z]+) = (\[\s+pytest\.mark\.[^\]]*\])", re.MULT
 
 LONGEST = (
     "bags/test_room_dataset.py",
+    "deploy/test_wheel.py",
     "services/test_file_fuzz.py",
     "web/test_web_fuzz.py",
     "extend/test_extend_examples.py",
@@ -57,7 +58,6 @@ LONGEST = (
     "services/test_early_ending.py",
     "end_to_end/test_hostile_algorithms.py",
     "cli/test_cli_import_run.py",
-    "deploy/test_wheel.py",
     "algorithms/test_algorithm_images.py",
 )
 """The files that take longest begin first, so that no worker is still busy with one when the others have ended.

@@ -96,7 +96,7 @@ def bootstrap(purpose: str) -> None:
 
 
 def _needs(purpose: str, tiers: Sequence[str]) -> list[needs.Need]:
-    """What only root can install, of what ``purpose`` needs."""
+    """Packages that ``purpose`` needs and only root can install."""
     if purpose == "demo":
         return needs.for_demo()
     return needs.for_tests(tiers) if purpose == "test" else needs.for_environment()

@@ -1,4 +1,4 @@
-"""What this machine has, and how to get what it lacks: Debian packages and the Docker engine. Standard library only."""
+"""Programs of this machine, and how to get others: Debian packages and the Docker engine. Standard library only."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def can_install() -> bool:
 
 
 def absent(packages: Sequence[str]) -> tuple[str, ...]:
-    """Which Debian packages are not installed; all of them where there is no dpkg."""
+    """Debian packages that are not installed; all of them where there is no dpkg."""
     if shutil.which("dpkg-query") is None:
         return tuple(packages)
     command = ["dpkg-query", "-W", "-f", "${Package} ${db:Status-Status}\n", *packages]
@@ -107,7 +107,7 @@ def engine_trouble() -> Trouble | None:
 
 
 def has_image(name: str) -> bool:
-    """Whether the engine has an image of this name."""
+    """Return whether the engine has an image of this name."""
     try:
         return _ask_engine("GET", f"/images/{name}/json", ASK_S)[0] == http.client.OK
     except (OSError, http.client.HTTPException):

@@ -1,4 +1,4 @@
-"""What the two commands of the README need and only root can install: asked for once, before anything takes long.
+"""Packages for the two commands of the README that only root can install: asked for once, before what takes long.
 
 Standard library only.
 """
@@ -48,7 +48,7 @@ class Need:
 
 
 def for_environment() -> list[Need]:
-    """What makes virtual environments."""
+    """Packages that make virtual environments."""
     if find_spec("ensurepip") is not None:
         return []
     package = f"python{sys.version_info.major}.{sys.version_info.minor}-venv"
@@ -56,7 +56,7 @@ def for_environment() -> list[Need]:
 
 
 def for_demo() -> list[Need]:
-    """What ``make demo`` lacks here. Prints what stands between this user and a Docker engine that is there."""
+    """Packages that ``make demo`` lacks here. Prints what keeps this user from a Docker engine that is there."""
     found = for_environment()
     trouble = machine.engine_trouble()
     if trouble is None:
@@ -68,7 +68,7 @@ def for_demo() -> list[Need]:
 
 
 def _for_base_image() -> list[Need]:
-    """What makes the base of all images, unless the engine has it or pulls it now."""
+    """Packages that make the base of all images, unless the engine has it or pulls it now."""
     if any(machine.has_image(name) for name in BASE_IMAGES):
         return []
     problem = machine.pull(BASE_IMAGES[0])
@@ -146,7 +146,7 @@ ASKED_ONLY = frozenset({"packages", "classical", "long", "machines"})
 
 
 def for_tests(tiers: Iterable[str]) -> list[Need]:
-    """What the named tiers lack here, by default all that ``make test`` runs."""
+    """Packages that the named tiers lack here, by default all that ``make test`` runs."""
     chosen = set(tiers) or set(OF_TIERS) - ASKED_ONLY
     looks: dict[Callable[[], tuple[str, ...]], list[str]] = {}
     for tier, needed in OF_TIERS.items():
@@ -190,7 +190,7 @@ def provide(needs: Iterable[Need]) -> None:
 
 
 def _agrees() -> bool:
-    """Whether somebody sits in front of a terminal and wants the command run now."""
+    """Return whether somebody sits in front of a terminal and wants the command run now."""
     if not (sys.stdin.isatty() and shutil.which("sudo")):
         return False
     try:

@@ -4,6 +4,11 @@ No package registry carries the Vale program, so the kinds of rules that the sty
 
     python tools/prose.py             check every file; part of "make test TIERS=lint"
     python tools/prose.py FILE ...    check these
+    python tools/prose.py --lower     lower the counts of docstrings that open stiffly
+
+A docstring opens with a verb or a noun. ``tools/vale/openings.yml`` names words that are neither, and counts for each
+folder the docstrings that opened so before this rule. A count only falls. A folder with more fails, and so does one
+with fewer until the count is lowered. A file that is named is held to the rule without a count.
 """
 
 from __future__ import annotations
@@ -11,16 +16,18 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
-from prose_text import Passage, passages
+from prose_text import Passage, opening_words, passages
 
 ROOT = Path(__file__).resolve().parent.parent
 STYLE = ROOT / "tools" / "vale" / "SlamHive"
+OPENINGS = ROOT / "tools" / "vale" / "openings.yml"
 CHECKED = ("*.md", "templates/*.html", "*.py", "*/algorithm.yaml")
 GENERATED = ("cli", "settings", "analysis-forms", "variant-steps")
 LEFT_OUT = ("docs/glossary.md", *(f"docs/{name}.md" for name in GENERATED), "tests/", "algorithms/*/README.md")
@@ -30,7 +37,7 @@ _SENTENCE_END = re.compile(r"(?<=[.!?;])[)\"”]*\s+(?=[^a-z])")
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong with a passage, and where its line is."""
+    """A fault in a passage, and its line."""
 
     line: int
     message: str
@@ -61,7 +68,7 @@ class Rule:
         return cls(entries["message"], {re.compile(rf"\b(?:{key})\b", flags): swaps[key] for key in swaps})
 
     def problems(self, passage: Passage) -> Iterator[Problem]:
-        """What this rule finds in a passage."""
+        """Find the faults of a passage."""
         if self.most is not None:
             yield from self._long_sentences(passage)
             return
@@ -78,16 +85,80 @@ class Rule:
                 yield Problem(passage.line, f"{self.message} {' '.join(sentence.split())[:60]} ...")
 
 
+@dataclass(frozen=True)
+class Openings:
+    """The words that no docstring opens with, and how many docstrings of each folder still do."""
+
+    words: frozenset[str]
+    allowed: Mapping[str, int]
+
+    @classmethod
+    def read(cls, path: Path) -> Openings:
+        """Read the words and counts from a file."""
+        entries: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return cls(frozenset(entries["words"]), entries["allowed"])
+
+    def problems(self, path: Path) -> list[Problem]:
+        """Find the docstrings of a Python file that open stiffly."""
+        if path.suffix != ".py":
+            return []
+        return [
+            Problem(entry.line, f"Open a docstring with a verb or a noun, and not with '{entry.text}'.")
+            for entry in opening_words(path.read_text(encoding="utf-8"))
+            if entry.text in self.words
+        ]
+
+    def beyond(self, found: Mapping[str, Sequence[Problem]]) -> dict[str, list[Problem]]:
+        """Compare what all files have with the counts; returns what fails."""
+        counts = self.count(found)
+        failed: dict[str, list[Problem]] = {}
+        for folder in sorted({*counts, *self.allowed}):
+            count, most = counts.get(folder, 0), self.allowed.get(folder, 0)
+            if count > most:
+                failed |= {
+                    name: list(entries) for name, entries in found.items() if entries and _folder(name) == folder
+                }
+                failed[folder] = [Problem(0, f"{count} docstrings open stiffly, {most} did. Mend the new ones.")]
+            elif count < most:
+                failed[folder] = [Problem(0, f"{count} docstrings open stiffly, {most} did: tools/prose.py --lower")]
+        return failed
+
+    @staticmethod
+    def count(found: Mapping[str, Sequence[Problem]]) -> dict[str, int]:
+        """Count the problems of each folder that has any."""
+        counts = Counter({_folder(name): 0 for name in found})
+        for name, entries in found.items():
+            counts[_folder(name)] += len(entries)
+        return {folder: count for folder, count in sorted(counts.items()) if count}
+
+    def lower(self, counts: Mapping[str, int], path: Path) -> None:
+        """Write the counts that fell into the file; none is raised."""
+        lowered = {folder: min(most, counts.get(folder, 0)) for folder, most in self.allowed.items()}
+        head = path.read_text(encoding="utf-8").partition("allowed:")[0]
+        lines = [f"  {folder}: {count}\n" for folder, count in sorted(lowered.items()) if count]
+        path.write_text(f"{head}allowed:{'' if lines else ' {}'}\n{''.join(lines)}", encoding="utf-8")
+
+
+def _folder(name: str) -> str:
+    return Path(name).parent.as_posix()
+
+
 def main(arguments: Sequence[str]) -> int:
     """Check the named files or all; returns the exit code."""
+    openings = Openings.read(OPENINGS)
+    if arguments == ["--lower"]:
+        openings.lower(openings.count({name: openings.problems(ROOT / name) for name in tracked_files()}), OPENINGS)
+        return 0
     rules = [Rule.read(path) for path in sorted(STYLE.glob("*.yml"))]
     unknown = next((name for name in arguments if not (ROOT / name).is_file()), None)
     if unknown is not None:
         print(f"there is no file {unknown}; usage: prose.py [FILE ...]", file=sys.stderr)
         return 2
-    found = {name: check(ROOT / name, rules) for name in arguments or tracked_files()}
-    print(f"prose: {len(found)} files")
-    return report(found)
+    names = arguments or tracked_files()
+    stiff = {name: openings.problems(ROOT / name) for name in names}
+    print(f"prose: {len(names)} files")
+    wording = report({name: check(ROOT / name, rules) for name in names})
+    return max(wording, report(stiff if arguments else openings.beyond(stiff)))
 
 
 def tracked_files() -> list[str]:
@@ -98,7 +169,7 @@ def tracked_files() -> list[str]:
 
 
 def left_out(name: str, entry: str) -> bool:
-    """Whether an entry of ``LEFT_OUT`` names this file."""
+    """Return whether an entry of ``LEFT_OUT`` names this file."""
     return name.startswith(entry) if entry.endswith("/") else Path(name).match(entry)
 
 

@@ -145,6 +145,15 @@ def _bare_strings(node: ast.AST) -> Iterator[tuple[ast.Constant, str]]:
                 yield constant, constant.value
 
 
+def opening_words(text: str) -> Iterator[Passage]:
+    """The first word of each docstring of a module, a class or a function."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            words = (ast.get_docstring(node) or "").split(maxsplit=1)
+            if words:
+                yield Passage(node.body[0].lineno, words[0])
+
+
 def _piece(node: ast.expr) -> str:
     return str(node.value) if isinstance(node, ast.Constant) else CODE
 

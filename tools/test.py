@@ -346,7 +346,7 @@ def prepare_database() -> str:
 
 
 def prepare_libraries() -> str:
-    """What runs outside containers load, and a compose."""
+    """Libraries that runs outside containers load, and a compose."""
     return provide(needs.libraries())
 
 

@@ -29,7 +29,7 @@ def acting(cli: CliContext, subject: str) -> Iterator[Accounts]:
 
 
 def _user() -> str:
-    """Who runs this command; the number of a user without a name, as containers have them."""
+    """Return the user who runs this command; the number of a user without a name, as containers have them."""
     try:
         return getpass.getuser()[:64]
     except (KeyError, OSError):

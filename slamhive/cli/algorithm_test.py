@@ -26,7 +26,7 @@ COLUMNS = (
 @click.argument("names", nargs=-1, shell_complete=offers.PACKAGE)
 @click.option("--all", "all_", is_flag=True, help="Test all packages.")
 @click.option("--dataset", "datasets", multiple=True, help="Only the bounds on these datasets.")
-@click.option("--executor", help="An executor that `slamhive doctor` lists; default: the one in force.")
+@click.option("--executor", help="An executor that `slamhive doctor --all` lists; default: the one in force.")
 @json_option
 @pass_cli
 def test(

@@ -98,7 +98,7 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
 @algorithm.command("build")
 @click.argument("names", nargs=-1, shell_complete=offers.PACKAGE)
 @click.option("--all", "all_", is_flag=True, help="Build all packages.")
-@click.option("--executor", help="An executor that `slamhive doctor` lists; default: the one in force.")
+@click.option("--executor", help="An executor that `slamhive doctor --all` lists; default: the one in force.")
 @pass_cli
 def build(cli: CliContext, names: tuple[str, ...], all_: bool, executor: str | None) -> None:
     """Build the images (for the process executor: the environments) of the algorithms or packages NAMES."""

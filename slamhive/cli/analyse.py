@@ -83,7 +83,7 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
 
 
 def _show_mixed(report: Report) -> None:
-    """What runs of the report do not have in common."""
+    """Print what runs of the report do not have in common."""
     for name, labels in report.mixed_versions.items():
         tell(f"versions are mixed: {name} ran as {', '.join(labels)}", style="yellow")
     for kind, names in report.mixed_trajectories.items():

@@ -68,7 +68,7 @@ def _figure(figure: Figure | None, *, best: bool) -> str | None:
 
 
 def _notes(comparison: RunComparison) -> list[str]:
-    """What limits the comparison."""
+    """Return the limits of the comparison."""
     if comparison.protocol is None:
         return ["none of these runs is evaluated; `slamhive evaluate` evaluates them"]
     notes = [f"protocol: {comparison.protocol.label} ({comparison.protocol.fingerprint})"]

@@ -1,4 +1,4 @@
-"""What all commands share: the installation, opened on first use."""
+"""State that all commands share: the installation, opened on first use."""
 
 from __future__ import annotations
 
@@ -32,12 +32,16 @@ class CliContext:
         """The installation. ``indexed`` refuses one whose database lacks its runs."""
         # Importing the services takes half a second, which `--help` and `--version` need not wait for.
         from slamhive.cli.data_root import LISTS, command_name, expected_of  # noqa: PLC0415
+        from slamhive.services.data_root import DataRoot  # noqa: PLC0415
         from slamhive.services.hive import check_indexed, open_hive  # noqa: PLC0415
 
         if self._hive is None:
             context = click.get_current_context()
-            self._hive = open_hive(self._options, expected_of(context))
+            expected = expected_of(context)
+            self._hive = open_hive(self._options, expected)
             self._opened.callback(self._hive.close)
+            if expected is DataRoot.MADE:
+                _tell_data_root(self._hive)
             if command_name(context) in LISTS:
                 self._opened.enter_context(self._hive.store.snapshot())
         if indexed:
@@ -51,6 +55,16 @@ class CliContext:
     def close(self) -> None:
         """Close what was opened."""
         self._opened.close()
+
+
+def _tell_data_root(hive: Hive) -> None:
+    """Say where results go, unless the user chose the place or can see it in the checkout."""
+    from slamhive.cli.output import tell  # noqa: PLC0415 - `--help` prints without rich
+    from slamhive.project import about_data_root  # noqa: PLC0415
+
+    remark = about_data_root(hive.project_root, hive.settings.data)
+    if remark:
+        tell(f"data root {hive.settings.data} ({remark})")
 
 
 def choice(kind: type[StrEnum]) -> click.Choice[str]:

@@ -1,4 +1,4 @@
-"""Whether a command creates the data root, needs it, or works without it."""
+"""The data root of each command: created, needed, or not used."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ LISTS = frozenset(
 
 
 def expected_of(context: click.Context) -> DataRoot:
-    """What the command that runs in ``context`` expects of the data root."""
+    """Return what the command that runs in ``context`` expects of the data root."""
     return EXPECTED.get(command_name(context), DataRoot.READ)
 
 

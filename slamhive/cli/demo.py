@@ -75,7 +75,7 @@ def _source(hive: Hive, content: dict[str, Any], algorithms: Sequence[str], exec
 
 
 def _phases(hive: Hive, executor: str, packages: Sequence[str], seconds: float) -> Phases:
-    """What the demo does, with the time that each phase takes on two cores of the reference and a fast network."""
+    """Plan the phases of the demo, with the time that each takes on two cores of the reference and a fast network."""
     chosen = hive.executors.get(executor)
     there = {name: chosen.identity(hive.catalogue.package(name)) is not None for name in packages}
     builds = [Phase(f"building {name}", 1.0 if there[name] else BUILD_S, "build") for name in packages]
@@ -122,7 +122,7 @@ def _prepare_evaluation(hive: Hive, phases: Phases) -> None:
 
 
 def _rendered(hive: Hive, seconds: float) -> bool:
-    """Whether the room is there, and as long as it is to be."""
+    """Return whether the room is there, and as long as it is to be."""
     try:
         return abs(hive.catalogue.dataset(DATASET).duration_s - seconds) < 0.5
     except NotFound:

@@ -45,7 +45,9 @@ def experiment() -> None:
 
 @experiment.command("plan")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--executor", help="An executor that `slamhive doctor` lists; default: the file's, or the one in force.")
+@click.option(
+    "--executor", help="An executor that `slamhive doctor --all` lists; default: the file's, or the one in force."
+)
 @click.option("--nodes", type=click.IntRange(1, MOST_NODES), help="Plan for so many nodes of a cluster.")
 @json_option
 @pass_cli
@@ -93,7 +95,9 @@ def convert(cli: CliContext, file: Path, out: Path | None, ids: dict[str, str]) 
 
 @experiment.command("start")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--executor", help="An executor that `slamhive doctor` lists; default: the file's, or the one in force.")
+@click.option(
+    "--executor", help="An executor that `slamhive doctor --all` lists; default: the file's, or the one in force."
+)
 @visibility_option
 @click.option("--wait", is_flag=True, help="Wait until all runs have ended; run them here if there is no worker.")
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation.")

@@ -1,4 +1,4 @@
-"""How commands print hints at common mistakes."""
+"""Hints at common mistakes, as commands print them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NAMED_RUNS = 5
 
 
 def hint_in_words(hint: Hint) -> str:
-    """What was found, and what to do."""
+    """Return what was found, and what to do."""
     return f"{hint.sentence} Remedy: {hint.remedy}."
 
 

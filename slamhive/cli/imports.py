@@ -102,7 +102,7 @@ def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, 
 
 
 def _convention(options: dict[str, Any], prefix: str) -> Convention:
-    """What the options say of trajectories, or with a prefix of ground truths."""
+    """Return what the options say of trajectories, or with a prefix of ground truths."""
     unit, order = options[f"{prefix}time_unit"], options[f"{prefix}quaternion_order"]
     return Convention(None if unit is None else TimeUnit(unit), None if order is None else QuaternionOrder(order))
 

@@ -16,40 +16,60 @@ from slamhive.cli.mistakes import mistakes_end_with
 from slamhive.cli.visible import VisibleFormatter
 from slamhive.input_bounds import check_text
 
-MODULES = {
-    "account": "accounts",
-    "algorithm": "algorithms",
-    "analyse": "analyse",
-    "analyses": "stored_analyses",
-    "archive": "archive",
-    "challenge": "challenges",
-    "cite": "cite",
-    "cloud": "cloud",
-    "compare": "compare",
-    "completion": "completion",
-    "configuration": "configurations",
-    "dataset": "datasets",
-    "demo": "serving",
-    "doctor": "maintenance",
-    "evaluate": "evaluate",
-    "experiment": "experiments",
-    "find": "finding",
-    "gate": "gates",
-    "nodes": "nodes",
-    "notify": "notify",
-    "plugins": "plugins",
-    "protocol": "protocols",
-    "reindex": "maintenance",
-    "replay": "replay",
-    "run": "running",
-    "runs": "runs",
-    "search": "searching",
-    "serve": "serving",
-    "settings": "maintenance",
-    "variants": "variants",
-    "worker": "serving",
+SECTIONS = {
+    "Start here": {
+        "demo": ("serving", "Run three SLAM systems on a rendered room, show the results"),
+        "doctor": ("maintenance", "Say whether this machine can start, and how to fix the rest"),
+        "serve": ("serving", "Show everything on web pages, and work on the queue"),
+        "completion": ("completion", "Let Tab complete commands and names in bash, zsh and fish"),
+    },
+    "Data and algorithms": {
+        "dataset": ("datasets", "Fetch, import, check, export, render and show datasets"),
+        "variants": ("variants", "Make and remove degraded or cut copies of datasets"),
+        "algorithm": ("algorithms", "List, show, import, build and test algorithms"),
+        "find": ("finding", "Find anything that has these words in its name or text"),
+    },
+    "Runs and experiments": {
+        "run": ("running", "Run one algorithm on one dataset"),
+        "runs": ("runs", "List runs by a filter; show, retry, tag and delete them"),
+        "search": ("searching", "Save a filter of `runs` under a name"),
+        "experiment": ("experiments", "Run many configurations from one file, and report on them"),
+        "configuration": ("configurations", "Name, group, export and import configurations"),
+        "evaluate": ("evaluate", "Compute the errors of runs, under any protocol"),
+        "protocol": ("protocols", "List, compare and choose protocols of evaluations"),
+    },
+    "Results": {
+        "compare": ("compare", "Show what differs between some runs, side by side"),
+        "gate": ("gates", "Fail in CI when new runs are worse than a stored baseline"),
+        "replay": ("replay", "Run an archive again here, and say if the results agree"),
+        "analyse": ("analyse", "Draw plots and tables from an analysis file"),
+        "analyses": ("stored_analyses", "List, share and delete the analyses of the web pages"),
+    },
+    "Share": {
+        "archive": ("archive", "Export runs to a file, check and import it, publish a site"),
+        "cite": ("cite", "Print BibTeX of everything that runs or an experiment used"),
+        "challenge": ("challenges", "Hold a competition whose ground truth is secret"),
+    },
+    "Machines": {
+        "worker": ("serving", "Execute what is queued, on this machine or a cluster"),
+        "nodes": ("nodes", "List the machines that execute runs, and keep some free"),
+        "cloud": ("cloud", "Rent machines for an experiment, and give them back"),
+    },
+    "Administration": {
+        "account": ("accounts", "Say who may use the web server, and see what they did"),
+        "notify": ("notify", "Tell people when experiments end or fail"),
+        "plugins": ("plugins", "List installed plug-ins, and why one is broken"),
+        "settings": ("maintenance", "List all settings with value, source and meaning"),
+        "reindex": ("maintenance", "Rebuild the database from the folders of the data root"),
+    },
 }
-"""The module of each command."""
+"""By heading of the help: the module of each command, and its line there.
+
+The lines are here rather than in the commands, so that `--help` imports no command. Each fits 80 columns, and says how
+a command differs from those with similar names.
+"""
+
+MODULES = {name: module for section in SECTIONS.values() for name, (module, _) in section.items()}
 
 REGISTRY = "slamhive.registry"
 """The logger of the module that loads plug-ins. Importing it for its name would load ``importlib.metadata``."""
@@ -66,6 +86,13 @@ class Root(LazyGroup):
             for number, text in enumerate(args, start=1):
                 check_text(text, f"argument {number}")  # bytes that are not UTF-8 are halves of surrogate pairs
             return super().make_context(info_name, args, parent, **extra)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002 - click's
+        """Write the commands below the headings of :data:`SECTIONS`."""
+        width = max(map(len, MODULES))
+        for heading, section in SECTIONS.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name.ljust(width), line) for name, (_, line) in section.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; turn SlamHiveError into a message."""
@@ -91,7 +118,7 @@ class Root(LazyGroup):
 def main(context: click.Context, data: Path | None, database_url: str | None, verbose: bool) -> None:
     """Run any SLAM algorithm on any dataset, evaluate every run, compare.
 
-    Data lies in the data root (default: ./data in the project). `slamhive doctor` checks this machine.
+    Results lie in the data root: data/ of the checkout, ~/.local/share/slamhive without one.
     """
     level = logging.INFO if verbose else logging.ERROR
     to_terminal = logging.StreamHandler()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import click
@@ -10,11 +11,15 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import counting_bar, print_json, print_table, tell
 from slamhive.cli.plugins import all_origins
 from slamhive.cli.visible import say
+from slamhive.domain.numbers import plural
 from slamhive.executors.registry import declared_settings
 from slamhive.project import project_root
-from slamhive.services.doctor import Verdict, examine, examine_cluster, plugin_checks
+from slamhive.services.doctor import IN_FORCE, NOT_BUILT, Check, Verdict, examine, examine_cluster, plugin_checks
 from slamhive.services.reindex import reindex, run_folders
 from slamhive.settings_sources import settings_in_force
+
+NEEDED = ("data root", "database", "executor")
+"""The checks without which nothing can be run. All others concern one package, or what is measured."""
 
 
 @click.command("reindex")
@@ -49,10 +54,11 @@ def reindex_command(cli: CliContext, as_json: bool) -> None:
 
 @click.command("doctor")
 @click.argument("what", type=click.Choice(["machine", "cluster"]), default="machine")
+@click.option("--all", "everything", is_flag=True, help="Also what is fine.")
 @json_option
 @pass_cli
-def doctor(cli: CliContext, what: str, as_json: bool) -> None:
-    """Check what works on this machine, and say how to fix the rest.
+def doctor(cli: CliContext, what: str, everything: bool, as_json: bool) -> None:
+    """Say whether this machine can start, what is not fine, and how to fix it.
 
     `slamhive doctor cluster` asks each node of the cluster instead: what it is, and which container runtime it has.
     """
@@ -61,10 +67,52 @@ def doctor(cli: CliContext, what: str, as_json: bool) -> None:
     if as_json:
         print_json([asdict(check) for check in checks])
     else:
-        rows = [(check.name, check.verdict.value, check.found, check.remedy) for check in checks]
-        print_table(("what", "verdict", "found", "remedy"), rows)
+        if what == "machine":
+            say(_can_start(checks))
+        shown = checks if everything or what == "cluster" else _not_fine(checks)
+        rows = [(check.name, check.verdict.value, check.found, check.remedy) for check in shown]
+        if rows:
+            print_table(("what", "verdict", "found", "remedy"), rows)
+        if len(shown) < len(checks):
+            tell("slamhive doctor --all also shows what is fine")
     if any(check.verdict is Verdict.FAILED for check in checks):
         raise click.exceptions.Exit(1)
+
+
+def _can_start(checks: Sequence[Check]) -> str:
+    """One line on whether runs can be started here."""
+    failed = [check for check in checks if check.verdict is Verdict.FAILED]
+    for check in failed:
+        if check.name in NEEDED:
+            remedy = f"; {check.remedy}" if check.remedy else ""
+            return f"this machine cannot start yet: {check.name}: {check.found}{remedy}"
+    chosen = "".join(f", runs use {check.found}" for check in checks if check.name == IN_FORCE)
+    if failed:
+        return f"this machine can start{chosen}, but {plural(len(failed), 'check')} failed"
+    return f"this machine can start{chosen}"
+
+
+def _not_fine(checks: Sequence[Check]) -> list[Check]:
+    """The checks that a user may want to act on.
+
+    A laptop lacks Slurm, and most packages are never built on it. So executors that cannot be used are left out if
+    another one is in force, and packages that are not built are one row.
+    """
+    works = any(check.name == IN_FORCE and check.verdict is Verdict.OK for check in checks)
+    open_ones = [
+        check
+        for check in checks
+        if check.verdict is Verdict.FAILED
+        or (check.verdict is Verdict.WARNING and not (works and check.name.startswith("executor ")))
+    ]
+    unbuilt = [check for check in open_ones if check.found == NOT_BUILT]
+    if len(unbuilt) < 2:
+        return open_ones
+    count = sum(check.name.startswith("algorithm ") for check in checks)
+    remedy = "the first run of each builds it; slamhive algorithm build NAME does so now"
+    row = Check("algorithms", Verdict.WARNING, f"{len(unbuilt)} of {count} packages are not built yet", remedy)
+    at = open_ones.index(unbuilt[0])
+    return [*open_ones[:at], row, *(check for check in open_ones[at:] if check.found != NOT_BUILT)]
 
 
 @click.command("settings")

@@ -1,4 +1,4 @@
-"""How an algorithm fits a dataset, on the command line."""
+"""The fit of an algorithm and a dataset, on the command line."""
 
 from __future__ import annotations
 

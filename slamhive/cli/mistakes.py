@@ -1,4 +1,4 @@
-"""How a mistake of the user ends a command: one line on stderr, and an exit code."""
+"""Ends of commands by mistakes of the user: one line on stderr, and an exit code."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def progress_bar(title: str, *, tells_left: bool = True) -> Iterator[Callable[[f
 
 @contextmanager
 def counting_bar(title: str, total: int, *, tells_left: bool = True) -> Iterator[Callable[[int, str], None]]:
-    """As :func:`progress_bar`, for done / total; yields a function that takes how many are done, and a text.
+    """Show a bar like :func:`progress_bar`, for done / total; yields a function of how many are done, and a text.
 
     ``tells_left``: show the time left, assuming that the rest is as fast as what is done.
     """

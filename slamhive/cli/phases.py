@@ -46,7 +46,7 @@ class Phase:
 
     @property
     def work_s(self) -> float:
-        """What a slow machine takes longer for."""
+        """Work that a slow machine takes longer for."""
         return self.expected_s - self.steady_s
 
 
@@ -78,7 +78,7 @@ class Phases:
 
     @property
     def count(self) -> int:
-        """How many phases there are."""
+        """The number of phases."""
         return len(self._phases)
 
     @contextmanager
@@ -97,7 +97,7 @@ class Phases:
         self._took.append((phase, self._clock_s() - began_s))
 
     def left(self, elapsed_s: float, fraction: float = 0.0) -> Remaining:
-        """What is left of the phase that has taken ``elapsed_s``, and of all after it."""
+        """The time left of the phase that has taken ``elapsed_s``, and of all after it."""
         phase = self._phases[self._number - 1]
         if fraction > _TELLING:
             whole_s = elapsed_s / fraction
@@ -111,12 +111,12 @@ class Phases:
         return Remaining(whole.seconds - elapsed_s, *ends) + self.after()
 
     def after(self, *under_way: tuple[Phase, float]) -> Remaining:
-        """What the phases after this one will take; ``under_way`` is this one with the time it should take."""
+        """The time of the phases after this one; ``under_way`` is this one with the time it should take."""
         took = [*self._took, *under_way]
         return sum((self._whole(later, took) for later in self._phases[self._number :]), start=Remaining(0.0, 0.0, 0.0))
 
     def _whole(self, phase: Phase, took: Sequence[tuple[Phase, float]]) -> Remaining:
-        """How long a phase takes from its beginning."""
+        """The time of a phase from its beginning."""
         factor = self._factor(phase.kind, took)
         spread = _NINE_TENTHS * math.sqrt(factor.variance)
         logs = (factor.mean, factor.mean - spread, factor.mean + spread)

@@ -35,7 +35,7 @@ def plugins(with_shipped: bool, as_json: bool) -> None:
 
 
 def all_origins() -> list[Origin]:
-    """What fills each seam, seam by seam. Loads every plug-in."""
+    """Return the origins that fill each seam, seam by seam. Loads every plug-in."""
     return [origin for registry in _registries() for origin in registry.origins()]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.searching import Listing, print_export, print_groups, search_of, split_columns, write_parquet
 from slamhive.cli.sharing import in_words
 from slamhive.cli.visible import say, write_raw
+from slamhive.domain.external import IMPORTED
 from slamhive.domain.metrics import described
 from slamhive.domain.numbers import plural
 from slamhive.domain.run import FailureReason, RunState
@@ -136,13 +138,12 @@ def _print_page(listing: Listing, *, as_json: bool) -> None:
 
 @runs.command("show")
 @click.argument("run_id", type=run_number, shell_complete=offers.RUN)
+@click.option("--all", "everything", is_flag=True, help="Also all parameters, metrics and changes of state.")
 @json_option
 @pass_cli
-def show(cli: CliContext, run_id: int, as_json: bool) -> None:
-    """Show one run: configuration, outcome, metrics, events, evaluations."""
-    from slamhive.cli.matching import bound_rows  # noqa: PLC0415 - the list of runs needs none of these
-    from slamhive.schema.matching import Match  # noqa: PLC0415
-    from slamhive.services.evaluations import evaluation_notes  # noqa: PLC0415
+def show(cli: CliContext, run_id: int, everything: bool, as_json: bool) -> None:
+    """Show what matters of one run: outcome, configuration, error, resources, trust, files, and what to do next."""
+    from slamhive.services.evaluations import evaluation_notes  # noqa: PLC0415 - the list of runs needs none
 
     hive = cli.hive()
     entry, recorded = hive.runs.get(run_id), hive.runs.record(run_id)
@@ -154,31 +155,39 @@ def show(cli: CliContext, run_id: int, as_json: bool) -> None:
     if as_json:
         print_json(content)
         return
-    say(f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {entry.state}")
-    _print_outcome(entry)
-    if entry.owner is not None or entry.seen_by is not Visibility.TEAM:
-        say(in_words(entry.owner, entry.seen_by))
-    say(f"folder {content['folder']}")
-    print_table(("parameter", "value"), [(key, value) for key, value in content["parameters"].items()])
-    if recorded.get("match"):
-        print_table(("parameter", "value", "source"), list(bound_rows(Match.read(recorded["match"]))))
-    metrics = content["metrics"]
-    if metrics:
-        values = entry.metrics or {}
-        rows = [
-            (key, f"{part['value']:.6g}", part["unit"], described(key).sample(values)) for key, part in metrics.items()
-        ]
-        print_table(("metric", "value", "unit", "over"), rows, right=("value",))
+    lines = [*_summary(entry, content["folder"]), *_written(entry)]
     if entry.protocol is not None:
-        say(f"protocol {entry.protocol.fingerprint}: {entry.protocol.label}")
-    if entry.protocol is not None:
-        for hint in evaluation_notes(hive.runs.folder(run_id), entry.protocol.fingerprint).hints:
-            say(f"hint: {hint_in_words(hint)}")
-    for evaluation in content["evaluations"]:
-        if evaluation["reason"]:
-            say(f"evaluation {evaluation['id']} {evaluation['state']}: {evaluation['reason']}")
-    rows_of_events = [(e["at"], e["from"], e["to"], e["why"]) for e in content["events"]]
-    print_table(("at", "from", "to", "why"), rows_of_events)
+        hints = evaluation_notes(hive.runs.folder(run_id), entry.protocol.fingerprint).hints
+        lines += [f"hint: {hint_in_words(hint)}" for hint in hints]
+    lines += [
+        f"evaluation {evaluation['id']} {evaluation['state']}: {evaluation['reason']}"
+        for evaluation in content["evaluations"]
+        if evaluation["reason"]
+    ]
+    say("\n".join(lines))
+    if everything:
+        _print_tables(entry, content, recorded.get("match"))
+
+
+def _print_tables(entry: RunRecord, content: dict[str, Any], match: Any) -> None:
+    """Print parameters, what was taken from sensors, metrics and changes of state, as far as there are any."""
+    from slamhive.cli.matching import bound_rows  # noqa: PLC0415 - the list of runs needs none
+    from slamhive.schema.matching import Match  # noqa: PLC0415
+
+    metrics = [
+        (key, f"{part['value']:.6g}", part["unit"], described(key).sample(entry.metrics or {}))
+        for key, part in (content["metrics"] or {}).items()
+    ]
+    tables: tuple[tuple[tuple[str, ...], list[tuple[Any, ...]]], ...] = (
+        (("parameter", "value"), list(content["parameters"].items())),
+        (("parameter", "value", "source"), list(bound_rows(Match.read(match) if match else None))),
+        (("metric", "value", "unit", "over"), metrics),
+        (("at", "from", "to", "why"), [(e["at"], e["from"], e["to"], e["why"]) for e in content["events"]]),
+    )
+    for columns, rows in tables:
+        if rows:
+            say()
+            print_table(columns, rows, right=("value",) if rows is metrics else ())
 
 
 @runs.command("log")
@@ -232,21 +241,92 @@ def retry(cli: CliContext, /, as_json: bool, **options: Any) -> None:
     print_runs([hive.runs.retry(run_id) for run_id in chosen.run_ids], as_json)
 
 
-def _print_outcome(entry: RunRecord) -> None:
-    """Print why the run ended, its verdict, how far it can be trusted, and what somebody wrote about it."""
-    if entry.detail:
-        say(f"{entry.reason or 'note'}: {entry.detail}")
-    if entry.verdict is not None:
-        say(f"verdict: {entry.verdict.kind.label}. {entry.verdict.words}")
-    if entry.trust is not None:
-        said = [part for part in (entry.trust.words, *entry.trust.remedies) if part]
-        say(f"trust: {entry.trust.level or 'unknown'}{'. ' if said else ''}{'; '.join(said)}")
-    if entry.owner:
-        say(f"owner: {entry.owner}")
-    if entry.tags:
-        say(f"tags: {', '.join(entry.tags)}")
-    if entry.note:
-        say(f"note: {entry.note}")
+_NAMED_PARAMETERS = 4
+
+
+def _summary(entry: RunRecord, folder: str) -> list[str]:
+    """The lines on a run that matter to everybody. What is not known yet has none."""
+    number = entry.version and entry.version.number
+    named = [f", {key}={value}" for key, value in list(entry.parameters.items())[:_NAMED_PARAMETERS]]
+    more = len(entry.parameters) - len(named)
+    parameters = "".join(named) + (f" and {more} more" if more else "")
+    steps = ", ".join(step.brief for step in entry.variant) or "unchanged"
+    played = "" if entry.executor == IMPORTED else f", played in {entry.playback.mode} mode"
+    lines = [
+        f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {entry.state}",
+        f"{entry.reason or 'note'}: {entry.detail}" if entry.detail else "",
+        f"verdict: {entry.verdict.kind.label}. {entry.verdict.words}" if entry.verdict is not None else "",
+        f"configuration: {entry.configuration_id}, {entry.package}{f'@{number}' if number else ''}{parameters}",
+        f"dataset: {entry.dataset}, {steps}{played}",
+        _error(entry),
+        _resources(entry.metrics or {}),
+        _duration(entry),
+        _trust(entry),
+        f"folder: {folder}",
+        f"next: {_next(entry)}",
+    ]
+    return [line for line in lines if line]
+
+
+def _error(entry: RunRecord) -> str:
+    """The error with the protocol that it depends on; empty without an evaluation."""
+    if entry.protocol is None:
+        return ""
+    found = _number((entry.metrics or {}).get("ate.rmse"), "ATE RMSE {:.4g} m") or "no ATE"
+    return f"error: {found}, by {entry.protocol.label} (protocol {entry.protocol.fingerprint})"
+
+
+def _resources(metrics: Mapping[str, float]) -> str:
+    """Processors and memory that the algorithm used, empty if they were not measured."""
+    parts = (
+        _number(metrics.get("cpu.mean"), "{:.2f} CPU cores on average"),
+        _number(metrics.get("ram.max"), "{:.0f} MB of RAM at most", 1e-6),
+    )
+    return f"used: {', '.join(filter(None, parts))}" if any(parts) else ""
+
+
+def _duration(entry: RunRecord) -> str:
+    """The time that the algorithm took, and when it ended; empty before the end."""
+    took = _number((entry.metrics or {}).get("duration"), "{:.1f} s")
+    ended = f"ended at {entry.ended_at:%Y-%m-%d %H:%M} UTC" if entry.ended_at is not None else None
+    return f"duration: {', '.join(filter(None, (took, ended)))}" if took or ended else ""
+
+
+def _trust(entry: RunRecord) -> str:
+    """The trust in the measurements with reasons and remedies; empty before the end."""
+    if entry.trust is None:
+        return ""
+    said = [part for part in (entry.trust.words, *entry.trust.remedies) if part]
+    return f"trust: {entry.trust.level or 'unknown'}{'. ' if said else ''}{'; '.join(said)}"
+
+
+def _next(entry: RunRecord) -> str:
+    """The command that people need after looking at such a run."""
+    log = f"slamhive runs log {entry.id}"
+    if entry.state is RunState.SUCCEEDED and entry.protocol is None:
+        return f"slamhive evaluate {entry.id} computes its error"
+    if entry.state is RunState.SUCCEEDED:
+        lost = entry.verdict is not None and entry.verdict.failed
+        first = f"{log} prints what it said" if lost else f"slamhive compare {entry.id} RUN puts it beside another"
+        return f"{first}; slamhive runs show {entry.id} --all has all metrics"
+    cancel, again = f"slamhive runs cancel {entry.id}", f"slamhive runs retry {entry.id} runs it again"
+    by_state = {
+        RunState.QUEUED: f"slamhive worker executes it, unless one runs already; {cancel} takes it back",
+        RunState.CANCELLED: again,
+        RunState.FAILED: f"{log} prints what it said; {again}",
+    }
+    return by_state.get(entry.state, f"{log} prints what it says; {cancel} stops it")
+
+
+def _written(entry: RunRecord) -> list[str]:
+    """Lines about owner and readers, and the tags and the note that people wrote."""
+    restricted = entry.owner is not None or entry.seen_by is not Visibility.TEAM
+    lines = [
+        in_words(entry.owner, entry.seen_by) if restricted else "",
+        f"tags: {', '.join(entry.tags)}" if entry.tags else "",
+        f"note: {entry.note}" if entry.note else "",
+    ]
+    return [line for line in lines if line]
 
 
 def run_row(entry: RunRecord) -> tuple[Any, ...]:

@@ -71,7 +71,7 @@ class Pages(Generic[Record]):
 
 @dataclass(frozen=True)
 class Listing:
-    """What ``slamhive runs`` was asked to show; ``limit`` None: what the form of showing has for default."""
+    """A request to ``slamhive runs``; ``limit`` None means the default of the form of showing."""
 
     hive: Hive
     search: Search
@@ -81,7 +81,7 @@ class Listing:
 
     @property
     def size(self) -> int:
-        """How many rows a table has."""
+        """The number of rows of a table."""
         return min(self.limit or 50, PAGE)
 
     @property
@@ -115,7 +115,7 @@ class Listing:
         return ", ".join(part for part in (in_words(self.search), order) if part)
 
     def summary(self, shown: int, count: Count, *, grouped: bool = False) -> str:
-        """What is shown, how many, and what is left out."""
+        """Say what is shown, how many, and what is left out."""
         left_out = self.hive.searches.left_out(self.search, count)
         return summary(shown, count, self.in_words(), left_out, grouped=grouped)
 

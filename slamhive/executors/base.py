@@ -31,7 +31,7 @@ LiveKeys = Callable[[], Collection[str]]
 """Returns the keys of the runs that workers hold now."""
 
 
-_WITH_IMAGES = "use an executor with images; slamhive doctor lists them"
+_WITH_IMAGES = "use an executor with images; slamhive doctor --all lists them"
 
 
 class ImageMissing(SlamHiveError):
@@ -47,14 +47,14 @@ class EngineUnavailable(Unavailable):
 
 
 class PackageNeed(StrEnum):
-    """What an executor needs from an algorithm package."""
+    """Parts of an algorithm package that an executor may need."""
 
     IMAGE = "container image"
     ENVIRONMENT = "package environment"
 
 
 class GpuGiver(StrEnum):
-    """Who gives GPUs to runs."""
+    """The giver of GPUs to runs."""
 
     NOBODY = "nobody"
     WORKER = "worker"
@@ -72,7 +72,7 @@ class EvaluationPlace(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What an executor promises. Callers ask for these; they never ask which executor it is.
+    """Promises of an executor. Callers ask for these; they never ask which executor it is.
 
     Attributes:
         isolates: A run sees nothing of the machine but its inputs and outputs.
@@ -105,7 +105,7 @@ class Capabilities:
 
     @property
     def takes_cores_here(self) -> bool:
-        """Whether runs take cores of the controller's machine, so that slots share them."""
+        """Return whether runs take cores of the controller's machine, so that slots share them."""
         return self.shares_files and not self.elsewhere
 
     def refusal(self, name: str, limits: Limits) -> str | None:
@@ -116,7 +116,7 @@ class Capabilities:
 
 @dataclass(frozen=True, slots=True)
 class NodeAccess:
-    """How data gets to nodes that share no file system with the controller.
+    """The way of data to nodes that share no file system with the controller.
 
     Attributes:
         url: Where they reach the controller; empty if it does not serve nodes.
@@ -131,7 +131,7 @@ class NodeAccess:
 
 @dataclass(frozen=True, slots=True)
 class ExecutorContext:
-    """What every executor is made from.
+    """The arguments that every executor is made from.
 
     Attributes:
         data: The data root; environments and locks live below it.
@@ -187,11 +187,11 @@ class Executor(ABC):
         """Why this executor cannot be used on this machine, with the remedy; None if it can."""
 
     def examine(self) -> list[Finding]:
-        """What ``slamhive doctor`` reports besides whether the executor can be used. Raises Unavailable."""
+        """Return the findings of ``slamhive doctor``, besides whether the executor can be used. Raises Unavailable."""
         return []
 
     def examine_nodes(self) -> list[Finding]:
-        """What ``slamhive doctor cluster`` reports: what each node offers. Takes a while. Raises Unavailable."""
+        """Return the offer of each node, for ``slamhive doctor cluster``. Takes a while. Raises Unavailable."""
         raise Unavailable(f"the executor {self.name} uses no other machines", "set EXECUTOR to one that does")
 
     def nodes(self) -> list[Node]:
@@ -218,7 +218,7 @@ class Executor(ABC):
         """Make the image or environment unless it exists; returns its identity. Raises ImageMissing."""
 
     def has(self, package: AlgorithmPackage, identity: str) -> bool:
-        """Whether a run of ``package`` could start with this image or environment, which may be an older one."""
+        """Return whether a run of ``package`` could start with this image or environment, which may be an older one."""
         return self.identity(package) == identity
 
     def named_image(self, package: AlgorithmPackage) -> str | None:  # noqa: ARG002 - the signature of the seam
@@ -241,7 +241,7 @@ class Executor(ABC):
         raise InvalidInput(f"the executor {self.name} takes no images", _WITH_IMAGES)
 
     def image_tools(self) -> ImageTools:
-        """What imports of packages that somebody else made need. Raises InvalidInput if this executor has no images."""
+        """Return the tools for imports of foreign packages. Raises InvalidInput if this executor has no images."""
         raise InvalidInput(f"the executor {self.name} has no images", _WITH_IMAGES)
 
     # -- the life of a run ---------------------------------------------------------------------------------------------
@@ -283,7 +283,7 @@ class Executor(ABC):
         return None
 
     def host_reading(self, handle: RunHandle) -> HostReading | None:  # noqa: ARG002 - as above
-        """What the machine of the run counted last, if that is another one; None if nothing has come yet.
+        """Return the last counters of the run's machine, if that is another one; None if nothing has come yet.
 
         Raises Unavailable, with the reason, if nothing will come.
         """
@@ -291,7 +291,7 @@ class Executor(ABC):
 
     def gpus(self) -> tuple[Gpu, ...]:
         """The GPUs that a run can get, at least one. Raises Unavailable with the reason if there is none."""
-        remedy = "choose one that does; slamhive doctor lists them"
+        remedy = "choose one that does; slamhive doctor --all lists them"
         raise Unavailable(f"the executor {self.name} gives runs no GPU", remedy)
 
     def check_gpu(self) -> None:
@@ -303,11 +303,11 @@ class Executor(ABC):
         return frozenset()
 
     def gpu_use(self, handle: RunHandle, uuid: str | None) -> GpuUse:  # noqa: ARG002 - as above
-        """What the run uses of its GPU now; ``uuid`` is None where nobody could find it out. Raises Unavailable."""
+        """Measure the use of the run's GPU; ``uuid`` is None where nobody could find it out. Raises Unavailable."""
         raise Unavailable(f"the executor {self.name} does not measure GPUs")
 
     def hidden_bytes(self, handle: RunHandle) -> int:  # noqa: ARG002 - as above
-        """How much the run has written where only the executor can see it."""
+        """Return the size of files that only the executor can see."""
         return 0
 
     # -- the executor as a whole ---------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Which start of this machine it is."""
+"""The identifier of this start of the machine."""
 
 from __future__ import annotations
 

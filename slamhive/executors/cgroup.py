@@ -85,7 +85,7 @@ Cgroup = CgroupV1 | CgroupV2
 
 
 class TaskCounter:
-    """Whether the kernel refuses a group more processes and threads. The files are the same under both versions.
+    """Counts the processes and threads that the kernel refuses a group. The files are the same under both versions.
 
     Args:
         folder: The group under the controller ``pids``.
@@ -96,7 +96,7 @@ class TaskCounter:
         self._refusals = 0
 
     def refused(self) -> bool:
-        """Whether a process was refused since the last call, or the group was refused one and is still full.
+        """Return whether a process was refused since the last call, or the group was refused one and is still full.
 
         Who was refused may wait for seconds before it tries again.
         """

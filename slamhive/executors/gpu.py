@@ -33,7 +33,7 @@ BelongsToRun = Callable[[int], bool | None]
 
 @dataclass(frozen=True, slots=True)
 class GpuUse:
-    """What a run uses of its GPU.
+    """The use of a GPU by a run.
 
     Attributes:
         memory_bytes: Memory of the run's processes; None where the driver does not say, as under virtualisation, and
@@ -82,7 +82,7 @@ def list_gpus() -> tuple[Gpu, ...]:
 
 
 def gpu_use(uuid: str, belongs: BelongsToRun) -> GpuUse:
-    """What the processes that ``belongs`` names use of the GPU; raises Unavailable."""
+    """Measure how much of the GPU the processes use that ``belongs`` names; raises Unavailable."""
     with _nvml(f"GPU {uuid} cannot be measured") as nvml:
         handle = nvml.nvmlDeviceGetHandleByUUID(uuid)
         computing = nvml.nvmlDeviceGetComputeRunningProcesses(handle)

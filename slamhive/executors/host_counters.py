@@ -73,7 +73,7 @@ class HostCounters:
         return CpuTimes(cores, busy / self._ticks_hz, steal / self._ticks_hz)
 
     def stalled_s(self, resource: str) -> float:
-        """How long some task has waited for ``resource`` (cpu, io or memory), out of ``/proc/pressure``."""
+        """Return the time that some task has waited for ``resource`` (cpu, io or memory), out of ``/proc/pressure``."""
         path = self._proc / "pressure" / resource
         found = _STALL.search(path.read_text())
         if found is None:
@@ -81,7 +81,7 @@ class HostCounters:
         return int(found.group(1)) * _US
 
     def throttle_events(self) -> int:
-        """How often cores, and the package with the most, became too hot and slowed down."""
+        """Count how often cores, and the package with the most, became too hot and slowed down."""
         folders = [folder / "thermal_throttle" for folder in self._cpu_folders()]
         events = sum(int((folder / "core_throttle_count").read_text()) for folder in folders)
         packages = (folder / "package_throttle_count" for folder in folders)
@@ -104,7 +104,7 @@ class HostCounters:
 
 
 def read_or_why(source: Callable[[], T]) -> tuple[T | None, str]:
-    """What ``source`` reads, or None and why there is nothing."""
+    """Read ``source``; returns None and the reason if there is nothing."""
     try:
         return source(), ""
     except FileNotFoundError as error:
@@ -116,7 +116,7 @@ def read_or_why(source: Callable[[], T]) -> tuple[T | None, str]:
 
 
 def sources(counters: HostCounters) -> dict[str, Callable[[], float]]:
-    """What can be recorded of a machine, by its name in messages, in the order of the columns behind the CPU times."""
+    """Return the counters of a machine by their names in messages, ordered as the columns behind the CPU times."""
     return {
         "CPU pressure": lambda: counters.stalled_s("cpu"),
         "disk pressure": lambda: counters.stalled_s("io"),
@@ -140,7 +140,7 @@ class HostReading:
 
     @property
     def content(self) -> dict[str, Any]:
-        """As JSON, for the worker of a run on another machine."""
+        """Return the JSON for the worker of a run on another machine."""
         return {"values": list(self.values), "missing": self.missing}
 
 

@@ -25,7 +25,7 @@ def worker_identity() -> str:
 
 
 def owner_is_dead(owner: str) -> bool:
-    """Whether ``owner`` was a process of this boot and pid namespace and has ended. False if unknown."""
+    """Return whether ``owner`` was a process of this boot and pid namespace and has ended. False if unknown."""
     try:
         host, namespace, pid_text, boot, start = owner.rsplit(":", 4)
         pid = int(pid_text)
@@ -53,7 +53,7 @@ def _pid_namespace() -> str:
 
 
 def _hidden(pid: int) -> bool:
-    """Whether the process exists although ``/proc`` hides it (another user's process under ``hidepid``)."""
+    """Return whether the process exists although ``/proc`` hides it (another user's process under ``hidepid``)."""
     try:
         os.kill(pid, 0)
     except PermissionError:

@@ -1,4 +1,4 @@
-"""What an executor with images offers to an import of a package that somebody else made."""
+"""Tools of an executor with images for imports of packages that somebody else made."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ImageTools(Protocol):
     def complete(
         self, digest: str, modules: Collection[str], progress: ProgressCallback, *, builds: bool = True
     ) -> CompletedImage:
-        """See that the image has python3 and PyYAML, or put them on top; look for ``modules`` too.
+        """Ensure that the image has python3 and PyYAML, or put them on top; look for ``modules`` too.
 
         Without ``builds``, nothing is put on top: raises ImageMissing that says what the image lacks.
         """

@@ -40,7 +40,7 @@ def written_places(spec: RunSpec) -> dict[str, Path]:
 
 
 def has_written(spec: RunSpec) -> bool:
-    """Whether the run has written anything, so that it was executed."""
+    """Return whether the run has written anything, so that it was executed."""
     places = [output.destination for output in spec.outputs]
     return any(next(place.iterdir(), None) is not None for place in places if place.is_dir())
 

@@ -10,7 +10,7 @@ from slamhive.executors.host import describe_host
 
 @dataclass(frozen=True, slots=True)
 class CacheUse:
-    """What data of runs takes on a node, as of the last run there, and the most that it may take."""
+    """The room that data of runs takes on a node, as of the last run there, and the most that it may take."""
 
     used_bytes: int
     limit_bytes: int

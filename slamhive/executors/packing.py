@@ -15,13 +15,13 @@ PLAIN_FILE, PLAIN_FOLDER = 0o644, 0o755
 
 
 class Bounds:
-    """How much of an output is taken over; None for no bound. What would exceed it is left out."""
+    """The most that is taken over of an output; None for no bound. What would exceed it is left out."""
 
     def __init__(self, max_bytes: Optional[int] = None, max_files: Optional[int] = None) -> None:
         self._bytes_left, self._files_left = max_bytes, max_files
 
     def take(self, size_bytes: int) -> bool:
-        """Whether one more file or folder of this size is taken."""
+        """Return whether one more file or folder of this size is taken."""
         if self._files_left is not None and self._files_left < 1:
             return False
         if self._bytes_left is not None:

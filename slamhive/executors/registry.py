@@ -1,4 +1,4 @@
-"""Which executors there are, and which one ``auto`` means on this machine."""
+"""The executors, and the one that ``auto`` means on this machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a worker that is started here ends with: a login session, the services of a user, or the machine alone.
+"""The end of a worker that is started here: with a login session, the services of a user, or the machine alone.
 
 systemd puts each process below a unit, and the control group of the process names it. What belongs to a user ends with
 the last session of that user, unless the user lingers.
@@ -31,14 +31,14 @@ class Place(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Lifetime:
-    """How long what is started here may live, in words; the remedy if that is shorter than people expect."""
+    """The life of programs that are started here, in words; the remedy if it is shorter than people expect."""
 
     found: str
     remedy: str | None = None
 
 
 def lifetime_here() -> Lifetime:
-    """That of what this process starts."""
+    """The lifetime of programs that this process starts."""
     try:
         groups = Path("/proc/self/cgroup").read_text(encoding="utf-8")
     except OSError:
@@ -58,7 +58,7 @@ def place_of(groups: str) -> Place:
 
 
 def lifetime(place: Place, user: str, *, lingers: bool) -> Lifetime:
-    """How long what ``user`` starts at this place may live."""
+    """The lifetime of programs that ``user`` starts at this place."""
     if place is Place.NONE:
         return Lifetime("systemd does not end what is started here")
     if place is Place.SYSTEM:

@@ -1,4 +1,4 @@
-"""What a run needs and what it leaves, in words that every executor understands.
+"""The needs of a run and its outputs, in words that every executor understands.
 
 A specification names inputs and outputs. It does not say how they reach the algorithm: containers mount them, processes
 get paths, and an executor on another machine packs them into an archive (:mod:`slamhive.executors.transfer`).
@@ -26,7 +26,7 @@ RECORDING = "recording"
 
 
 class Limit(StrEnum):
-    """What a run can be limited in."""
+    """Kinds of limits of a run."""
 
     CORES = "cores"
     MEMORY = "memory"
@@ -99,7 +99,7 @@ class RunOutput:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a run may use; None means that it is not limited. ``cpuset`` holds core numbers.
+    """The most that a run may use; None means that it is not limited. ``cpuset`` holds core numbers.
 
     ``disk_bytes`` and ``files`` count everything that the run writes. The worker watches them while the run goes on.
     """
@@ -118,7 +118,7 @@ class Limits:
 
     @property
     def cores(self) -> float | None:
-        """How many cores the run may use; None if that is not limited."""
+        """The number of cores that the run may use; None if that is not limited."""
         if self.cpu_cores is None:
             return None if self.cpuset is None else len(self.cpuset)
         return self.cpu_cores if self.cpuset is None else min(self.cpu_cores, len(self.cpuset))
@@ -136,7 +136,7 @@ class Limits:
         )
 
     def kinds(self) -> frozenset[Limit]:
-        """What is limited."""
+        """The kinds that are limited."""
         values = {
             Limit.CORES: (self.cpu_cores, self.cpuset),
             Limit.MEMORY: (self.memory_bytes,),

@@ -1,4 +1,4 @@
-"""What an executor reports about a started run. Supervisors import this module, so it stays small."""
+"""Reports of executors about started runs. Supervisors import this module, so it stays small."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BY_SIGNAL = (137, 143)
 
 @dataclass(frozen=True, slots=True)
 class Protections:
-    """How the limits of a run are enforced, in words for the user.
+    """Words for the user on how the limits of a run are enforced.
 
     Attributes:
         held_by: What contains the run: a container, a control group, a user of its own, or its supervisor.
@@ -44,7 +44,7 @@ class Protections:
 
 @dataclass(frozen=True, slots=True)
 class RunHandle:
-    """What a restarted worker needs to find a run again: plain strings, stored with the run.
+    """The key by which a restarted worker finds a run again: plain strings, stored with the run.
 
     ``data["started_at"]`` is the time at which the engine started the run (ISO 8601, UTC). It is the same for each
     worker that adopts the run, and absent if the engine does not know it. ``protections`` go into the record, and
@@ -113,13 +113,13 @@ class UsageSource(Protocol):
 
     @property
     def on_this_machine(self) -> bool:
-        """Whether the run is on the machine of this process, so that its counters show what disturbed the run."""
+        """Return whether the run is on this machine, so that the counters here show what disturbed it."""
 
     def read(self) -> tuple[float, int] | None:
         """CPU time used so far (s, summed over cores) and memory in use (bytes); None once the run is gone."""
 
     def totals(self) -> dict[str, float]:
-        """What the kernel has recorded of the whole run, as of the last reading: {metric: value}, none of which falls.
+        """Return the kernel's counters of the whole run, as of the last reading: {metric: value}, none of which falls.
 
         The metrics are those of :mod:`slamhive.domain.metrics` that no sample could give, such as ``ram.charged_max``.
         What the kernel does not record is absent.

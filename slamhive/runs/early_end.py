@@ -10,7 +10,7 @@ from slamhive.schema.limits import StopWhen
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What is known of a run that goes on; None stands for what is not known yet.
+    """Facts about a run that goes on; None stands for what is not known yet.
 
     Attributes:
         elapsed_s: Wall-clock time since it started.

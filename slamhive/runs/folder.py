@@ -57,7 +57,7 @@ _EVALUATION = re.compile(r"evaluations/(?:current|[0-9a-f]{12}/(?P<file>[^/]+))"
 
 
 def travels(name: str) -> bool:
-    """Whether archives hold the file called ``name`` below a run folder: this list is closed, on the way out and in.
+    """Return whether archives hold the file called ``name`` below a run folder: a closed list, on the way out and in.
 
     What an algorithm left in its result may have any name.
     """
@@ -145,7 +145,7 @@ class RunFolder:
 
     @property
     def result(self) -> Path:
-        """What the container sees as ``/slamhive/result``."""
+        """The folder that the container sees as ``/slamhive/result``."""
         return self.root / "result"
 
     @property

@@ -19,7 +19,7 @@ _PRESSURES = ("cpu_pressure", "io_pressure", "memory_pressure")
 
 
 def read_host_load(path: Path) -> HostLoad:
-    """What ``host.csv`` says; nothing is measured where it is missing."""
+    """Read ``host.csv``; nothing is measured where it is missing."""
     rows = read_numeric_columns(path, COLUMNS, _MAX_BYTES)
     rows = rows[np.isfinite(rows[:, 0])]
     columns = dict(zip(COLUMNS, rows.T, strict=True))

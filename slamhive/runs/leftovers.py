@@ -27,7 +27,7 @@ _RUNS_AS_OWNER = stat.S_ISUID | stat.S_ISGID
 
 @dataclass(frozen=True, slots=True)
 class DiskLimits:
-    """What a run may write in its folders; None means no limit of ours."""
+    """The most that a run may write in its folders; None means no limit of ours."""
 
     size_bytes: int | None = None
     files: int | None = None
@@ -35,7 +35,7 @@ class DiskLimits:
 
 @dataclass
 class Survey:
-    """What lies in the folders that a run writes to.
+    """The content of the folders that a run writes to.
 
     Attributes:
         files: How many files, folders and whatever else.

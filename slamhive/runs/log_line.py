@@ -13,7 +13,7 @@ MAX_CHARACTERS = 300
 
 
 def last_error_line(log: str) -> str | None:
-    """What follows the last ``error: `` at the head of a line, on one line of printable text; None without one.
+    """The text after the last ``error: `` at the head of a line, on one line of printable text; None without one.
 
     At most :data:`MAX_CHARACTERS` characters are kept.
     """

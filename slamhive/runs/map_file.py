@@ -46,12 +46,12 @@ class MapFile:
 
     @property
     def points(self) -> int:
-        """How many points it has."""
+        """The number of points."""
         return self.header.points
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What the columns of its pieces are: x, y and z in m, and an intensity if the file has one."""
+        """The columns of its pieces: x, y and z in m, and an intensity if the file has one."""
         known = [field.name for field in self.header.fields if field.count == 1 and field.name in _INTENSITIES]
         return (*AXES, *known[:1])
 

@@ -48,7 +48,7 @@ _LOG_TELLS = "its log says how far it came"
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryCheck:
-    """What ``traj.txt`` holds: ``poses`` of a valid trajectory, or ``problem`` with its reason and explanation."""
+    """The content of ``traj.txt``: ``poses`` of a valid trajectory, or ``problem`` with its reason and explanation."""
 
     poses: int | None
     problem: FailureReason | None = None
@@ -57,7 +57,7 @@ class TrajectoryCheck:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What is known of a run that has ended.
+    """Facts about a run that has ended.
 
     Attributes:
         exit_code: As the engine reports it, 128 + signal for a signal; None if unknown.
@@ -101,7 +101,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a run ended: state, the reason if it failed, and one line for the user."""
+    """The end of a run: state, the reason if it failed, and one line for the user."""
 
     state: RunState
     reason: FailureReason | None
@@ -212,7 +212,7 @@ def _too_long(size_bytes: int, max_bytes: int) -> str:
 
 
 def is_finished(path: Path) -> bool:
-    """Whether the marker ``finished`` is there, as a file and not as a link to one."""
+    """Return whether the marker ``finished`` is there, as a file and not as a link to one."""
     try:
         return stat.S_ISREG(os.lstat(path).st_mode)
     except OSError:

@@ -45,7 +45,7 @@ class PointCloud:
 
     @property
     def size_bytes(self) -> int:
-        """What it takes in memory."""
+        """The memory that it takes."""
         values = (self.positions_m, self.intensities, self.errors_m)
         return sum(array.nbytes for array in values if array is not None)
 
@@ -80,7 +80,7 @@ def thinned_cloud(path: Path, name: str, most: int = MOST_POINTS) -> PointCloud:
 
 
 def map_size(path: Path, name: str) -> int:
-    """How many points a map says it has; raises as :func:`sampled_cloud`."""
+    """Read the number of points that a map claims; raises as :func:`sampled_cloud`."""
     with open_map(path, name) as file:
         return file.points
 

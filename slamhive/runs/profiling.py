@@ -41,7 +41,7 @@ class Profile:
 
     @property
     def weights_s(self) -> FloatArray:
-        """How long each sample stands for: the time since the one before, at most five times the usual interval.
+        """The time that each sample stands for: the time since the one before, at most five times the usual interval.
 
         The first sample, and one behind a gap (the worker was restarted), know no sample before them; they stand for
         the usual interval, the median of all.
@@ -95,7 +95,7 @@ def measure_run(
 
 
 def limit_metrics(metrics: Mapping[str, float], cores: float | None) -> dict[str, float]:
-    """How much of its limit of CPU cores a run with these metrics used; empty without a limit or a measurement."""
+    """Return the share of its limit of CPU cores that a run used; empty without a limit or a measurement."""
     used = metrics.get("cpu.mean")
     return {} if used is None or not cores else {"cpu.limit_used": used / cores}
 
@@ -122,7 +122,7 @@ def write_plots(folder: RunFolder) -> None:
 
 
 def plots_are_missing(folder: RunFolder) -> bool:
-    """Whether there is something to plot that :func:`write_plots` has not plotted."""
+    """Return whether there is something to plot that :func:`write_plots` has not plotted."""
     plots = (folder.profiling_cpu_plot, folder.profiling_ram_plot)
     return folder.profiling.is_file() and not all(plot.exists() for plot in plots)
 
@@ -231,7 +231,7 @@ def _dropped_in_queues(queues: Any) -> float | None:
 
 
 def _localisation_metrics(path: Path) -> dict[str, float]:
-    """When and how often a run was localised in the map that it started with, from ``localisation.json``."""
+    """Return the time and number of localisations in the map that the run started with, from ``localisation.json``."""
     content = read_untrusted_json(path, _MAX_JSON_BYTES) or {}
     names = ("first_frame_s", "localised_at_s", "frames", "frames_localised")
     first_s, localised_at_s, frames, localised = (measured_number(content.get(name)) for name in names)

@@ -118,7 +118,7 @@ class CancelledLine(Document):
 
 
 class SharedLine(Document):
-    """Who owns and may see runs that have no folder yet; later lines and the folder of a run override it."""
+    """Owner and readers of runs that have no folder yet; later lines and the folder of a run override it."""
 
     shared: tuple[int, ...]
     owner: Annotated[str | None, described("Null also for a run of an experiment, whose owner it has.")]

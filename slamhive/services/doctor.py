@@ -15,11 +15,15 @@ from slamhive.executors.gpu import list_gpus
 from slamhive.executors.host_counters import HostCounters, read_or_why, sources
 from slamhive.executors.registry import open_all
 from slamhive.executors.session import lifetime_here
+from slamhive.project import about_data_root, data_root_in_environment, move_command
 from slamhive.registry import Origin
 from slamhive.services.data_root import REMEDY
 from slamhive.services.hive import Hive
 from slamhive.services.notices import channels_of
 
+IN_FORCE = "executor in force"
+"""The check that names the executor in use."""
+NOT_BUILT = "not built yet"
 _CPU = "load of others and steal"
 
 
@@ -91,9 +95,14 @@ def _data_root(hive: Hive) -> list[Check]:
         return [Check("data root", Verdict.WARNING, f"{data} does not exist", REMEDY)]
     free_mb = shutil.disk_usage(data).free // 1_000_000
     enough = free_mb >= hive.settings.min_free_disk_mb
-    found = f"{data}, {free_mb / 1000:.1f} GB free"
-    remedy = None if enough else "free some space, or lower MIN_FREE_DISK_MB"
-    return [Check("data root", Verdict.OK if enough else Verdict.FAILED, found, remedy)]
+    remark = about_data_root(hive.project_root, data)
+    found = f"{data}, {free_mb / 1000:.1f} GB free{f' ({remark})' if remark else ''}"
+    if not enough:
+        return [Check("data root", Verdict.FAILED, found, "free some space, or lower MIN_FREE_DISK_MB")]
+    if data_root_in_environment(hive.project_root, data):
+        remedy = f"stop the worker, then {move_command(data)}"
+        return [Check("data root", Verdict.WARNING, found, remedy)]
+    return [Check("data root", Verdict.OK, found)]
 
 
 def _database(hive: Hive) -> list[Check]:
@@ -112,7 +121,7 @@ def _executor(hive: Hive) -> list[Check]:
         verdict = Verdict.OK if problem is None else Verdict.WARNING
         checks.append(Check(f"executor {executor.name}", verdict, problem or "can be used"))
     _, reason = hive.executors.default()
-    return [*checks, Check("executor in force", Verdict.OK, reason)]
+    return [*checks, Check(IN_FORCE, Verdict.OK, reason)]
 
 
 def _executor_findings(hive: Hive) -> list[Check]:
@@ -170,7 +179,7 @@ def _algorithms(hive: Hive) -> list[Check]:
             continue
         if identity is None:
             remedy = f"slamhive algorithm build {package.name} (or let the first run do it)"
-            checks.append(Check(f"algorithm {package.name}", Verdict.WARNING, "not built yet", remedy))
+            checks.append(Check(f"algorithm {package.name}", Verdict.WARNING, NOT_BUILT, remedy))
         else:
             checks.append(Check(f"algorithm {package.name}", Verdict.OK, f"built, {identity[:19]}"))
     return checks
@@ -194,7 +203,7 @@ def _worker(hive: Hive) -> list[Check]:
 
 
 def _session(_: Hive) -> list[Check]:
-    """What a worker ends with if it is started as this command was."""
+    """The end of a worker that is started as this command was."""
     found = lifetime_here()
     verdict = Verdict.OK if found.remedy is None else Verdict.WARNING
     return [Check("session", verdict, found.found, found.remedy)]

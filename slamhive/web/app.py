@@ -158,7 +158,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
 
 
 def lent_to_requests(settings: Settings) -> Budget:
-    """What all requests that bring files may use together."""
+    """The budget of all requests that bring files."""
     return Budget(
         {
             Lent.MEMORY: settings.requests_memory_mb * MB,

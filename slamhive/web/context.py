@@ -38,7 +38,7 @@ def hive() -> Hive:
 
 
 def budget() -> Budget:
-    """What the server lends to all requests together."""
+    """The budget of all requests of the server together."""
     return cast("Budget", current_app.extensions[BUDGET_EXTENSION])
 
 

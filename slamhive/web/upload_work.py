@@ -23,7 +23,7 @@ _WHAT: dict[type[Asked], str] = {
     RunsUpload: "the import of runs",
     AlgorithmUpload: "the import of an algorithm",
 }
-"""How messages call an import: who waits for it learns neither whose it is nor the token of its upload."""
+"""The name of an import in messages: who waits for it learns neither whose it is nor the token of its upload."""
 
 
 class UploadWork:

@@ -186,7 +186,7 @@ def test_a_package_without_requirements_hides_only_itself(slamhive, tmp_path):
     assert "requirements.txt" in json.dumps(json.loads(slamhive("doctor", "--json").stdout))
     refused = slamhive("run", "tiny", "track")
     assert refused.exit_code == 1
-    assert "use an executor of containers; slamhive doctor lists them" in refused.stderr
+    assert "use an executor of containers; slamhive doctor --all lists them" in refused.stderr
 
 
 @pytest.mark.integration
@@ -301,3 +301,59 @@ def test_a_narrow_terminal_goes_without_the_least_columns():
     assert columns_to_leave_out(columns, rows, ("time s",), 80) == []
     assert columns_to_leave_out(columns, rows, ("time s",), 34) == ["time s"]
     assert columns_to_leave_out(columns, rows, ("time s", "state"), 20) == ["time s", "state"]
+
+
+@pytest.mark.integration
+def test_the_doctor_first_says_that_one_can_start_then_what_is_not_fine(slamhive):
+    brief, full = slamhive("doctor"), slamhive("doctor", "--all")
+    first, heading, *rows = brief.stdout.splitlines()
+    assert first.startswith("this machine can start, runs use process (")
+    assert heading.split() == ["what", "verdict", "found", "remedy"]
+    checks = json.loads(slamhive("doctor", "--json").stdout)
+    # Another test may have built the package already. An executor that is not in force is no fault.
+    expected = [
+        check["name"].split()[0]
+        for check in checks
+        if check["verdict"] != "ok" and not check["name"].startswith("executor ")
+    ]
+    assert [row.split()[0] for row in rows if not row.startswith(" ")] == expected
+    assert "worker" in expected
+    assert brief.stderr == "slamhive doctor --all also shows what is fine\n"
+    assert full.stdout.startswith(first)
+    assert {check["name"].split()[0] for check in checks} <= {row.split()[0] for row in full.stdout.splitlines() if row}
+
+
+@pytest.mark.integration
+def test_the_doctor_says_first_what_prevents_a_start(slamhive, monkeypatch):
+    monkeypatch.setenv("SLAMHIVE_EXECUTOR", "slurm")
+    ended = slamhive("doctor")
+    assert ended.exit_code == 1
+    assert ended.stdout.startswith("this machine cannot start yet: executor: ")
+    monkeypatch.setenv("SLAMHIVE_EXECUTOR", "process")
+    monkeypatch.setenv("SLAMHIVE_MIN_FREE_DISK_MB", "999999999")
+    assert "cannot start yet: data root: " in slamhive("doctor").stdout.splitlines()[0]
+
+
+@pytest.mark.integration
+def test_the_doctor_lists_what_is_broken_of_a_machine_that_can_start(slamhive, tmp_path):
+    broken = tmp_path / "project" / "algorithms" / "broken"
+    broken.mkdir()
+    (broken / "algorithm.yaml").write_text("format: 99\n")
+    ended = slamhive("doctor")
+    assert ended.exit_code == 1
+    assert ended.stdout.splitlines()[0].endswith(", but 1 check failed")
+    assert "folder broken" in ended.stdout
+
+
+@pytest.mark.integration
+def test_the_doctor_counts_packages_that_are_not_built_in_one_row(slamhive, tmp_path):
+    algorithms = tmp_path / "project" / "algorithms"
+    for name in ("second", "third"):
+        shutil.copytree(algorithms / "tiny", algorithms / name)
+        file = algorithms / name / "algorithm.yaml"
+        renamed = file.read_text().replace("package: tiny", f"package: {name}").replace("  lidar:\n", f"  {name}:\n", 1)
+        file.write_text(renamed)
+        (algorithms / name / "requirements.txt").write_text(f"# {name}, {tmp_path}\n")
+    rows = slamhive("doctor").stdout.splitlines()
+    (row,) = [row for row in rows if row.startswith("algorithm")]
+    assert "packages are not built yet" in row

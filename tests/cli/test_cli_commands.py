@@ -8,11 +8,13 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 import click
+import pytest
+from click.testing import CliRunner
 
 from slamhive import cli
 from slamhive.cli import main
 from slamhive.cli.groups import LazyGroup
-from slamhive.cli.main import MODULES
+from slamhive.cli.main import MODULES, SECTIONS
 
 
 def test_every_command_of_every_module_is_found():
@@ -27,10 +29,27 @@ def test_every_command_of_every_module_is_found():
     assert main.get_command(click.Context(main), "no-such-command") is None
 
 
-def test_the_version_is_printed_without_importing_what_commands_need():
+@pytest.mark.parametrize("option", ["--version", "--help"])
+def test_what_needs_no_command_imports_none(option):
     code = (
-        "import sys; from slamhive.cli import main; main(['--version'], standalone_mode=False); "
-        "print([name for name in ('sqlalchemy', 'pydantic', 'numpy', 'rich') if name in sys.modules])"
+        "import sys; from slamhive.cli import main; main(sys.argv[1:], standalone_mode=False); "
+        "heavy = ('sqlalchemy', 'pydantic', 'numpy', 'rich', 'slamhive.cli.runs'); "
+        "print([name for name in heavy if name in sys.modules])"
     )
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    command = [sys.executable, "-c", code, option]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     assert ended.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("columns", [80, 200])
+def test_the_help_has_one_whole_line_for_each_command_below_what_people_do(columns):
+    printed = CliRunner().invoke(main, ["--help"], terminal_width=columns).output.splitlines()
+    listed = printed[printed.index("Start here:") :]
+    assert max(map(len, listed)) <= 80
+    assert [line.removesuffix(":") for line in listed if line and not line.startswith(" ")] == list(SECTIONS)
+    entries = [line.strip().partition(" ") for line in listed if line.startswith(" ")]
+    assert {name: said.strip() for name, _, said in entries} == {
+        name: line for section in SECTIONS.values() for name, (_, line) in section.items()
+    }
+    assert len(entries) == len(MODULES)
+    assert not [line for line in listed if "..." in line]

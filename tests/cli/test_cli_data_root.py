@@ -113,7 +113,7 @@ def test_a_command_that_needs_what_lies_there_makes_no_data_root(project: Path, 
     assert not (project / "wrong").exists()
 
 
-@pytest.mark.parametrize("name", ["algorithm list", "algorithm show tiny", "doctor"])
+@pytest.mark.parametrize("name", ["algorithm list", "algorithm show tiny", "doctor --all"])
 def test_what_needs_no_data_root_works_without_and_makes_none(project: Path, name: str):
     result = call("--data", str(project / "wrong"), *name.split())
     assert "tiny" in result.stdout, result.output

@@ -93,6 +93,24 @@ def test_settings_named_in_prose_exist():
     assert [entry for entry in sorted(named) if entry[1] not in known] == []
 
 
-def test_pre_commit_downloads_nothing():
+def test_pre_commit_downloads_nothing_and_checks_no_types():
     hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())
-    assert [repository["repo"] for repository in hooks["repos"]] == ["local"]
+    (local,) = hooks["repos"]
+    assert local["repo"] == "local"
+    programs = [hook["entry"].split()[0] for hook in local["hooks"]]
+    assert set(programs) == {".venv/bin/ruff", ".venv/bin/lint-imports"}
+
+
+def test_the_start_page_leads_to_every_page():
+    pages = {path.name for path in (ROOT / "docs").glob("*.md")} - {"index.md"}
+    linked = set(re.findall(r"\]\(([\w-]+\.md)", (ROOT / "docs" / "index.md").read_text()))
+    assert linked == pages
+
+
+def test_the_readme_addresses_each_kind_of_reader_after_one_picture_and_one_block_of_commands():
+    opening, *_ = (ROOT / "README.md").read_text().split("## ")[:1]
+    readers = re.findall(r"^- \*\*(.+?)\*\*: .*\]\(docs/", opening, re.MULTILINE)
+    assert len(readers) == 5
+    before = opening[: opening.index(f"- **{readers[0]}")]
+    assert (before.count("<img"), before.count("```sh")) == (1, 1)
+    assert len(re.findall(r"^make ", before, re.MULTILINE)) == 2

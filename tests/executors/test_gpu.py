@@ -204,7 +204,8 @@ def test_a_package_that_requires_a_gpu_is_refused_in_one_line_where_there_is_non
     with pytest.raises(InvalidInput) as refused:
         check_gpu(executor, package)
     assert str(refused.value) == (
-        "deep requires a GPU: the executor process gives runs no GPU; choose one that does; slamhive doctor lists them"
+        "deep requires a GPU: the executor process gives runs no GPU; choose one that does; "
+        "slamhive doctor --all lists them"
     )
     for need in (GpuNeed.NONE, GpuNeed.OPTIONAL):
         check_gpu(executor, replace(package, gpu=need))

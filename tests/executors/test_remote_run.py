@@ -59,7 +59,7 @@ def runs_of(agent: Agent) -> list[str]:
 
 
 def test_a_run_and_its_evaluation(far, agent):
-    assert "agent remote" in command("-m", "slamhive", "doctor")
+    assert "agent remote" in command("-m", "slamhive", "doctor", "--all")
     # This behaviour writes its progress again and again, so each sample sees CPU time.
     run_id = submit(far, parameters={"seconds": 1.5, "behaviour": "lost"})
     command("-m", "slamhive", "worker", "--until-idle")

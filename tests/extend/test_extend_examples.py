@@ -138,7 +138,7 @@ def test_a_metric_survives_an_archive_with_and_without_its_plugin(
         copy.run("archive", "import", str(tmp_path / "all.zip"))
         metrics = copy.json("runs", "show", "1")["metrics"]
         assert metrics[KEY] == {**evaluated.json("runs", "show", "1")["metrics"][KEY], "unit": unit}
-        assert KEY in copy.run("runs", "show", "1").stdout
+        assert KEY in copy.run("runs", "show", "1", "--all").stdout
         with serving(copy) as address:
             assert label in get(f"{address}/runs/1")
 

@@ -147,3 +147,54 @@ def test_evaluates_again_to_the_same_numbers(old: Path) -> None:
     then = {run["id"]: values(run) for run in listed(old / "listed", "runs")}
     for run in json.loads(call("runs", "--json")):
         assert values(run) == pytest.approx(then[run["id"]], rel=1e-9)
+
+
+def labels(lines: list[str]) -> list[str]:
+    return [line.partition(":")[0] for line in lines]
+
+
+def test_showing_a_run_opens_with_the_lines_that_matter_and_the_rest_comes_with_all(old: Path) -> None:
+    brief = call("runs", "show", "1")
+    lines = brief.splitlines()
+    assert lines[0] == "run 1: kiss-icp on room, succeeded"
+    assert labels(lines[1:]) == [
+        *("note", "verdict", "configuration", "dataset", "error", "used", "duration", "trust", "folder", "next")
+    ]
+    said = dict(line.split(": ", 1) for line in lines)
+    assert said["configuration"] == (
+        "1, kiss-icp@1, voxel_size=0.5, max_range=100.0, min_range=0.3, deskew=True and 7 more"
+    )
+    assert said["error"] == "ATE RMSE 0.028 m, by SE(3), association 0.01 s, RPE over 1 m (protocol 9ef7844a7e18)"
+    assert said["used"] == "0.96 CPU cores on average, 164 MB of RAM at most"
+    assert said["duration"] == "2.5 s, ended at 2026-11-22 12:53 UTC"
+    assert said["folder"] == str(old / "data" / "runs" / "1")
+    everything = call("runs", "show", "1", "--all")
+    assert everything.startswith(brief)
+    metrics = json.loads(call("runs", "show", "1", "--json"))["metrics"]
+    assert all(key in everything for key in metrics)
+    assert [key for key in metrics if "." in key and key in brief] == []
+
+
+def test_what_is_not_known_of_a_run_takes_no_line_and_no_table(old: Path) -> None:
+    queued = call("runs", "show", "11", "--all")
+    opening, *tables = queued.split("\n\n")
+    assert labels(opening.splitlines()[1:]) == ["configuration", "dataset", "folder", "next"]
+    assert [table.split()[0] for table in tables] == ["parameter", "at"]
+    assert all(len(table.splitlines()) > 1 for table in tables)
+    imported = call("runs", "show", "8", "--all")
+    assert "dataset: hall, unchanged\n" in imported
+    assert "parameter" not in imported
+
+
+@pytest.mark.parametrize(
+    ("run", "command"),
+    [
+        (1, "slamhive compare 1 RUN"),
+        (4, "slamhive runs log 4"),
+        (7, "slamhive runs retry 7"),
+        (11, "slamhive worker"),
+        (13, "slamhive runs log 13"),
+    ],
+)
+def test_showing_a_run_ends_with_what_to_do_next(old: Path, run: int, command: str) -> None:
+    assert call("runs", "show", str(run)).splitlines()[-1].startswith(f"next: {command}")

@@ -108,7 +108,10 @@ def _start(path: str) -> str:
 
 
 def _address_of_context(environment: Mapping[str, str]) -> str | None:
-    """What ``docker context use`` has chosen; None for the default. Contexts with certificates are left to docker."""
+    """The address that ``docker context use`` has chosen; None for the default.
+
+    Contexts with certificates are left to docker.
+    """
     folder = Path(environment.get("DOCKER_CONFIG") or Path.home() / ".docker")
     try:
         name = environment.get("DOCKER_CONTEXT") or json.loads((folder / "config.json").read_text())["currentContext"]

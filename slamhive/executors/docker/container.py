@@ -77,5 +77,5 @@ def _mounts(spec: RunSpec) -> list[Mount]:
 
 
 def scratch_folder(spec: RunSpec) -> Path:
-    """What the container sees as ``/tmp``."""
+    """The folder that the container sees as ``/tmp``."""
     return spec.work.resolve() / "tmp"

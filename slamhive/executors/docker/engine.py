@@ -54,7 +54,7 @@ HARDENING: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class EngineTraits:
-    """What differs between engines, and changes the options of containers.
+    """Traits that differ between engines, and change the options of containers.
 
     Attributes:
         rootless: The engine runs in a user namespace, whose root is the user of the engine. All other users of a
@@ -148,7 +148,7 @@ def boot_labels() -> dict[str, str]:
 
 
 def is_of_earlier_boot(container: Any) -> bool:
-    """Whether the machine was restarted since the container was created."""
+    """Return whether the machine was restarted since the container was created."""
     return container.labels.get(BOOT_LABEL) not in (None, boot_id())
 
 
@@ -168,7 +168,7 @@ def engine_time(text: str | None) -> datetime | None:
 
 
 def lifetime(state: Mapping[str, Any]) -> tuple[datetime | None, datetime | None]:
-    """When a container started and ended; Docker may note the end of a very short one before its start."""
+    """Return the start and the end of a container; Docker may note the end of a very short one before its start."""
     started_at, ended_at = engine_time(state.get("StartedAt")), engine_time(state.get("FinishedAt"))
     if started_at is not None and ended_at is not None:
         ended_at = max(started_at, ended_at)

@@ -93,7 +93,7 @@ class DockerExecutor(Executor):
         return None
 
     def examine(self) -> list[Finding]:
-        """How the engine's kernel enforces limits."""
+        """Return how the engine's kernel enforces limits."""
         found = self._protections()
         lacks = "not enforced" in found.text
         remedy = DELEGATE if lacks and traits_of(self._engine()).rootless else None
@@ -108,7 +108,7 @@ class DockerExecutor(Executor):
         return make_image(self._engine(), package, self._context, progress)
 
     def has(self, package: AlgorithmPackage, identity: str) -> bool:  # noqa: ARG002 - a digest names one image
-        """Whether the engine has the image with this digest."""
+        """Return whether the engine has the image with this digest."""
         return has_image(self._engine(), identity)
 
     def named_image(self, package: AlgorithmPackage) -> str | None:
@@ -231,13 +231,13 @@ class DockerExecutor(Executor):
         return list_gpus()
 
     def gpus_in_use(self, key: str) -> frozenset[str]:
-        """What the labels of running containers say."""
+        """Read the labels of running containers."""
         with engine_errors("listing containers with a GPU", EngineUnavailable):
             found = self._engine().containers.list(filters={"label": GPU_LABEL}, ignore_removed=True)
         return frozenset(entry.labels[GPU_LABEL] for entry in found if entry.labels.get(KEY_LABEL) != key)
 
     def gpu_use(self, handle: RunHandle, uuid: str | None) -> GpuUse:
-        """As the driver reports it; processes are told apart by their control group."""
+        """Return the driver's readings; processes are told apart by their control group."""
         return gpu_use(uuid or "", in_container(handle.data["container"]))
 
     def hidden_bytes(self, handle: RunHandle) -> int:

@@ -60,7 +60,7 @@ def repository_and_tag(name: str) -> tuple[str, str]:
 
 
 class DockerImages:
-    """See :class:`slamhive.executors.images.ImageTools`.
+    """Tools of an executor of Docker images; implements :class:`slamhive.executors.images.ImageTools`.
 
     Args:
         client: The engine.
@@ -103,7 +103,7 @@ class DockerImages:
     def complete(
         self, digest: str, modules: Collection[str], progress: ProgressCallback, *, builds: bool = True
     ) -> CompletedImage:
-        """See that the image has python3 and PyYAML, or put them on top; look for ``modules`` too.
+        """Ensure that the image has python3 and PyYAML, or put them on top; look for ``modules`` too.
 
         Without ``builds``, raises ImageMissing: a build on top of an image executes what the image asks for (ONBUILD),
         with the network.
@@ -180,7 +180,7 @@ class DockerImages:
                 return build_packed(self._client, "the contract's needs", packed, progress)
 
     def _probe(self, digest: str, modules: Collection[str]) -> dict[str, Any] | None:
-        """What the image's python3 says about modules; None if there is no python3. Runs hardened, as nobody."""
+        """Ask the image's python3 about modules; None if there is no python3. Runs hardened, as nobody."""
         names = sorted({YAML, *modules})
         options = {**HARDENING, "user": _NOBODY, "pids_limit": _PIDS, "environment": {"PYTHONDONTWRITEBYTECODE": "1"}}
         with engine_errors("looking for python3", ImageMissing):
@@ -207,7 +207,7 @@ class DockerImages:
 
 
 def _answer(code: int, said: str) -> dict[str, Any] | None:
-    """What the probe printed. With ``init`` the engine starts, and 127 says that there is no python3."""
+    """Return the output of the probe. With ``init`` the engine starts, and 127 says that there is no python3."""
     if code == 127:
         return None
     try:

@@ -27,7 +27,7 @@ def kept_name(package: str, number: int, installation: str) -> str:
 
 
 def has_image(client: docker.DockerClient, digest: str) -> bool:
-    """Whether the engine has the image with this digest."""
+    """Return whether the engine has the image with this digest."""
     return digest.startswith("sha256:") and get_image(client, digest) is not None
 
 
@@ -48,7 +48,7 @@ def forget_image(client: docker.DockerClient, digest: str, name: str) -> None:
 
 
 def save_image(client: docker.DockerClient, digest: str) -> Iterator[bytes]:
-    """What ``docker save`` writes. Raises ImageMissing."""
+    """Yield the output of ``docker save``. Raises ImageMissing."""
     image = get_image(client, digest)
     if image is None:
         raise ImageMissing(f"image {digest[:19]} is gone", "build it again")

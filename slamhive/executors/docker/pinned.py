@@ -46,7 +46,7 @@ def pull_pinned(client: docker.DockerClient, package: str, pinned: PinnedImage, 
 
 
 def _instead(client: docker.DockerClient, pinned: PinnedImage) -> str:
-    """What the engine has under the same name."""
+    """Describe what the engine has under the same name."""
     image = get_image(client, pinned.name)
     if image is None:
         return "which is not here"

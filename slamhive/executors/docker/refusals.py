@@ -1,4 +1,4 @@
-"""Whether the kernel refuses processes to containers. The counters vanish with a container, so they are read before."""
+"""Refusals of processes by the kernel, per container. The counters vanish with it, so they are read before."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DELEGATE = (
 
 class _Counter(Protocol):
     def refused(self) -> bool:
-        """Whether the container was refused a process since the last call, or is still at the limit."""
+        """Return whether the container was refused a process since the last call, or is still at the limit."""
 
 
 class _EngineCounter:
@@ -38,7 +38,7 @@ class _EngineCounter:
         self._full = False
 
     def refused(self) -> bool:
-        """Whether the container is at its limit, as of the last second."""
+        """Return whether the container is at its limit, as of the last second."""
         if monotonic_s() - self._asked_at_s >= _ASK_EVERY_S:
             self._asked_at_s = monotonic_s()
             with engine_errors("reading statistics", EngineUnavailable):
@@ -63,7 +63,7 @@ class RefusedProcesses:
             return watch.see(refused=counter.refused(), now_s=monotonic_s())
 
     def were_refused(self, container_id: str) -> bool:
-        """Whether the container was seen to be refused a process."""
+        """Return whether the container was seen to be refused a process."""
         with self._lock:
             return container_id in self._watched and self._watched[container_id][1].refused
 
@@ -80,13 +80,13 @@ class RefusedProcesses:
 
 
 def is_full(stats: dict[str, Any]) -> bool:
-    """Whether a container has as many processes and threads as it may, by the engine's statistics."""
+    """Return whether a container has as many processes and threads as it may, by the engine's statistics."""
     pids = stats.get("pids_stats") or {}
     return bool(pids.get("limit")) and pids.get("current", 0) >= pids["limit"]
 
 
 def engine_protections(info: dict[str, Any]) -> Protections:
-    """How the engine enforces limits, by what it reports about its kernel (``docker info``)."""
+    """Return how the engine enforces limits, by what it reports about its kernel (``docker info``)."""
 
     def enforced(able: str, file: str) -> str:
         return f"enforced by the kernel ({file})" if info.get(able) else "not enforced: the engine's kernel cannot"

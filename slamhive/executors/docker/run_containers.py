@@ -129,7 +129,7 @@ class RunContainers:
 
 
 def _is_live(container: Any, live_keys: Collection[str]) -> bool:
-    """Whether somebody still needs a container: the run of its key, or the process that it serves."""
+    """Return whether somebody still needs a container: the run of its key, or the process that it serves."""
     owner = container.labels.get(OWNER_LABEL)
     if owner is None:
         return container.labels.get(KEY_LABEL) in live_keys

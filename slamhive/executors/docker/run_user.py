@@ -57,7 +57,7 @@ def container_user(user: RunUser, *, rootless: bool) -> str | None:
 
 
 def in_words(user: RunUser, *, rootless: bool) -> str:
-    """Who the run is in its container, for ``run.json`` and messages."""
+    """The user of the run in its container, for ``run.json`` and messages."""
     if user is RunUser.WORKER:
         inside = "; root in the container, which the engine without root makes this user" if rootless else ""
         return f"user {os.getuid()}:{os.getgid()} of the worker{inside}"
@@ -65,7 +65,7 @@ def in_words(user: RunUser, *, rootless: bool) -> str:
 
 
 def is_foreign(user: RunUser, *, rootless: bool) -> bool:
-    """Whether the user of the run is not the worker's own."""
+    """Return whether the user of the run is not the worker's own."""
     return user is RunUser.IMAGE or (user is RunUser.ROOT and os.getuid() != 0 and not rootless)
 
 

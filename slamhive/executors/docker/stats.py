@@ -35,7 +35,7 @@ class DockerStatsSource:
         return usage
 
     def totals(self) -> dict[str, float]:
-        """As of the last reading."""
+        """Return the counters of the last reading."""
         return self._totals
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What the answers of Kubernetes mean: pods, Jobs, nodes and refusals as data, in; one line for the user, out. Pure."""
+"""Meaning of Kubernetes' answers: pods, Jobs, nodes and refusals as data, in; one line for the user, out. Pure."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def key_of(pod: Document) -> str | None:
 
 
 def is_over(pod: Document) -> bool:
-    """Whether all containers of the pod have ended for good."""
+    """Return whether all containers of the pod have ended for good."""
     return pod.get("status", {}).get("phase") in ("Succeeded", "Failed")
 
 
@@ -114,7 +114,7 @@ def given_up(pod: Document) -> str | None:
 
 
 def ran_out_of_memory(pod: Document) -> bool:
-    """Whether the kernel ended the pod's first process because of the memory limit."""
+    """Return whether the kernel ended the pod's first process because of the memory limit."""
     ended = _state(pod, "terminated")
     return ended is not None and ended.get("reason") == "OOMKilled"
 
@@ -170,7 +170,7 @@ def job_failure(job: Document) -> str | None:
 
 
 def is_suspended(job: Document) -> bool:
-    """Whether somebody, such as Kueue, holds the Job back."""
+    """Return whether somebody, such as Kueue, holds the Job back."""
     return bool(job["spec"].get("suspend"))
 
 
@@ -193,7 +193,7 @@ def quantity(text: str) -> Decimal:
 
 
 def unmeetable(asked: Mapping[str, str], wanted: Mapping[str, str], nodes: list[Document]) -> str | None:
-    """Which request no node can ever meet, in words; None if one can, alone and empty.
+    """Find the request that no node can ever meet, in words; None if one can, alone and empty.
 
     Args:
         asked: What the run asks for, such as ``{"cpu": "4000m"}``.
@@ -212,7 +212,7 @@ def unmeetable(asked: Mapping[str, str], wanted: Mapping[str, str], nodes: list[
 
 
 def offered(resource: str, wanted: Mapping[str, str], nodes: list[Document]) -> bool:
-    """Whether a node with the labels ``wanted`` has at least one of an extended resource."""
+    """Return whether a node with the labels ``wanted`` has at least one of an extended resource."""
     return any(
         quantity((node["status"].get("allocatable") or {}).get(resource, "0")) >= 1
         for node in nodes
@@ -221,12 +221,12 @@ def offered(resource: str, wanted: Mapping[str, str], nodes: list[Document]) -> 
 
 
 def all_among(nodes: list[Document], wanted: Mapping[str, str], names: Collection[str]) -> bool:
-    """Whether all nodes with the labels ``wanted`` are among these ``names``; there is at least one name."""
+    """Return whether all nodes with the labels ``wanted`` are among these ``names``; there is at least one name."""
     return bool(names) and {str(node["metadata"]["name"]) for node in nodes if has_labels(node, wanted)} <= set(names)
 
 
 def has_labels(node: Document, wanted: Mapping[str, str]) -> bool:
-    """Whether a node has all of these labels."""
+    """Return whether a node has all of these labels."""
     return wanted.items() <= (node["metadata"].get("labels") or {}).items()
 
 
@@ -271,7 +271,7 @@ def _shown(name: str, value: Decimal) -> str:
 
 
 def _made(pod: Document) -> bool:
-    """Whether a container was made and not started, or has ended before the run while the pod is not over.
+    """Return whether a container was made and not started, or has ended before the run while the pod is not over.
 
     After a power cut of its node, a pod may keep a container whose end nobody knows, and never go on. Nor does a pod
     that is never restarted, if its containers lose their common namespaces between one and the next.
@@ -283,7 +283,7 @@ def _made(pod: Document) -> bool:
 
 
 def _is_between_containers(pod: Document) -> bool:
-    """Whether what comes before the run has ended well, and nothing has followed yet."""
+    """Return whether what comes before the run has ended well, and nothing has followed yet."""
     states = [entry.get("state") or {} for entry in _containers(pod)]
     ended = [state for state in states if state.get("terminated") is not None]
     waiting = [state for state in states if (state.get("waiting") or {}).get("reason") == _INITIALISING]
@@ -291,7 +291,7 @@ def _is_between_containers(pod: Document) -> bool:
 
 
 def _containers(pod: Document) -> list[Document]:
-    """What is known of all containers of a pod, those that come before the run first."""
+    """Return the states of all containers of a pod, those that come before the run first."""
     status = pod.get("status", {})
     return [*(status.get("initContainerStatuses") or ()), *(status.get("containerStatuses") or ())]
 
@@ -303,13 +303,13 @@ def _before(pod: Document) -> Iterable[Document]:
 
 
 def _waiting_before(pod: Document) -> Document | None:
-    """What keeps a container back that comes before the run; None if nothing of note does."""
+    """Find what keeps back a container that comes before the run; None if nothing of note does."""
     waiting = (state.get("waiting") or {} for state in _before(pod))
     return next((found for found in waiting if found.get("reason", _INITIALISING) != _INITIALISING), None)
 
 
 def _failed_before(pod: Document) -> Document | None:
-    """How a container ended that comes before the run and had to succeed; None if none failed."""
+    """Find how a container failed that comes before the run and had to succeed; None if none failed."""
     if _state(pod, "terminated") is not None or _state(pod, "running") is not None:
         return None
     ended = (state.get("terminated") or {} for state in _before(pod))
@@ -317,7 +317,7 @@ def _failed_before(pod: Document) -> Document | None:
 
 
 def data_refused(pod: Document) -> bool:
-    """Whether the pod did not get its data for a reason that another pod would meet too."""
+    """Return whether the pod did not get its data for a reason that another pod would meet too."""
     failed = _failed_before(pod)
     return failed is not None and failed.get("exitCode") == REFUSED_EXIT
 

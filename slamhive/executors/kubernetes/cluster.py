@@ -106,7 +106,7 @@ class Cluster:
         )
 
     def watch_pods(self, selector: str, version: str, seconds: int) -> Iterator[Document]:
-        """What happens to the pods with these labels after ``version``, for that long. Raises Expired."""
+        """Yield the events of the pods with these labels after ``version``, for that long. Raises Expired."""
         api = self._api()
         try:
             with api_errors("watching pods", EngineUnavailable, 410):
@@ -148,7 +148,7 @@ class Cluster:
         self._ask("changing a node", lambda a: a.core.patch_node(name, body, **_RAW), Forbidden)
 
     def may(self, right: Right) -> bool:
-        """Whether the worker has a right in the namespace, or for nodes in the cluster."""
+        """Return whether the worker has a right in the namespace, or for nodes in the cluster."""
         where = {} if right.resource == "nodes" else {"namespace": self.namespace}
         review = {
             "apiVersion": "authorization.k8s.io/v1",

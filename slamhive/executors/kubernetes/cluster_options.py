@@ -1,4 +1,4 @@
-"""What users may set for Kubernetes."""
+"""Options of users for Kubernetes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the API server of a cluster is reached, and what its refusals mean.
+"""Connections to the API server of a cluster, and the meaning of its refusals.
 
 The official client takes half a second to import, so it is imported when a cluster is first asked.
 """

@@ -1,4 +1,4 @@
-"""What the Job of a run has besides, if nodes share no storage with the worker. Pure functions, as those of the Job."""
+"""Additions to the Job of a run, if nodes share no storage with the worker. Pure functions, as those of the Job."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def secret_name(installation: str, key: str, mark: str) -> str:
 
 
 def secret_manifest(spec: RunSpec, installation: str, given: HandedOut) -> dict[str, Any]:
-    """What only the courier sees: the ticket of the run, and the programs."""
+    """Return the Secret that only the courier sees: the ticket of the run, and the programs."""
     return {
         "apiVersion": "v1",
         "kind": "Secret",
@@ -97,7 +97,7 @@ def node_job_manifest(
 
 
 def with_courier(asked: dict[str, str]) -> dict[str, str]:
-    """What the pod asks for, if ``asked`` is what the run asks for."""
+    """Return the requests of the pod, if ``asked`` is what the run asks for."""
     more = dict(asked)
     if "cpu" in asked:
         more["cpu"] = f"{int(asked['cpu'].removesuffix('m')) + COURIER_CPU_MILLI}m"
@@ -107,7 +107,7 @@ def with_courier(asked: dict[str, str]) -> dict[str, str]:
 
 
 def run_mounts(spec: RunSpec, given: HandedOut) -> list[dict[str, Any]]:
-    """What the run sees: its inputs in the cache, which it cannot change, and its own folders."""
+    """Return the mounts of the run: its inputs in the cache, which it cannot change, and its own folders."""
     written = {target: f"{OWN_FOLDER}/{name}" for target, name in given.own.items()}
     written |= {output.target: f"outputs/{output.name}" for output in spec.outputs}
     written |= {POD_FOLDER: "pod", "/tmp": "tmp"}  # noqa: S108 - the container's own

@@ -98,7 +98,7 @@ class KubernetesExecutor(Executor):
         return None
 
     def examine(self) -> list[Finding]:
-        """Which cluster it is, what the worker may do there, which nodes answer, and how files and images get there."""
+        """Report the cluster, the worker's rights, the nodes that answer, and the way of files and images to them."""
         cluster, options = self._cluster, self._options
         needed = (*RIGHTS, *USEFUL_RIGHTS, *(() if self._store is None else STORE_RIGHTS))
         missing = [right.text for right in needed if not cluster.may(right)]
@@ -115,7 +115,7 @@ class KubernetesExecutor(Executor):
         ]
 
     def examine_nodes(self) -> list[Finding]:
-        """Whether each node takes runs, and the most that a run can get there. Raises Unavailable."""
+        """Return whether each node takes runs, and the most that a run can get there. Raises Unavailable."""
         nodes = self._all_nodes()
         ready = answers.ready_nodes(nodes)
         findings = []
@@ -132,7 +132,7 @@ class KubernetesExecutor(Executor):
         return found if self._store is None else self._store.with_caches(found)
 
     def drain(self, node: str, drained: bool) -> None:
-        """As ``kubectl cordon`` does: pods that run there go on."""
+        """Keep further pods away like ``kubectl cordon``: pods that run there go on."""
         self._cluster.cordon(node, drained)
 
     def check_package(self, package: AlgorithmPackage) -> None:
@@ -149,11 +149,11 @@ class KubernetesExecutor(Executor):
         return self._images.build(package, progress)
 
     def has(self, package: AlgorithmPackage, identity: str) -> bool:  # noqa: ARG002 - an identity names one image
-        """Whether a pod could use the image. What a registry has is only known at a start."""
+        """Return whether a pod could use the image. What a registry has is only known at a start."""
         return bool(self._options.registry) or self._images.has(identity)
 
     def check_gpu(self) -> None:
-        """Whether a node has the extended resource, as far as the worker may know."""
+        """Return whether a node has the extended resource, as far as the worker may know."""
         nodes, resource = self._cluster.nodes(), self._options.gpu
         if nodes is not None and not answers.offered(resource, self._options.node, nodes):
             raise Unavailable(f"no node of Kubernetes has {resource}", "install its device plugin, or set --gpu")
@@ -168,7 +168,7 @@ class KubernetesExecutor(Executor):
         return replace(handle, variant_checksum=files.made_variant())
 
     def poll(self, handle: RunHandle) -> RunStatus:
-        """What the supervisor has recorded, else what Kubernetes says of the pod."""
+        """Return the supervisor's record, else the word of Kubernetes on the pod."""
         files, key = self._files_of(handle), handle.data["key"]
         ended = files.ended()
         if ended is not None:
@@ -236,11 +236,11 @@ class KubernetesExecutor(Executor):
         return PodUsage(files) if files.usage() is not None and not over else None
 
     def host_reading(self, handle: RunHandle) -> HostReading | None:
-        """What the supervisor reads of its node."""
+        """Return the supervisor's readings of its node."""
         return handed_over((self._files_of(handle).usage() or {}).get(HOST_KEY))
 
     def hidden_bytes(self, handle: RunHandle) -> int:
-        """What the run has written on a node that shares no storage."""
+        """Return the size of files on a node that shares no storage."""
         return self._files_of(handle).written_bytes()
 
     def sweep(self, live_keys: LiveKeys) -> list[str]:
@@ -266,7 +266,7 @@ class KubernetesExecutor(Executor):
         return RunFiles(work) if self._store is None else NodeRunFiles(work, key, self._store)
 
     def _storage(self) -> Finding:
-        """How files get to nodes."""
+        """Report how files get to nodes."""
         if self._store is not None:
             return self._store.examine()
         claim, same_path = self._options.claim, f"nodes need {self._context.data.resolve()} at the same path"
@@ -279,7 +279,7 @@ class KubernetesExecutor(Executor):
         return nodes
 
     def _is_lost(self, handle: RunHandle) -> bool:
-        """Whether nobody is there to end the run. No answer is no reason to believe it."""
+        """Return whether nobody is there to end the run. No answer is no reason to believe it."""
         try:
             return isinstance(self.poll(handle), Gone)
         except EngineUnavailable:
@@ -318,7 +318,7 @@ def open_kubernetes(context: ExecutorContext) -> KubernetesExecutor:
 
 
 def _goes_on(pod: Document | None) -> bool:
-    """Whether the pod may still be running, or record how the run has ended."""
+    """Return whether the pod may still be running, or record how the run has ended."""
     return pod is not None and not answers.is_over(pod) and answers.given_up(pod) is None
 
 

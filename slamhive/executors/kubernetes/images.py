@@ -34,11 +34,11 @@ class NodeImages:
         if package.user is not RunUser.WORKER:
             raise ImageMissing(
                 f"{package.name} runs as {package.user.in_words}, and pods have the user of the worker only",
-                "choose another executor; slamhive doctor lists them",
+                "choose another executor; slamhive doctor --all lists them",
             )
 
     def has(self, digest: str) -> bool:
-        """Whether the Docker engine of this machine has an image, from which nodes can get it."""
+        """Return whether the Docker engine of this machine has an image, from which nodes can get it."""
         from slamhive.executors.docker.kept_images import has_image  # noqa: PLC0415 - the SDK takes long to load
 
         with self._engine() as client:

@@ -68,7 +68,7 @@ def selector(installation: str, key: str | None = None) -> str:
 
 
 def resources(spec: RunSpec, options: Options) -> dict[str, str]:
-    """What a run asks for: requests equal limits, so that nobody takes it from the run."""
+    """Return the requests of a run: requests equal limits, so that nobody takes it from the run."""
     limits = spec.limits
     cores = limits.cpu_cores if limits.cpuset is None else float(len(limits.cpuset))
     asked: dict[str, str] = {}

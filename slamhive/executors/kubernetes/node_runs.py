@@ -49,28 +49,28 @@ class NodeRunFiles(RunFiles):
 
     @property
     def claimed(self) -> bool:
-        """Whether a pod has the run."""
+        """Return whether a pod has the run."""
         return claimed_by(self.work) is not None
 
     @property
     def begun(self) -> bool:
-        """Whether the supervisor has started, as far as its courier has reported it."""
+        """Return whether the supervisor has started, as far as its courier has reported it."""
         return self.started() is not None
 
     @property
     def delivering(self) -> bool:
-        """Whether the algorithm has ended, and its results are on their way."""
+        """Return whether the algorithm has ended, and its results are on their way."""
         return (self.folder / OVER_FILE).exists() and self.ended() is None
 
     @property
     def as_of(self) -> datetime | None:
-        """When its courier reported last, by the clock of the controller; None if it never did."""
+        """Return the time of the courier's last report, by the controller's clock; None without one."""
         times = [path.stat().st_mtime for name in (STARTED_FILE, USAGE_FILE) if (path := self.folder / name).exists()]
         return datetime.fromtimestamp(max(times), UTC) if times else None
 
     @property
     def arrived(self) -> str:
-        """How much of the results has arrived, as the end of a message; it changes while they do."""
+        """Return the share of the results that has arrived, as the end of a message; it changes while they do."""
         return self._store.progress(self.work)
 
     def made_variant(self) -> str | None:
@@ -78,7 +78,7 @@ class NodeRunFiles(RunFiles):
         return made_variant(self.folder / VARIANT_FILE)
 
     def written_bytes(self) -> int:
-        """What the run has written on its node, as its courier counts."""
+        """Return the size of files on the run's node, as its courier counts."""
         try:
             return max(0, int((self.read(DISK_FILE) or {}).get("bytes", 0)))
         except (TypeError, ValueError, OverflowError):
@@ -93,7 +93,7 @@ class NodeRunFiles(RunFiles):
             self._store.take_results(spec)
 
     def block(self) -> bool:
-        """See that no pod claims the run any more; False if one has done so already."""
+        """Ensure that no pod claims the run any more; False if one has done so already."""
         if self.claimed:
             return False
         self.forget()
@@ -115,7 +115,7 @@ def place_of(sha256: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class HandedOut:
-    """What the pod of a run needs: the content of its Secret, and the items of the cache that the run sees.
+    """The needs of a run's pod: the content of its Secret, and the items of the cache that the run sees.
 
     ``mark`` names the ticket in it. ``items`` maps where the run expects an input to its place in the cache; ``own`` to
     the name of the copy that it may change.

@@ -18,7 +18,7 @@ _REMEDY = "write --NAME=VALUE, see docs/kubernetes.md"
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the user says about the cluster. Everything has a default.
+    """The user's description of the cluster. Everything has a default.
 
     Attributes:
         context: The context of the kubeconfig; empty for its current one.

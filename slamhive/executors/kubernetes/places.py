@@ -1,4 +1,4 @@
-"""Which folders and files of the data root a pod sees, and how they get into it."""
+"""Folders and files of the data root that a pod sees, and their way into it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def prepare_inputs(spec: RunSpec, data: Path, folder: Path) -> RunSpec:
 
 
 def places_of(spec: RunSpec, other: Mapping[str, Path]) -> list[Place]:
-    """What the run sees, in the order in which it is mounted. ``other``: folders that only the executor knows."""
+    """List what the run sees, in the order in which it is mounted. ``other``: folders that only the executor knows."""
     read_only = read_places(spec)
     places = {**read_only, **written_places(spec), **other}
     return [Place(target, path, path.is_dir(), target in read_only) for target, path in sorted(places.items())]

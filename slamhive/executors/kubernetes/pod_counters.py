@@ -1,4 +1,4 @@
-"""What the supervisor in a pod reads of its run and of its node.
+"""Counters of a run and its node, read by the supervisor in a pod.
 
 As the supervisor, it needs no more than Python 3.7 and its standard library.
 """
@@ -33,7 +33,7 @@ _V1_CPU, _V2_CPU = "cpuacct/cpuacct.usage", "cpu.stat"
 
 
 def number_of(key: str, text: str) -> int | None:
-    """What follows ``key`` in a file of lines with a key and a number; None if it is not there."""
+    """Find the number after ``key`` in a file of lines with a key and a number; None if it is not there."""
     for line in text.splitlines():
         found, _, number = line.partition(" ")
         if found == key:
@@ -73,7 +73,7 @@ def count_tasks() -> int:
 
 
 def count_oom_kills() -> int:
-    """How often the kernel killed a process of the run because of its memory limit."""
+    """Count the processes of the run that the kernel killed because of the memory limit."""
     for name in ("memory/memory.oom_control", "memory.events"):
         kills = number_of("oom_kill", read_text(CGROUP / name) or "")
         if kills is not None:

@@ -29,17 +29,17 @@ _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 15.0
 
 
 class PodSource(Protocol):
-    """What is watched: a cluster."""
+    """A cluster that is watched."""
 
     def pod_list(self, selector: str) -> Document:
         """The pods with these labels, and the version of the list."""
 
     def watch_pods(self, selector: str, version: str, seconds: int) -> Iterator[Document]:
-        """What happens afterwards."""
+        """Yield the events afterwards."""
 
 
 class PodBook:
-    """What is known of the pods, from lists and events."""
+    """Knowledge of the pods, from lists and events."""
 
     def __init__(self) -> None:
         self.version: str | None = None

@@ -53,7 +53,7 @@ _MAKES_NO_SENSE = (KeyError, TypeError, ValueError, OverflowError)
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """When the algorithm started, and where. ``gpu`` is the UUID that the pod knows of its GPU."""
+    """Start of the algorithm: time and place. ``gpu`` is the UUID that the pod knows of its GPU."""
 
     at: datetime
     node: str
@@ -88,17 +88,17 @@ class RunFiles:
 
     @property
     def there(self) -> bool:
-        """Whether the run was prepared, and not removed."""
+        """Return whether the run was prepared, and not removed."""
         return (self.folder / ORDER_FILE).exists()
 
     @property
     def claimed(self) -> bool:
-        """Whether a supervisor has started, or none may start any more."""
+        """Return whether a supervisor has started, or none may start any more."""
         return (self.folder / CLAIM_FILE).exists()
 
     @property
     def begun(self) -> bool:
-        """Whether the supervisor has started, so that nobody may start another one."""
+        """Return whether the supervisor has started, so that nobody may start another one."""
         return self.claimed
 
     def started(self) -> Started | None:
@@ -110,7 +110,7 @@ class RunFiles:
             return None
 
     def ended(self) -> Exited | Gone | None:
-        """How the run ended; None if the supervisor has not recorded it."""
+        """Read how the run ended; None if the supervisor has not recorded it."""
         found = self.read(EXIT_FILE)
         if found is None:
             return None
@@ -121,24 +121,24 @@ class RunFiles:
 
     @property
     def delivering(self) -> bool:
-        """Whether the algorithm has ended, and its results are on their way."""
+        """Return whether the algorithm has ended, and its results are on their way."""
         return False
 
     @property
     def as_of(self) -> datetime | None:
-        """When the pod was last heard of; None if its files are shared."""
+        """Return the time of the last sign of the pod; None if its files are shared."""
         return None
 
     @property
     def arrived(self) -> str:
-        """How much of the results has arrived meanwhile, in words."""
+        """Return the share of the results that has arrived, in words."""
         return ""
 
     def forget(self) -> None:
         """Take nothing more from the pod."""
 
     def written_bytes(self) -> int:
-        """What the run has written where the worker does not see it."""
+        """Return the size of files that the worker does not see."""
         return 0
 
     def copy_live(self, output: RunOutput) -> None:
@@ -177,7 +177,7 @@ class RunFiles:
         return self.read(USAGE_FILE)
 
     def log(self, most_bytes: int) -> bytes:
-        """What the run has printed so far."""
+        """Return the output of the run so far."""
         with temporary_folder() as folder:
             copy = RunOutput("log", folder / LOG_FOLDER, "", max_bytes=2 * most_bytes)
             take_over(self.folder / LOG_FOLDER, copy, folder)
@@ -193,7 +193,7 @@ class RunFiles:
             raise Unavailable(f"{self.folder} cannot be written: {error.strerror}", remedy_of(error)) from None
 
     def block(self) -> bool:
-        """See that no supervisor starts any more; False if one has started already."""
+        """Ensure that no supervisor starts any more; False if one has started already."""
         try:
             os.close(os.open(self.folder / CLAIM_FILE, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
         except FileExistsError:
@@ -210,7 +210,7 @@ class RunFiles:
             raise Unavailable(f"{self.work} cannot be removed: {error.strerror}", remedy_of(error)) from None
 
     def read(self, name: str) -> dict[str, Any] | None:
-        """What the supervisor wrote; None if there is nothing yet, empty if it makes no sense."""
+        """Read the file of the supervisor; None if there is nothing yet, empty if it makes no sense."""
         try:
             # A listing makes NFS look at the server; what it says of single names may be old.
             if name not in [entry.name for entry in self.folder.iterdir()]:
@@ -224,7 +224,7 @@ class RunFiles:
 
 
 def order_of(spec: RunSpec, log_max_bytes: int) -> dict[str, Any]:
-    """What the supervisor is to do."""
+    """Return the orders for the supervisor."""
     return {
         "command": list(spec.command),
         "timeout_s": spec.timeout_s,
@@ -247,7 +247,7 @@ def take_over(folder: Path, output: RunOutput, work: Path) -> None:
 
 
 def _differs(source: Path, copy: Path) -> bool:
-    """Whether ``source`` is there and may hold something else than its ``copy``, which was made later."""
+    """Return whether ``source`` is there and may hold something else than its ``copy``, which was made later."""
     try:
         original = source.lstat()
         known = copy.lstat()
@@ -328,7 +328,7 @@ class PodUsage:
         return cpu_s, memory_bytes
 
     def totals(self) -> dict[str, float]:
-        """As of the last reading."""
+        """Return the counters of the last reading."""
         return self._totals
 
     def close(self) -> None:

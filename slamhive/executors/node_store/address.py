@@ -12,7 +12,7 @@ _ALL_ADDRESSES = ("0.0.0.0", "::")  # noqa: S104 - compared, not bound to
 
 
 def node_access(settings: Settings) -> NodeAccess | None:
-    """How data gets to nodes; None if they see the data root. Raises InvalidInput."""
+    """Return the way of data to nodes; None if they see the data root. Raises InvalidInput."""
     if settings.shared_storage:
         return None
     return NodeAccess(_url(settings), settings.node_cache, settings.node_cache_bytes)

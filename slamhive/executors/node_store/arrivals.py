@@ -1,4 +1,4 @@
-"""What nodes send: copies of files that change while a run goes on, and the archive of its results.
+"""Arrivals from nodes: copies of files that change while a run goes on, and the archive of its results.
 
 Everything lies aside until it is complete. Nothing is taken that the run may not send.
 """
@@ -28,7 +28,7 @@ _REFUSED_FILE = "refused.txt"
 
 
 class NotTaken(SlamHiveError):
-    """What a node sends is not taken. ``status`` is that of HTTP; ``more`` goes into the answer."""
+    """Refusal of something that a node sent. ``status`` is that of HTTP; ``more`` goes into the answer."""
 
     def __init__(self, status: HTTPStatus, message: str, **more: Any) -> None:
         super().__init__(message)
@@ -77,7 +77,7 @@ class Arrivals:
             path.unlink(missing_ok=True)
 
     def results(self, registration: Registration) -> dict[str, Any]:
-        """How much of the archive has arrived (``have``), and the SHA-256 that was announced."""
+        """The bytes of the archive that have arrived (``have``), and the SHA-256 that was announced."""
         with self._alone(registration.folder), _written(registration.folder):
             self._complete(registration)
             return _results(registration.folder)
@@ -177,7 +177,7 @@ def results_archive(work: Path) -> Path | None:
 
 
 def arrived_bytes(work: Path) -> tuple[int, int] | None:
-    """How much of the results has arrived, and how much they have (bytes); None if none was announced."""
+    """Return the bytes of the results that have arrived, and all of them; None if none was announced."""
     known, found = _read_json(node_folder(work) / _ANNOUNCED_FILE), _results(node_folder(work))
     return None if known is None else (int(found["have"]), int(known["total"]))
 
@@ -191,7 +191,7 @@ def refused_results(work: Path) -> str | None:
 
 
 def claimed_by(work: Path) -> dict[str, Any] | None:
-    """What the node said that has claimed the run with this work folder; None if none has."""
+    """Read the report of the node that has claimed the run with this work folder; None if none has."""
     return _read_json(node_folder(work) / _CLAIM_FILE)
 
 
@@ -207,7 +207,7 @@ def ask_to_stop(work: Path, grace_s: float) -> None:
 
 
 def wanted(registration: Registration) -> dict[str, Any]:
-    """What the controller wants of the run: nothing, or ``{"stop_s": grace}``."""
+    """Return the controller's orders for the run: nothing, or ``{"stop_s": grace}``."""
     return _read_json(registration.folder / _WANTED_FILE) or {}
 
 

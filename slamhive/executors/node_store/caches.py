@@ -1,4 +1,4 @@
-"""What nodes have said of their caches: ``<data>/node-caches/<hash of the name>.json`` for each."""
+"""Reports of nodes on their caches: ``<data>/node-caches/<hash of the name>.json`` for each."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def live_place(output: str, name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Reports:
-    """What a node reports of a run besides the live files of its outputs.
+    """The report of a node on a run besides the live files of its outputs.
 
     Attributes:
         copies: {place: file on the controller}.
@@ -84,7 +84,7 @@ class NodeStore:
         return "nodes share no storage (SHARED_STORAGE=false), but are served nowhere; set NODE_ADDRESS to HOST:PORT"
 
     def examine(self) -> Finding:
-        """How data gets to nodes, for ``slamhive doctor``."""
+        """Report how data gets to nodes, for ``slamhive doctor``."""
         access = self._access
         found = f"by HTTP from {access.url}, kept in {access.cache} ({access.cache_bytes / 1e9:.0f} GB)"
         return Finding("data of nodes", found)
@@ -145,7 +145,7 @@ class NodeStore:
 
     @staticmethod
     def progress(work: Path) -> str:
-        """How much of the results has arrived, or why they were not taken, as the end of a message."""
+        """Return the share of the results that has arrived, or why they were not taken, as the end of a message."""
         arrived, refused = arrived_bytes(work.resolve()), refused_results(work.resolve())
         if arrived is not None:
             return f": {arrived[0] / 1e6:.0f} of {arrived[1] / 1e6:.0f} MB"
@@ -153,7 +153,7 @@ class NodeStore:
 
     @staticmethod
     def clock_difference(work: Path) -> str | None:
-        """How much the clock of the node differs, in words; None if that is little or unknown."""
+        """Return the difference of the node's clock, in words; None if that is little or unknown."""
         said = claimed_by(work.resolve()) or {}
         try:
             behind_s = float(said["received_s"]) - float(said["node_time_s"])

@@ -1,4 +1,4 @@
-"""What the controller offers to nodes: files as they are, and folders as archives, each named by its SHA-256.
+"""Offers of the controller to nodes: files as they are, and folders as archives, each named by its SHA-256.
 
 An archive of a folder lies in ``<data>/node-archives/``. It is made once for what the folder holds.
 """

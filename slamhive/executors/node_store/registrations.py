@@ -1,4 +1,4 @@
-"""Which runs nodes may ask about: what each of them may read and write, and the hash of its token.
+"""The runs that nodes may ask about: what each of them may read and write, and the hash of its token.
 
 ``<data>/node-runs/<hash of the key>.json`` holds one run from its start until its results were collected. So any
 process of the data root can register a run, and a restarted server knows it.
@@ -68,12 +68,12 @@ class Registration:
         return node_folder(self.work)
 
     def item(self, sha256: str) -> Offered | None:
-        """What is offered under this hash."""
+        """Return the offer with this hash."""
         return next((entry for entry in self.offered.values() if entry.item.sha256 == sha256), None)
 
     @property
     def answer(self) -> dict[str, Any]:
-        """What a node gets when it claims the run."""
+        """Return the answer to a node that claims the run."""
         items = {name: entry.item._asdict() for name, entry in self.offered.items()}
         return {"items": items, "orders": self.orders}
 
@@ -127,7 +127,7 @@ class Registrations:
         return None if content is None else str(content["token_sha256"])[:_MARK_DIGITS]
 
     def was_for(self, key: str, token: str) -> bool:
-        """Whether ``token`` was the last one of a run that is over, so that its node can remove what it has."""
+        """Return whether ``token`` was the last one of a run that is over, so that its node can remove what it has."""
         content = self._read(key)
         return content is not None and OVER in content and _matches(content, token)
 

@@ -1,4 +1,4 @@
-"""What nodes ask the controller over HTTP. Each request names a run and carries the token of that run.
+"""The HTTP server for nodes' requests to the controller. Each request names a run and carries the token of that run.
 
 ``POST claim``, ``GET items/<SHA-256>``, ``PUT cache``, ``GET wanted``, ``PUT`` and ``DELETE state/<place>``, and
 ``GET`` and ``PUT result``, all below ``/v1/runs/<key>/``. Pages are served elsewhere, by threads of their own.
@@ -85,7 +85,7 @@ class NodeService:
         return found, place
 
     def _answer(self, registration: Registration, place: str, environ: dict[str, Any]) -> dict[str, Any]:
-        """What a request is answered with, except for an item. Raises NotTaken."""
+        """Return the answer to a request, except for an item. Raises NotTaken."""
         method, (kind, _, rest) = environ["REQUEST_METHOD"], place.partition("/")
         answers: dict[tuple[str, str], Callable[[], dict[str, Any]]] = {
             ("POST", "claim"): lambda: self._claim(registration, environ),

@@ -123,7 +123,7 @@ def _shown(folder: Path, root: Path) -> str:
 
 
 def _is_delegated(unit: Path, root: Path) -> bool:
-    """Whether systemd gave this unit's group away. It marks the group, and gives its files to the user of the unit."""
+    """Return whether systemd gave this unit's group away. It marks the group, and gives its files to the user."""
     for mark in ("user.delegate", "trusted.delegate"):
         with contextlib.suppress(OSError):  # not set, not readable for this user, or no such attributes in this kernel
             return os.getxattr(unit, mark) == b"1"
@@ -135,7 +135,7 @@ def _is_delegated(unit: Path, root: Path) -> bool:
 
 @cache
 def _manager_says_delegated(unit: str) -> bool:
-    """Whether the manager of this user has delegated the unit. That does not change while the unit lives."""
+    """Return whether the manager of this user has delegated the unit. That does not change while the unit lives."""
     options, variables = manager_of_user(os.geteuid(), os.environ)
     command = ["systemctl", *(options or ["--user"]), "show", "--property=Delegate", "--value", unit]
     try:

@@ -96,17 +96,17 @@ class Containment(Protocol):
 
     @property
     def holds_memory(self) -> bool:
-        """Whether the kernel holds the run to its memory limit."""
+        """Return whether the kernel holds the run to its memory limit."""
 
     @property
     def holds_cpu(self) -> bool:
-        """Whether the kernel holds the run to its share of the processors."""
+        """Return whether the kernel holds the run to its share of the processors."""
 
     def enter(self) -> None:
         """In the run's first process, before it becomes the algorithm. Raises OSError."""
 
     def look(self, tree: ProcessTree) -> Look:
-        """How the run stands to its limits; ``tree`` are the processes below the supervisor."""
+        """Compare the run with its limits; ``tree`` are the processes below the supervisor."""
 
     def members(self) -> list[ProcessEntry]:
         """The living processes that belong to the run as far as this containment knows them."""
@@ -121,7 +121,7 @@ class Containment(Protocol):
         """The kernel's own counters of the run; None if there are none."""
 
     def describe(self) -> dict[str, Any]:
-        """What :func:`~slamhive.executors.process.containment.found_again` needs, as JSON."""
+        """Return the JSON that :func:`~slamhive.executors.process.containment.found_again` needs."""
 
     def words(self) -> dict[str, str]:
         """By what each limit is held, for the user: ``processes``, ``memory``, ``cpu``, ``end``."""

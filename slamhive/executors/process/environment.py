@@ -66,7 +66,7 @@ class Environment:
 
     @property
     def prepared(self) -> Path:
-        """What ``prepare.py`` made."""
+        """The folder that ``prepare.py`` filled."""
         return self.folder / "prepared"
 
     @property
@@ -178,7 +178,7 @@ def _environment_hash(package: AlgorithmPackage) -> str:
     if not requirements.is_file():
         raise ImageMissing(
             f"{package.name} has no {REQUIREMENTS_FILE}: it runs in its container only",
-            "use an executor of containers; slamhive doctor lists them",
+            "use an executor of containers; slamhive doctor --all lists them",
         )
     digest = hashlib.sha256(f"{sys.version} {sys.prefix}".encode())
     digest.update(requirements.read_bytes())

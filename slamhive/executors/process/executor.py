@@ -89,7 +89,7 @@ class ProcessExecutor(Executor):
         return pip_problem()
 
     def examine(self) -> list[Finding]:
-        """How limits are enforced on this machine: tried out, as a supervisor does."""
+        """Try out how limits are enforced on this machine, as a supervisor does."""
         protections = survey(self._context.installation, self._containment)
         reasons = "; ".join(f"no {way}: {reason}" for way, reason in protections.does_not_hold.items())
         return [Finding("protections", protections.text, f"{reasons}; {_CONTAIN_BETTER}" if reasons else None)]
@@ -108,7 +108,7 @@ class ProcessExecutor(Executor):
         return self._environments.build(package, progress)
 
     def has(self, package: AlgorithmPackage, identity: str) -> bool:
-        """Whether the environment with these hashes is there."""
+        """Return whether the environment with these hashes is there."""
         return self._environments.find(package.name, identity).ready
 
     def forget(self, package: str, identity: str, number: int) -> None:  # noqa: ARG002 - the hashes name it
@@ -207,7 +207,7 @@ class ProcessExecutor(Executor):
 
 
 def _end_of(handle: RunHandle) -> Exited | Gone | None:
-    """How the run ended, as far as that is recorded. What a machine does that shuts down says nothing about a run."""
+    """Return the end of the run, if recorded. What a machine does that shuts down says nothing about a run."""
     end = read_end(handle)
     if end is None:
         return None

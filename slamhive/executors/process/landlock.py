@@ -32,7 +32,7 @@ _GPUS = "nvidia*"
 
 
 def version() -> int:
-    """Which version of Landlock the kernel has; 0 if none, or if it is switched off."""
+    """Return the kernel's version of Landlock; 0 if none, or if it is switched off."""
     return max(0, _call(_CREATE_RULESET, None, 0, _ASK_VERSION))
 
 

@@ -32,7 +32,7 @@ class _Sets(ctypes.Structure):
 
 
 def has_capability(capability: int) -> bool:
-    """Whether the calling process may use the capability."""
+    """Return whether the calling process may use the capability."""
     header, sets = _Header(_CAPABILITY_VERSION_3, 0), (_Sets * 2)()
     _check(ctypes.CDLL(None, use_errno=True).capget(ctypes.byref(header), ctypes.byref(sets)), "capget")
     return bool(sets[0].effective >> capability & 1)

@@ -1,4 +1,4 @@
-"""What the paths of the container contract are for a run that has no container."""
+"""Paths of the container contract for a run without a container."""
 
 from __future__ import annotations
 

@@ -73,12 +73,12 @@ class RunCgroup(ABC):
 
     @property
     def holds_memory(self) -> bool:
-        """Whether the kernel enforces the memory limit."""
+        """Return whether the kernel enforces the memory limit."""
         return "memory" in self._limited
 
     @property
     def holds_cpu(self) -> bool:
-        """Whether the kernel enforces the limit of cores."""
+        """Return whether the kernel enforces the limit of cores."""
         return "cpu" in self._limited
 
     @staticmethod
@@ -116,12 +116,12 @@ class RunCgroup(ABC):
         return VERSIONS[description["version"]](folders, frozenset(description["limited"]))
 
     def describe(self) -> dict[str, Any]:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         folders = {controller: str(folder) for controller, folder in self._folders.items()}
         return {"kind": self.kind, "version": self.version, "folders": folders, "limited": sorted(self._limited)}
 
     def words(self) -> dict[str, str]:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         memory = "checked by the supervisor"
         if self.holds_memory:
             swap = "swap included" if "swap" in self._limited else "but not swap, which this kernel does not count"
@@ -135,17 +135,17 @@ class RunCgroup(ABC):
         }
 
     def enter(self) -> None:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         for folder in set(self._folders.values()):
             (folder / "cgroup.procs").write_text("0", encoding="ascii")
 
     def look(self, tree: ProcessTree) -> Look:  # noqa: ARG002 - the seam's signature
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         killed = self.holds_memory and self._count("memory", self.oom_file, "oom_kill") > 0
         return Look(self._counter.refused(), killed)
 
     def members(self) -> list[ProcessEntry]:
-        """See :class:`Containment`. A run of the same user may have made groups in its group."""
+        """Implement :class:`Containment`. A run of the same user may have made groups in its group."""
         pids: list[str] = []
         for parent, _, _ in os.walk(self._tasks):
             with contextlib.suppress(OSError):  # it is gone by now
@@ -153,7 +153,7 @@ class RunCgroup(ABC):
         return living(entry for pid in pids if (entry := read_process(int(pid))) is not None)
 
     def end(self, patience_s: float) -> bool:
-        """See :class:`Containment`. At once, nothing new can start in the group."""
+        """Implement :class:`Containment`. At once, nothing new can start in the group."""
         self._try_to_write("pids", "pids.max", "0")
         if not self.members():
             return True
@@ -161,7 +161,7 @@ class RunCgroup(ABC):
         return end_all(self.members, patience_s)
 
     def remove(self) -> None:
-        """See :class:`Containment`. A group that still holds processes stays."""
+        """Implement :class:`Containment`. A group that still holds processes stays."""
         deadline_s = monotonic_s() + _FREEZE_PATIENCE_S
         for folder in set(self._folders.values()):
             while not _remove_tree(folder) and monotonic_s() < deadline_s:
@@ -169,7 +169,7 @@ class RunCgroup(ABC):
 
     @abstractmethod
     def usage(self) -> UsageSource | None:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
 
     @abstractmethod
     def _limit_memory(self, folder: Path, limit_bytes: int | None) -> bool:
@@ -271,7 +271,7 @@ class RunCgroupV1(RunCgroup):
     frozen_word, thawed_word = "FROZEN", "THAWED"
 
     def usage(self) -> UsageSource | None:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         if {"memory", "cpuacct"} <= self._folders.keys():
             return CgroupV1(self._folders["cpuacct"], self._folders["memory"])
         return None
@@ -309,7 +309,7 @@ class RunCgroupV2(RunCgroup):
     frozen_word, thawed_word = "1", "0"
 
     def usage(self) -> UsageSource | None:
-        """See :class:`Containment`. ``cpu.stat`` counts CPU time without the controller ``cpu`` too."""
+        """Implement :class:`Containment`. ``cpu.stat`` counts CPU time without the controller ``cpu`` too."""
         return CgroupV2(self._tasks) if "memory" in self._folders else None
 
     def _limit_memory(self, folder: Path, limit_bytes: int | None) -> bool:

@@ -25,7 +25,7 @@ _ANSWER_S = 30.0
 
 
 def scope_wanted(root: Path = CGROUP_ROOT, systemd: Path = _RUNNING_SYSTEMD) -> bool:
-    """Whether only systemd can give this process a group to make others in. Only looks.
+    """Return whether only systemd can give this process a group to make others in. Only looks.
 
     Args:
         root: Where the control groups are mounted. Version 1 is used without systemd's help.

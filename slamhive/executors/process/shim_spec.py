@@ -14,7 +14,7 @@ SPEC_FILE = "shim-spec.json"
 
 @dataclass(frozen=True, slots=True)
 class ShimSpec:
-    """What to start, and its limits.
+    """The program to start, and its limits.
 
     ``cores`` are those to bind to. ``tasks`` counts processes and threads, as a container's limit of pids does. The
     fields after ``cpu_cores`` are for the containment, see ``ContainmentRequest``. ``read_only`` is for a command that
@@ -49,7 +49,7 @@ class ShimSpec:
         return cls(**json.loads((work / SPEC_FILE).read_text(encoding="utf-8")))
 
     def containment_request(self) -> ContainmentRequest:
-        """What the containment has to enforce."""
+        """Return the limits for the containment."""
         return ContainmentRequest(
             self.installation,
             self.key,

@@ -95,14 +95,14 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 class RecordedEnd(NamedTuple):
-    """How a run ended, and whether somebody other than a worker asked for it: the exit code says nothing then."""
+    """The end of a run, and whether somebody other than a worker asked for it: the exit code says nothing then."""
 
     exited: Exited
     from_outside: bool
 
 
 def read_end(handle: RunHandle) -> RecordedEnd | None:
-    """How the run ended; None if it has not, or if nobody recorded it."""
+    """Read how the run ended; None if it has not, or if nobody recorded it."""
     work = Path(handle.data["work"])
     content = read_json(work / EXIT_FILE)
     if content is None:

@@ -83,7 +83,7 @@ def _described(containment: Containment, does_not_hold: dict[str, str]) -> Prote
 
 
 def survey_goes_on(group: str) -> bool:
-    """Whether the control group ``group`` is that of a survey which another process makes now."""
+    """Return whether the control group ``group`` is that of a survey which another process makes now."""
     pid = group.rpartition("-survey-")[2]
     return pid.isdigit() and read_process(int(pid)) is not None
 

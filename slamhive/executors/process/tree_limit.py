@@ -45,11 +45,11 @@ class TreeLimit:
         return cls(os.getpid(), request.tasks, now + 2 * request.tasks + _ROOM_FOR_OTHERS)
 
     def describe(self) -> dict[str, Any]:
-        """See :class:`Containment`: after a supervisor was killed, nothing here identifies its processes."""
+        """Implement :class:`Containment`: after a supervisor was killed, nothing here identifies its processes."""
         return {"kind": self.kind}
 
     def words(self) -> dict[str, str]:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         ceiling = "" if self._ceiling is None else f"; the kernel lets this user have {self._ceiling} in all"
         return {
             "held_by": "the supervisor alone",
@@ -60,7 +60,7 @@ class TreeLimit:
         }
 
     def enter(self) -> None:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         if self._ceiling is None:
             return
         hard = resource.getrlimit(resource.RLIMIT_NPROC)[1]
@@ -68,19 +68,19 @@ class TreeLimit:
         resource.setrlimit(resource.RLIMIT_NPROC, (ceiling, ceiling))
 
     def look(self, tree: ProcessTree) -> Look:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         return Look(refused=tree.tasks() > self._tasks)
 
     def members(self) -> list[ProcessEntry]:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         return living(descendants(self._root))
 
     def end(self, patience_s: float) -> bool:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         return end_all(self.members, patience_s)
 
     def remove(self) -> None:
-        """See :class:`Containment`: nothing was taken."""
+        """Implement :class:`Containment`: nothing was taken."""
 
     def usage(self) -> None:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""

@@ -85,11 +85,11 @@ class UserLimit:
         return cls(uid, 0, None, folders)
 
     def describe(self) -> dict[str, Any]:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         return {"kind": self.kind, "uid": self._uid, "writable": [str(folder) for folder in self._writable]}
 
     def words(self) -> dict[str, str]:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         return {
             "held_by": f"a user of its own ({self._uid})",
             "processes": "enforced by the kernel (RLIMIT_NPROC)",
@@ -99,7 +99,7 @@ class UserLimit:
         }
 
     def enter(self) -> None:
-        """See :class:`Containment`. One more than the limit, so that a run that has as many as it may is not ended."""
+        """Implement :class:`Containment`. One more than the limit, so that a run at its limit is not ended."""
         resource.setrlimit(resource.RLIMIT_NPROC, (self._tasks + 1, self._tasks + 1))
         if self._reads_with is not None:
             prctl(PR_SET_KEEPCAPS, 1)
@@ -110,11 +110,11 @@ class UserLimit:
             keep_only(self._reads_with)
 
     def look(self, tree: ProcessTree) -> Look:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         return Look(refused=tree.tasks() > self._tasks)
 
     def members(self) -> list[ProcessEntry]:
-        """See :class:`Containment`. Empty if another run has the user by now."""
+        """Implement :class:`Containment`. Empty if another run has the user by now."""
         if self._lock is not None:
             return living(processes_of_user(self._uid))
         try:
@@ -129,11 +129,11 @@ class UserLimit:
             os.close(descriptor)
 
     def end(self, patience_s: float) -> bool:
-        """See :class:`Containment`."""
+        """Implement :class:`Containment`."""
         return end_all(self.members, patience_s)
 
     def remove(self) -> None:
-        """See :class:`Containment`: gives the folders back to their owner."""
+        """Implement :class:`Containment`: gives the folders back to their owner."""
         for folder in self._writable:
             with suppress(OSError):  # the result can be read all the same
                 _change_owner(folder, self._uid, self._owner)
@@ -142,7 +142,7 @@ class UserLimit:
             self._lock = None
 
     def usage(self) -> None:
-        """See :class:`Containment`: the kernel keeps no counters of a user."""
+        """Implement :class:`Containment`: the kernel keeps no counters of a user."""
 
     def _hand_over(self) -> None:
         for folder in self._writable:

@@ -234,7 +234,7 @@ def deliver_run(connection: Connection, mirror: Mirror, folder: Path, spec: RunS
 
 
 def watched_files(spec: RunSpec, offset_s: float) -> list[Watched]:
-    """What the controller has copies of, on this node."""
+    """Return the files of this node that the controller has copies of."""
     work, change = spec.work, with_offset(offset_s)
     live = [
         Watched(live_place(output.name, name), output.destination / name, 0.2)

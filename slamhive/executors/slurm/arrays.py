@@ -20,7 +20,7 @@ _START = "#!/bin/sh\n"
 
 
 class JobRequest(NamedTuple):
-    """What is submitted for one run.
+    """The submission of one run.
 
     Attributes:
         name: What ``squeue`` shows.

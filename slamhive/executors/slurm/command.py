@@ -63,7 +63,7 @@ class Job:
 
     @property
     def name(self) -> str:
-        """How commands name it: tasks of an array share a number until they start."""
+        """The name of the job for commands: tasks of an array share a number until they start."""
         return str(self.number) if self.task is None else f"{self.task[0]}_{self.task[1]}"
 
     @property
@@ -223,7 +223,7 @@ def _cancel(arguments: Sequence[str]) -> None:
 
 
 def ping() -> str:
-    """What ``scontrol ping`` says; raises EngineUnavailable if no controller answers."""
+    """Call ``scontrol ping``; raises EngineUnavailable if no controller answers."""
     try:
         return " ".join(_run(["scontrol", "ping"]).split())
     except StartFailed:
@@ -242,12 +242,12 @@ class Node:
 
     @property
     def takes_jobs(self) -> bool:
-        """Whether a job could start there now or soon."""
+        """Return whether a job could start there now or soon."""
         return self.state.rstrip("*$~#!%@^-+") in {"idle", "mixed", "allocated", "completing"} and "*" not in self.state
 
     @property
     def drained(self) -> bool:
-        """Whether somebody keeps further jobs away from it."""
+        """Return whether somebody keeps further jobs away from it."""
         return self.state.startswith("drain")
 
 
@@ -279,7 +279,7 @@ def drain(node: str, drained: bool) -> None:
 
 
 def run_on(node: str, options: Sequence[str], program: Sequence[str], patience_s: int) -> str:
-    """What a program prints on a node. Raises StartFailed if it fails, or if the node is busy for ``patience_s``."""
+    """Return the output of a program on a node. Raises StartFailed if it fails, or if the node stays busy."""
     place = [f"--nodelist={node}", "--nodes=1", "--ntasks=1", "--mem=500M", "--time=2", "--chdir=/"]
     return _run(["srun", *options, *place, f"--immediate={patience_s}", *program])
 

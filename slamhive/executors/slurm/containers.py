@@ -71,7 +71,7 @@ class ContainerSlurmExecutor(SlurmExecutor):
         if package.user is not RunUser.WORKER:
             raise ImageMissing(
                 f"{package.name} runs as {package.user.in_words} and writes into its image, which jobs cannot change",
-                "choose another executor; slamhive doctor lists them",
+                "choose another executor; slamhive doctor --all lists them",
             )
 
     def identity(self, package: AlgorithmPackage) -> str | None:
@@ -119,7 +119,7 @@ class ContainerSlurmExecutor(SlurmExecutor):
         return asked and shutil.which(RUNTIMES[APPTAINER].program) is not None
 
     def has(self, package: AlgorithmPackage, identity: str) -> bool:  # noqa: ARG002 - a digest names one image
-        """Whether the image with this digest has been unpacked."""
+        """Return whether the image with this digest has been unpacked."""
         return self._images.find(identity) is not None
 
     def forget(self, package: str, identity: str, number: int) -> None:  # noqa: ARG002 - as above
@@ -171,7 +171,7 @@ def give_container_orders(spec: RunSpec, image: ImageFolder, work: Path, context
 
 
 def container_orders(spec: RunSpec, image: ImageFolder, runtime: str) -> ContainerOrders:
-    """What the container of a run holds. Raises StartFailed for a path that no runtime takes."""
+    """Describe the container of a run. Raises StartFailed for a path that no runtime takes."""
     work = spec.work.resolve()
     # What is mounted into the folder of the dataset needs a place in it, which must not show in other runs.
     read = {DATASET_TARGET: work / "dataset", **read_places(spec)}
@@ -191,7 +191,7 @@ def container_orders(spec: RunSpec, image: ImageFolder, runtime: str) -> Contain
 
 
 def make_mount_points(orders: ContainerOrders) -> None:
-    """See that there is something to mount on: in the image, or in the folder that is mounted further out."""
+    """Ensure that there is something to mount on: in the image, or in the folder that is mounted further out."""
     places = {target: Path(source) for source, target, _ in orders.mounts()}
     for place in (DATASET_TARGET, *orders.written):
         if not places[place].exists():

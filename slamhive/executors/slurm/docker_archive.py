@@ -28,7 +28,7 @@ _LARGEST_JSON_BYTES = 10_000_000
 
 @dataclass(frozen=True, slots=True)
 class ArchivedImage:
-    """What an archive says about its only image.
+    """The description of the only image of an archive.
 
     Attributes:
         identity: The digest of its configuration, by which Docker names the image.
@@ -78,7 +78,7 @@ def unpack_image(archive: tarfile.TarFile, image: ArchivedImage, root: Path) -> 
 
 
 def make_mount_point(root: Path, name: str, *, is_folder: bool) -> None:
-    """See that there is something at ``name`` below ``root`` to mount on. Raises InvalidInput at a link, OSError."""
+    """Ensure that there is something at ``name`` below ``root`` to mount on. Raises InvalidInput at a link, OSError."""
     place = _inside(root, name)
     if is_folder:
         place.mkdir(parents=True, exist_ok=True)

@@ -98,12 +98,12 @@ class SlurmExecutor(ProcessExecutor):
         return problem
 
     def examine(self) -> list[Finding]:
-        """Which Slurm it is, and what is added to each job."""
+        """Report the version of Slurm, and the additions to each job."""
         options = " ".join(self._options) or "none"
         return [Finding("version", command.version()), Finding("SLURM_OPTIONS", options)]
 
     def examine_nodes(self) -> list[Finding]:
-        """What each node is, which container runtime it has, and why not the others."""
+        """Report the machine and container runtime of each node, and why the other runtimes cannot be used."""
         return survey(self._options, self._context.value(CONTAINERS), self._context.value(PYTHON))
 
     def nodes(self) -> list[Node]:
@@ -118,7 +118,7 @@ class SlurmExecutor(ProcessExecutor):
         command.drain(node, drained)
 
     def check_gpu(self) -> None:
-        """Whether a node that takes jobs, or may again, has the gres."""
+        """Return whether a node that takes jobs, or may again, has the gres."""
         if not any(offers(node.gres, self._gpu) for node in command.list_nodes(self._options)):
             raise Unavailable(f"no node of Slurm has the gres {self._gpu}", "see sinfo -o '%N %G', or set SLURM_GPU")
 
@@ -151,7 +151,7 @@ class SlurmExecutor(ProcessExecutor):
         return self._ended(handle) or self._without_end(handle, jobs)  # it may have been recorded meanwhile
 
     def _ended(self, handle: RunHandle) -> Exited | Gone | None:
-        """How the run ended, as far as that is recorded. Slurm and its users end jobs by signals."""
+        """Return the end of the run, as far as it is recorded. Slurm and its users end jobs by signals."""
         end = _end_of(handle)
         if end is None:
             return None
@@ -170,7 +170,7 @@ class SlurmExecutor(ProcessExecutor):
         return Gone(f"it was ended from outside: {_said_of(jobs)}") if outside else exited
 
     def _running(self, handle: RunHandle) -> Running:  # noqa: ARG002 - not all know it better
-        """What is known of a run whose job goes on."""
+        """Return the status of a run whose job goes on."""
         return Running()
 
     def _without_end(self, handle: RunHandle, jobs: list[command.Job]) -> RunStatus:
@@ -207,7 +207,7 @@ class SlurmExecutor(ProcessExecutor):
         return [f"job {job.name}" for job in stale]
 
     def usage_source(self, handle: RunHandle) -> UsageSource | None:
-        """What the job measures on its node; None if the run has ended."""
+        """Return the job's measurements on its node; None if the run has ended."""
         work = Path(handle.data["work"])
         if not work.is_dir():
             return None
@@ -215,11 +215,11 @@ class SlurmExecutor(ProcessExecutor):
         return NodeUsage(work) if not (work / EXIT_FILE).exists() else None
 
     def host_reading(self, handle: RunHandle) -> HostReading | None:
-        """What the job reads of its node."""
+        """Return the job's readings of its node."""
         return handed_over(_measured(handle).get(HOST_KEY))
 
     def gpu_use(self, handle: RunHandle, uuid: str | None) -> GpuUse:  # noqa: ARG002 - the node knows it
-        """What the job measures on its node."""
+        """Return the job's measurements on its node."""
         return use_of(_measured(handle).get(GPU_KEY))
 
     def _submit(self, spec: RunSpec, work: Path) -> None:
@@ -234,7 +234,7 @@ class SlurmExecutor(ProcessExecutor):
         self._queue.submit(request._replace(secret=not self.capabilities.shares_files))
 
     def _commands(self, spec: RunSpec, work: Path) -> str:
-        """What the job does. It finds its orders in the work folder. Raises ImageMissing."""
+        """Return the script of the job. It finds its orders in the work folder. Raises ImageMissing."""
         self._give_orders(spec, work)
         return job_commands(work, gpu=spec.asks_gpu)
 
@@ -252,7 +252,7 @@ class SlurmExecutor(ProcessExecutor):
         shim_spec_of(spec, environment, work, self._context, None).save(work)
 
     def _is_stuck(self, key: str) -> bool:
-        """Whether waiting longer for the job is of no use."""
+        """Return whether waiting longer for the job is of no use."""
         jobs = self._jobs(key)
         return all(job.over or job.never_starts for job in jobs)
 
@@ -284,7 +284,7 @@ class SlurmExecutor(ProcessExecutor):
                 break
 
     def _has_ended(self, work: Path) -> bool:
-        """Whether the algorithm is known to have ended."""
+        """Return whether the algorithm is known to have ended."""
         return (work / EXIT_FILE).exists()
 
     def _end_jobs(self, key: str) -> None:
@@ -326,7 +326,7 @@ class NodeUsage:
         return content["cpu_s"], content["memory_bytes"]
 
     def totals(self) -> dict[str, float]:
-        """As of the last reading."""
+        """Return the counters of the last reading."""
         return self._totals
 
     def close(self) -> None:
@@ -342,7 +342,7 @@ def _begun(work: Path) -> bool:
 
 
 def _end_of(handle: RunHandle) -> RecordedEnd | None:
-    """How the run ended. Slurm ends late runs by the signals that the supervisor knows, so the time says it."""
+    """Return the end of the run. Slurm ends late runs by the signals that the supervisor knows, so the time says it."""
     end = read_end(handle)
     if end is None or end.exited.started_at is None or end.exited.ended_at is None:
         return end
@@ -356,7 +356,7 @@ def _said_of(jobs: Sequence[command.Job]) -> str:
 
 
 def _is_blameless(job: command.Job) -> bool:
-    """Whether another job may do better, since it has printed nothing.
+    """Return whether another job may do better, since it has printed nothing.
 
     One that completes without a run has found the supervisor of another job. One that fails was killed with its node.
     So may have been one that reaches its time limit: a controller that was killed may show it as running until then.
@@ -365,7 +365,7 @@ def _is_blameless(job: command.Job) -> bool:
 
 
 def last_line(work: Path) -> str:
-    """What the job itself printed last, as the end of a message."""
+    """Return the last output of the job, as the end of a message."""
     errors = work / ERRORS_FILE
     lines = errors.read_text(errors="replace").strip().splitlines() if errors.exists() else []
     own = [line for line in lines if not line.startswith(_SLURM_SAYS)]

@@ -1,4 +1,4 @@
-"""What a run uses of the GPU that Slurm gave it: read on the node, passed to the worker in ``usage.json``."""
+"""The use of the GPU that Slurm gave a run: read on the node, passed to the worker in ``usage.json``."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class GpuReadings:
 
 
 def use_of(content: Mapping[str, Any] | None) -> GpuUse:
-    """What :meth:`GpuReadings.read` returned; raises Unavailable with the reason."""
+    """Parse the result of :meth:`GpuReadings.read`; raises Unavailable with the reason."""
     if content is None:
         raise Unavailable("the job of Slurm does not measure a GPU")
     if _WHY_NOT in content:

@@ -39,7 +39,7 @@ def with_gpu(options: Sequence[str], gpu: str) -> list[str]:
 
 
 def offers(gres: str, gpu: str) -> bool:
-    """Whether a node with these resources, such as ``gpu:a100:4(S:0-1),shard:8``, has ``gpu``."""
+    """Return whether a node with these resources, such as ``gpu:a100:4(S:0-1),shard:8``, has ``gpu``."""
     wanted = _FORM.fullmatch(gpu)
     if wanted is None:
         return False

@@ -1,4 +1,4 @@
-"""What is submitted for a run: pure functions from its specification."""
+"""Submissions of runs: pure functions from its specification."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def job_limits(limits: Limits) -> Limits:
 def job_request(
     spec: RunSpec, installation: str, options: Sequence[str], gpu: str, commands: str, printed: Path | None = None
 ) -> JobRequest:
-    """What is submitted for a run.
+    """Return the submission of a run.
 
     Args:
         spec: The run.
@@ -64,7 +64,7 @@ def job_request(
 
 
 def delivery_request(installation: str, key: str, node: str, options: Sequence[str], commands: str) -> JobRequest:
-    """What is submitted to bring what the run ``key`` has left on ``node``."""
+    """Return the submission that brings what the run ``key`` has left on ``node``."""
     kept = [option for option in options if option.startswith(_KEPT_FOR_DELIVERY)]
     chosen = (*_always(_DELIVERY_S), f"--nodelist={node}", f"--mem={_SUPERVISOR_BYTES >> 20}M", *kept)
     return JobRequest("slamhive-results", installation, key, NOWHERE, chosen, commands, secret=True)
@@ -95,7 +95,7 @@ def niceness(expected_s: float) -> int:
 
 
 def job_commands(work: Path, *, gpu: bool = False) -> str:
-    """What a job does. The supervisor takes the place of the shell, so that signals to the script reach it."""
+    """Return the script of a job. The supervisor replaces the shell, so that signals to the script reach it."""
     folder = str(work.resolve())
     asked = ["gpu"] if gpu else []
     return (
@@ -106,7 +106,7 @@ def job_commands(work: Path, *, gpu: bool = False) -> str:
 
 
 def ticket_commands(ticket: Ticket, purpose: str, python: str) -> str:
-    """What a job does on a node that does not see our files. The ticket is secret: others see command lines.
+    """Return the script of a job on a node that does not see our files. The ticket is secret: others see command lines.
 
     Args:
         ticket: What the node needs to begin.

@@ -1,4 +1,4 @@
-"""What a job starts on its node: ``python -m slamhive.executors.slurm.node (supervise|measure) <work folder>``.
+"""Program of a job on its node: ``python -m slamhive.executors.slurm.node (supervise|measure) <work folder>``.
 
 ``supervise`` takes ``gpu`` as a further argument for a run that asked for one.
 
@@ -72,7 +72,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class NodeReport:
-    """What a node is, and which container runtimes it has."""
+    """Describe this node and its container runtimes."""
 
     node: str
     host: Host

@@ -1,4 +1,4 @@
-"""What users may set for Slurm."""
+"""Options of users for Slurm."""
 
 from __future__ import annotations
 

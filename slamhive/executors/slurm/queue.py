@@ -1,4 +1,4 @@
-"""What a worker's threads share of Slurm: one look at the jobs for all who ask, one ``sbatch`` for all who submit."""
+"""Slurm as a worker's threads share it: one look at the jobs for all who ask, one ``sbatch`` for all who submit."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Queue:
             return self._jobs
 
     def forget(self) -> None:
-        """What was read is known to be out of date."""
+        """Mark what was read as out of date."""
         with self._reading:
             self._read_at_s = None
 

@@ -116,7 +116,7 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
         return super().sweep(live_keys)
 
     def hidden_bytes(self, handle: RunHandle) -> int:
-        """What the run has written on its node."""
+        """Return the size of files on the run's node."""
         return int(_progress(Path(handle.data["work"])).get("written_bytes", 0))
 
     def _commands(self, spec: RunSpec, work: Path) -> str:
@@ -153,7 +153,7 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
         return super()._has_ended(work) or _progress(work).get("phase") == DELIVERING
 
     def _running(self, handle: RunHandle) -> Running:
-        """As of the last look of the agent, which is not when its report arrived: the worker may have been away."""
+        """Date the status by the last look of the agent. Its report arrives later if the worker was away."""
         as_of_s = _progress(Path(handle.data["work"])).get("as_of_s")
         return Running(as_of=None if as_of_s is None else datetime.fromtimestamp(as_of_s, UTC))
 

@@ -28,7 +28,7 @@ _TIMEOUT_S = 20.0
 
 @dataclass(frozen=True, slots=True)
 class ContainerOrders:
-    """What to start in a container, whichever runtime does it.
+    """The program to start in a container, whichever runtime does it.
 
     Attributes:
         runtime: The key of the runtime to use; ``auto`` for the first that the node has.
@@ -206,7 +206,7 @@ class Tried:
 
 
 def try_runtimes(asked: str = AUTO) -> Iterator[Tried]:
-    """What the runtimes are on this node, one after the other: all, or the one that was asked for."""
+    """Examine the runtimes of this node one after the other: all, or the one that was asked for."""
     refused = namespaces.refused_because()
     return (_try(key, refused) for key in RUNTIMES if asked in (AUTO, key))
 
@@ -222,7 +222,7 @@ def choose_runtime(tried: Iterable[Tried]) -> Tried:
 
 
 def command_of(orders: ContainerOrders, runtime: Tried) -> ContainerCommand:
-    """What the supervisor starts on this node, with all variables of the runtime itself."""
+    """Return the command that the supervisor starts on this node, with all variables of the runtime itself."""
     found = RUNTIMES[runtime.key]
     called = found.command(shutil.which(found.program) or found.program, orders)
     inherited = {name: os.environ[name] for name in _NEEDED_ON_NODE if name in os.environ}

@@ -1,4 +1,4 @@
-"""What each node of the cluster offers: ``slamhive doctor cluster``."""
+"""The offers of the cluster's nodes: ``slamhive doctor cluster``."""
 
 from __future__ import annotations
 

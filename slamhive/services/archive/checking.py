@@ -161,7 +161,7 @@ def _check_folders(archive: ArchiveReader, contents: Contents, experiments: set[
 
 
 def _of_dataset(file: str, dataset: Dataset | None) -> bool:
-    """Whether archives hold this file of a dataset: what its description names, and its recording.
+    """Return whether archives hold this file of a dataset: those that its description names, and its recording.
 
     What a check has found, and the script that plays the recording in a run, are always those of the installation.
     """

@@ -77,7 +77,7 @@ class ArchiveReader:
         return sum(info.file_size for info in self._members.values())
 
     def files_of_runs(self) -> Counter[int]:
-        """How many files each run has, by its number in the archive."""
+        """The number of files of each run, by its number in the archive."""
         return Counter(int(name.split("/", 2)[1]) for name in self._members if name.startswith("runs/"))
 
     def below(self, prefix: str) -> list[str]:

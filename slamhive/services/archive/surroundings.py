@@ -104,7 +104,7 @@ class Surroundings:
         return None if name is None else self._experiment_names.get(name)
 
     def seen_by(self, experiment: str | None) -> Visibility | None:
-        """Who sees the experiment of this name here; None without one."""
+        """The visibility of the experiment of this name here; None without one."""
         return None if experiment is None else self._seen_by.get(experiment)
 
     # -- datasets and algorithms -----------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""What a worker does in the place of a run, on the cores of a slot, so that it disturbs no other slot."""
+"""Work done between runs, pinned to one slot's cores, so that it disturbs no other slot."""
 
 from __future__ import annotations
 

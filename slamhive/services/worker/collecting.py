@@ -117,7 +117,7 @@ class Collecting:
         )
 
     def _evaluation_protocols(self) -> list[Protocol]:
-        """That of the run, and the same for each other trajectory that it left."""
+        """Return the protocol of the run, and the same for each other trajectory that it left."""
         hand = self._hand
         try:
             return protocols_of_all(hand.run, hand.folder, hand.context.protocol_of(hand.run))

@@ -1,4 +1,4 @@
-"""What all run drivers of a worker share."""
+"""Objects that all run drivers of a worker share."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class WorkerStopping(SlamHiveError):
 
 @dataclass(frozen=True)
 class DriverContext:
-    """What all run drivers of a worker share."""
+    """Objects that all run drivers of a worker share."""
 
     settings: Settings
     store: Store

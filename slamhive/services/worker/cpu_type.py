@@ -19,7 +19,7 @@ ANY_CPU_HINT = "a worker on such a machine takes them; ANY_CPU=true lets this on
 
 
 class CpuType:
-    """What a worker says of its machine when it claims runs. Safe to share between threads.
+    """The CPU type that a worker names when it claims runs. Safe to share between threads.
 
     Args:
         settings: Whether workers here take runs that began on another CPU model.
@@ -50,7 +50,7 @@ class CpuType:
                 logger.warning("experiment %s stays on %s, this is %s: %s", entry.name, wanted, here, ANY_CPU_HINT)
 
     def _is_elsewhere(self, executor: str) -> bool:
-        """Whether the engine of an executor chooses the machine."""
+        """Return whether the engine of an executor chooses the machine."""
         try:
             return not self._executors(executor).capabilities.takes_cores_here
         except SlamHiveError:

@@ -82,7 +82,7 @@ def gather_evidence(
 
 
 def _player_error(folder: RunFolder) -> str | None:
-    """What the player reports in ``playback.json``; images go on without one, and end as if nothing had happened."""
+    """Read the player's report in ``playback.json``; images go on without one, and end as if nothing had happened."""
     problem = (read_untrusted_json(folder.playback, MAX_ABOUT_BYTES) or {}).get("error")
     return f"the recording was not played: {printable(problem)}" if isinstance(problem, str) and problem else None
 
@@ -105,7 +105,7 @@ def _trajectory(content: dict[str, Any]) -> TrajectoryCheck:
 
 
 def read_about(folder: RunFolder) -> dict[str, Any] | None:
-    """What the algorithm reports about itself (its version, the vocabulary it used); None if nothing."""
+    """Read the algorithm's report on itself (its version, the vocabulary it used); None if nothing."""
     return read_untrusted_json(folder.about, MAX_ABOUT_BYTES)
 
 
@@ -130,12 +130,12 @@ def _gone_because(status: RunStatus, saved: dict[str, Any], *, taken_along: bool
 
 
 def _was_there(status: Exited, engine_away_at: str | None) -> bool:
-    """Whether the run had started when its engine went away; a run that started later ended by itself."""
+    """Return whether the run had started when its engine went away; a run that started later ended by itself."""
     if engine_away_at is None:
         return False
     return status.started_at is None or status.started_at <= datetime.fromisoformat(engine_away_at)
 
 
 def _unwatched(saved: dict[str, Any]) -> bool:
-    """Whether the run ended unobserved: a later worker finds it ended, and no worker had stopped it."""
+    """Return whether the run ended unobserved: a later worker finds it ended, and no worker had stopped it."""
     return STOPPED_BECAUSE not in saved and saved.get(STARTED_BY, saved.get("attempt")) != saved.get("attempt")

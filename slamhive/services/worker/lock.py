@@ -50,7 +50,7 @@ class WorkerLock:
             self._descriptor = None
 
     def held_elsewhere(self) -> bool:
-        """Whether a worker holds the lock now. Creates no file, so it works on a read-only data root."""
+        """Return whether a worker holds the lock now. Creates no file, so it works on a read-only data root."""
         try:
             descriptor = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC)
         except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""What a worker has learned of nodes on which no run of its own was measured."""
+"""Knowledge of a worker about nodes on which no run of its own was measured."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def leave_other_cpu(hand: RunInHand, spec: RunSpec, handle: RunHandle) -> None:
 
 
 def _expected_s(t: Transaction, run: RunRecord) -> float:
-    """What earlier runs of its configuration took on average, else a guess."""
+    """Return the mean duration of earlier runs of the configuration, else a guess."""
     measured_s = t.placing.measured_s(run.configuration_id)
     if measured_s is not None:
         return measured_s

@@ -59,12 +59,12 @@ class RunInHand:
 
     @cached_property
     def spec(self) -> RunSpec:
-        """What was prepared, as the record has it."""
+        """Return the specification of the run, as the record has it."""
         return spec_from_json(self.saved()["spec"])
 
     @property
     def started_at(self) -> datetime:
-        """When the algorithm was started."""
+        """Return the time when the algorithm was started."""
         return self.run.started_at or self.run.created_at
 
     def elapsed_s(self) -> float:
@@ -201,7 +201,7 @@ class RunInHand:
         self.run = self.context.store.read(lambda t: t.runs.get(self.run.id))
 
     def cancel_requested(self) -> bool:
-        """Whether a user asked to cancel the run."""
+        """Return whether a user asked to cancel the run."""
         return self.context.cancel_requested(self.run.id)
 
     def check_owner(self) -> None:

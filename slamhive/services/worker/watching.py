@@ -144,7 +144,7 @@ class Watch:
         return {STOPPED_BECAUSE: "stop_when", STOP_RULE: {"reason": broken.reason.value, "detail": broken.detail}}
 
     def _known_to_run_s(self, status: Running) -> float:
-        """How long the run took as of the last time that somebody heard of it."""
+        """Return the duration of the run up to the last sign of it."""
         hand = self._hand
         return hand.elapsed_s() if status.as_of is None else (status.as_of - hand.started_at).total_seconds()
 

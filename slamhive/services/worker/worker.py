@@ -140,7 +140,7 @@ class Worker:
                 self._engine_sweep.sweep()
 
     def _takes_cores_here(self) -> bool:
-        """Whether the runs of the executor in the settings compete for the cores of this machine."""
+        """Return whether the runs of the executor in the settings compete for the cores of this machine."""
         name = self._settings.executor
         return name == AUTO or self._context.executors(name).capabilities.takes_cores_here
 
@@ -187,7 +187,7 @@ class Worker:
         return run is not None or evaluated > 0 or others
 
     def _waits_for_engine(self, away: Collection[str]) -> bool:
-        """Whether runs were skipped because their engine was ``away``; it may be back by now."""
+        """Return whether runs were skipped because their engine was ``away``; it may be back by now."""
         return bool(away) and self._store.read(lambda t: t.queue.waits(self._only))
 
     def _drive(self, run: RunRecord, cores: tuple[int, ...] | None) -> None:

@@ -52,12 +52,12 @@ class Item(NamedTuple):
 
     @property
     def room_bytes(self) -> int:
-        """What it takes at most: a folder exists beside its archive while it is unpacked."""
+        """The most room that it takes: a folder exists beside its archive while it is unpacked."""
         return self.size_bytes + self.unpacked_bytes
 
     @property
     def kept_bytes(self) -> int:
-        """What it takes once it is there; for what is made, at most."""
+        """The room that it takes once it is there; for what is made, at most."""
         return self.unpacked_bytes if self.kind == FOLDER else self.size_bytes
 
     @classmethod
@@ -135,7 +135,7 @@ class Cache:
             raise
 
     def used_bytes(self) -> int:
-        """What all items take, those that are arriving included."""
+        """Return the room of all items, those that are arriving included."""
         return sum(entry.room_bytes for entry in self._entries())
 
     def _transfer(self, item: Item, path: Path, lock: int, fetch: Fetch) -> None:
@@ -301,7 +301,7 @@ def _remove_folder(folder: Path) -> None:
 
 
 def _is_there(item: Item, path: Path, lock: int) -> bool:
-    """Whether the item is there, and not a folder that a kubelet made because a pod was to see the item."""
+    """Return whether the item is there, and not a folder that a kubelet made because a pod was to see the item."""
     if item.kind == FILE:
         return path.is_file()
     return path.is_dir() and (os.pread(lock, 32, 0) not in (b"", b"0") or not item.kept_bytes)

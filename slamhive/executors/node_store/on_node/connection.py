@@ -116,7 +116,7 @@ class Connection:
 
 
 def clock_offset(ask: Callable[[], Dict[str, Any]], clock: Callable[[], float] = time.time) -> float:
-    """How much to add to the clock of this node to have the controller's (s); 0 if that is within the uncertainty.
+    """Return the seconds to add to this node's clock to get the controller's; 0 if that is within the uncertainty.
 
     Args:
         ask: Asks the controller; its answer holds its time as ``time_s``.

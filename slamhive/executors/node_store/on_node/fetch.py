@@ -21,7 +21,7 @@ Progress = Callable[[Item, int], None]
 
 
 class WrongContent(Exception):
-    """What the controller sends is not what the run needs."""
+    """The controller sent something else than the run needs."""
 
 
 class Fetcher:

@@ -35,7 +35,7 @@ def item_of(order: Dict[str, Any]) -> Item:
 
 
 def words_of(order: Dict[str, Any]) -> str:
-    """What it is, for messages."""
+    """The name for messages."""
     return "the variant {} of {}".format(order["key"][:12], order["dataset"])
 
 
@@ -104,7 +104,7 @@ def make_apart(
 
 
 def _said_in(line: str) -> Dict[str, Any]:
-    """What a line of the process says; nothing if one of its libraries has printed it."""
+    """Parse a line of the process; nothing if one of its libraries has printed it."""
     try:
         said = json.loads(line)
     except ValueError:

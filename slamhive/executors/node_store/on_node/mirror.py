@@ -38,7 +38,7 @@ class Watched(NamedTuple):
 
 
 class _Copy:
-    """What the controller has of one file."""
+    """The controller's copy of one file."""
 
     def __init__(self) -> None:
         self.size_bytes = 0
@@ -144,7 +144,7 @@ def _address(place: str) -> str:
 
 
 def _look_at(path: Path) -> Any:
-    """What changes with the file; None if it is no plain file."""
+    """Return a mark that changes with the file; None if it is no plain file."""
     try:
         found = path.lstat()
     except OSError:

@@ -90,5 +90,5 @@ def _put(connection: Connection, piece: bytes, headers: Dict[str, str]) -> _Ques
 
 
 def _have(answer: Dict[str, Any], sha256: str) -> int:
-    """How much of this archive the controller has; nothing if it holds a part of another one."""
+    """Return the bytes of this archive that the controller has; nothing if it holds a part of another one."""
     return int(str(answer.get("have", 0))) if answer.get("sha256") == sha256 else 0

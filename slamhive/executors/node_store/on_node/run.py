@@ -34,7 +34,7 @@ class WrongNode(Exception):
 
 
 class Ticket(NamedTuple):
-    """What a node needs to begin. Whoever starts it hands it over as JSON, by a way that others cannot read.
+    """The orders with which a node begins. Whoever starts it hands it over as JSON, by a way that others cannot read.
 
     Attributes:
         url: The address of the controller.
@@ -70,7 +70,7 @@ class Ticket(NamedTuple):
 
 
 class Claimed(NamedTuple):
-    """What the controller has said to a node that claimed a run.
+    """The answer of the controller to a node that claimed a run.
 
     Attributes:
         orders: What the engine wants on the node.
