@@ -35,6 +35,7 @@ from slamhive.bags.formats.video import VideoImporter
 from slamhive.bags.formats.vslam_lab import VslamLabImporter
 from slamhive.bags.importing import ImportOptions, ImportPlan
 from slamhive.bags.kitti_odometry import KittiOdometryImporter
+from slamhive.bags.losses import refuse_losses
 from slamhive.errors import InvalidInput
 from slamhive.registry import Registry, instances_of
 
@@ -102,7 +103,8 @@ def plan_import(source: Path, options: ImportOptions, format_name: str | None = 
 
     Raises:
         NotFound: There is no such importer.
-        InvalidInput: The format is unknown or ambiguous, an option does not fit it, or a file is damaged.
+        InvalidInput: The format is unknown or ambiguous, an option does not fit it, a file is damaged, or more is left
+            out than :data:`~slamhive.bags.losses.MOST_LOST`.
     """
     chosen = None if format_name is None else IMPORTERS.get(format_name)
     if not source.exists():
@@ -113,7 +115,9 @@ def plan_import(source: Path, options: ImportOptions, format_name: str | None = 
     if unfit:
         takes = ", ".join(sorted(importer.options)) or "none"
         raise InvalidInput(f"importer {name} takes no option {', '.join(unfit)}", f"leave it out; it takes {takes}")
-    return name, importer.plan(source, options)
+    plan = importer.plan(source, options)
+    refuse_losses(plan.notes, accepted=options.accept_loss)
+    return name, plan
 
 
 def detect_format(path: Path) -> str:

@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.trajectory.model import FloatArray
+
+IntArray = npt.NDArray[np.int64]
 
 MAX_FILE_BYTES = 200_000_000
 """Longer files are refused: at 100 bytes a pose this is two million poses."""
@@ -35,6 +38,31 @@ class NumberTable:
         """The line of row ``row`` in the file, from 1."""
         holding = (number for number, line in enumerate(self._lines, start=1) if _is_row(line))
         return next(number for index, number in enumerate(holding) if index == row)
+
+    @property
+    def places(self) -> IntArray:
+        """The place of each row in a list whose lines belong to frames, from 0, shape (rows,).
+
+        A blank line between rows stands for a frame of which nothing is known. Comments, and blank lines next to
+        those above the first row, are no places.
+        """
+        found: list[int] = []
+        place = 0
+        for line in self._lines:
+            if _is_row(line):
+                found.append(place)
+            elif line.strip():
+                place = place if found else 0
+                continue
+            place += 1
+        return np.array(found, dtype=np.int64)
+
+    def take(self, rows: IntArray) -> NumberTable:
+        """The table without its other rows; line numbers stay those of the file."""
+        kept = set(rows.tolist())
+        holding = iter(range(len(self.values)))
+        lines = [line if not _is_row(line) or next(holding) in kept else "" for line in self._lines]
+        return NumberTable(self.name, self.values[rows], lines)
 
     def error(self, row: int, found: str, remedy: str) -> InvalidInput:
         """An error about row ``row``."""

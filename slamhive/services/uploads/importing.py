@@ -15,7 +15,7 @@ from slamhive.catalogue.collection_file import kind_of
 from slamhive.domain.collection import FileKind
 from slamhive.errors import InvalidInput, nearest
 from slamhive.fetch.unpack import unpack
-from slamhive.files import temporary_folder
+from slamhive.files import temporary_folder, visible_files
 from slamhive.schema.imports import Import
 from slamhive.schema.uploads import AlgorithmUpload, DatasetUpload, Imported, RunsUpload
 from slamhive.services.algorithms import AlgorithmImports
@@ -132,7 +132,7 @@ def _unpack(path: Path) -> Path:
     folder = path.parent / "unpacked" / _stem(path.name)
     folder.mkdir(parents=True)
     unpack(path, kind_of(path.name), folder)
-    entries = list(folder.iterdir())
+    entries = visible_files(folder)
     return entries[0] if len(entries) == 1 and entries[0].is_dir() else folder
 
 
@@ -160,6 +160,7 @@ def import_dataset(
         depth_units_per_m=request.depth_units_per_m,
         frame_rate_hz=request.frame_rate_hz,
         sequence=request.sequence,
+        accept_loss=request.accept_loss,
     )
     planned = catalogue.plan_import(source, options, format_name=request.format, name=request.name)
     made = catalogue.import_dataset(planned, progress)
