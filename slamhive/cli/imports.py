@@ -139,10 +139,10 @@ def _show(report: ImportReport, evaluated: int, failures: dict[int, str]) -> Non
 
 
 def _readings_in_words(readings: list[Reading]) -> list[str]:
-    """A line for each way in which files were read that are not TUM files as they stand, with the reasons of one."""
+    """A line for each way in which files were read that are not TUM files with poses, with the reasons of one."""
     alike: dict[str, list[Reading]] = {}
     for reading in readings:
-        if not reading.as_it_stands:
+        if not reading.as_it_stands or "orientation" in reading.because:
             alike.setdefault(reading.words, []).append(reading)
     return [_reading_in_words(words, members) for words, members in alike.items()]
 
@@ -153,7 +153,7 @@ def _reading_in_words(words: str, members: list[Reading]) -> str:
     return f"{files} {words}. " + " ".join(f"{_WHAT[key]}: {because}." for key, because in first.because.items())
 
 
-_WHAT = {"time_unit": "Unit", "quaternion_order": "Order"}
+_WHAT = {"time_unit": "Unit", "quaternion_order": "Order", "orientation": "Orientation"}
 
 
 COMMANDS = (import_runs,)

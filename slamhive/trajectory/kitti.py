@@ -38,7 +38,7 @@ def read_kitti_rows(poses_path: Path, times_path: Path) -> RawPoses:
     times = parse_table(data, str(times_path), 1, "timestamp")
     if poses.places[-1] != times.places[-1]:
         raise InvalidInput(
-            f"{poses_path} has {_counted(poses, 'poses')}, {times_path} has {_counted(times, 'stamps')}",
+            f"{poses_path} has {_counted(poses, 'poses')}, {times_path} has {_counted(times, 'timestamps')}",
             "both need one line per frame",
         )
     shared, of_poses, of_times = np.intersect1d(poses.places, times.places, return_indices=True)

@@ -139,7 +139,7 @@ def test_lines_of_kitti_poses_and_times_are_paired_by_number(tmp_path):
     assert found.stamps_s.tolist() == pytest.approx([0, 0.2, 0.4])
     assert found.positions_m[:, 0].tolist() == [0, 2, 4]
     write(times, "0", "0.1", "0.2", "0.3")
-    with pytest.raises(InvalidInput, match=r"4 poses and 1 blank lines, .* has 4 stamps"):
+    with pytest.raises(InvalidInput, match=r"4 poses and 1 blank lines, .* has 4 timestamps"):
         read_kitti(poses, times)
     with pytest.raises(InvalidInput, match="before line 3 is blank"):
         read_kitti_matrices(poses)

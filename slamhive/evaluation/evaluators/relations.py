@@ -17,6 +17,7 @@ from slamhive.evaluation.evaluators.pairs import statistics
 from slamhive.trajectory.completeness import covers
 from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import FloatArray, Trajectory
+from slamhive.trajectory.orientation import lacking
 from slamhive.trajectory.table import parse_table, read_bounded
 from slamhive.trajectory.transforms import (
     inverse_quats,
@@ -113,8 +114,11 @@ def relation_errors(relations: Relations, estimate: Trajectory, gap_s: float) ->
         gap_s: Between poses further apart the estimate is not interpolated.
 
     Raises:
-        InvalidInput: The estimate covers no relation.
+        InvalidInput: The estimate covers no relation, or has no orientations.
     """
+    without = lacking(estimate.quats_xyzw, estimate.positions_m)
+    if without:
+        raise InvalidInput(f"relations need orientations, but of the estimate {without}", "give an estimate with them")
     covered = covers(estimate.stamps_s, relations.from_s, gap_s) & covers(estimate.stamps_s, relations.to_s, gap_s)
     if not covered.any():
         raise InvalidInput(

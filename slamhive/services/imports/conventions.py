@@ -12,6 +12,7 @@ from slamhive.trajectory.agreement import orientation_spread_deg, reordered, thi
 from slamhive.trajectory.evidence import Finding, Span, span_of
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.orientation import ZERO
 from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, decided
 
 _Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
@@ -130,11 +131,13 @@ def _reading(
     file: PoseFile, name: str, unit: TimeUnit, because: str, order: Finding[QuaternionOrder] | None
 ) -> Reading:
     reasons = {"time_unit": because} | ({} if order is None else {"quaternion_order": order.because})
+    if file.raw.without:
+        reasons["orientation"] = f"{file.raw.without}, so there are positions only, and no rotation errors"
     plain = unit is TimeUnit.S and (order is None or order.value is QuaternionOrder.XYZW)
     return Reading(
         name=name,
         time_unit=unit,
         quaternion_order=None if order is None else order.value,
         because=reasons,
-        as_it_stands=plain and file.format is TrajectoryFormat.TUM,
+        as_it_stands=plain and file.format is TrajectoryFormat.TUM and file.raw.without != ZERO,
     )

@@ -109,7 +109,8 @@ def load_truth(
     reading = settle_truth(file, name, told, partners)
     trajectory = _trajectory(file, reading, duplicates)
     kitti_poses = file.data if file.format is TrajectoryFormat.KITTI else None
-    return LoadedTruth(_text(file, reading, trajectory), kitti_poses, Truth(trajectory, file.raw.orientations), reading)
+    text = _text(file, reading, trajectory, positions=True)
+    return LoadedTruth(text, kitti_poses, Truth(trajectory, file.raw.orientations), reading)
 
 
 def read_truth_here(path: Path, *, positions_only: bool) -> Truth | None:
@@ -133,10 +134,11 @@ def _trajectory(file: PoseFile, reading: Reading, duplicates: Duplicates) -> Tra
     return file.raw.trajectory(reading.time_unit, reading.quaternion_order or QuaternionOrder.XYZW, kept)
 
 
-def _text(file: PoseFile, reading: Reading, trajectory: Trajectory) -> bytes:
+def _text(file: PoseFile, reading: Reading, trajectory: Trajectory, *, positions: bool = False) -> bytes:
+    """As runs and datasets store it; with ``positions``, those of a file without orientations stand alone."""
     if reading.as_it_stands:
         return file.data
-    if not file.raw.orientations:
+    if positions and not file.raw.orientations:
         rows = zip(trajectory.stamps_s.tolist(), trajectory.positions_m.tolist(), strict=True)
         return "".join(f"{stamp_s:.9f} {x:.9f} {y:.9f} {z:.9f}\n" for stamp_s, (x, y, z) in rows).encode()
     return format_tum(trajectory.stamps_s, trajectory.positions_m, trajectory.quats_xyzw).encode()

@@ -100,7 +100,7 @@ class Reading:
         name: The name of the file, as the user sees it.
         time_unit: Of its timestamps.
         quaternion_order: Of its orientations; None if it has none, or matrices.
-        because: {"time_unit" or "quaternion_order": why}.
+        because: {"time_unit" or "quaternion_order": why}; "orientation" says why there is none.
         as_it_stands: It is a TUM file that was copied byte for byte.
     """
 
