@@ -68,8 +68,11 @@ class PoseFile:
         """Whether the file has quaternions: files of positions or matrices have none."""
         return self.raw.orientations and self.format is not TrajectoryFormat.KITTI
 
-    def unit(self, told: Convention, other: Span | None) -> Finding[TimeUnit]:
-        """The unit of its times: as specified, stated or found; ``other`` is the time that it should share, in s."""
+    def unit(self, told: Convention, other: Span | None, what: str = "the ground truth") -> Finding[TimeUnit]:
+        """The unit of its times: as specified, stated or found.
+
+        ``other`` is the time in s that it should share, and ``what`` has that time.
+        """
         if told.time_unit is not None:
             return Finding(told.time_unit, _TOLD)
         stated = None
@@ -77,7 +80,7 @@ class PoseFile:
             stated = Finding(_UNITS[self.format], f"by --format {self.format}")
         elif self.raw.stated.time_unit is not None:
             stated = Finding(self.raw.stated.time_unit, _HEADER)
-        return find_unit(self.raw.times, stated, other)
+        return find_unit(self.raw.times, stated, other, what)
 
     def order(
         self, told: Convention, unit: TimeUnit, spreads_deg: Mapping[QuaternionOrder, float]

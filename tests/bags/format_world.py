@@ -323,4 +323,5 @@ OPTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {
 
 def options_of(name: str, source: Path) -> dict[str, Any]:
     """What users have to say of the folder ``source`` of a format."""
-    return OPTIONS.get(name, lambda _source: {})(source)
+    say = OPTIONS.get(name)
+    return {} if say is None else say(source)

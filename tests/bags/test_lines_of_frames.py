@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamhive.bags.importing import PlannedTruth
 from slamhive.errors import InvalidInput
 from slamhive.runtime.messages import to_points
 from slamhive.trajectory.kitti import read_kitti, read_kitti_matrices
@@ -20,6 +21,12 @@ pytestmark = pytest.mark.quick
 
 def stamps_s(seen, topic):
     return [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in seen[topic]]
+
+
+def truth_of(source: Path) -> PlannedTruth:
+    truth = plan(source).truth
+    assert truth is not None
+    return truth
 
 
 def empty_line(path: Path, number: int) -> None:
@@ -100,7 +107,7 @@ def test_a_blank_pose_of_replica_is_that_of_its_image(tmp_path):
     empty_line(source / "traj.txt", 1)
     for path in source.glob("results/*000001*"):
         path.unlink()
-    truth = plan(source).truth
+    truth = truth_of(source)
     assert truth.times_s.tolist() == pytest.approx([0, 2 / 30, 3 / 30])
     assert truth.positions_m[:, 0].tolist() == [0, 2, 3]
 
@@ -111,7 +118,7 @@ def test_a_blank_pose_of_tartanair_is_that_of_its_image(tmp_path):
     write(source / "pose_left.txt", first, "", second)
     for path in source.glob("*/000001_*"):
         path.rename(path.with_name(path.name.replace("000001", "000002")))
-    truth = plan(source).truth
+    truth = truth_of(source)
     assert truth.times_s.tolist() == pytest.approx([0, 0.2])
     assert truth.positions_m[:, 0].tolist() == [0, 1]
 
@@ -121,10 +128,10 @@ def test_poses_of_a_cut_sequence_belong_to_its_images(tmp_path):
     source = FORMATS["replica"](tmp_path / "source")
     for path in [*source.glob("results/*00000[01]*")]:
         path.unlink()
-    truth = plan(source).truth
+    truth = truth_of(source)
     assert (truth.times_s[0], truth.positions_m[0, 0]) == (0, 0)
     write(source / "traj.txt", *(source / "traj.txt").read_text().splitlines()[2:])
-    truth = plan(source).truth
+    truth = truth_of(source)
     assert (truth.times_s[0], truth.positions_m[0, 0]) == (pytest.approx(2 / 30), 2)
     write(source / "traj.txt", *(source / "traj.txt").read_text().splitlines()[:1])
     with pytest.raises(InvalidInput, match="1 poses, there are 2 images from number 2 to 3"):

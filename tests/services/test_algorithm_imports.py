@@ -327,7 +327,7 @@ def test_a_folder_whose_submodules_were_not_fetched_names_the_line(tmp_path):
     with opened(str(folder)) as source, pytest.raises(InvalidInput) as refused:
         plan(source, ImportRequest("mine"), engine)
     assert "line 3 copies ORB_SLAM2, which is an empty link of Git" in refused.value.message
-    assert refused.value.remedy.startswith("fetch it with `git submodule update --init --recursive`, or give the image")
+    assert "fetch it with `git submodule update --init --recursive`, or give the image" in str(refused.value)
 
 
 @pytest.mark.docker

@@ -16,7 +16,7 @@ from slamhive.bags.formats.frame_graph import inverse
 from slamhive.bags.formats.known_calibration import KnownCalibration, KnownSensor
 from slamhive.bags.geometry import Array
 from slamhive.domain.calibration import COEFFICIENTS, TIME_OFFSET, CameraIntrinsics, CameraModel, ImuNoise
-from slamhive.domain.sensors import SensorKind
+from slamhive.domain.sensors import CalibrationValue, SensorKind
 from slamhive.errors import InvalidInput
 
 _MODELS: dict[tuple[str, str], CameraModel] = {
@@ -75,7 +75,7 @@ def _add_camera(known: KnownCalibration, path: Path, name: str, entry: Calibrati
     shift_s = entry.optional("timeshift_cam_imu")
     if shift_s is not None and abs(shift_s) > _MOST_SHIFT_S:
         raise InvalidInput(f"{entry.name}: timeshift_cam_imu is {shift_s:g} s", "expected seconds, -10 to 10")
-    more = {} if not shift_s else {TIME_OFFSET: shift_s}
+    more: dict[str, CalibrationValue] = {TIME_OFFSET: shift_s} if shift_s else {}
     intrinsics = _intrinsics(entry)
     known.sensors.append(KnownSensor(name, SensorKind.CAMERA, entry.word("rostopic", ""), frame, intrinsics, more=more))
     T_cam_imu, T_imu_cam = _transform(entry, "T_cam_imu"), _transform(entry, "T_imu_cam")

@@ -42,9 +42,12 @@ class Partner:
     told: Convention
 
 
-def settle(file: PoseFile, name: str, told: Convention, truth: Truth | None) -> Reading:
-    """Determine the conventions of an estimate; raises InvalidInput with the evidence if in doubt."""
-    unit = file.unit(told, None if truth is None else truth.span)
+def settle(file: PoseFile, name: str, told: Convention, truth: Truth | None, relations: Span | None = None) -> Reading:
+    """Determine the conventions of an estimate; raises InvalidInput with the evidence if in doubt.
+
+    ``relations`` is the time in s that relations span. It shows the unit where there is no ground truth.
+    """
+    unit = file.unit(told, relations, "the relations") if truth is None else file.unit(told, truth.span)
     time_unit = _decided(unit, "time unit", "--time-unit", TimeUnit)
     if not file.has_order:
         return _reading(file, name, time_unit, unit.because, None)

@@ -11,6 +11,7 @@ from slamhive.domain.protocol import Duplicates
 from slamhive.errors import InvalidInput
 from slamhive.services.imports.conventions import Partner, Truth, settle, settle_truth
 from slamhive.services.imports.request import Candidate, Reading
+from slamhive.trajectory.evidence import Span
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, read_pose_file
@@ -78,12 +79,14 @@ def read_candidate(candidate: Candidate) -> PoseFile:
     return found
 
 
-def load(candidate: Candidate, file: PoseFile, truth: Truth | None, duplicates: Duplicates) -> Loaded:
+def load(
+    candidate: Candidate, file: PoseFile, truth: Truth | None, duplicates: Duplicates, relations: Span | None = None
+) -> Loaded:
     """Determine the conventions of a candidate; raises InvalidInput if they are unclear or it is no trajectory.
 
-    ``truth`` is the ground truth for comparison, None if there is none.
+    ``truth`` is the ground truth for comparison, None if there is none. ``relations`` is the time in s of relations.
     """
-    reading = settle(file, candidate.name, candidate.told, truth)
+    reading = settle(file, candidate.name, candidate.told, truth, relations)
     trajectory = _trajectory(file, reading, duplicates)
     kitti_poses = file.data if file.format is TrajectoryFormat.KITTI else None
     return Loaded(
