@@ -43,6 +43,9 @@ _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Witho
 @click.option("--relations", default=DEFAULT_RELATIONS, show_default=True, help="Path pattern of relations.")
 @click.option("--times", default=DEFAULT_TIMES, show_default=True, help="Path pattern of timestamps of KITTI poses.")
 @click.option("--format", "wanted", type=choice(TrajectoryFormat), default="auto", show_default=True)
+@click.option(
+    "--columns", metavar="NAMES", help="Columns of trajectories, such as t,x,y,z,qw,qx,qy,qz; detected by default."
+)
 @click.option("--sensors", multiple=True, metavar="[NAME=]SETUP", help=_SENSORS_HELP)
 @click.option("--time-unit", type=choice(TimeUnit), help="Unit of the timestamps; detected by default.")
 @click.option("--quaternion-order", type=choice(QuaternionOrder), help="Order of the quaternions; detected by default.")
@@ -80,6 +83,7 @@ def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, 
         told=_convention(options, ""),
         truth_told=_convention(options, "groundtruth_"),
         duplicates=Duplicates(options["duplicates"]),
+        columns=options["columns"],
         trajectory=TrajectoryKind(options["trajectory"]) if options["trajectory"] else None,
     )
     with progress_bar("reading" if dry_run else "importing") as show:

@@ -110,7 +110,7 @@ def parse_position_rows(data: bytes, name: str) -> RawPoses:
 
 
 _UNIT = re.compile(r"(?:time|stamp|^#\s*t)[a-z]*[\s_]*[\[(_]\s*(s|sec|ms|us|µs|ns)\b", re.IGNORECASE)
-_QUATERNION = re.compile(r"^(?:q|quat|quaternion|orientation|o)[a-z_.]*?[_.]?([xyzw])$", re.IGNORECASE)
+QUATERNION_NAME = re.compile(r"^(?:q|quat|quaternion|orientation|o)[a-z_.]*?[_.]?([xyzw])$", re.IGNORECASE)
 _UNIT_NAMES = {unit.value: unit for unit in TimeUnit} | {"sec": TimeUnit.S, "µs": TimeUnit.US}
 _ORDERS = {tuple(order.value): order for order in QuaternionOrder}
 
@@ -125,6 +125,6 @@ def stated_in(data: bytes) -> Convention:
             break
         found = _UNIT.search(text)
         unit = _UNIT_NAMES[found[1].lower()] if found is not None else unit
-        words = (_QUATERNION.match(word) for word in re.split(r"[\s,;#\[\]()]+", text))
+        words = (QUATERNION_NAME.match(word) for word in re.split(r"[\s,;#\[\]()]+", text))
         order = _ORDERS.get(tuple(word[1].lower() for word in words if word is not None), order)
     return Convention(unit, order)

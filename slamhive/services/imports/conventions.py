@@ -142,5 +142,5 @@ def _reading(
         time_unit=unit,
         quaternion_order=None if order is None else order.value,
         because=reasons,
-        as_it_stands=plain and file.format is TrajectoryFormat.TUM and file.raw.without != ZERO,
+        as_it_stands=plain and file.format is TrajectoryFormat.TUM and file.plain and file.raw.without != ZERO,
     )

@@ -74,7 +74,7 @@ def trial_digits(candidate: Candidate) -> str:
 
 def read_candidate(candidate: Candidate) -> PoseFile:
     """Read the numbers of a candidate; raises NotFound or InvalidInput naming file, line and value."""
-    found = read_pose_file(candidate.path, candidate.format, candidate.times)
+    found = read_pose_file(candidate.path, candidate.format, candidate.times, columns=candidate.columns)
     _check_length(found, "trajectory")
     return found
 
