@@ -23,6 +23,8 @@ from slamhive.errors import Unavailable
 
 _ASIDE = re.compile(r"\.(.+)\.[a-z0-9_]{8}")
 
+_CLUTTER = ("thumbs.db", "desktop.ini", "__macosx")
+
 TEMPORARY = ".slamhive-"
 """How the names of temporary folders begin."""
 
@@ -47,6 +49,19 @@ def write_aside(path: Path, content: str | bytes, mode: int = 0o644) -> None:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
         raise Unavailable(f"{path} cannot be written: {error.strerror}", remedy_of(error)) from None
+
+
+def visible_files(folder: Path, pattern: str = "*") -> list[Path]:
+    """Entries of ``folder`` that match, sorted, without clutter; nothing if there is no such folder."""
+    return sorted(path for path in folder.glob(pattern) if not is_clutter(path))
+
+
+def is_clutter(path: Path) -> bool:
+    """Return whether a file or folder is hidden, or was written by a file manager: ``.DS_Store``, ``Thumbs.db``.
+
+    macOS copies ``._NAME`` beside each NAME to file systems and archives of others. It holds attributes, no content.
+    """
+    return path.name.startswith(".") or path.name.lower() in _CLUTTER
 
 
 def sweep_asides(folder: Path) -> None:

@@ -41,7 +41,7 @@ QUICK_LIMIT_S = 40.0
 WITHOUT_TOOLS = "not docker and not mysql and not cluster and not browser and not pictures and not machines"
 PLAIN = f"not integration and {WITHOUT_TOOLS}"
 CHEAP = "not images and not packages and not classical and not cluster"
-MAY_BE_ABSENT = ("shared/data", "SOURCE_ARCHIVES is empty", "KUBE_TOOLS is empty")
+MAY_BE_ABSENT = ("shared/data", "shared/cases", "SOURCE_ARCHIVES is empty", "KUBE_TOOLS is empty")
 """A skipped test whose reason names one is fine everywhere: recordings, and sources and programs of other projects."""
 
 RUFF = (("check", "."), ("format", "--check", "."))

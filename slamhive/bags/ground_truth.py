@@ -15,20 +15,20 @@ from slamhive.bags.timed_list import TimedList
 from slamhive.domain.protocol import Duplicates
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.trajectory.model import find_problem
+from slamhive.trajectory.orientation import no_rotations
 from slamhive.trajectory.table import read_bounded
 from slamhive.trajectory.transforms import rotations_from_quats
-from slamhive.trajectory.tum import parse_tum
+from slamhive.trajectory.tum import parse_ground_truth
 
 
 def tum_truth(path: Path, source: str, *, gravity_aligned: bool) -> PlannedTruth:
-    """The poses of the body in a TUM file; of poses with equal timestamps, the first. Raises InvalidInput."""
+    """The poses of the body in a TUM file, or its positions; of equal timestamps, the first. Raises InvalidInput."""
     try:
-        poses = parse_tum(read_bounded(path), str(path), Duplicates.FIRST)
+        poses, without = parse_ground_truth(read_bounded(path), str(path), Duplicates.FIRST)
     except NotFound as error:
         raise InvalidInput(error.message, "give the ground truth as a TUM file") from None
-    return PlannedTruth(
-        poses.stamps_s, poses.positions_m, poses.quats_xyzw, gravity_aligned=gravity_aligned, source=source
-    )
+    quats_xyzw = None if without else poses.quats_xyzw
+    return PlannedTruth(poses.stamps_s, poses.positions_m, quats_xyzw, gravity_aligned=gravity_aligned, source=source)
 
 
 def listed_truth(rows: TimedList, quats_xyzw: Array | None, source: str, *, gravity_aligned: bool) -> PlannedTruth:
@@ -41,7 +41,9 @@ def listed_truth(rows: TimedList, quats_xyzw: Array | None, source: str, *, grav
         gravity_aligned: The z axis of the world points up.
     """
     times_s, positions_m = rows.times_ns / NS_PER_S, rows.numbers(0, 3)
-    quats = np.tile((0.0, 0.0, 0.0, 1.0), (len(rows), 1)) if quats_xyzw is None else quats_xyzw
+    if quats_xyzw is not None and not quats_xyzw.any():
+        quats_xyzw = None
+    quats = no_rotations(len(rows)) if quats_xyzw is None else quats_xyzw
     problem = find_problem(times_s, positions_m, quats)
     if problem is not None:
         raise rows.error(problem.index, problem.found, problem.remedy)

@@ -7,6 +7,7 @@ Importers of other packages come in through the entry-point group ``slamhive.dat
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -35,8 +36,10 @@ from slamhive.bags.formats.video import VideoImporter
 from slamhive.bags.formats.vslam_lab import VslamLabImporter
 from slamhive.bags.importing import ImportOptions, ImportPlan
 from slamhive.bags.kitti_odometry import KittiOdometryImporter
+from slamhive.bags.losses import refuse_losses
 from slamhive.errors import InvalidInput
 from slamhive.registry import Registry, instances_of
+from slamhive.trajectory.orientation import lacking
 
 
 @runtime_checkable
@@ -102,7 +105,8 @@ def plan_import(source: Path, options: ImportOptions, format_name: str | None = 
 
     Raises:
         NotFound: There is no such importer.
-        InvalidInput: The format is unknown or ambiguous, an option does not fit it, or a file is damaged.
+        InvalidInput: The format is unknown or ambiguous, an option does not fit it, a file is damaged, or more is left
+            out than :data:`~slamhive.bags.losses.MOST_LOST`.
     """
     chosen = None if format_name is None else IMPORTERS.get(format_name)
     if not source.exists():
@@ -113,7 +117,22 @@ def plan_import(source: Path, options: ImportOptions, format_name: str | None = 
     if unfit:
         takes = ", ".join(sorted(importer.options)) or "none"
         raise InvalidInput(f"importer {name} takes no option {', '.join(unfit)}", f"leave it out; it takes {takes}")
-    return name, importer.plan(source, options)
+    plan = _without_empty_orientations(importer.plan(source, options))
+    refuse_losses(plan.notes, accepted=options.accept_loss)
+    return name, plan
+
+
+def _without_empty_orientations(plan: ImportPlan) -> ImportPlan:
+    """The plan with positions only, and a note, where the orientations of its ground truth mean nothing."""
+    truth = plan.truth
+    if truth is None:
+        return plan
+    without = "" if truth.quats_xyzw is None else lacking(truth.quats_xyzw, truth.positions_m)
+    if truth.quats_xyzw is not None and not without:
+        return plan
+    reason = f" ({without})" if without else ""
+    note = f"the ground truth has positions only{reason}: runs get no rotation errors"
+    return replace(plan, truth=replace(truth, quats_xyzw=None), notes=(*plan.notes, note))
 
 
 def detect_format(path: Path) -> str:

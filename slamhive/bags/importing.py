@@ -42,14 +42,15 @@ OPTION_HELP: dict[str, str] = {
     "frame_rate_hz": "frames per second, for formats that do not store timestamps",
     "sequence": "name of the sequence, for sources that hold several",
 }
-"""All options that an importer may take: the fields of :class:`ImportOptions`."""
+"""All options that an importer may take: the fields of :class:`ImportOptions`, without ``accept_loss``."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImportOptions:
     """What users say about a recording that its files do not; None or empty means "look for yourself".
 
-    :data:`OPTION_HELP` explains the fields.
+    :data:`OPTION_HELP` explains the fields. All importers know ``accept_loss``: a :class:`~slamhive.bags.losses.Loss`
+    is no error, however large.
     """
 
     groundtruth: Path | None = None
@@ -61,6 +62,7 @@ class ImportOptions:
     depth_units_per_m: float | None = None
     frame_rate_hz: float | None = None
     sequence: str | None = None
+    accept_loss: bool = False
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -185,7 +187,8 @@ class ImportPlan:
         relations: The text of a file of relative poses, None without.
         files: More small files of the dataset by plain name, for instance ``calib.txt``.
         reference_map: The point cloud that maps are compared with, None without.
-        notes: What users should know, one sentence each: what is left out, assumed or unusual.
+        notes: What users should know, one sentence each: what is left out, assumed or unusual. A
+            :class:`~slamhive.bags.losses.Loss` is one that is an error above a share.
     """
 
     recording: tuple[Stream, ...] | KeptRecording | RewrittenRecording

@@ -41,7 +41,7 @@ class KittiOdometryImporter:
         lidar = _lidar(sequence)
         if lidar is not None:
             streams.append(_lidar_stream(sequence, lidar))
-        return ImportPlan(tuple(streams), _truth(sequence), _text(sequence))
+        return ImportPlan(tuple(streams), _truth(sequence), _text(sequence), notes=sequence.notes)
 
 
 def _camera_stream(sequence: KittiSequence, number: int) -> Stream:
@@ -101,11 +101,11 @@ def _lidar(sequence: KittiSequence) -> Sensor | None:
 
 def _truth(sequence: KittiSequence) -> PlannedTruth | None:
     poses = sequence.poses
-    if poses is None:
+    if poses is None or sequence.pose_times_s is None:
         return None
     quats_xyzw = quaternions_from_rotations(poses[:, :, :3])
     return PlannedTruth(
-        sequence.times_s, poses[:, :, 3], quats_xyzw, gravity_aligned=False, source="GNSS and IMU (RTK)"
+        sequence.pose_times_s, poses[:, :, 3], quats_xyzw, gravity_aligned=False, source="GNSS and IMU (RTK)"
     )
 
 

@@ -12,8 +12,10 @@ import numpy as np
 
 from slamhive.bags.detection import Detection
 from slamhive.bags.geometry import Array
+from slamhive.bags.numbered_frames import numbered
 from slamhive.domain.lidar_layout import LidarLayout, PointOrder, Rotation
 from slamhive.errors import InvalidInput
+from slamhive.files import visible_files
 from slamhive.runtime.point_times import PointTimes, SweepInstant
 from slamhive.trajectory.table import parse_table, read_bounded
 
@@ -28,7 +30,7 @@ class KittiSequence:
     """One sequence: its text is read and checked, its frames are listed but not opened.
 
     ``projections`` holds P0..P3 (3, 4) of the cameras present, and ``images`` their frames. ``T_cam0_lidar`` (4, 4) is
-    None without scans. ``poses`` (n, 3, 4) of camera 0 are None without ground truth.
+    None without scans. ``poses`` (m, 3, 4) of camera 0 and ``pose_times_s`` (m,) are None without ground truth.
     """
 
     source: Path
@@ -38,6 +40,8 @@ class KittiSequence:
     scans: list[Path]
     T_cam0_lidar: Array | None
     poses: Array | None
+    pose_times_s: Array | None
+    notes: tuple[str, ...] = ()
 
 
 def detect_kitti(path: Path) -> Detection:
@@ -58,16 +62,21 @@ def read_sequence(source: Path) -> KittiSequence:
             f"{source} is no KITTI odometry sequence: it lacks {', '.join(detection.missing)}",
             "give the folder that holds times.txt, calib.txt and image_0 (or velodyne)",
         )
-    times_s = _read_times(source / TIMES_FILE)
-    images = {camera: _frames(source / f"image_{camera}", "*.png", times_s) for camera in CAMERAS}
+    times_s, places = _read_times(source / TIMES_FILE)
+    images = {camera: _frames(source / f"image_{camera}", "*.png", places) for camera in CAMERAS}
     images = {camera: frames for camera, frames in images.items() if frames}
-    scans = _frames(source / SCANS_FOLDER, "*.bin", times_s)
+    scans = _frames(source / SCANS_FOLDER, "*.bin", places)
+    _check_same_numbers([*images.values(), *([scans] if scans else [])])
     calibration = _read_calibration(source / CALIBRATION_FILE)
     T_cam0_lidar = None
     if scans:
         T_cam0_lidar = np.vstack([_entry(calibration, "Tr", source), [0.0, 0.0, 0.0, 1.0]])
     projections = {camera: _projection(calibration, camera, source) for camera in images}
-    return KittiSequence(source, times_s, projections, images, scans, T_cam0_lidar, _read_poses(source, len(times_s)))
+    pose_places, poses = _read_poses(source, places) or (None, None)
+    pose_times_s = None if pose_places is None else times_s[np.searchsorted(places, pose_places)]
+    blank = int(places[-1]) + 1 - len(places)
+    notes = (f"{blank} lines of {TIMES_FILE} are blank: these frames have no time and are left out",) if blank else ()
+    return KittiSequence(source, times_s, projections, images, scans, T_cam0_lidar, poses, pose_times_s, notes)
 
 
 def velodyne_layout() -> LidarLayout:
@@ -96,7 +105,8 @@ def _sensor_folders() -> tuple[str, ...]:
     return (*(f"image_{camera}" for camera in CAMERAS), SCANS_FOLDER)
 
 
-def _read_times(path: Path) -> Array:
+def _read_times(path: Path) -> tuple[Array, Array]:
+    """The times (n,) in s, and the frame of each, (n,): line n + 1 is that of frame n, blank lines too."""
     table = parse_table(read_bounded(path), str(path), 1, "seconds since the start, one a line")
     times_s: Array = table.values[:, 0]
     bad = np.flatnonzero(~np.isfinite(times_s) | (times_s < 0))
@@ -110,20 +120,45 @@ def _read_times(path: Path) -> Array:
         )
     if len(times_s) < 2:
         raise InvalidInput(f"{path} holds {len(times_s)} time", "at least two frames are needed")
-    return times_s
+    return times_s, table.places
 
 
-def _frames(folder: Path, pattern: str, times_s: Array) -> list[Path]:
-    """The frames in ``folder``, as many as there are times, or none if there is no such folder."""
+def _frames(folder: Path, pattern: str, places: Array) -> list[Path]:
+    """The frames in ``folder``, one of each of ``places`` (n,), or none if there is no such folder."""
     if not folder.is_dir():
         return []
-    frames = sorted(folder.glob(pattern))
-    if len(frames) != len(times_s):
+    frames = visible_files(folder, pattern)
+    if places[-1] + 1 != len(places):
+        return _frames_of_lines(folder, pattern, places)
+    if len(frames) != len(places):
         raise InvalidInput(
-            f"{folder} holds {len(frames)} frames ({pattern}), {TIMES_FILE} {len(times_s)} times",
+            f"{folder} holds {len(frames)} frames ({pattern}), {TIMES_FILE} {len(places)} times",
             f"every frame needs its line in {TIMES_FILE}: cut the longer one, or complete the shorter",
         )
     return frames
+
+
+def _frames_of_lines(folder: Path, pattern: str, places: Array) -> list[Path]:
+    """The frames whose numbers are ``places``: blank lines of the times leave the others out."""
+    files = numbered(folder, pattern)
+    missing = [place for place in places.tolist() if place not in files]
+    if missing:
+        raise InvalidInput(
+            f"{folder} has no frame {missing[0]} ({pattern}), but {TIMES_FILE} has its time in line {missing[0] + 1}",
+            "line n + 1 is the time of frame n, from 0: complete the folder, or empty the line",
+        )
+    return [files[place] for place in places.tolist()]
+
+
+def _check_same_numbers(sensors: list[list[Path]]) -> None:
+    """Raise InvalidInput where two sensors have as many frames, but not the same: one line of times would be wrong."""
+    for other in sensors[1:]:
+        for one, two in zip(sensors[0], other, strict=True):
+            if one.stem.isdigit() and two.stem.isdigit() and int(one.stem) != int(two.stem):
+                raise InvalidInput(
+                    f"{one} and {two} would have the same line of {TIMES_FILE}",
+                    "frames of all sensors must have the same numbers: complete the folders",
+                )
 
 
 def _read_calibration(path: Path) -> dict[str, Array]:
@@ -163,15 +198,18 @@ def _projection(calibration: dict[str, Array], camera: int, source: Path) -> Arr
     return P
 
 
-def _read_poses(source: Path, count: int) -> Array | None:
+def _read_poses(source: Path, places: Array) -> tuple[Array, Array] | None:
+    """The poses (m, 3, 4) of frames that have a time, and these frames (m,), of ``places`` (n,); None without."""
     path = _pose_file(source)
     if path is None:
         return None
     table = parse_table(read_bounded(path), str(path), 12, "a 3x4 pose matrix by rows")
     poses = table.values.reshape(-1, 3, 4)
-    if len(poses) != count:
+    if table.places[-1] != places[-1]:
         raise InvalidInput(
-            f"{path} holds {len(poses)} poses, {TIMES_FILE} {count} times", "every frame needs its pose, in order"
+            f"{path} holds {len(poses)} poses in {table.places[-1] + 1} lines, {TIMES_FILE} {len(places)} times in "
+            f"{places[-1] + 1}",
+            "every frame needs its pose, in order",
         )
     broken = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))
     if len(broken):
@@ -184,7 +222,8 @@ def _read_poses(source: Path, count: int) -> Array | None:
         raise table.error(
             row, f"no rotation matrix (R Rᵀ differs from 1 by {deviation[row]:.3g})", "expected 3x4 poses [R|t] by rows"
         )
-    return poses
+    timed = np.isin(table.places, places)
+    return table.places[timed], poses[timed]
 
 
 def _pose_file(source: Path) -> Path | None:

@@ -9,6 +9,7 @@ import numpy as np
 from slamhive.bags.bag_writer import BagWriter
 from slamhive.bags.geometry import Array
 from slamhive.bags.importing import Stream
+from slamhive.bags.text_lines import Track
 from slamhive.domain.sensors import Matrix4, Sensor
 from slamhive.errors import InvalidInput
 
@@ -49,21 +50,33 @@ def odometry_stream(sensor: Sensor, times_ns: Array, poses: Array, twists: Array
     return Stream(sensor, times_ns, write, _ODOMETRY_BYTES)
 
 
-def laser_stream(sensor: Sensor, times_ns: Array, scans: Callable[[], Iterator[Array]], count: int) -> Stream:
+def laser_stream(sensor: Sensor, track: Track, scans: Callable[[], Iterator[Array]], count: int) -> Stream:
     """The messages of a laser scanner whose file is read a second time while the recording is written.
+
+    Scans that stand before earlier ones wait in memory, so memory grows with how late scans are, not with the file.
 
     Args:
         sensor: The scanner.
-        times_ns: Int64 (n,).
-        scans: Starts reading the ranges (``count``,) in m of scan 0, 1, ... (n - 1).
+        track: The times of all scans of the file.
+        scans: Starts reading the ranges (``count``,) in m of all scans of the file.
         count: Ranges of a scan.
     """
-    reading: list[Iterator[Array]] = []
+    times_ns, kept = track.times_ns, track.kept.tolist()
+    wanted = frozenset(kept)
+    reading: list[Iterator[tuple[int, Array]]] = []
+    waiting: dict[int, Array] = {}
 
     def write(bag: BagWriter, index: int) -> None:
         if index == 0:
-            reading[:] = [scans()]
-        ranges_m = next(reading[0], None)
+            reading[:] = [enumerate(scans())]
+            waiting.clear()
+        while kept[index] not in waiting:
+            number, ranges_m = next(reading[0], (-1, None))
+            if ranges_m is None:
+                break
+            if number in wanted:
+                waiting[number] = ranges_m
+        ranges_m = waiting.pop(kept[index], None)
         if ranges_m is None or len(ranges_m) != count:
             raise InvalidInput(f"scan {index} of {sensor.name} changed while it was imported", "import again")
         bag.laser_scan(sensor, int(times_ns[index]), ranges_m)

@@ -12,6 +12,7 @@ from slamhive.bags.geometry import Array
 from slamhive.bags.importing import Stream
 from slamhive.domain.sensors import Sensor
 from slamhive.errors import InvalidInput
+from slamhive.files import visible_files
 
 _OVERHEAD_BYTES = 1000
 _MOST_NS = 2**31 * 10**9
@@ -28,7 +29,7 @@ def timed_files(folder: Path, suffix: str, ns_per_unit: int) -> tuple[Array, lis
         InvalidInput: A name is no timestamp, or there are fewer than two files.
     """
     found: dict[int, Path] = {}
-    for path in folder.glob(f"*{suffix}"):
+    for path in visible_files(folder, f"*{suffix}"):
         if not (path.stem.isascii() and path.stem.isdigit()) or int(path.stem) * ns_per_unit >= _MOST_NS:
             raise InvalidInput(f"{path} is not named by a timestamp", "remove the file, or give it its name again")
         found[int(path.stem) * ns_per_unit] = path

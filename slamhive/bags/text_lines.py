@@ -16,6 +16,7 @@ import numpy as np
 
 from slamhive.bags.bag_writer import NS_PER_S
 from slamhive.bags.geometry import Array
+from slamhive.bags.losses import Loss
 from slamhive.errors import InvalidInput
 
 _MOST_CHARACTERS = 200_000
@@ -65,29 +66,48 @@ class Line:
 
 
 class Track:
-    """Rows of numbers with increasing times; those that do not increase are counted and left out."""
+    """Rows of numbers in the order of their times; of rows with one time, the first is kept.
+
+    Loggers write what several programs send, so rows may come late.
+    """
 
     def __init__(self, columns: int) -> None:
-        self.repeated = 0
         self._columns = columns
         self._times_s, self._values = array("d"), array("d")
 
-    def add(self, time_s: float, values: Sequence[float]) -> bool:
-        """Whether the row is later than the last one, and was kept."""
-        if self._times_s and time_s <= self._times_s[-1]:
-            self.repeated += 1
-            return False
+    def add(self, time_s: float, values: Sequence[float]) -> None:
+        """Add a row."""
         self._times_s.append(time_s)
         self._values.extend(values)
-        return True
+
+    @property
+    def kept(self) -> Array:
+        """The rows that are kept, numbered as they were added, in the order of time, int64 (n,)."""
+        rows: Array = np.unique(np.array(self._times_s), return_index=True)[1]
+        return rows
 
     def __len__(self) -> int:
-        return len(self._times_s)
+        return len(self.kept)
+
+    def notes(self, rows: str) -> tuple[str, ...]:
+        """The ``rows``, as messages call them, are left out or were out of order."""
+        added, kept = len(self._times_s), self.kept
+        repeated, late = added - len(kept), int(np.count_nonzero(np.diff(kept) < 0))
+        found: list[str] = []
+        if repeated:
+            steps_s = np.diff(self.times_s)
+            # Logs whose times were printed with six digits repeat a few, some thousand seconds apart.
+            rounded = f" (times are in steps of {steps_s.min():g} s)" if repeated > len(kept) > 1 else ""
+            note = f"{repeated} of {added} {rows} have the time of another and are left out{rounded}"
+            found.append(Loss(repeated, added, note))
+        if late:
+            found.append(f"{late} {rows} stand after later ones: sorted by time")
+        return tuple(found)
 
     @property
     def times_s(self) -> Array:
         """Times (n,) in s."""
-        return np.array(self._times_s)
+        return np.array(self._times_s)[self.kept]
 
     @property
     def times_ns(self) -> Array:
@@ -98,7 +118,7 @@ class Track:
     @property
     def values(self) -> Array:
         """The rows (n, columns)."""
-        return np.array(self._values).reshape(-1, self._columns)
+        return np.array(self._values).reshape(len(self._times_s), self._columns)[self.kept]
 
 
 def lines(path: Path) -> Iterator[Line]:

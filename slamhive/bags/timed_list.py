@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from slamhive.bags.geometry import Array
+from slamhive.bags.losses import Loss
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.trajectory.layout import TimeUnit
 from slamhive.trajectory.table import read_bounded
@@ -75,11 +76,16 @@ class TimedList:
     def notes(self, kept: TimedList | None = None) -> tuple[str, ...]:
         """What is left out, for users; ``kept`` are the rows whose files exist."""
         missing = 0 if kept is None else len(self) - len(kept)
+        name, listed = self.path.name, len(self)
         found = (
-            (missing, f"{missing} of the {len(self)} files that {self.path.name} lists are missing and left out"),
-            (self.repeated, f"{self.repeated} rows of {self.path.name} repeat a timestamp and are left out"),
+            (missing, listed, f"{missing} of the {listed} files that {name} lists are missing and left out"),
+            (
+                self.repeated,
+                listed + self.repeated,
+                f"{self.repeated} rows of {name} repeat a timestamp and are left out",
+            ),
         )
-        return tuple(note for count, note in found if count)
+        return tuple(Loss(*entry) for entry in found if entry[0])
 
     def error(self, index: int, found: str, remedy: str) -> InvalidInput:
         """An error about row ``index``."""

@@ -10,6 +10,7 @@ from slamhive.domain.checks import Finding, NotChecked, Severity
 from slamhive.trajectory.evidence import find_unit
 from slamhive.trajectory.layout import TimeUnit
 from slamhive.trajectory.model import QUATERNION_TOLERANCE
+from slamhive.trajectory.orientation import is_constant
 from slamhive.trajectory.transforms import rotation_angles_rad
 
 FULL_COVERAGE = 0.9
@@ -20,15 +21,12 @@ SLOWEST_HZ = 2.0
 """Between poses further apart a body turns too much for anything to be compared."""
 FASTEST_MPS = 100.0
 """Faster than any vehicle of a SLAM dataset; positions in mm make walking pace 1000 m/s."""
-SLOWEST_M = 0.02
-"""A path shorter than this is at rest, or in km."""
 JUMP_FACTOR, JUMP_M, JUMP_RAD = 5.0, 0.1, np.deg2rad(15)
 """A step is a jump if it is this many times the steps around it, and longer than noise of a tracker."""
 GRAVE_JUMP_M, GRAVE_SHARE = 1.0, 0.01
 """Jumps beyond one of these spoil the error of a whole run; smaller ones are lost in it."""
 AROUND = 5
 """Steps before and after a step that say what is usual there."""
-TURNED_RAD = np.deg2rad(45)
 
 CHECKS = ("truth-file", "truth-times", "truth-coverage", "truth-rate", "truth-jumps", "truth-quaternions", "truth-kind")
 
@@ -219,8 +217,7 @@ def _kind(evidence: Evidence, truth: Truth) -> Findings:
         return
     if declared:
         return
-    angles_rad = rotation_angles_rad(truth.quats_xyzw[:-1], truth.quats_xyzw[1:])
-    if len(angles_rad) and float(angles_rad.max()) < 1e-6 and _heading_change_rad(truth.positions_m) > TURNED_RAD:
+    if is_constant(truth.quats_xyzw, truth.positions_m):
         yield _positions_only("The orientation of the ground truth never changes, although its path turns.")
 
 
@@ -232,18 +229,6 @@ def _positions_only(message: str) -> Finding:
         "write positions_only: true below groundtruth in dataset.yaml; rotation errors are left out then",
         expected="orientations, or positions_only: true",
     )
-
-
-def _heading_change_rad(positions_m: Array) -> float:
-    """Largest angle between the first long step and any later one."""
-    chosen = positions_m[:: max(1, len(positions_m) // 50)]
-    steps = np.diff(chosen, axis=0)
-    lengths = np.linalg.norm(steps, axis=1)
-    steps, lengths = steps[lengths > SLOWEST_M], lengths[lengths > SLOWEST_M]
-    if len(steps) < 2:
-        return 0.0
-    cosines = (steps / lengths[:, None]) @ (steps[0] / lengths[0])
-    return float(np.arccos(np.clip(cosines.min(), -1.0, 1.0)))
 
 
 def _finding(check: str, severity: Severity, message: str, remedy: str, **more: object) -> Finding:

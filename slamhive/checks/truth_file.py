@@ -33,7 +33,8 @@ def read_truth(dataset: Dataset) -> tuple[Truth | None, str | None]:
     if not np.isfinite(rows).all():
         index = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
         return None, f"{path.name}: pose {index} holds a value that is not a number"
-    quats = np.full((len(rows), 4), np.nan) if positions_only else rows[:, 4:8]
+    without = positions_only or not rows[:, 4:8].any()
+    quats = np.full((len(rows), 4), np.nan) if without else rows[:, 4:8]
     return Truth(rows[:, 0], rows[:, 1:4], quats), None
 
 

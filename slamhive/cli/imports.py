@@ -44,6 +44,9 @@ _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Witho
 @click.option("--relations", default=DEFAULT_RELATIONS, show_default=True, help="Path pattern of relations.")
 @click.option("--times", default=DEFAULT_TIMES, show_default=True, help="Path pattern of timestamps of KITTI poses.")
 @click.option("--format", "wanted", type=choice(TrajectoryFormat), default="auto", show_default=True)
+@click.option(
+    "--columns", metavar="NAMES", help="Columns of trajectories, such as t,x,y,z,qw,qx,qy,qz; detected by default."
+)
 @click.option("--sensors", multiple=True, metavar="[NAME=]SETUP", help=_SENSORS_HELP)
 @click.option("--time-unit", type=choice(TimeUnit), help="Unit of the timestamps; detected by default.")
 @click.option("--quaternion-order", type=choice(QuaternionOrder), help="Order of the quaternions; detected by default.")
@@ -81,6 +84,7 @@ def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, 
         told=_convention(options, ""),
         truth_told=_convention(options, "groundtruth_"),
         duplicates=Duplicates(options["duplicates"]),
+        columns=options["columns"],
         trajectory=TrajectoryKind(options["trajectory"]) if options["trajectory"] else None,
     )
     with progress_bar("reading" if dry_run else "importing") as show:
@@ -140,10 +144,10 @@ def _show(report: ImportReport, evaluated: int, failures: dict[int, str]) -> Non
 
 
 def _readings_in_words(readings: list[Reading]) -> list[str]:
-    """A line for each way in which files were read that are not TUM files as they stand, with the reasons of one."""
+    """A line for each way in which files were read that are not TUM files with poses, with the reasons of one."""
     alike: dict[str, list[Reading]] = {}
     for reading in readings:
-        if not reading.as_it_stands:
+        if not reading.as_it_stands or "orientation" in reading.because:
             alike.setdefault(reading.words, []).append(reading)
     return [_reading_in_words(words, members) for words, members in alike.items()]
 
@@ -154,7 +158,7 @@ def _reading_in_words(words: str, members: list[Reading]) -> str:
     return f"{files} {words}. " + " ".join(f"{_WHAT[key]}: {because}." for key, because in first.because.items())
 
 
-_WHAT = {"time_unit": "Unit", "quaternion_order": "Order"}
+_WHAT = {"time_unit": "Unit", "quaternion_order": "Order", "orientation": "Orientation"}
 
 
 COMMANDS = (import_runs,)

@@ -36,6 +36,9 @@ COEFFICIENTS: dict[CameraModel, tuple[int, ...]] = {
 }
 """How many numbers ``distortion`` holds: k1 k2 p1 p2 (k3 (k4 k5 k6)); k1 k2 k3 k4; xi and alpha."""
 
+TIME_OFFSET = "time_offset_s"
+"""The key of a camera for the seconds that its timestamps need added, to be on the clock of the IMU."""
+
 _NAMES = {
     CameraModel.PINHOLE_EQUIDISTANT: ("k1", "k2", "k3", "k4"),
     CameraModel.FISHEYE_KB: ("k1", "k2", "k3", "k4"),

@@ -15,6 +15,9 @@ from statistics import median
 ERROR = "ate.rmse"
 RELATION_ERROR = "relations.translation.mean"
 RELATION_ROTATION = "relations.rotation.mean"
+RELATION_RMSE = "relations.translation.rmse"
+RELATION_ERROR_PER_MOTION = "relations.translation.per_motion"
+RELATIONS_MATCHED = "relations.matched_fraction"
 TRACKED_PATH = "tracked.path"
 TRACKED_FRACTION = "tracked_fraction"
 ERROR_PER_PATH = "ate.per_path"
@@ -25,6 +28,7 @@ REPEATS_LIMIT = "ate.repeats_limit"
 EVIDENCE = (
     *(ERROR, TRACKED_PATH, TRACKED_FRACTION, ERROR_PER_PATH, ERROR_PER_EXTENT),
     *(ERROR_OVER_REPEATS, REPEATS_LIMIT),
+    *(RELATION_RMSE, RELATION_ERROR_PER_MOTION, RELATIONS_MATCHED),
 )
 """The metrics that a verdict depends on."""
 
@@ -104,13 +108,15 @@ class FailureRule:
     """When a run counts as failed. Stored verdicts use the defaults; an analysis may set others.
 
     Attributes:
-        tracked_path_below: Least share of the true path that must be tracked (metric ``tracked.path``).
+        tracked_path_below: Least share of the true path that must be tracked (metric ``tracked.path``). Without a
+            ground-truth trajectory, the least share of the relations at whose times there are poses.
         tracked_fraction_below: Least share of time by the protocol's gap threshold. There is no default, because sound
             keyframe trajectories would fail. An evaluation without ``tracked.path`` is judged by
             :data:`DATED_FRACTION`.
         ate_rmse_above_m: Largest ATE RMSE.
         ate_path_above_percent: Largest ATE RMSE in percent of the true path.
-        ate_extent_above_percent: Largest ATE RMSE in percent of that of an estimate that never moves.
+        ate_extent_above_percent: Largest ATE RMSE in percent of that of an estimate that never moves. Without a
+            ground-truth trajectory, the same of the translation errors of the relations.
         outliers: Whether an outlier among the repeats has diverged.
     """
 
@@ -204,6 +210,8 @@ def _lost(metrics: Mapping[str, float], rule: FailureRule, *, dated: bool) -> tu
     limits = [(TRACKED_PATH, rule.tracked_path_below, "path"), (TRACKED_FRACTION, rule.tracked_fraction_below, "time")]
     if dated and rule.tracked_path_below is not None and rule.tracked_fraction_below is None:
         limits.append((TRACKED_FRACTION, DATED_FRACTION, "time"))
+    if ERROR not in metrics and TRACKED_PATH not in metrics:
+        limits.append((RELATIONS_MATCHED, rule.tracked_path_below, "relations"))
     for key, least, what in limits:
         share = metrics.get(key)
         if share is not None and least is not None and share < least:
@@ -215,7 +223,7 @@ def _lost(metrics: Mapping[str, float], rule: FailureRule, *, dated: bool) -> tu
 def _diverged(metrics: Mapping[str, float], rule: FailureRule) -> tuple[VerdictKind, str] | None:
     error_m = metrics.get(ERROR)
     if error_m is None:
-        return None
+        return _diverged_from_relations(metrics, rule)
     found = f"The run diverged: its ATE RMSE of {error_m:.3g} m is"
     if rule.ate_rmse_above_m is not None and error_m > rule.ate_rmse_above_m:
         return VerdictKind.DIVERGED_FAR, f"{found} above {rule.ate_rmse_above_m:g} m."
@@ -233,7 +241,25 @@ def _diverged(metrics: Mapping[str, float], rule: FailureRule) -> tuple[VerdictK
     return None
 
 
+def _diverged_from_relations(metrics: Mapping[str, float], rule: FailureRule) -> tuple[VerdictKind, str] | None:
+    error_m, percent = metrics.get(RELATION_RMSE), metrics.get(RELATION_ERROR_PER_MOTION)
+    most = rule.ate_extent_above_percent
+    if error_m is None or percent is None or most is None or percent <= most or error_m <= SMALLEST_DIVERGENCE_M:
+        return None
+    return VerdictKind.DIVERGED_FAR, (
+        f"The run diverged: the translation errors of its relations have an RMSE of {error_m:.3g} m, which is "
+        f"{percent:.3g} % of the error of an estimate that never moves; {most:g} % are allowed."
+    )
+
+
 def _good_words(metrics: Mapping[str, float]) -> str:
+    if ERROR not in metrics and RELATION_ERROR_PER_MOTION in metrics:
+        matched, moved = metrics.get(RELATIONS_MATCHED, 1.0), metrics[RELATION_ERROR_PER_MOTION]
+        error_m = metrics[RELATION_RMSE]
+        return (
+            f"The run ended well, with poses for {100 * matched:.3g} % of the relations. "
+            f"Their translation errors have an RMSE of {error_m:.3g} m ({moved:.3g} % of their motion)."
+        )
     if ERROR not in metrics:
         return "The run ended well and was evaluated. There is no ground-truth trajectory that could tell more."
     share, percent = metrics.get(TRACKED_PATH), metrics.get(ERROR_PER_PATH)

@@ -36,7 +36,7 @@ VISIBILITY_LABELS = {
     Visibility.TEAM: "Everybody who signs in",
     Visibility.PUBLIC: "Everybody",
 }
-"""Who that is, in words."""
+"""The systems, in words."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,14 @@ import numpy as np
 
 from slamhive.domain.protocol import Protocol
 from slamhive.errors import InvalidInput
-from slamhive.evaluation.evaluators.base import Paired
+from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Paired
 from slamhive.evaluation.references import Reference
 from slamhive.trajectory.alignment import align
 from slamhive.trajectory.association import associate
 from slamhive.trajectory.evidence import misread_unit
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.offset import position_misfit, search_offset, turning_misfit
+from slamhive.trajectory.orientation import lacking
 
 MINIMUM_MATCHED_POSES = 3
 """With fewer poses the alignment is arbitrary, and so is every metric."""
@@ -51,11 +52,12 @@ def pair(
             if misread is None
             else misread.remedy,
         )
+    without = lacking(estimate.quats_xyzw, estimate.positions_m)
     transform = align(protocol.alignment, matched_estimate, matched_reference, protocol.align_poses)
     return Paired(
         protocol=protocol,
         reference=truth,
-        rotations_known=reference.rotations_known,
+        rotations_known=reference.rotations_known and not without,
         estimate=estimate,
         matched_reference=matched_reference,
         matched_estimate=matched_estimate,
@@ -65,6 +67,7 @@ def pair(
         time_offset_s=offset_s,
         T_body_estimate=reference.T_body_estimate,
         files=dict(files or {}),
+        rotations_unknown=f"of the estimate, {without}" if without and reference.rotations_known else ROTATIONS_UNKNOWN,
     )
 
 

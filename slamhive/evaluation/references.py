@@ -14,14 +14,13 @@ from slamhive.domain.sensors import Matrix4
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.job import EvaluationTask
 from slamhive.trajectory.model import FloatArray, Trajectory
-from slamhive.trajectory.table import count_columns, read_bounded
+from slamhive.trajectory.table import read_bounded
 from slamhive.trajectory.transforms import move_sensor, rigid_transform
-from slamhive.trajectory.tum import parse_positions, parse_tum
+from slamhive.trajectory.tum import parse_ground_truth
 
 NO_TRUTH = "the dataset has relations and no ground-truth trajectory"
 """Why a metric that needs a ground-truth trajectory is missing."""
 
-_POSITION_COLUMNS = 4
 _SCALING = {Alignment.SIM3, Alignment.SCALE}
 
 
@@ -112,9 +111,8 @@ class _File:
 def _read(file: _File) -> Reference:
     """The ground truth of a file with eight columns, or four, which are positions."""
     data, name = read_bounded(file.path), f"ground truth {file.path.name}"
-    if count_columns(data) == _POSITION_COLUMNS:
-        return Reference(parse_positions(data, name, file.duplicates), rotations_known=False)
-    return Reference(parse_tum(data, name, file.duplicates), rotations_known=not file.positions_only)
+    trajectory, without = parse_ground_truth(data, name, file.duplicates)
+    return Reference(trajectory, rotations_known=not (file.positions_only or without))
 
 
 def _moved(body: Reference, T_body_sensor: FloatArray) -> Reference:

@@ -60,6 +60,13 @@ class Combination:
     described: bool = False
 
 
+def is_combination(text: str) -> bool:
+    """Return whether a text holds the title of a combination between lines of dashes."""
+    lines = text.splitlines()
+    parts = (list(_written(lines, part)) for part in parts_of(lines))
+    return any(len(written) == 1 and _TITLE.fullmatch(written[0][1].strip()) for written in parts)
+
+
 def read_combinations(text: str, source: str) -> tuple[list[Combination], list[tuple[int, str]]]:
     """The combinations in a file, and the lines before the first one.
 

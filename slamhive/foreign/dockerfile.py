@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 
 _HOME = re.compile(r"(?:^|[\s\"'=:;(])((?:/root|/home|~/|\$HOME|\$\{HOME\})[\w./-]*)")
 _INSTRUCTION = re.compile(r"^\s*([A-Za-z]+)\s+(.*)$", re.DOTALL)
+_SUBMODULE = re.compile(r"^\s*path\s*=\s*(\S.*?)\s*$", re.MULTILINE)
 _ROOT = frozenset({"", "0", "root"})
 _FEWEST = 2
 
@@ -32,12 +33,14 @@ class DockerfileFacts:
         user: The last ``USER`` of the last stage; empty for root.
         homes: Folders of users that the last stage works in, each with the line that names it.
         missing: Sources of ``COPY`` and ``ADD`` that the folder lacks, each with its line.
+        empty: Folders that they copy and that hold nothing, because Git keeps a link to another repository there.
     """
 
     base: str
     user: str
     homes: tuple[tuple[str, int], ...]
     missing: tuple[tuple[str, int], ...]
+    empty: tuple[tuple[str, int], ...] = ()
 
 
 def read_dockerfile(text: str, folder: Path) -> DockerfileFacts:
@@ -48,11 +51,19 @@ def read_dockerfile(text: str, folder: Path) -> DockerfileFacts:
     users = [entry.rest.split()[0].partition(":")[0] for entry in last if entry.word == "USER" and entry.rest.split()]
     homes = {name: entry.line for entry in reversed(last) for name in homes_in(entry.rest)}
     missing = [(source, entry.line) for entry in instructions for source in _sources(entry) if _lacks(folder, source)]
+    links = _empty_links(folder)
+    empty = {
+        place: entry.line
+        for entry in reversed(instructions)
+        for source in _sources(entry)
+        for place in _copied_empty(folder, source, links)
+    }
     return DockerfileFacts(
         base=_base(last[0].rest) if last else "",
         user="" if not users or users[-1] in _ROOT else users[-1],
         homes=tuple(sorted(homes.items(), key=lambda entry: entry[1])),
         missing=tuple(missing),
+        empty=tuple(sorted(empty.items(), key=lambda entry: entry[1])),
     )
 
 
@@ -105,6 +116,44 @@ def _json_words(text: str) -> list[str]:
     except (ValueError, RecursionError):
         return []
     return [word for word in words if isinstance(word, str)] if isinstance(words, list) else []
+
+
+def _empty_links(folder: Path) -> list[PurePosixPath]:
+    """The submodules of Git below ``folder`` that were not fetched: downloads, and clones of one level, lack them."""
+    root = folder.resolve()
+    found: list[PurePosixPath] = []
+    for repository in (root, *root.parents):
+        try:
+            text = (repository / ".gitmodules").read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            text = ""
+        places = [repository / match[1] for match in _SUBMODULE.finditer(text)]
+        found += [PurePosixPath(place.relative_to(root)) for place in places if _is_empty_inside(place, root)]
+        if (repository / ".git").exists():
+            break
+    return found
+
+
+def _is_empty_inside(place: Path, root: Path) -> bool:
+    """Return whether ``place`` is a folder below ``root`` without any file."""
+    if ".." in place.parts or not place.is_relative_to(root):
+        return False
+    try:
+        return place.is_dir() and not any(path.is_file() or path.is_symlink() for path in place.rglob("*"))
+    except (OSError, ValueError):
+        return False
+
+
+def _copied_empty(folder: Path, source: str, links: list[PurePosixPath]) -> list[str]:
+    """The folders without content that an instruction copies with ``source``, as paths below ``folder``."""
+    if _lacks(folder, source) or any(mark in source for mark in "*?["):
+        return []
+    place = PurePosixPath(source.lstrip("/") or ".")
+    inside = [str(link) for link in links if link.is_relative_to(place)]
+    # Git holds no empty folders: one that is copied by its name was a link, listed or not.
+    if not inside and place.parts and _is_empty_inside(folder.resolve() / place, folder.resolve()):
+        return [str(place)]
+    return inside
 
 
 def _lacks(folder: Path, source: str) -> bool:

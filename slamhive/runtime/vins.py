@@ -79,11 +79,14 @@ def imu_settings(values: Values) -> dict[str, float]:
 
 
 def estimator_settings(values: Values) -> dict[str, Any]:
-    """Feature tracker, solver and what is estimated besides the poses."""
+    """Feature tracker, solver and what is estimated besides the poses.
+
+    The time offset is that of the dataset's calibration, plus what the user adds.
+    """
     return {
         **{key: values[key] for key in _SOLVER},
         "estimate_extrinsic": EXTRINSICS[values.get("estimate_extrinsic", "fixed")],
         "estimate_td": bool(values.get("estimate_td", False)),
-        "td": float(values.get("td", 0.0)),
+        "td": float(values.get("left_time_offset_s", 0.0)) + float(values.get("td", 0.0)),
         "show_track": 0,
     }

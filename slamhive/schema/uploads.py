@@ -91,6 +91,7 @@ class DatasetUpload(Request):
     typestore: Annotated[str | None, described("Message types, for instance ros2_humble.", max_length=64)] = None
     depth_units_per_m: Annotated[float | None, described("Value of a depth pixel that means one metre.", gt=0)] = None
     frame_rate_hz: Annotated[float | None, described("Frames per second, without timestamps.", unit="Hz", gt=0)] = None
+    accept_loss: Annotated[bool, described("Import the rest where over 1 % of the messages are lost.")] = False
 
 
 class RunsUpload(Request):

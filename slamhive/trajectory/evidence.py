@@ -39,15 +39,18 @@ MOST_OVERLAP, LITTLE_OVERLAP = 0.3, 0.03
 """Shares of the time that two spans have in common: above the first they fit, below the second they do not."""
 
 
-def find_unit(times: FloatArray, stated: Finding[TimeUnit] | None, truth: Span | None) -> Finding[TimeUnit]:
+def find_unit(
+    times: FloatArray, stated: Finding[TimeUnit] | None, truth: Span | None, what: str = "the ground truth"
+) -> Finding[TimeUnit]:
     """The unit of ``times``.
 
     Args:
         times: As in the file, at least two.
         stated: What the file or its format says, None if nothing.
         truth: When the ground truth begins and ends, None where that is not known.
+        what: What ``truth`` is the time of, for messages.
     """
-    by_numbers = (None if truth is None else _unit_by_overlap(times, truth)) or _unit_by_itself(times)
+    by_numbers = (None if truth is None else _unit_by_overlap(times, truth, what)) or _unit_by_itself(times)
     return _with_stated(stated, by_numbers)
 
 
@@ -72,14 +75,14 @@ def overlap(first: Span, second: Span) -> float:
     return max(0.0, common_s / together_s) if together_s > 0 else 0.0
 
 
-def _unit_by_overlap(times: FloatArray, truth: Span) -> Finding[TimeUnit] | None:
+def _unit_by_overlap(times: FloatArray, truth: Span, what: str) -> Finding[TimeUnit] | None:
     """The only unit in which the file covers the time of the ground truth, or None."""
     shares = sorted(((overlap(span_of(times, unit), truth), unit) for unit in TimeUnit), reverse=True)
     (most, unit), (next_most, _) = shares[0], shares[1]
     if most > 0 and next_most == 0 and unit in _likely_units(times):
-        return Finding(unit, f"only as {unit} do the timestamps fall into the time of the ground truth")
+        return Finding(unit, f"only as {unit} do the timestamps fall into the time of {what}")
     if most >= MOST_OVERLAP and next_most <= LITTLE_OVERLAP:
-        words = f"as {unit} the timestamps share {most:.0%} of their time with the ground truth, otherwise"
+        words = f"as {unit} the timestamps share {most:.0%} of their time with {what}, otherwise"
         return Finding(unit, f"{words} {next_most:.2g} of it at most")
     return None
 

@@ -13,7 +13,7 @@ from slamhive.errors import InvalidInput
 from slamhive.files import write_aside
 from slamhive.trajectory.layout import Convention, QuaternionOrder, RawPoses, TimeUnit, stated_in
 from slamhive.trajectory.model import FloatArray, Trajectory
-from slamhive.trajectory.table import parse_table, read_bounded
+from slamhive.trajectory.table import NumberTable, parse_table, read_bounded
 from slamhive.trajectory.transforms import quats_from_rotations, rotations_from_quats
 
 LAYOUT = "12 numbers: r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz"
@@ -25,21 +25,27 @@ def read_kitti(poses_path: Path, times_path: Path) -> Trajectory:
 
     Raises:
         NotFound: One of the files does not exist.
-        InvalidInput: One of them is malformed, or they differ in length; the message names file, line and value.
+        InvalidInput: One of them is malformed, or they differ in their number of lines; the message names file, line
+            and value.
     """
     return read_kitti_rows(poses_path, times_path).trajectory(TimeUnit.S, QuaternionOrder.XYZW)
 
 
 def read_kitti_rows(poses_path: Path, times_path: Path) -> RawPoses:
     """As :func:`read_kitti`, before it is known in which unit the timestamps are."""
-    matrices = _parse_poses(read_bounded(poses_path), str(poses_path))
+    poses, matrices = _parse_poses(read_bounded(poses_path), str(poses_path))
     data = read_bounded(times_path)
     times = parse_table(data, str(times_path), 1, "timestamp")
-    count, stamps = len(matrices), times.values[:, 0]
-    if len(stamps) != count:
+    if poses.places[-1] != times.places[-1]:
         raise InvalidInput(
-            f"{poses_path} has {count} poses, {times_path} has {len(stamps)} stamps", "both need one line per frame"
+            f"{poses_path} has {_counted(poses, 'poses')}, {times_path} has {_counted(times, 'timestamps')}",
+            "both need one line per frame",
         )
+    shared, of_poses, of_times = np.intersect1d(poses.places, times.places, return_indices=True)
+    if not len(shared):
+        raise InvalidInput(f"{poses_path} and {times_path} have no line in common", "both need one line per frame")
+    matrices, times = matrices[of_poses], times.take(of_times)
+    stamps = times.values[:, 0]
     stated = Convention(stated_in(data).time_unit, QuaternionOrder.XYZW)
     return RawPoses(times, stamps, matrices[:, :, 3], quats_from_rotations(matrices[:, :, :3]), stated=stated)
 
@@ -51,14 +57,26 @@ def read_kitti_matrices(path: Path) -> FloatArray:
 
 def parse_kitti_matrices(data: bytes, name: str) -> FloatArray:
     """The poses in the bytes of a KITTI file that messages call ``name``, shape (n, 4, 4); raises InvalidInput."""
-    rows = _parse_poses(data, name)
+    table, rows = _parse_poses(data, name)
+    blank = np.flatnonzero(table.places != np.arange(len(rows)))
+    if len(blank):
+        row = int(blank[0])
+        raise InvalidInput(
+            f"{name}: a line before line {table.line_number(row)} is blank",
+            "each line is a frame and has no timestamp: write the pose of every frame",
+        )
     matrices = np.tile(np.eye(4), (len(rows), 1, 1))
     matrices[:, :3] = rows
     return matrices
 
 
-def _parse_poses(data: bytes, name: str) -> FloatArray:
-    """The upper 3x4 of every pose, shape (n, 3, 4)."""
+def _counted(table: NumberTable, rows: str) -> str:
+    blank = int(table.places[-1]) + 1 - len(table.values)
+    return f"{len(table.values)} {rows}" + (f" and {blank} blank lines" if blank else "")
+
+
+def _parse_poses(data: bytes, name: str) -> tuple[NumberTable, FloatArray]:
+    """The rows of the file, and the upper 3x4 of every pose, shape (n, 3, 4)."""
     table = parse_table(data, name, 12, LAYOUT)
     finite = np.isfinite(table.values).all(axis=1)
     if not finite.all():
@@ -72,7 +90,7 @@ def _parse_poses(data: bytes, name: str) -> FloatArray:
         raise table.error(
             int(wrong.argmax()), "the 3x3 part is not a rotation", "write orthonormal matrices of determinant 1"
         )
-    return matrices
+    return table, matrices
 
 
 def format_kitti(positions_m: FloatArray, quats_xyzw: FloatArray) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 
 from slamhive.domain.protocol import Duplicates
 from slamhive.trajectory.model import FloatArray, Poses, Trajectory
+from slamhive.trajectory.orientation import lacking, no_rotations
 from slamhive.trajectory.table import NumberTable, parse_table
 from slamhive.trajectory.tum import checked
 
@@ -65,7 +66,8 @@ class RawPoses:
         times: In the unit of the file, shape (n,).
         positions_m: Shape (n, 3).
         quats: In the order of the file, shape (n, 4); where there are positions only, no rotation.
-        orientations: The file holds orientations.
+        orientations: The file holds orientations that mean something.
+        without: Why those in the file mean nothing, empty if they do, or if there are none.
         stated: What the file's header says.
     """
 
@@ -75,6 +77,7 @@ class RawPoses:
     quats: FloatArray
     orientations: bool = True
     stated: Convention = UNKNOWN
+    without: str = ""
 
     def trajectory(
         self, unit: TimeUnit, order: QuaternionOrder, duplicates: Duplicates = Duplicates.REFUSE
@@ -87,22 +90,27 @@ class RawPoses:
 def parse_rows(data: bytes, name: str, *, more_columns: bool = False) -> RawPoses:
     """The poses in the bytes of a text file that messages call ``name``; four columns are time and position.
 
-    ``more_columns``: what stands behind the quaternion is left out. Raises InvalidInput naming line and value.
+    ``more_columns``: what stands behind the quaternion is left out. Quaternions that are no orientations become no
+    rotation. Raises InvalidInput naming line and value.
     """
     table = parse_table(data, name, 8, LAYOUT, more_columns=more_columns)
-    return RawPoses(table, table.values[:, 0], table.values[:, 1:4], table.values[:, 4:8], stated=stated_in(data))
+    times, positions_m, quats = table.values[:, 0], table.values[:, 1:4], table.values[:, 4:8]
+    without = lacking(quats, positions_m)
+    if without:
+        quats = no_rotations(len(quats))
+    return RawPoses(table, times, positions_m, quats, not without, stated_in(data), without)
 
 
 def parse_position_rows(data: bytes, name: str) -> RawPoses:
     """As :func:`parse_rows`, of a file with times and positions only."""
     table = parse_table(data, name, 4, "timestamp x y z")
     stated = Convention(stated_in(data).time_unit)
-    quats = np.tile((0.0, 0.0, 0.0, 1.0), (len(table.values), 1))
+    quats = no_rotations(len(table.values))
     return RawPoses(table, table.values[:, 0], table.values[:, 1:4], quats, orientations=False, stated=stated)
 
 
 _UNIT = re.compile(r"(?:time|stamp|^#\s*t)[a-z]*[\s_]*[\[(_]\s*(s|sec|ms|us|µs|ns)\b", re.IGNORECASE)
-_QUATERNION = re.compile(r"^(?:q|quat|quaternion|orientation|o)[a-z_.]*?[_.]?([xyzw])$", re.IGNORECASE)
+QUATERNION_NAME = re.compile(r"^(?:q|quat|quaternion|orientation|o)[a-z_.]*?[_.]?([xyzw])$", re.IGNORECASE)
 _UNIT_NAMES = {unit.value: unit for unit in TimeUnit} | {"sec": TimeUnit.S, "µs": TimeUnit.US}
 _ORDERS = {tuple(order.value): order for order in QuaternionOrder}
 
@@ -117,6 +125,6 @@ def stated_in(data: bytes) -> Convention:
             break
         found = _UNIT.search(text)
         unit = _UNIT_NAMES[found[1].lower()] if found is not None else unit
-        words = (_QUATERNION.match(word) for word in re.split(r"[\s,;#\[\]()]+", text))
+        words = (QUATERNION_NAME.match(word) for word in re.split(r"[\s,;#\[\]()]+", text))
         order = _ORDERS.get(tuple(word[1].lower() for word in words if word is not None), order)
     return Convention(unit, order)

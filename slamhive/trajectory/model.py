@@ -160,7 +160,8 @@ def _not_unit(quats_xyzw: FloatArray) -> PoseProblem | None:
     if index is None:
         return None
     if norms[index] == 0:
-        return PoseProblem(index, "quaternion is all zero", "write 0 0 0 1 for no rotation")
+        remedy = "leave out poses without orientation; if none has one, write timestamp x y z alone"
+        return PoseProblem(index, "quaternion is all zero", remedy)
     return PoseProblem(
         index,
         f"quaternion has norm {norms[index]:.6g}, not 1",

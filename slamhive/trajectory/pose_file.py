@@ -10,6 +10,13 @@ from typing import TypeVar
 
 from slamhive.domain.protocol import Duplicates
 from slamhive.errors import InvalidInput
+from slamhive.trajectory.columns import (
+    Columns,
+    find_columns,
+    parse_columns,
+    stated_columns,
+    with_header_as_comment,
+)
 from slamhive.trajectory.evidence import Finding, Span, find_order, find_unit
 from slamhive.trajectory.kitti import read_kitti_rows
 from slamhive.trajectory.layout import (
@@ -56,20 +63,25 @@ class PoseFile:
         format: The layout of its rows: TUM for eight columns or four, EUROC for more, KITTI for matrices.
         raw: Its numbers.
         named: The user has specified the format.
+        plain: The rows of a TUM file are just the pose, so the file can be kept as it is.
     """
 
     data: bytes
     format: TrajectoryFormat
     raw: RawPoses
     named: bool = False
+    plain: bool = True
 
     @property
     def has_order(self) -> bool:
         """Whether the file has quaternions: files of positions or matrices have none."""
         return self.raw.orientations and self.format is not TrajectoryFormat.KITTI
 
-    def unit(self, told: Convention, other: Span | None) -> Finding[TimeUnit]:
-        """The unit of its times: as specified, stated or found; ``other`` is the time that it should share, in s."""
+    def unit(self, told: Convention, other: Span | None, what: str = "the ground truth") -> Finding[TimeUnit]:
+        """The unit of its times: as specified, stated or found.
+
+        ``other`` is the time in s that it should share, and ``what`` has that time.
+        """
         if told.time_unit is not None:
             return Finding(told.time_unit, _TOLD)
         stated = None
@@ -77,7 +89,7 @@ class PoseFile:
             stated = Finding(_UNITS[self.format], f"by --format {self.format}")
         elif self.raw.stated.time_unit is not None:
             stated = Finding(self.raw.stated.time_unit, _HEADER)
-        return find_unit(self.raw.times, stated, other)
+        return find_unit(self.raw.times, stated, other, what)
 
     def order(
         self, told: Convention, unit: TimeUnit, spreads_deg: Mapping[QuaternionOrder, float]
@@ -99,7 +111,9 @@ class PoseFile:
         return Finding(QuaternionOrder.XYZW, "as in TUM files") if unit is TimeUnit.S else None
 
 
-def read_pose_file(path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool = False) -> PoseFile:
+def read_pose_file(
+    path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool = False, columns: str | None = None
+) -> PoseFile:
     """Read the numbers of a file of poses.
 
     Args:
@@ -107,12 +121,13 @@ def read_pose_file(path: Path, wanted: TrajectoryFormat, times: Path | None, *, 
         wanted: Its format; AUTO detects it.
         times: The file of the timestamps, for KITTI poses.
         positions: Four columns are a timestamp and a position.
+        columns: What the columns hold, see :func:`.columns.stated_columns`; None to find out.
 
     Raises:
         NotFound: There is no such file.
         InvalidInput: It is damaged; names file, line and value.
     """
-    file = _rows(path, wanted, times, positions=positions)
+    file = _rows(path, wanted, times, positions=positions, columns=columns)
     # Damage is reported before any doubt about units.
     file.raw.trajectory(TimeUnit.S, QuaternionOrder.XYZW, Duplicates.KEEP)
     return file
@@ -145,21 +160,36 @@ def decided(finding: Finding[_Choice], what: str, remedy: str) -> _Choice:
     return finding.value
 
 
-def _rows(path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool) -> PoseFile:
-    data = read_bounded(path)
-    columns = count_columns(data)
-    if positions and columns == _POSITION_COLUMNS:
-        return PoseFile(data, TrajectoryFormat.TUM, parse_position_rows(data, str(path)))
-    found = wanted if wanted is not TrajectoryFormat.AUTO else _detect(data, columns)
+def _rows(
+    path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool, columns: str | None
+) -> PoseFile:
+    original = read_bounded(path)
+    data = with_header_as_comment(original)
+    count = count_columns(data)
+    if columns is not None:
+        raw = parse_columns(data, str(path), stated_columns(columns, count))
+        return PoseFile(original, TrajectoryFormat.TUM, raw, plain=False)
+    if positions and count == _POSITION_COLUMNS:
+        return PoseFile(original, TrajectoryFormat.TUM, parse_position_rows(data, str(path)), plain=data == original)
+    found = wanted if wanted is not TrajectoryFormat.AUTO else _detect(data, count)
+    placed = find_columns(data) if wanted is TrajectoryFormat.AUTO else None
+    if placed is not None and not _is_plain(placed, found) and (placed.orientation or positions):
+        return PoseFile(original, TrajectoryFormat.TUM, parse_columns(data, str(path), placed), plain=False)
     if found is TrajectoryFormat.KITTI:
         if times is None:
             raise InvalidInput(
                 f"{path} holds KITTI poses, which have no timestamps",
                 "give a TUM file; imports of runs also take the file of the timestamps (--times)",
             )
-        return PoseFile(data, found, read_kitti_rows(path, times))
+        return PoseFile(original, found, read_kitti_rows(path, times))
     raw = parse_rows(data, str(path), more_columns=found is TrajectoryFormat.EUROC)
-    return PoseFile(data, found, raw, named=wanted is found)
+    return PoseFile(original, found, raw, named=wanted is found, plain=data == original)
+
+
+def _is_plain(placed: Columns, found: TrajectoryFormat) -> bool:
+    """Return whether the pose stands where the format expects it, with nothing unknown behind it."""
+    usual = placed.time == 0 and placed.position == (1, 2, 3) and sorted(placed.orientation) == [4, 5, 6, 7]
+    return usual and (found is TrajectoryFormat.EUROC or placed.count == _TUM_COLUMNS)
 
 
 def _detect(data: bytes, columns: int) -> TrajectoryFormat:

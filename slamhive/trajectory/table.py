@@ -11,9 +11,12 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.trajectory.model import FloatArray
+
+IntArray = npt.NDArray[np.int64]
 
 MAX_FILE_BYTES = 200_000_000
 """Longer files are refused: at 100 bytes a pose this is two million poses."""
@@ -37,12 +40,39 @@ class NumberTable:
     name: str
     values: FloatArray
     _data: bytes
+    _taken: IntArray | None = None
+    """The rows of the file that are left, None for all."""
 
     def line_number(self, row: int) -> int:
         """The line of row ``row`` in the file, from 1."""
+        wanted = row if self._taken is None else self._taken[row]
         lines = chain.from_iterable(_lines(self._data, self.name))
         holding = (number for number, line in enumerate(lines, start=1) if _is_row(line))
-        return next(number for index, number in enumerate(holding) if index == row)
+        return next(number for index, number in enumerate(holding) if index == wanted)
+
+    @property
+    def places(self) -> IntArray:
+        """The place of each row in a list whose lines belong to frames, from 0, shape (rows,).
+
+        A blank line between rows stands for a frame of which nothing is known. Comments, and blank lines next to
+        those above the first row, are no places.
+        """
+        found: list[int] = []
+        place = 0
+        for line in chain.from_iterable(_lines(self._data, self.name)):
+            if _is_row(line):
+                found.append(place)
+            elif line.strip():
+                place = place if found else 0
+                continue
+            place += 1
+        places = np.array(found, dtype=np.int64)
+        return places if self._taken is None else places[self._taken]
+
+    def take(self, rows: IntArray) -> NumberTable:
+        """The table without its other rows; lines and places stay those of the file."""
+        taken = rows if self._taken is None else self._taken[rows]
+        return NumberTable(self.name, self.values[rows], self._data, taken)
 
     def error(self, row: int, found: str, remedy: str) -> InvalidInput:
         """An error about row ``row``."""

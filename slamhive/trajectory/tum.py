@@ -13,10 +13,12 @@ from slamhive.domain.protocol import Duplicates
 from slamhive.files import write_aside
 from slamhive.trajectory.duplicates import repair
 from slamhive.trajectory.model import FloatArray, Poses, Trajectory, find_problem
-from slamhive.trajectory.table import NumberTable, parse_table, read_bounded
+from slamhive.trajectory.orientation import ZERO, lacking, no_rotations
+from slamhive.trajectory.table import NumberTable, count_columns, parse_table, read_bounded
 
 LAYOUT = "timestamp tx ty tz qx qy qz qw"
 POSITIONS_LAYOUT = "timestamp tx ty tz"
+POSITIONS_ONLY = "the file holds positions only"
 _ROW = " ".join(["%.9f"] * 8) + "\n"
 
 
@@ -45,8 +47,24 @@ def parse_positions(data: bytes, name: str, duplicates: Duplicates = Duplicates.
     Raises InvalidInput.
     """
     table = parse_table(data, name, 4, POSITIONS_LAYOUT)
-    quats_xyzw = np.tile((0.0, 0.0, 0.0, 1.0), (len(table.values), 1))
+    quats_xyzw = no_rotations(len(table.values))
     return checked(table, Poses(table.values[:, 0], table.values[:, 1:4], quats_xyzw), duplicates)
+
+
+def parse_ground_truth(data: bytes, name: str, duplicates: Duplicates = Duplicates.REFUSE) -> tuple[Trajectory, str]:
+    """The ground truth in the bytes of a TUM file, or of one of timestamps and positions; raises InvalidInput.
+
+    Returns:
+        The trajectory, and why its orientations mean nothing; empty if they do.
+    """
+    if count_columns(data) == len(POSITIONS_LAYOUT.split()):
+        return parse_positions(data, name, duplicates), POSITIONS_ONLY
+    table = parse_table(data, name, 8, LAYOUT)
+    quats, positions_m = table.values[:, 4:8], table.values[:, 1:4]
+    without = lacking(quats, positions_m)
+    # What never changes is checked all the same: it has to be quaternions.
+    quats = no_rotations(len(quats)) if without == ZERO else quats
+    return checked(table, Poses(table.values[:, 0], positions_m, quats), duplicates), without
 
 
 def checked(table: NumberTable, poses: Poses, duplicates: Duplicates) -> Trajectory:

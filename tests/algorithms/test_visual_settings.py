@@ -12,6 +12,7 @@ import pytest
 from slamhive.errors import InvalidInput
 from slamhive.project import project_root
 from slamhive.runtime.config import RunConfig
+from slamhive.runtime.vins import estimator_settings
 from tests.algorithms.algorithm_runs import load_module
 
 T_IMU_LEFT = [0.0, -1, 0, -0.02, 1, 0, 0, -0.06, 0, 0, 1, 0.01, 0, 0, 0, 1]
@@ -57,6 +58,12 @@ class Settings:
 
     def matrix(self, key: str) -> np.ndarray:
         return np.asarray(self._file.getNode(key).mat())
+
+
+def test_vins_gets_the_time_offset_of_the_camera() -> None:
+    values = {**EUROC, **MONO, "left_time_offset_s": 0.0814}
+    assert estimator_settings(values)["td"] == pytest.approx(0.0914)
+    assert estimator_settings({**values, "td": 0.0})["td"] == 0.0814
 
 
 def test_vins_mono_gets_the_calibration_of_the_dataset(tmp_path: Path) -> None:

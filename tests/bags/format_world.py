@@ -319,3 +319,9 @@ OPTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {
     "video": with_truth,
 }
 """What users have to say of such a folder."""
+
+
+def options_of(name: str, source: Path) -> dict[str, Any]:
+    """What users have to say of the folder ``source`` of a format."""
+    say = OPTIONS.get(name)
+    return {} if say is None else say(source)

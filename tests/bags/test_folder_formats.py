@@ -8,7 +8,7 @@ import pytest
 from slamhive.bags.importers import detect_format
 from slamhive.catalogue.dataset_file import load_dataset
 from slamhive.trajectory.tum import read_tum
-from tests.bags.format_world import FORMATS, OPTIONS, convert, recorded
+from tests.bags.format_world import FORMATS, convert, options_of, recorded
 from tests.bags.range_formats import RANGE_FORMATS
 
 pytestmark = pytest.mark.quick
@@ -17,7 +17,7 @@ ALL = {**FORMATS, **RANGE_FORMATS}
 
 def made(name: str, folder: Path) -> tuple[Path, dict[str, Any]]:
     source = ALL[name](folder)
-    return source, OPTIONS.get(name, lambda _source: {})(source)
+    return source, {"accept_loss": True, **options_of(name, source)}
 
 
 @pytest.mark.integration

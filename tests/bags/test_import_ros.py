@@ -25,6 +25,7 @@ from slamhive.domain.sensors import SensorKind
 from slamhive.errors import InvalidInput, Unavailable
 from slamhive.runtime.recording import Recording
 from tests.bags.storages import FRAMES, PERIOD_NS, ROS1, START_NS, STORAGES, convert_to, dataset_of, write_ros1
+from tests.cases import case
 
 pytestmark = pytest.mark.quick
 
@@ -163,6 +164,38 @@ def test_kalibr_files_win_over_camera_info(bag, tmp_path, second, model):
         "gyroscope_random_walk": 2e-5,
         "accelerometer_random_walk": 0.003,
     }
+
+
+def test_time_offsets_of_kalibr_are_kept_and_unread_keys_named(bag, tmp_path):
+    cameras, imu = tmp_path / "camchain.yaml", tmp_path / "imu.yaml"
+    text = CALIBRATION.format(**EQUIDISTANT)
+    shifted = text.replace("cam1:", "  timeshift_cam_imu: 0.0814\n  line_delay: 1.0e-5\ncam1:")
+    cameras.write_text(shifted + "T_imu_body: []\n")
+    imu.write_text(IMU + "time_offset: 0.0\n")
+    found = plan_import(bag, ImportOptions(calibration=(cameras, imu)))[1]
+    offsets_s = [sensor.calibration.get("time_offset_s") for sensor in found.sensors if sensor.name in {"cam0", "cam1"}]
+    assert offsets_s == [0.0814, None]
+    assert any(note.startswith("cam0 needs 0.0814 s added to its timestamps") for note in found.notes)
+    assert [note for note in found.notes if "not read" in note] == [
+        "line_delay of cam0 in camchain.yaml is not read",
+        "T_imu_body of camchain.yaml is not read",
+    ]
+    made = convert(bag, tmp_path / "made", calibration=(cameras,))
+    again = convert(bag, tmp_path / "again", calibration=(made.folder / "dataset.yaml",))
+    assert again.sensor("cam0").calibration["time_offset_s"] == 0.0814
+    cameras.write_text(cameras.read_text().replace("0.0814", "81.4"))
+    with pytest.raises(InvalidInput, match=r"cam0: timeshift_cam_imu is 81\.4 s; expected seconds"):
+        plan_import(bag, ImportOptions(calibration=(cameras,)))
+
+
+def test_a_real_time_offset_between_cameras_and_imu_is_kept():
+    source = case("kalibr_timeshift")
+    options = ImportOptions(calibration=(source / "camchain-imucam.yaml",))
+    found = plan_import(source / "take.bag", options)[1]
+    cameras = [sensor for sensor in found.sensors if sensor.name.startswith("cam")]
+    assert cameras[0].calibration["time_offset_s"] == 0.08140089931412792
+    assert any("0.08140089931412792 s added" in note for note in found.notes)
+    assert "T_imu_body of camchain-imucam.yaml is not read" in found.notes
 
 
 @pytest.mark.integration

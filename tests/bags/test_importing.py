@@ -132,7 +132,8 @@ def test_several_formats_are_named_with_their_evidence(registry, tmp_path):
 def test_an_option_that_the_format_does_not_take_is_refused(registry, tmp_path):
     registry.register("a", importer(["a.txt"], options=["sequence"]))
     name, plan = plan_import(tmp_path, ImportOptions(sequence="one"))
-    assert (name, *plan.notes) == ("a", str(tmp_path), "one")
+    stated = "the ground truth has positions only: runs get no rotation errors"
+    assert (name, *plan.notes) == ("a", str(tmp_path), "one", stated)
     with pytest.raises(InvalidInput, match="importer a takes no option typestore; leave it out; it takes sequence"):
         plan_import(tmp_path, ImportOptions(typestore="ros2_humble"))
 

@@ -25,6 +25,7 @@ from tests.bags.format_world import (
     write,
 )
 from tests.bags.range_formats import CARMEN_RANGES, make_carmen, make_rawseeds
+from tests.cases import case
 
 pytestmark = pytest.mark.quick
 
@@ -70,13 +71,15 @@ def test_new_laser_messages_state_their_geometry_and_where_the_laser_is(tmp_path
         for time in (5.0, 5.5, 5.5, 6.0)
     ]
     write(tmp_path / "new.log", *lines)
-    made = plan(tmp_path / "new.log")
+    with pytest.raises(InvalidInput, match=r"1 of 4 scans have the time of another and are left out.*: 25% is lost"):
+        plan(tmp_path / "new.log")
+    made = plan(tmp_path / "new.log", accept_loss=True)
     laser = made.sensors[0]
     assert LaserLayout.of(laser) == LaserLayout(-1.0, 0.5, 0.0, 40.0)
     assert np.array(laser.T_body_sensor).reshape(4, 4)[:2, 3] == pytest.approx([0.1, 0.0], abs=1e-6)
     assert laser.T_body_sensor[4] == pytest.approx(math.sin(0.1), abs=1e-6)
     assert made.counts == {"laser0": 3, "odom0": 3}
-    assert "1 scans not later than the one before: left out" in made.notes
+    assert "1 of 4 scans have the time of another and are left out" in made.notes
     assert any("neither ground truth nor a file of relations" in note for note in made.notes)
 
 
@@ -174,3 +177,57 @@ def test_the_odometry_of_aces_has_the_relation_error_that_mrpt_finds(tmp_path):
         read_relations(dataset.folder / RELATIONS_FILE), Trajectory(stamps_s, positions_m, quats_xyzw), 1.0
     )
     assert errors["relations.translation.mean"] == pytest.approx(0.549, abs=0.02)
+
+
+def late_log(folder, times_s):
+    """Scans whose first range is their time, and odometry without fault."""
+    scans = [f"FLASER 3 {time} 1 2 0 0 0 0 0 0 {time} host {time}" for time in times_s]
+    odometry = [f"ODOM 0 0 0 0 0 0 {number} host {number}" for number in range(1, 300)]
+    write(folder / "late.log", *scans, *odometry)
+    return folder / "late.log"
+
+
+def test_late_scans_are_sorted_with_their_ranges(tmp_path):
+    times_s = [1.0, 2.0, 5.0, 3.0, 4.0, 9.0, 8.0, 7.0, 10.0]
+    source = late_log(tmp_path, times_s)
+    assert "3 scans stand after later ones: sorted by time" in plan(source).notes
+    scans = recorded(convert(source, tmp_path / "made"))["/scan"]
+    assert [float(scan.ranges[0]) for scan in scans] == sorted(times_s)
+    assert [scan.header.stamp.sec for scan in scans] == sorted(times_s)
+
+
+def test_a_loss_is_an_error_above_one_percent(tmp_path):
+    times_s = [float(number) for number in range(1, 300)]
+    source = late_log(tmp_path, [*times_s, 7.0, 8.0])
+    assert "2 of 301 scans have the time of another and are left out" in plan(source).notes
+    source = late_log(tmp_path, [*times_s, 7.0, 8.0, 9.0, 10.0])
+    with pytest.raises(InvalidInput, match=r"4 of 303 scans .*: 1% is lost; .*--accept-loss imports the rest"):
+        plan(source)
+    scans = recorded(convert(source, tmp_path / "made", accept_loss=True))["/scan"]
+    assert [float(scan.ranges[0]) for scan in scans] == times_s
+
+
+def test_rounded_times_of_a_real_log_are_an_error(tmp_path):
+    source = case("carmen_rounded_times") / "csail.log"
+    with pytest.raises(InvalidInput, match="scans have the time of another and are left out"):
+        plan(source)
+
+
+def test_rounded_times_are_named_by_their_steps(tmp_path):
+    source = late_log(tmp_path, [1.13486e9, 1.13486e9, 1.13486e9, 1.13487e9, 1.13487e9])
+    with pytest.raises(InvalidInput, match=r"3 of 5 scans .*\(times are in steps of 10000 s\): 60% is lost"):
+        plan(source)
+
+
+def test_late_scans_of_rawseeds_are_sorted_and_named(tmp_path):
+    source = make_rawseeds(tmp_path / "Bicocca")
+    (path,) = source.glob("*SICK_FRONT.csv")
+    expected = recorded(convert(source, tmp_path / "a" / "made"))
+    first, second, *others = path.read_text().splitlines()
+    write(path, second, first, *others)
+    assert "1 scans of " + path.name + " stand after later ones: sorted by time" in plan(source).notes
+    seen = recorded(convert(source, tmp_path / "b" / "made"))
+    for topic, messages in expected.items():
+        assert [message.header.stamp for message in seen[topic]] == [message.header.stamp for message in messages]
+        if topic.endswith("scan"):
+            assert all((a.ranges[:5] == b.ranges[:5]).all() for a, b in zip(seen[topic], messages, strict=True))

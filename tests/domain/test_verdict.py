@@ -143,3 +143,45 @@ def test_the_rule_is_stated_in_words():
     assert FailureRule(None, None, None, None, None, outliers=False).words == (
         "A run counts as failed if it did not end well or could not be evaluated."
     )
+
+
+RELATIONS = {
+    "relations.translation.rmse": 0.04,
+    "relations.translation.per_motion": 9.0,
+    "relations.matched_fraction": 0.98,
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "kind", "words"),
+    [
+        (
+            {},
+            VerdictKind.GOOD,
+            "poses for 98 % of the relations. Their translation errors have an RMSE of 0.04 m (9 %",
+        ),
+        (
+            {"relations.translation.rmse": 46.0, "relations.translation.per_motion": 9000.0},
+            VerdictKind.DIVERGED_FAR,
+            f"have an RMSE of 46 m, which is 9e+03 % of {STILL}; 50 % are allowed.",
+        ),
+        ({"relations.translation.per_motion": 80.0}, VerdictKind.GOOD, "0.04 m (80 % of their motion)"),
+        (
+            {"relations.matched_fraction": 0.5},
+            VerdictKind.TRACKED_TOO_LITTLE,
+            "The run tracked 50 % of the relations; 70 % are needed.",
+        ),
+    ],
+)
+def test_runs_without_a_trajectory_are_judged_by_their_relations(changed, kind, words):
+    verdict = judge({**RELATIONS, **changed})
+    assert (verdict.kind, verdict.dated) == (kind, False)
+    assert words in verdict.words
+
+
+def test_relations_beside_a_trajectory_change_no_verdict():
+    assert judge({**SOUND, **RELATIONS, "relations.translation.per_motion": 900.0}) == judge(SOUND)
+
+
+def test_an_older_evaluation_of_relations_is_good():
+    assert judge({"relations.translation.mean": 46.0}).kind is VerdictKind.GOOD

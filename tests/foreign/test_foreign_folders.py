@@ -168,6 +168,32 @@ def test_what_a_dockerfile_copies_and_the_folder_lacks_is_named(tmp_path):
     assert facts.dockerfile.missing == (("../z", 5), ("*.patch", 5))
 
 
+@pytest.mark.parametrize(
+    ("copied", "empty"),
+    [
+        ("COPY . /ws", (("src/ORB_SLAM2", 2), ("third_party/g2o", 2))),
+        ("COPY src /ws/src", (("src/ORB_SLAM2", 2),)),
+        ("COPY third_party/g2o /g2o", (("third_party/g2o", 2),)),
+        ("COPY slamhive unlisted /ws/", (("unlisted", 2),)),
+        ("COPY slamhive build/x /ws/", ()),
+        ("COPY slamhive /slamhive", ()),
+    ],
+)
+def test_empty_links_of_git_that_a_dockerfile_copies_are_named(tmp_path, copied, empty):
+    folder = folders.orb_slam2(tmp_path / "repository")
+    folders.write(folder, Dockerfile=f"FROM ubuntu\n{copied}\n")
+    for place in ("src/ORB_SLAM2", "third_party/g2o", "fetched/pangolin", "unlisted", "build"):
+        (folder / place).mkdir(parents=True)
+    (folder / "fetched/pangolin/main.cpp").write_text("int main() {}")
+    (folder / "build/x").write_text("made")
+    places = ("src/ORB_SLAM2", "third_party/g2o", "fetched/pangolin", "absent")
+    listed = [f'[submodule "{place}"]\n\tpath = {folder.name}/{place}\n\turl = https://example.org' for place in places]
+    (folder.parent / ".gitmodules").write_text("\n".join([*listed, "\tpath = ../../../etc", "\tpath = " + "x" * 5000]))
+    facts = find_facts(read_folder(folder))
+    assert facts.dockerfile is not None
+    assert facts.dockerfile.empty == empty
+
+
 def test_older_python_is_read_by_patterns_and_said(tmp_path):
     path = folders.orb_slam2(tmp_path, mapping__py=folders.MAPPING + 'print "done", values["extra"]\n')
     result = drafted(path)

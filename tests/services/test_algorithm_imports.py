@@ -319,6 +319,17 @@ def test_the_image_of_another_package_is_not_taken(tmp_path):
             plan(source, ImportRequest("mine"), engine, {"slam-hive-algorithm:kiss-icp"})
 
 
+def test_a_folder_whose_submodules_were_not_fetched_names_the_line(tmp_path):
+    folder = folders.orb_slam2(tmp_path)
+    (folder / "ORB_SLAM2").mkdir()
+    engine = create_autospec(ImageTools, instance=True)
+    engine.find.return_value = None
+    with opened(str(folder)) as source, pytest.raises(InvalidInput) as refused:
+        plan(source, ImportRequest("mine"), engine)
+    assert "line 3 copies ORB_SLAM2, which is an empty link of Git" in refused.value.message
+    assert "fetch it with `git submodule update --init --recursive`, or give the image" in str(refused.value)
+
+
 @pytest.mark.docker
 def test_what_has_no_image_or_no_scripts_says_what_to_give(engine_hive: Hive, base_image: str, tmp_path):
     folder = folders.loam(tmp_path).rename(tmp_path / "no-image-has-this-name")

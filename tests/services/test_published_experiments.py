@@ -187,6 +187,17 @@ def test_an_algorithm_that_is_not_here_is_refused_with_the_remedy(catalogue):
         converted(catalogue, **{"12": "x"})
 
 
+def test_numbers_may_be_those_of_this_installation(catalogue):
+    assert converted(catalogue, here="here") == converted(catalogue)
+
+
+def test_a_combination_given_to_analyse_is_told_how_to_convert_it(hive):
+    with pytest.raises(InvalidInput) as refusal:
+        hive.analyses.read(FILE, "orb.txt")
+    assert "orb.txt is a combination file of the published SLAM Hive, not an analysis" in refusal.value.message
+    assert refusal.value.remedy == "make an experiment of it: slamhive experiment convert orb.txt"
+
+
 def test_several_combinations_of_one_title_get_names_of_their_own(catalogue):
     second = FILE[FILE.index("-----") :]
     first, again = convert_published(catalogue, ExperimentSource(FILE + "\n" + second, "file"), {})

@@ -74,6 +74,7 @@ def test_tier_that_cannot_run_is_named_and_only_ci_fails(runner, capsys):
     ("reason", "code"),
     [
         ("../shared/data is absent", 0),
+        ("../shared/cases is absent", 0),
         (NEEDS_SOURCES.kwargs["reason"], 0),
         (NO_PROGRAMS, 0),
         ("KUBE_TOOLS=/none holds no programs", 1),

@@ -102,7 +102,7 @@ def test_kitti_round_trip_and_mistakes(tmp_path: Path) -> None:
     again = read_kitti(poses, times)
     np.testing.assert_allclose(again.positions_m, trajectory.positions_m, atol=1e-11)
     times.write_text("0\n1\n2\n")
-    with pytest.raises(InvalidInput, match=r"4 poses.*3 stamps"):
+    with pytest.raises(InvalidInput, match=r"4 poses.*3 timestamps"):
         read_kitti(poses, times)
     poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n2 0 0 0 0 1 0 0 0 0 1 0\n")
     times.write_text("0\n1\n")

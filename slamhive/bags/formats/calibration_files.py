@@ -31,6 +31,7 @@ def read_calibrations(paths: Sequence[Path]) -> KnownCalibration:
                 raise InvalidInput(f"{earlier} and {path} both calibrate {sensor.name}", "give one of them")
         known.sensors += found.sensors
         known.transforms += found.transforms
+        known.notes += found.notes
     return known
 
 

@@ -14,10 +14,12 @@ import numpy as np
 from slamhive.bags.detection import Detection
 from slamhive.bags.formats.carmen_log import LASER_WORDS, Log, Scan, read_log, scan_ranges
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream, rate_hz
+from slamhive.bags.losses import refuse_losses
 from slamhive.bags.plane import laser_stream, odometry_stream, planar_transform, pose_quats_xyzw
 from slamhive.bags.text_lines import lines
 from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
 from slamhive.errors import InvalidInput
+from slamhive.files import visible_files
 from slamhive.trajectory.table import parse_table, read_bounded
 
 _SUFFIXES = (".clf", ".log", ".clf.bz2", ".log.bz2", ".clf.gz", ".log.gz")
@@ -50,7 +52,7 @@ class CarmenImporter:
         lacking = () if words.intersection(LASER_WORDS) else (f"{' or '.join(LASER_WORDS)} in the first lines",)
         return Detection(evidence, lacking)
 
-    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:  # noqa: ARG002 - it takes no options
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
         """What the log becomes; raises InvalidInput naming the line and the remedy."""
         logs = _logs(source)
         if len(logs) != 1:
@@ -59,17 +61,20 @@ class CarmenImporter:
         if log.first_scan is None or not log.first_scan.count:
             raise InvalidInput(f"{log.path} has no laser scan", f"expected messages {' or '.join(LASER_WORDS)}")
         relations = _relations(log.path)
+        notes = _notes(log, relations)
+        # Too few scans have no rate. The reason why the others are missing says more than that.
+        refuse_losses(notes, accepted=options.accept_loss)
         return ImportPlan(
             (_laser(log, log.first_scan), _odometry(log)),
             _truth(log),
             _text(log),
             relations=relations,
-            notes=_notes(log, relations),
+            notes=notes,
         )
 
 
 def _logs(path: Path) -> list[Path]:
-    files = [path] if path.is_file() else sorted(path.iterdir()) if path.is_dir() else []
+    files = [path] if path.is_file() else visible_files(path)
     return [file for file in files if file.name.lower().endswith(_SUFFIXES) and file.is_file()]
 
 
@@ -88,7 +93,7 @@ def _laser(log: Log, scan: Scan) -> Stream:
         _T_body_laser(log, scan),
         {"beams": scan.count, **layout.calibration()},
     )
-    return laser_stream(sensor, times_ns, lambda: scan_ranges(log.path), scan.count)
+    return laser_stream(sensor, log.scans, lambda: scan_ranges(log.path), scan.count)
 
 
 def _T_body_laser(log: Log, scan: Scan) -> Matrix4:
@@ -149,8 +154,7 @@ def _relations(log: Path) -> str | None:
 
 
 def _notes(log: Log, relations: str | None) -> tuple[str, ...]:
-    repeated = {"scans": log.scans.repeated, "odometry messages": log.odometry.repeated}
-    notes = [f"{count} {what} not later than the one before: left out" for what, count in repeated.items() if count]
+    notes = [*log.scans.notes("scans"), *log.odometry.notes("odometry messages"), *log.true_poses.notes("true poses")]
     if relations is None and not len(log.true_poses):
         notes.append("there is neither ground truth nor a file of relations: runs get no accuracy")
     return tuple(notes)

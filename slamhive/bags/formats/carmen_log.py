@@ -64,13 +64,10 @@ def read_log(path: Path) -> Log:
 
 
 def scan_ranges(path: Path) -> Iterator[Array]:
-    """The ranges in m of the scans that :func:`read_log` keeps, one after the other."""
-    kept = Track(0)
+    """The ranges in m of all scans, one after the other."""
     for line in lines(path):
-        if line.words[0] not in LASER_WORDS:
-            continue
-        scan = read_scan(line)
-        if kept.add(scan.time_s, ()):
+        if line.words[0] in LASER_WORDS:
+            scan = read_scan(line)
             ranges_m: Array = np.array(line.numbers(scan.first, scan.count, "the ranges"))
             yield ranges_m
 

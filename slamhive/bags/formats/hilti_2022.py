@@ -10,6 +10,7 @@ from slamhive.bags.detection import Detection
 from slamhive.bags.formats.ros1 import Ros1Importer
 from slamhive.bags.formats.ros_plan import OPTIONS, plan_recording
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan
+from slamhive.files import visible_files
 
 _NAME = re.compile(r"exp\d\d_[a-z0-9_]+")
 
@@ -36,7 +37,7 @@ class Hilti2022Importer:
         if truth is not None and options.groundtruth is None and options.groundtruth_topic is None:
             options = replace(options, groundtruth=truth)
         if not options.calibration:
-            options = replace(options, calibration=tuple(sorted(source.parent.glob("*cam*.yaml"))))
+            options = replace(options, calibration=tuple(visible_files(source.parent, "*cam*.yaml")))
         return plan_recording([source], options, _text(source))
 
 

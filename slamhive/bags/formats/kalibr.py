@@ -15,8 +15,8 @@ from slamhive.bags.calibration_file import CalibrationFile
 from slamhive.bags.formats.frame_graph import inverse
 from slamhive.bags.formats.known_calibration import KnownCalibration, KnownSensor
 from slamhive.bags.geometry import Array
-from slamhive.domain.calibration import COEFFICIENTS, CameraIntrinsics, CameraModel, ImuNoise
-from slamhive.domain.sensors import SensorKind
+from slamhive.domain.calibration import COEFFICIENTS, TIME_OFFSET, CameraIntrinsics, CameraModel, ImuNoise
+from slamhive.domain.sensors import CalibrationValue, SensorKind
 from slamhive.errors import InvalidInput
 
 _MODELS: dict[tuple[str, str], CameraModel] = {
@@ -26,6 +26,15 @@ _MODELS: dict[tuple[str, str], CameraModel] = {
     ("pinhole", "none"): CameraModel.PINHOLE,
     ("ds", "none"): CameraModel.DOUBLE_SPHERE,
 }
+_MOST_SHIFT_S = 10.0
+_CAMERA_KEYS = frozenset(
+    {
+        *("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution", "rostopic"),
+        *("T_cam_imu", "T_imu_cam", "T_cn_cnm1", "timeshift_cam_imu", "cam_overlaps"),
+    }
+)
+_IMU_KEYS = frozenset({*ImuNoise.__slots__, "T_i_b", "rostopic", "update_rate", "model"})
+"""Other keys may change the result, such as the scales of an IMU, or the time in which a line is read out."""
 _CAMERA, _IMU, _SENSOR = re.compile(r"cam\d+"), re.compile(r"imu\d+"), re.compile(r"(cam|imu)\d+")
 
 
@@ -42,16 +51,33 @@ def read_kalibr(path: Path, content: Mapping[str, Any]) -> KnownCalibration:
         part = CalibrationFile(f"{path}: {name}", entry if isinstance(entry, dict) else {})
         if _CAMERA.fullmatch(name):
             _add_camera(known, path, name, part)
+            _name_unread(known, path, name, part, _CAMERA_KEYS)
         elif _IMU.fullmatch(name):
             _add_imu(known, name, part)
+            _name_unread(known, path, name, part, _IMU_KEYS)
+        else:
+            known.notes.append(f"{name} of {path.name} is not read")
     return known
+
+
+def _name_unread(known: KnownCalibration, path: Path, name: str, entry: CalibrationFile, read: frozenset[str]) -> None:
+    """Note the keys of a sensor that are not read. A time offset of 0 says nothing."""
+    unread = [
+        str(key) for key, value in entry.content.items() if key not in read and (key, value) != ("time_offset", 0)
+    ]
+    if unread:
+        are = "is" if len(unread) == 1 else "are"
+        known.notes.append(f"{', '.join(unread)} of {name} in {path.name} {are} not read")
 
 
 def _add_camera(known: KnownCalibration, path: Path, name: str, entry: CalibrationFile) -> None:
     frame = f"{path}:{name}"
-    known.sensors.append(
-        KnownSensor(name, SensorKind.CAMERA, entry.word("rostopic", ""), frame, intrinsics=_intrinsics(entry))
-    )
+    shift_s = entry.optional("timeshift_cam_imu")
+    if shift_s is not None and abs(shift_s) > _MOST_SHIFT_S:
+        raise InvalidInput(f"{entry.name}: timeshift_cam_imu is {shift_s:g} s", "expected seconds, -10 to 10")
+    more: dict[str, CalibrationValue] = {TIME_OFFSET: shift_s} if shift_s else {}
+    intrinsics = _intrinsics(entry)
+    known.sensors.append(KnownSensor(name, SensorKind.CAMERA, entry.word("rostopic", ""), frame, intrinsics, more=more))
     T_cam_imu, T_imu_cam = _transform(entry, "T_cam_imu"), _transform(entry, "T_imu_cam")
     if T_cam_imu is not None:
         T_imu_cam = inverse(T_cam_imu)

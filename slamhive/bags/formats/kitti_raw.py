@@ -22,6 +22,7 @@ from slamhive.bags.image_stream import OVERHEAD_BYTES
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream, rate_hz
 from slamhive.bags.imu_stream import imu_stream
 from slamhive.bags.kitti_sequence import velodyne_layout
+from slamhive.bags.losses import Loss
 from slamhive.bags.numbered_frames import numbered, read_pose_table
 from slamhive.bags.rgbd import Frames, camera_stream, size_of
 from slamhive.bags.timed_list import read_lines
@@ -148,13 +149,24 @@ def _lidar(source: Path, notes: list[str]) -> Stream:
 def _timed_files(folder: Path, pattern: str, notes: list[str]) -> tuple[Array, list[Path]]:
     """The files of a sensor with their timestamps: line n + 1 of ``timestamps.txt`` is that of file n."""
     path = folder / "timestamps.txt"
-    times_ns = [_clock_ns(line, f"{path}, line {number}") for number, line in enumerate(read_lines(path), 1) if line]
-    files = {number: file for number, file in numbered(folder / "data", pattern).items() if number < len(times_ns)}
+    # A blank line stands for a frame that was not recorded; the lines after it belong to the frames after it.
+    times_ns = {
+        number: _clock_ns(line, f"{path}, line {number + 1}")
+        for number, line in enumerate(read_lines(path))
+        if line.strip()
+    }
+    there = numbered(folder / "data", pattern)
+    files = {number: file for number, file in there.items() if number in times_ns}
     if not files:
         raise InvalidInput(f"{folder / 'data'} has no {pattern} with a line in {path.name}", "complete the folder")
     if len(files) < len(times_ns):
         missing = len(times_ns) - len(files)
-        notes.append(f"{missing} of the {len(times_ns)} files of {folder.name} are missing and left out")
+        note = f"{missing} of the {len(times_ns)} files of {folder.name} are missing and left out"
+        notes.append(Loss(missing, len(times_ns), note))
+    if len(files) < len(there):
+        untimed = len(there) - len(files)
+        note = f"{untimed} files of {folder.name} have no time in {path.name} and are left out"
+        notes.append(Loss(untimed, len(there), note))
     chosen = np.array([times_ns[number] for number in files], dtype=np.int64)
     late = np.flatnonzero(np.diff(chosen) <= 0)
     if len(late):

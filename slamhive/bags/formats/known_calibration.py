@@ -34,7 +34,11 @@ class KnownSensor:
 
 @dataclass(eq=False)
 class KnownCalibration:
-    """Sensors, and transforms ``(parent, child, T_parent_child)`` between their frames; ``body`` is the body frame."""
+    """Sensors, and transforms ``(parent, child, T_parent_child)`` between their frames; ``body`` is the body frame.
+
+    ``notes`` say what was not read.
+    """
 
     sensors: list[KnownSensor] = field(default_factory=list)
     transforms: list[tuple[str, str, Array]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)

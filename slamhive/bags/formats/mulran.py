@@ -16,11 +16,13 @@ from slamhive.bags.gnss_stream import gnss_stream
 from slamhive.bags.ground_truth import matched_truth
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream, rate_hz
 from slamhive.bags.imu_stream import imu_stream
+from slamhive.bags.losses import Loss
 from slamhive.bags.point_files import point_stream, read_records, timed_files
 from slamhive.bags.timed_list import read_timed_list
 from slamhive.domain.lidar_layout import LidarLayout, PointOrder
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput
+from slamhive.files import visible_files
 from slamhive.runtime.point_times import PointTimes
 from slamhive.trajectory.layout import TimeUnit
 
@@ -46,7 +48,7 @@ class MulranImporter:
 
     def detect(self, path: Path) -> Detection:
         """The parts of a sequence."""
-        has_scans = any((_sensors(path) / _SCANS).glob("*.bin"))
+        has_scans = bool(visible_files(_sensors(path) / _SCANS, "*.bin"))
         found = [f"{_SCANS}/*.bin"] if has_scans else []
         found += [name for name in (_IMU, _POSES) if _find(path, name) is not None]
         return Detection(tuple(found), () if has_scans else (f"{_SCANS}/*.bin",))
@@ -88,7 +90,8 @@ def _lidar(folder: Path) -> tuple[Stream, list[str]]:
     flat = tuple(float(value) for value in T_body_lidar.reshape(-1))
     sensor = Sensor("lidar0", SensorKind.LIDAR, "/points", rate_hz(times_ns), flat, layout.calibration())
     left_out = len(paths) - len(kept)
-    notes = [f"{left_out} scans do not have {_RINGS} x {_COLUMNS} points and are left out"] if left_out else []
+    reason = f"{left_out} scans do not have {_RINGS} x {_COLUMNS} points and are left out"
+    notes: list[str] = [Loss(left_out, len(paths), reason)] if left_out else []
     return point_stream(sensor, times_ns, kept, _read_scan, _POINT.itemsize / _FILE_POINT.itemsize), notes
 
 

@@ -24,6 +24,7 @@ from slamhive.bags.timed_list import TimedList, read_timed_list
 from slamhive.domain.lidar_layout import LidarLayout
 from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
 from slamhive.errors import InvalidInput
+from slamhive.files import visible_files
 from slamhive.runtime.point_times import PointTimes, SweepInstant
 from slamhive.trajectory.layout import TimeUnit
 
@@ -52,7 +53,7 @@ class NcltImporter:
     def detect(self, path: Path) -> Detection:
         """The parts of a session."""
         found = [name for name in (_IMU, _GNSS) if (path / name).is_file()]
-        has_scans = any((path / _SCANS).glob("*.bin"))
+        has_scans = bool(visible_files(path / _SCANS, "*.bin"))
         found += [f"{_SCANS}/*.bin"] if has_scans else []
         missing = () if has_scans else (f"{_SCANS}/*.bin",)
         return Detection(tuple(found), missing)
@@ -62,7 +63,8 @@ class NcltImporter:
         streams = [_lidar(source / _SCANS)]
         streams += [_imu(source / _IMU)] if (source / _IMU).is_file() else []
         streams += [_gnss(source / _GNSS)] if (source / _GNSS).is_file() else []
-        truths = sorted({*source.glob("groundtruth_*.csv"), *source.parent.glob(f"groundtruth_{source.name}.csv")})
+        beside = visible_files(source.parent, f"groundtruth_{source.name}.csv")
+        truths = sorted({*visible_files(source, "groundtruth_*.csv"), *beside})
         if len(truths) > 1:
             raise InvalidInput(f"{source} has {len(truths)} files groundtruth_*.csv", "leave the one of the session")
         truth = _truth(truths[0]) if truths else None

@@ -9,6 +9,7 @@ from slamhive.bags.formats.ros_plan import OPTIONS, plan_recording
 from slamhive.bags.formats.truth import FoundTruth
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan
 from slamhive.errors import InvalidInput
+from slamhive.files import visible_files
 from slamhive.trajectory.model import find_problem
 from slamhive.trajectory.table import parse_table, read_bounded
 
@@ -60,7 +61,7 @@ def read_registered_poses(path: Path) -> FoundTruth:
 
 
 def _bags(folder: Path) -> list[Path]:
-    bags = sorted(folder.glob("*.bag")) or sorted(folder.glob("rosbag/*.bag"))
+    bags = visible_files(folder, "*.bag") or visible_files(folder / "rosbag", "*.bag")
     if len(bags) > 100:
         raise InvalidInput(f"{folder} holds {len(bags)} bags", "give the folder of one experiment")
     return bags

@@ -24,6 +24,7 @@ from slamhive.bags.text_lines import Line, Track, lines
 from slamhive.domain.calibration import LaserLayout
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.errors import InvalidInput
+from slamhive.files import visible_files
 
 _SUFFIXES = (".csv", ".csv.bz2", ".csv.gz")
 _ODOMETRY, _TRUTHS = "ODOMETRY_XYT", ("GT-extended", "GROUNDTRUTH")
@@ -53,8 +54,9 @@ class RawseedsImporter:
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:  # noqa: ARG002 - it takes no options
         """What the sequence becomes; raises InvalidInput naming the line and the remedy."""
+        notes: list[str] = []
         streams = [
-            _laser(f"laser{number}", part, path)
+            _laser(f"laser{number}", part, path, notes)
             for number, (part, path) in enumerate((part, _file(source, part)) for part in _T_BODY_LASER)
             if path is not None
         ]
@@ -62,21 +64,20 @@ class RawseedsImporter:
             raise InvalidInput(f"{source} has no *-SICK_FRONT.csv", "give the folder of a sequence")
         odometry = _file(source, _ODOMETRY)
         truths = [path for path in (_file(source, part) for part in _TRUTHS) if path is not None]
-        truth = _truth(truths[0]) if truths else None
-        notes = (*matched_truth(truth, streams), "images, the IMU, sonars and Hokuyo scanners are not imported")
-        return ImportPlan(
-            (*streams, *([] if odometry is None else [_odometry(odometry)])), truth, _text(source), notes=notes
-        )
+        truth = _truth(truths[0], notes) if truths else None
+        notes += [*matched_truth(truth, streams), "images, the IMU, sonars and Hokuyo scanners are not imported"]
+        streams += [] if odometry is None else [_odometry(odometry, notes)]
+        return ImportPlan(tuple(streams), truth, _text(source), notes=tuple(notes))
 
 
 def _file(folder: Path, part: str) -> Path | None:
     if not folder.is_dir():
         return None
-    names = sorted(path for suffix in _SUFFIXES for path in folder.glob(f"*{part}{suffix}"))
+    names = sorted(path for suffix in _SUFFIXES for path in visible_files(folder, f"*{part}{suffix}"))
     return names[0] if names else None
 
 
-def _laser(name: str, part: str, path: Path) -> Stream:
+def _laser(name: str, part: str, path: Path, notes: list[str]) -> Stream:
     track, offset_rad = Track(0), None
     for line in lines(path):
         found_rad = _check_scan(line)
@@ -93,7 +94,8 @@ def _laser(name: str, part: str, path: Path) -> Stream:
         _T_BODY_LASER[part],
         {"beams": _RANGES, **layout.calibration()},
     )
-    return laser_stream(sensor, track.times_ns, lambda: _ranges(path), _RANGES)
+    notes += track.notes(f"scans of {path.name}")
+    return laser_stream(sensor, track, lambda: _ranges(path), _RANGES)
 
 
 def _check_scan(line: Line) -> float:
@@ -105,31 +107,31 @@ def _check_scan(line: Line) -> float:
 
 
 def _ranges(path: Path) -> Iterator[Array]:
-    kept = Track(0)
     for line in lines(path):
-        if kept.add(line.time_s(0), ()):
-            count = line.count(1, _RANGES)
-            ranges_m: Array = np.array(line.numbers(3, _RANGES, "the ranges"))
-            ranges_m[count:] = np.nan
-            yield ranges_m
+        count = line.count(1, _RANGES)
+        ranges_m: Array = np.array(line.numbers(3, _RANGES, "the ranges"))
+        ranges_m[count:] = np.nan
+        yield ranges_m
 
 
-def _odometry(path: Path) -> Stream:
+def _odometry(path: Path, notes: list[str]) -> Stream:
     """Odometry whose x axis points to the front, too: x and y become y and -x."""
     track = Track(3)
     for line in lines(path):
         right_m, front_m, yaw_rad = line.numbers(4, 3, "the pose")
         track.add(line.time_s(0), (front_m, -right_m, yaw_rad))
     sensor = Sensor("odom0", SensorKind.ODOMETRY, "/odom", rate_hz(track.times_ns))
+    notes += track.notes(f"rows of {path.name}")
     return odometry_stream(sensor, track.times_ns, track.values)
 
 
-def _truth(path: Path) -> PlannedTruth:
+def _truth(path: Path, notes: list[str]) -> PlannedTruth:
     track = Track(3)
     for line in lines(path):
         track.add(line.time_s(0), line.numbers(1, 3, "the pose"))
     if not len(track):
         raise InvalidInput(f"{path} has no poses", "expected lines of timestamp, x, y, theta")
+    notes += track.notes(f"poses of {path.name}")
     poses = track.values
     positions_m = np.column_stack([poses[:, :2], np.zeros(len(poses))])
     quats_xyzw = pose_quats_xyzw(poses[:, 2])

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from slamhive.bags.calibration_file import CalibrationFile, read_calibration_file
 from slamhive.bags.detection import Detection
 from slamhive.bags.ground_truth import matched_truth
@@ -18,7 +16,7 @@ from slamhive.bags.numbered_frames import (
     is_pose,
     nominal_note,
     numbered,
-    read_pose_table,
+    read_frame_poses,
     timed,
     truth_of_matrices,
 )
@@ -72,14 +70,12 @@ def _intrinsics(file: CalibrationFile) -> CameraIntrinsics:
 
 
 def _truth(path: Path, numbers: list[int], frames_per_s: float) -> PlannedTruth:
-    poses = read_pose_table(path, 16, "a 4x4 matrix by rows").reshape(-1, 4, 4)
+    frames, table = read_frame_poses(path, 16, "a 4x4 matrix by rows", numbers)
+    poses = table.values.reshape(-1, 4, 4)
     broken = [row for row, pose in enumerate(poses) if not is_pose(pose)]
     if broken:
-        raise InvalidInput(f"{path}, pose {broken[0] + 1}: no rigid transform", "expected a 4x4 matrix by rows")
-    if len(poses) < len(numbers):
-        raise InvalidInput(f"{path} has {len(poses)} poses, there are {len(numbers)} images", "each needs its pose")
-    times_ns = nominal_times_ns(range(numbers[0], numbers[0] + len(poses)), frames_per_s)
-    return truth_of_matrices(times_ns, np.asarray(poses), "rendering")
+        raise table.error(broken[0], "no rigid transform", "expected a 4x4 matrix by rows")
+    return truth_of_matrices(nominal_times_ns(frames, frames_per_s), poses, "rendering")
 
 
 def _text(source: Path) -> DatasetText:

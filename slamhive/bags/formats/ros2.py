@@ -8,6 +8,7 @@ from slamhive.bags.detection import Detection
 from slamhive.bags.formats.ros1 import starts_with
 from slamhive.bags.formats.ros_plan import OPTIONS, plan_recording, text_of
 from slamhive.bags.importing import ImportOptions, ImportPlan
+from slamhive.files import visible_files
 
 _METADATA = "metadata.yaml"
 _HEAD_BYTES = 100_000
@@ -27,7 +28,7 @@ class Ros2Importer:
         """By ``metadata.yaml`` and the files it lies with, or the first bytes of a ``.db3`` file."""
         if path.is_file() and path.suffix == ".db3":
             return Detection((path.name,), () if starts_with(path, _SQLITE) else ("the first bytes of SQLite",))
-        storages = sorted(file.name for file in path.iterdir() if file.suffix in _STORAGES) if path.is_dir() else []
+        storages = sorted(file.name for file in visible_files(path) if file.suffix in _STORAGES)
         metadata = path / _METADATA
         if not metadata.is_file():
             return Detection(tuple(storages[:1]), ("metadata.yaml (`ros2 bag reindex` makes it)",) if storages else ())

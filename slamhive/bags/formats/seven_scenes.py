@@ -27,6 +27,7 @@ from slamhive.bags.numbered_frames import (
 from slamhive.bags.rgbd import camera_stream, depth_stream, nominal_times_ns, size_of
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.errors import InvalidInput
+from slamhive.files import visible_files
 
 _COLOUR, _DEPTH, _POSE = ("frame-*.color.png", "frame-*.color.jpg"), "frame-*.depth.png", "frame-*.pose.txt"
 _FRAMES_PER_S = 30.0
@@ -43,8 +44,8 @@ class SevenScenesImporter:
 
     def detect(self, path: Path) -> Detection:
         """The kinds of files in the folder."""
-        kinds = {"color images": any(any(path.glob(pattern)) for pattern in _COLOUR)}
-        kinds |= {"depth images": any(path.glob(_DEPTH)), "poses": any(path.glob(_POSE))}
+        kinds = {"color images": any(visible_files(path, pattern) for pattern in _COLOUR)}
+        kinds |= {"depth images": bool(visible_files(path, _DEPTH)), "poses": bool(visible_files(path, _POSE))}
         missing = [kind for kind in ("color images", "depth images") if not kinds[kind]]
         return Detection(tuple(f"frame-* {kind}" for kind, there in kinds.items() if there), tuple(missing))
 

@@ -14,6 +14,7 @@ from slamhive.bags.staging import GROUND_TRUTH_FILE, PLAY_SCRIPT
 from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
 from slamhive.domain.dataset import Dataset
 from slamhive.errors import InvalidInput
+from slamhive.files import visible_files
 from slamhive.runtime.paths import is_recording
 from slamhive.trajectory.tum import read_tum
 
@@ -31,7 +32,7 @@ class SlamHiveImporter:
         """By ``dataset.yaml`` and a recording beside it."""
         if not (path / DATASET_FILE).is_file():
             return Detection((), ())
-        recordings = [entry.name for entry in path.iterdir() if is_recording(entry)]
+        recordings = [entry.name for entry in visible_files(path) if is_recording(entry)]
         if not recordings:
             return Detection((DATASET_FILE,), ("a .bag or .mcap file, or a folder with metadata.yaml",))
         return Detection((DATASET_FILE, *recordings[:1]), ())

@@ -17,6 +17,7 @@ from slamhive.bags.bag_writer import NS_PER_S
 from slamhive.bags.importing import ImportOptions
 from slamhive.bags.reader import DAMAGE, damaged
 from slamhive.errors import InvalidInput, nearest
+from slamhive.files import visible_files
 from slamhive.runtime.messages import stamp_ns
 
 _WINDOWS_S = (2.0, 20.0, 200.0)
@@ -205,7 +206,7 @@ def _spare_types(options: ImportOptions) -> Typestore:
 
 def _definitions(folder: Path) -> dict[str, Any]:
     """The types of all ``.msg`` files below ``folder``; ``PACKAGE/msg/Name.msg`` names the package."""
-    files = sorted(folder.rglob("*.msg")) if folder.is_dir() else []
+    files = visible_files(folder, "**/*.msg")
     if not files:
         raise InvalidInput(f"{folder} holds no .msg file", "give the folder of PACKAGE/msg/Name.msg")
     found: dict[str, Any] = {}

@@ -25,7 +25,7 @@ from slamhive.bags.formats.lidar_layout import layout_of
 from slamhive.bags.formats.livox import livox_layout
 from slamhive.bags.formats.source_bag import SourceBag
 from slamhive.bags.formats.topics import LIVOX, Matching
-from slamhive.domain.calibration import CameraIntrinsics
+from slamhive.domain.calibration import TIME_OFFSET, CameraIntrinsics
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind
 from slamhive.errors import InvalidInput
 from slamhive.runtime.messages import convert
@@ -75,6 +75,13 @@ class SensorBuilder:
             matrix = tuple(float(value) for value in T_body_sensor.reshape(-1))
             made.append(Sensor(name, kind, topic.name, rate_hz, matrix, calibration))
         self.notes.append(f"the body frame is that of {self._words(body)}")
+        self.notes += self.known.notes
+        for sensor in made:
+            if TIME_OFFSET in sensor.calibration:
+                self.notes.append(
+                    f"{sensor.name} needs {sensor.calibration[TIME_OFFSET]} s added to its timestamps to be on the "
+                    f"clock of the IMU: timestamps stay as recorded, and algorithms get {TIME_OFFSET}"
+                )
         return tuple(made), (min(first for first, _ in spans.values()), max(last for _, last in spans.values()))
 
     def _rate_hz(self, name: str, first_ns: int, last_ns: int) -> float:

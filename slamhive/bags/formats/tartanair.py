@@ -15,7 +15,7 @@ from slamhive.bags.detection import Detection
 from slamhive.bags.geometry import Array, transform
 from slamhive.bags.ground_truth import matched_truth
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream
-from slamhive.bags.numbered_frames import nominal_note, numbered, read_pose_table, timed
+from slamhive.bags.numbered_frames import nominal_note, numbered, read_frame_poses, timed
 from slamhive.bags.rgbd import camera_stream, depth_stream, nominal_times_ns
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.errors import InvalidInput
@@ -79,13 +79,11 @@ def _read_depth(path: Path, _encoding: str) -> Array:
 
 
 def _truth(path: Path, numbers: list[int], frames_per_s: float) -> PlannedTruth:
-    poses = read_pose_table(path, 7, "tx ty tz qx qy qz qw")
-    if len(poses) < len(numbers):
-        raise InvalidInput(f"{path} has {len(poses)} poses, there are {len(numbers)} images", "each needs its pose")
-    times_s = nominal_times_ns(range(numbers[0], numbers[0] + len(poses)), frames_per_s) / 1e9
+    frames, table = read_frame_poses(path, 7, "tx ty tz qx qy qz qw", numbers)
+    poses, times_s = table.values, nominal_times_ns(frames, frames_per_s) / 1e9
     problem = find_problem(times_s, poses[:, :3], poses[:, 3:])
     if problem is not None:
-        raise InvalidInput(f"{path}, pose {problem.index + 1}: {problem.found}", problem.remedy)
+        raise table.error(problem.index, problem.found, problem.remedy)
     quats_xyzw = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
     return PlannedTruth(times_s, poses[:, :3], quats_xyzw, gravity_aligned=False, source="rendering")
 

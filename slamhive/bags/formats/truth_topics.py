@@ -16,6 +16,7 @@ from slamhive.bags.geodesy import enu_m
 from slamhive.errors import InvalidInput, nearest
 from slamhive.runtime.messages import stamp_ns
 from slamhive.trajectory.model import find_problem
+from slamhive.trajectory.orientation import no_rotations
 
 Row = tuple[str, int, Any, Any]
 """The frame that moves, when in ns, its position and its orientation."""
@@ -92,7 +93,9 @@ def _checked(bag: SourceBag, truth: FoundTruth) -> FoundTruth:
     times_s, kept = np.unique(truth.times_s, return_index=True)
     positions_m = truth.positions_m[kept]
     quats_xyzw = None if truth.quats_xyzw is None else truth.quats_xyzw[kept]
-    checked = np.tile((0.0, 0.0, 0.0, 1.0), (len(times_s), 1)) if quats_xyzw is None else quats_xyzw
+    if quats_xyzw is not None and not quats_xyzw.any():
+        quats_xyzw = None
+    checked = no_rotations(len(times_s)) if quats_xyzw is None else quats_xyzw
     problem = find_problem(times_s, positions_m, checked)
     if problem is not None:
         place = f"{bag.path}: pose {problem.index + 1} of {truth.source}, the ground truth"

@@ -18,6 +18,7 @@ from slamhive.catalogue.dataset_file import DATASET_FILE, load_sensors
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel
 from slamhive.domain.sensors import SensorKind
 from slamhive.errors import InvalidInput
+from slamhive.files import visible_files
 from slamhive.trajectory.layout import TimeUnit
 
 _UNITS_PER_M = 5000.0
@@ -134,7 +135,11 @@ def _as_exported(source: Path, options: ImportOptions) -> ImportOptions:
 
 
 def _is_icl(source: Path) -> bool:
-    return (source / _ICL_ASSOCIATIONS).is_file() and any(source.glob(_ICL_TRUTH)) and not (source / "rgb.txt").exists()
+    return (
+        (source / _ICL_ASSOCIATIONS).is_file()
+        and bool(visible_files(source, _ICL_TRUTH))
+        and not (source / "rgb.txt").exists()
+    )
 
 
 def _frames(source: Path, name: str, column: int) -> tuple[Frames, tuple[str, ...]]:
@@ -188,7 +193,7 @@ def _truth(source: Path, family: _Family | None, options: ImportOptions) -> Plan
     upright = family is not None and family.gravity_aligned
     path = options.groundtruth or source / "groundtruth.txt"
     if options.groundtruth is None and _is_icl(source):
-        rows = _icl_rows(_only(sorted(source.glob(_ICL_TRUTH))), "number tx ty tz qx qy qz qw")
+        rows = _icl_rows(_only(visible_files(source, _ICL_TRUTH)), "number tx ty tz qx qy qz qw")
         times_ns = nominal_times_ns(rows.times_ns.tolist(), _ICL_FRAMES_PER_S)
         timed = TimedList(rows.path, times_ns, rows.rows, rows.line_numbers)
         return listed_truth(timed, rows.numbers(3, 4), measured, gravity_aligned=upright)

@@ -9,6 +9,7 @@ from slamhive.bags.detection import Detection
 from slamhive.bags.formats.ros1 import Ros1Importer
 from slamhive.bags.formats.ros_plan import OPTIONS, plan_recording
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan
+from slamhive.files import visible_files
 
 _TRUTH_TOPIC = "/vrpn_client/raw_transform"
 _NAMES = (
@@ -46,7 +47,7 @@ class TumViImporter:
         if options.groundtruth is None and options.groundtruth_topic is None:
             options = replace(options, groundtruth_topic=_TRUTH_TOPIC)
         if not options.calibration:
-            options = replace(options, calibration=tuple(sorted(source.parent.glob("*cam*.yaml"))))
+            options = replace(options, calibration=tuple(visible_files(source.parent, "*cam*.yaml")))
         return plan_recording([source], options, _text(source))
 
 

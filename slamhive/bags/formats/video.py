@@ -15,6 +15,7 @@ from slamhive.bags.given_camera import given_camera
 from slamhive.bags.ground_truth import matched_truth, tum_truth
 from slamhive.bags.image_stream import OVERHEAD_BYTES, check_size
 from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, Stream, rate_hz
+from slamhive.bags.losses import Loss
 from slamhive.bags.rgbd import nominal_times_ns
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.sensors import Sensor, SensorKind
@@ -100,7 +101,10 @@ def _times_ns(source: Path) -> tuple[Array, tuple[str, ...]]:
     if not np.isfinite(times_ms).all() or (np.diff(times_ns) <= 0).any():
         raise InvalidInput(f"{source}: the timestamps of its frames do not increase", "give --frame-rate HZ")
     if declared > len(times_ms):
-        return times_ns, (f"{declared - len(times_ms)} of {declared} frames cannot be decoded and are left out",)
+        missing = declared - len(times_ms)
+        return times_ns, (
+            Loss(missing, declared, f"{missing} of {declared} frames cannot be decoded and are left out"),
+        )
     return times_ns, ()
 
 

@@ -59,6 +59,19 @@ def _relations() -> list[Metric]:
         metrics += statistics(base, ("rmse", "mean", "std", "max"))
     metrics.append(
         Metric(
+            "relations.translation.per_motion",
+            "Relations translation per motion",
+            "%",
+            Direction.LOWER,
+            "RMSE of the translation over the root mean square translation of the relations themselves, which is the "
+            "RMSE of an estimate that never moves.",
+            True,
+            Group.RELATIONS,
+            "SLAM Hive",
+        )
+    )
+    metrics.append(
+        Metric(
             "relations.matched_fraction",
             "Relations matched",
             "",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, MetricValues, Paired, absent
+from slamhive.evaluation.evaluators.base import MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.pairs import statistics
 from slamhive.trajectory.model import FloatArray
 from slamhive.trajectory.transforms import rotation_angles_rad
@@ -20,7 +20,7 @@ class RotationError:
     def evaluate(self, paired: Paired) -> MetricValues:
         """Needs the orientations of the ground truth."""
         if not paired.rotations_known:
-            return absent(self.keys, ROTATIONS_UNKNOWN)
+            return absent(self.keys, paired.rotations_unknown)
         errors_rad = rotation_angles_rad(paired.matched_reference.quats_xyzw, paired.aligned.quats_xyzw)
         return MetricValues(statistics("ate_rot", np.rad2deg(errors_rad), _NAMES))
 

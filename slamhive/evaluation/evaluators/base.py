@@ -25,6 +25,9 @@ REFERENCE_MAP = "reference_map"
 KITTI_ESTIMATE = "kitti_estimate"
 KITTI_REFERENCE = "kitti_reference"
 
+ROTATIONS_UNKNOWN = "the ground truth holds positions only"
+"""Why a metric that needs the orientations of the ground truth is missing."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Paired:
@@ -33,7 +36,8 @@ class Paired:
     Attributes:
         protocol: How they were associated and aligned, and which pairs relative errors use.
         reference: The whole ground truth, in the frame of the estimate.
-        rotations_known: False if the ground truth holds positions only; its orientations then mean nothing.
+        rotations_known: False if the ground truth or the estimate holds positions only; orientations then mean nothing.
+        rotations_unknown: Why, for metrics that are missing for that reason.
         estimate: The whole estimate in its own world, with timestamps on the clock of the ground truth.
         matched_reference: The matched poses of the ground truth.
         matched_estimate: The matched poses of the estimate, not aligned, one for each of ``matched_reference``.
@@ -58,6 +62,7 @@ class Paired:
     time_offset_s: float = 0.0
     T_body_estimate: FloatArray = field(default_factory=lambda: np.eye(4))
     files: Mapping[str, Path] = field(default_factory=dict)
+    rotations_unknown: str = ROTATIONS_UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +98,3 @@ class Evaluator(Interface):
 def absent(keys: Iterable[str], reason: str) -> MetricValues:
     """No values, all for one reason."""
     return MetricValues({}, dict.fromkeys(keys, reason))
-
-
-ROTATIONS_UNKNOWN = "the ground truth holds positions only"
-"""Why a metric that needs the orientations of the ground truth is missing."""

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from slamhive.errors import InvalidInput, NotFound
-from slamhive.evaluation.evaluators.base import COVARIANCES, ROTATIONS_UNKNOWN, MetricValues, Paired, absent
+from slamhive.evaluation.evaluators.base import COVARIANCES, MetricValues, Paired, absent
 from slamhive.trajectory.model import FloatArray
 from slamhive.trajectory.table import parse_table, read_bounded
 from slamhive.trajectory.transforms import inverse_quats, multiply_quats, quats_from_rotations
@@ -60,7 +60,7 @@ class Consistency:
             return absent(self.keys, "no covariance has the timestamp of a matched pose")
         values = _nees("nees.position", _position_errors_m(paired)[own], covariances.matrices[theirs, :3, :3])
         if not paired.rotations_known:
-            return MetricValues(values, dict.fromkeys(self.keys[2:], ROTATIONS_UNKNOWN))
+            return MetricValues(values, dict.fromkeys(self.keys[2:], paired.rotations_unknown))
         turns_rad = _rotation_errors_rad(paired, in_body=covariances.in_body)[own]
         return MetricValues(values | _nees("nees.orientation", turns_rad, covariances.matrices[theirs, 3:, 3:]))
 

@@ -13,7 +13,7 @@ from evo.main_ape import ape
 from evo.main_rpe import rpe
 
 from slamhive.domain.protocol import ALIGNMENT_LABELS, Alignment, Protocol, RpePairs
-from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, MetricValues, Paired, absent
+from slamhive.evaluation.evaluators.base import MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.pairs import relative_errors
 from slamhive.evaluation.evaluators.relative import compare
 from slamhive.trajectory.model import Poses
@@ -53,7 +53,7 @@ class RelativeError:
     def evaluate(self, paired: Paired) -> MetricValues:
         """Missing where no pair is the delta apart."""
         if not paired.rotations_known:
-            return absent(self.keys, ROTATIONS_UNKNOWN)
+            return absent(self.keys, paired.rotations_unknown)
         protocol = paired.protocol
         result = _as_tum(paired) if protocol.rpe_pairs is RpePairs.TUM else _as_evo(paired)
         if result is None:

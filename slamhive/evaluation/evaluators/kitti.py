@@ -18,7 +18,6 @@ from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import (
     KITTI_ESTIMATE,
     KITTI_REFERENCE,
-    ROTATIONS_UNKNOWN,
     MetricValues,
     Paired,
     absent,
@@ -55,7 +54,7 @@ class KittiProtocol:
     def evaluate(self, paired: Paired) -> MetricValues:
         """Every pose of the ground truth needs one of the estimate, by time or, as in the devkit, by index."""
         if not paired.rotations_known:
-            return absent(self.keys, ROTATIONS_UNKNOWN)
+            return absent(self.keys, paired.rotations_unknown)
         _check_complete(paired)
         found = kitti_segments(*(_published(paired) or map(_matrices, (paired.matched_reference, paired.aligned))))
         if len(found.lengths_m) == 0:

@@ -11,12 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
+from slamhive.domain.verdict import RELATION_ERROR_PER_MOTION
 from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.evaluators.base import RELATIONS, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.pairs import statistics
 from slamhive.trajectory.completeness import covers
 from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import FloatArray, Trajectory
+from slamhive.trajectory.orientation import lacking
 from slamhive.trajectory.table import parse_table, read_bounded
 from slamhive.trajectory.transforms import (
     inverse_quats,
@@ -53,6 +55,7 @@ class RelationErrors:
 
     keys = (
         *(f"relations.{part}.{name}" for part in ("translation", "rotation") for name in _NAMES),
+        RELATION_ERROR_PER_MOTION,
         "relations.matched_fraction",
     )
 
@@ -113,8 +116,11 @@ def relation_errors(relations: Relations, estimate: Trajectory, gap_s: float) ->
         gap_s: Between poses further apart the estimate is not interpolated.
 
     Raises:
-        InvalidInput: The estimate covers no relation.
+        InvalidInput: The estimate covers no relation, or has no orientations.
     """
+    without = lacking(estimate.quats_xyzw, estimate.positions_m)
+    if without:
+        raise InvalidInput(f"relations need orientations, but of the estimate {without}", "give an estimate with them")
     covered = covers(estimate.stamps_s, relations.from_s, gap_s) & covers(estimate.stamps_s, relations.to_s, gap_s)
     if not covered.any():
         raise InvalidInput(
@@ -126,8 +132,12 @@ def relation_errors(relations: Relations, estimate: Trajectory, gap_s: float) ->
     seen_xyzw = multiply_quats(inverse_quats(begin.quats_xyzw), end.quats_xyzw)
     errors_m = np.linalg.norm(seen_m - relations.positions_m[covered], axis=1)
     errors_deg = np.rad2deg(rotation_angles_rad(seen_xyzw, relations.quats_xyzw[covered]))
+    moved_m = float(np.sqrt(np.mean(np.sum(np.square(relations.positions_m[covered]), axis=1))))
+    error_m = float(np.sqrt(np.mean(np.square(errors_m))))
     return {
         **statistics("relations.translation", errors_m, _NAMES),
+        # Relations of a robot that stood still have no motion to compare with.
+        **({RELATION_ERROR_PER_MOTION: 100 * error_m / moved_m} if moved_m > 0 else {}),
         **statistics("relations.rotation", errors_deg, _NAMES),
         "relations.matched_fraction": float(np.mean(covered)),
     }

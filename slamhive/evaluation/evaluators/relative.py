@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slamhive.domain.protocol import Protocol, RpePairs
-from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, MetricValues, Paired, absent
+from slamhive.evaluation.evaluators.base import MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.pairs import (
     Pairs,
     all_pairs,
@@ -53,7 +53,7 @@ class RelativeErrors:
     def evaluate(self, paired: Paired) -> MetricValues:
         """The metrics of a delta that no pair has are missing."""
         if not paired.rotations_known:
-            return absent(self.keys, ROTATIONS_UNKNOWN)
+            return absent(self.keys, paired.rotations_unknown)
         values: dict[str, float] = {}
         missing: dict[str, str] = {}
         compared = compare(paired)

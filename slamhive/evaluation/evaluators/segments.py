@@ -17,7 +17,7 @@ import numpy as np
 
 from slamhive.domain.metrics.segments import LONG_LENGTHS_M, SEGMENT_PERCENTS, SHORT_LENGTHS_M, SPREAD, length_name
 from slamhive.domain.protocol import Protocol, SegmentRule
-from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, MetricValues, Paired, absent
+from slamhive.evaluation.evaluators.base import MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.pairs import Pairs, all_pairs, path_m, relative_errors
 from slamhive.trajectory.model import FloatArray
 
@@ -82,7 +82,7 @@ class SegmentErrors:
         lengths = _lengths(paired.protocol, whole_m)
         asked = (*_ratio_keys(""), *(key for length in lengths for key in length.keys))
         if not paired.rotations_known:
-            return absent(asked, ROTATIONS_UNKNOWN)
+            return absent(asked, paired.rotations_unknown)
         if lengths[0].length_m == 0:
             return absent(asked, f"the path of {whole_m:.4g} m has no segment of a centimetre or more")
         found = [_segments(paired, length.length_m) for length in lengths]

@@ -126,7 +126,8 @@ def _image_of(
         return Way.LOAD, str(folder.archive), "the folder holds it"
     published = f"slam-hive-algorithm:{folder.path.name.lower()}"
     missing = facts.dockerfile.missing if facts.dockerfile is not None else ()
-    if facts.dockerfile is not None and not missing:
+    empty = facts.dockerfile.empty if facts.dockerfile is not None else ()
+    if facts.dockerfile is not None and not missing and not empty:
         return Way.BUILD, str(folder.path / DOCKERFILE), "the folder holds all that it copies"
     if published not in own_images and tools.find(published) is not None:
         return Way.TAKE, published, "the engine has an image of that name"
@@ -135,6 +136,11 @@ def _image_of(
         problem = (
             f"{folder.path / DOCKERFILE} line {missing[0][1]} copies {missing[0][0]}, which the folder does not hold"
         )
+    remedy = "give the image: --image NAME, or --image FILE.tar from docker save"
+    if empty and not missing:
+        place, line = empty[0]
+        problem = f"{folder.path / DOCKERFILE} line {line} copies {place}, which is an empty link of Git"
+        remedy = f"fetch it with `git submodule update --init --recursive`, or {remedy}"
     if published in own_images:
         problem += f", and image {published} belongs to another package"
-    raise InvalidInput(problem, "give the image: --image NAME, or --image FILE.tar from docker save")
+    raise InvalidInput(problem, remedy)

@@ -9,6 +9,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.errors import InvalidInput, unknown
 from slamhive.foreign.combination import Combination, read_combinations
 from slamhive.foreign.experiment import Converted, convert, other_text
+from slamhive.foreign.numbers import HERE
 from slamhive.services.datasets import Catalogue
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.sweep.experiment_file import parse_experiment
@@ -98,7 +99,7 @@ def _check_used(meanings: Mapping[str, str], combinations: Collection[Combinatio
         named |= {entry.algorithm, entry.dataset, *entry.changes, *(number for tie in entry.tied for number in tie)}
         named |= {number for factors in entry.changes.values() for values in factors.values() for number in values}
     for key in meanings:
-        if key not in named:
+        if key not in named and key != HERE:
             raise InvalidInput(
                 f"--id {key}={meanings[key]}: the file does not name {key}", f"it names {', '.join(sorted(named))}"
             )

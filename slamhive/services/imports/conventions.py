@@ -12,6 +12,7 @@ from slamhive.trajectory.agreement import orientation_spread_deg, reordered, thi
 from slamhive.trajectory.evidence import Finding, Span, span_of
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.orientation import ZERO
 from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, decided
 
 _Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
@@ -41,9 +42,12 @@ class Partner:
     told: Convention
 
 
-def settle(file: PoseFile, name: str, told: Convention, truth: Truth | None) -> Reading:
-    """Determine the conventions of an estimate; raises InvalidInput with the evidence if in doubt."""
-    unit = file.unit(told, None if truth is None else truth.span)
+def settle(file: PoseFile, name: str, told: Convention, truth: Truth | None, relations: Span | None = None) -> Reading:
+    """Determine the conventions of an estimate; raises InvalidInput with the evidence if in doubt.
+
+    ``relations`` is the time in s that relations span. It shows the unit where there is no ground truth.
+    """
+    unit = file.unit(told, relations, "the relations") if truth is None else file.unit(told, truth.span)
     time_unit = _decided(unit, "time unit", "--time-unit", TimeUnit)
     if not file.has_order:
         return _reading(file, name, time_unit, unit.because, None)
@@ -130,11 +134,13 @@ def _reading(
     file: PoseFile, name: str, unit: TimeUnit, because: str, order: Finding[QuaternionOrder] | None
 ) -> Reading:
     reasons = {"time_unit": because} | ({} if order is None else {"quaternion_order": order.because})
+    if file.raw.without:
+        reasons["orientation"] = f"{file.raw.without}, so there are positions only, and no rotation errors"
     plain = unit is TimeUnit.S and (order is None or order.value is QuaternionOrder.XYZW)
     return Reading(
         name=name,
         time_unit=unit,
         quaternion_order=None if order is None else order.value,
         because=reasons,
-        as_it_stands=plain and file.format is TrajectoryFormat.TUM,
+        as_it_stands=plain and file.format is TrajectoryFormat.TUM and file.plain and file.raw.without != ZERO,
     )

@@ -11,6 +11,7 @@ from slamhive.domain.protocol import Duplicates
 from slamhive.errors import InvalidInput
 from slamhive.services.imports.conventions import Partner, Truth, settle, settle_truth
 from slamhive.services.imports.request import Candidate, Reading
+from slamhive.trajectory.evidence import Span
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, read_pose_file
@@ -73,17 +74,19 @@ def trial_digits(candidate: Candidate) -> str:
 
 def read_candidate(candidate: Candidate) -> PoseFile:
     """Read the numbers of a candidate; raises NotFound or InvalidInput naming file, line and value."""
-    found = read_pose_file(candidate.path, candidate.format, candidate.times)
+    found = read_pose_file(candidate.path, candidate.format, candidate.times, columns=candidate.columns)
     _check_length(found, "trajectory")
     return found
 
 
-def load(candidate: Candidate, file: PoseFile, truth: Truth | None, duplicates: Duplicates) -> Loaded:
+def load(
+    candidate: Candidate, file: PoseFile, truth: Truth | None, duplicates: Duplicates, relations: Span | None = None
+) -> Loaded:
     """Determine the conventions of a candidate; raises InvalidInput if they are unclear or it is no trajectory.
 
-    ``truth`` is the ground truth for comparison, None if there is none.
+    ``truth`` is the ground truth for comparison, None if there is none. ``relations`` is the time in s of relations.
     """
-    reading = settle(file, candidate.name, candidate.told, truth)
+    reading = settle(file, candidate.name, candidate.told, truth, relations)
     trajectory = _trajectory(file, reading, duplicates)
     kitti_poses = file.data if file.format is TrajectoryFormat.KITTI else None
     return Loaded(
@@ -109,7 +112,8 @@ def load_truth(
     reading = settle_truth(file, name, told, partners)
     trajectory = _trajectory(file, reading, duplicates)
     kitti_poses = file.data if file.format is TrajectoryFormat.KITTI else None
-    return LoadedTruth(_text(file, reading, trajectory), kitti_poses, Truth(trajectory, file.raw.orientations), reading)
+    text = _text(file, reading, trajectory, positions=True)
+    return LoadedTruth(text, kitti_poses, Truth(trajectory, file.raw.orientations), reading)
 
 
 def read_truth_here(path: Path, *, positions_only: bool) -> Truth | None:
@@ -133,10 +137,11 @@ def _trajectory(file: PoseFile, reading: Reading, duplicates: Duplicates) -> Tra
     return file.raw.trajectory(reading.time_unit, reading.quaternion_order or QuaternionOrder.XYZW, kept)
 
 
-def _text(file: PoseFile, reading: Reading, trajectory: Trajectory) -> bytes:
+def _text(file: PoseFile, reading: Reading, trajectory: Trajectory, *, positions: bool = False) -> bytes:
+    """The text that runs and datasets store; with ``positions``, a file without orientations has those alone."""
     if reading.as_it_stands:
         return file.data
-    if not file.raw.orientations:
+    if positions and not file.raw.orientations:
         rows = zip(trajectory.stamps_s.tolist(), trajectory.positions_m.tolist(), strict=True)
         return "".join(f"{stamp_s:.9f} {x:.9f} {y:.9f} {z:.9f}\n" for stamp_s, (x, y, z) in rows).encode()
     return format_tum(trajectory.stamps_s, trajectory.positions_m, trajectory.quats_xyzw).encode()

@@ -36,6 +36,7 @@ class ImportRequest:
         truth_told: The same for the ground truths.
         duplicates: Which pose counts if a timestamp occurs twice, in the evaluation of the runs.
         trajectory: Which trajectory the files are, None if it is not stated.
+        columns: What the columns of the trajectories hold; None to find out.
     """
 
     source: Path
@@ -51,6 +52,7 @@ class ImportRequest:
     truth_told: Convention = UNKNOWN
     duplicates: Duplicates = Duplicates.REFUSE
     trajectory: TrajectoryKind | None = None
+    columns: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +67,7 @@ class Candidate:
     format: TrajectoryFormat
     times: Path | None = None
     told: Convention = UNKNOWN
+    columns: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +103,7 @@ class Reading:
         name: The name of the file, as the user sees it.
         time_unit: Of its timestamps.
         quaternion_order: Of its orientations; None if it has none, or matrices.
-        because: {"time_unit" or "quaternion_order": why}.
+        because: {"time_unit" or "quaternion_order": why}; "orientation" says why there is none.
         as_it_stands: It is a TUM file that was copied byte for byte.
     """
 

@@ -265,7 +265,8 @@ def _loaded(
 ) -> Iterator[Loaded]:
     for candidate, file in files:
         try:
-            loaded = load(candidate, file, homes.datasets[candidate.dataset].truth, request.duplicates)
+            home = homes.datasets[candidate.dataset]
+            loaded = load(candidate, file, home.truth, request.duplicates, home.relations)
         except SlamHiveError as error:
             report.problems.append(Problem(candidate.name, str(error)))
         else:

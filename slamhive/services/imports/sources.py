@@ -92,6 +92,7 @@ def _in_folder(request: ImportRequest, found: Found) -> Iterator[Candidate]:
                 format=request.format,
                 times=stamps.get(match["dataset"], stamps.get("")),
                 told=request.told,
+                columns=request.columns,
             )
 
 
@@ -180,6 +181,7 @@ def _row(request: ImportRequest, found: Found, row: dict[str, str], name: str) -
         format=_member(TrajectoryFormat, "format", row) or request.format,
         times=_inside(folder, row["times"]) if row.get("times") else None,
         told=_told(row, "", request.told),
+        columns=request.columns,
     )
 
 

@@ -18,6 +18,7 @@ from slamhive.services.datasets import Catalogue
 from slamhive.services.imports.conventions import Partner, Truth
 from slamhive.services.imports.reading import LoadedTruth, load_truth, read_truth_here
 from slamhive.services.imports.request import Reading
+from slamhive.trajectory.evidence import Span
 from slamhive.trajectory.layout import UNKNOWN, Convention
 from slamhive.trajectory.table import read_bounded
 
@@ -52,12 +53,14 @@ class Home:
         new: Whether this import made it.
         truth: The ground truth for comparison; None if there is none.
         reading: The conventions of an imported ground truth.
+        relations: First and last time of its relations, in s.
     """
 
     dataset: Dataset
     new: bool
     truth: Truth | None = None
     reading: Reading | None = None
+    relations: Span | None = None
 
 
 class Truths:
@@ -87,7 +90,7 @@ class Truths:
         known = self._known(name)
         if known is not None:
             reading = self._check_same(known, files)
-            return Home(known, False, _truth_here(known), reading)
+            return Home(known, False, _truth_here(known), reading, _relations_here(known))
         if files.trajectory is None and files.relations is None:
             raise InvalidInput(
                 f"dataset {name} is not here, and no ground truth was found for it",
@@ -100,7 +103,10 @@ class Truths:
                 for file, content in contents.items():
                     (aside / file).write_bytes(content)
                 (aside / DATASET_FILE).write_text(dataset_to_yaml(dataset), encoding="utf-8")
-        return Home(dataset, True) if loaded is None else Home(dataset, True, loaded.truth, loaded.reading)
+        span = None if files.relations is None else _read_relations(files.relations)[1]
+        if loaded is None:
+            return Home(dataset, True, relations=span)
+        return Home(dataset, True, loaded.truth, loaded.reading, span)
 
     def _load(self, dataset: str, path: Path, files: TruthFiles) -> LoadedTruth:
         name = f"the ground truth of {dataset}"
@@ -116,7 +122,8 @@ class Truths:
         truth: GroundTruth | None = None
         description = "Made for trajectories that were imported; there is no recording to run anything on."
         if files.relations is not None:
-            contents[RELATIONS_FILE], duration_s = _read_relations(files.relations)
+            contents[RELATIONS_FILE], span = _read_relations(files.relations)
+            duration_s = span[1] - span[0]
         if loaded is not None:
             contents[GROUND_TRUTH_FILE], duration_s = loaded.text, loaded.truth.trajectory.span_s
             truth = GroundTruth(GROUND_TRUTH_FILE, self._gravity_aligned, not loaded.truth.rotations_known)
@@ -181,9 +188,19 @@ def _check_file(known: Dataset, kind: str, here: Path | None, text: bytes, optio
         )
 
 
-def _read_relations(path: Path) -> tuple[bytes, float]:
+def _relations_here(known: Dataset) -> Span | None:
+    """First and last time of the relations of a dataset; None without, or if an evaluation will refuse them."""
+    if known.relations is None:
+        return None
+    try:
+        return _read_relations(known.folder / known.relations)[1]
+    except (InvalidInput, NotFound):
+        return None
+
+
+def _read_relations(path: Path) -> tuple[bytes, Span]:
     """The bytes of a relations file, and its first and last timestamp in s."""
     data = read_bounded(path)
     relations = parse_relations(data, str(path))
     stamps_s = [*relations.from_s.tolist(), *relations.to_s.tolist()]
-    return data, max(stamps_s) - min(stamps_s)
+    return data, (min(stamps_s), max(stamps_s))

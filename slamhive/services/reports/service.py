@@ -10,6 +10,7 @@ from slamhive.analysis.report import Report
 from slamhive.clock import utc_now
 from slamhive.domain.bibliography import Reference
 from slamhive.errors import InvalidInput
+from slamhive.foreign.combination import is_combination
 from slamhive.services.citations import Citations
 from slamhive.services.datasets import Catalogue, stored_numbers
 from slamhive.services.reports.names import check_columns
@@ -50,7 +51,15 @@ class Analyses:
         """
         if len(text.encode()) > MAX_SOURCE_BYTES:
             raise InvalidInput(f"{source} is larger than {MAX_SOURCE_BYTES} bytes", "split it into several analyses")
-        return parse_analysis(text, source, stored_numbers(self._store), ids)
+        try:
+            return parse_analysis(text, source, stored_numbers(self._store), ids)
+        except InvalidInput:
+            if not is_combination(text):
+                raise
+            raise InvalidInput(
+                f"{source} is a combination file of the published SLAM Hive, not an analysis",
+                f"make an experiment of it: slamhive experiment convert {source}",
+            ) from None
 
     def check(self, text: str) -> str:
         """The name in an analysis file that can be computed here; raises as :meth:`read`, and for unknown columns."""

@@ -16,7 +16,7 @@ from slamhive.catalogue.collection_file import kind_of
 from slamhive.domain.collection import FileKind
 from slamhive.errors import InvalidInput, nearest
 from slamhive.fetch.unpack import unpack
-from slamhive.files import temporary_folder
+from slamhive.files import temporary_folder, visible_files
 from slamhive.schema.imports import Import
 from slamhive.schema.uploads import AlgorithmUpload, DatasetUpload, Imported, RunsUpload
 from slamhive.services.algorithms import AlgorithmImports
@@ -140,7 +140,7 @@ class UploadImports:
             self.uploads.check_free(path.name)
 
         unpack(path, kind_of(path.name), folder, room=room)
-        entries = list(folder.iterdir())
+        entries = visible_files(folder)
         return entries[0] if len(entries) == 1 and entries[0].is_dir() else folder
 
 
@@ -168,6 +168,7 @@ def import_dataset(
         depth_units_per_m=request.depth_units_per_m,
         frame_rate_hz=request.frame_rate_hz,
         sequence=request.sequence,
+        accept_loss=request.accept_loss,
     )
     planned = catalogue.plan_import(source, options, format_name=request.format, name=request.name)
     made = catalogue.import_dataset(planned, progress)

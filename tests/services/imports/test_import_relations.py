@@ -14,6 +14,7 @@ from slamhive.domain.sensors import SensorSetup
 from slamhive.errors import InvalidInput
 from slamhive.schema.submission import Submission
 from slamhive.services.imports.request import ImportRequest
+from tests.cases import case
 from tests.services.imports.world import trajectory, write
 
 pytestmark = pytest.mark.integration
@@ -28,6 +29,11 @@ def source(tmp_path: Path) -> Path:
     write(tmp_path / "source" / "building" / "relations.txt", RELATIONS)
     write(tmp_path / "source" / "alpha" / "building" / "0.txt", trajectory(1))
     return tmp_path / "source"
+
+
+def turned(vector_m, yaw_rad):
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ vector_m
 
 
 def carry_out(hive, source, **options):
@@ -62,13 +68,15 @@ def test_the_command_imports_evaluates_and_says_what_is_missing(hive, source):
             for part in ("translation", "rotation")
             for name in ("rmse", "mean", "std", "max")
         ),
+        "relations.translation.per_motion",
         "relations.matched_fraction",
     }
     assert "ate.rmse" not in run["metrics"], "what is not known is absent"
     rows = np.loadtxt(hive.runs.folder(run["id"]).trajectory)
     at = {round(row[0], 6): row[1:4] for row in rows}
+    yaws_rad = {round(row[0], 6): 2 * np.arctan2(row[6], row[7]) for row in rows}
     errors_m = [
-        np.linalg.norm(at[second] - at[first] - given)
+        np.linalg.norm(turned(at[second] - at[first], -yaws_rad[first]) - given)
         for first, second, given in ((100, 101, [0.1, 0, 0]), (101, 102.5, [0.2, 0.1, 0]))
     ]
     assert figures["relations.translation.mean"] == pytest.approx(np.mean(errors_m), rel=1e-6)
@@ -147,6 +155,33 @@ def test_a_table_names_relations(hive, tmp_path):
     report = carry_out(hive, table, table=True)
     assert (report.imported, report.problems) == (1, [])
     assert hive.catalogue.dataset("building").relations == "relations.txt"
+
+
+def test_relations_show_the_unit_and_judge_a_random_walk(hive, tmp_path):
+    """Poses 0.86 apart could be s, ms or us; the relations have exactly these times."""
+    times_s = 1000 + 0.86 * np.arange(40)
+    steps_m = np.random.default_rng(4).normal(0, 5, (40, 2)).cumsum(axis=0)
+    for name, places in (("walk", steps_m), ("exact", np.column_stack((0.4 * np.arange(40), np.zeros(40))))):
+        yaws_rad = np.arange(40) if name == "walk" else np.zeros(40)
+        poses = zip(times_s, places.tolist(), yaws_rad / 2, strict=True)
+        rows = [f"{time_s:.6f} {x} {y} 0 0 0 {np.sin(half)} {np.cos(half)}" for time_s, (x, y), half in poses]
+        write(tmp_path / "source" / name / "hall" / "1.txt", "\n".join(rows))
+    relations = [f"{times_s[i]:.6f} {times_s[i + 1]:.6f} 0.4 0 0 0 0 0" for i in range(39)]
+    write(tmp_path / "source" / "hall" / "relations.txt", "\n".join(relations))
+    code, _, told = command("runs", "import", tmp_path / "source", "--sensors", "lidar")
+    assert code == 0, told
+    verdicts = {run["algorithm"]: run["verdict"]["kind"] for run in json.loads(command("runs", "--json")[1])}
+    assert verdicts == {"walk": "diverged_far", "exact": "good"}
+
+
+def test_a_random_walk_on_real_relations_is_not_good(hive):
+    source = case("relations_verdict")
+    report = carry_out(hive, source, relations="fr079r/relations.txt", pattern="<algorithm>/<dataset>/<trial>.txt")
+    assert (report.imported, report.problems) == (1, [])
+    command("evaluate", *report.run_ids)
+    (run,) = json.loads(command("runs", "--json")[1])
+    assert run["verdict"]["kind"] == "diverged_far"
+    assert run["metrics"]["relations.translation.per_motion"]["value"] > 1000
 
 
 @pytest.mark.shared_data

@@ -10,10 +10,11 @@ POSES = 30
 
 
 def trajectory(seed: int = 0, poses: int = POSES) -> str:
-    """A curve in TUM format; seed 0 is the truth, others are off by centimetres."""
+    """A curve in TUM format along which the body turns; seed 0 is the truth, others are off by centimetres."""
     noise = np.random.default_rng(seed).normal(0, 0.02 if seed else 0.0, (poses, 3))
     return "".join(
-        f"{100 + i / 10:.6f} {np.cos(i / 5) + x:.6f} {np.sin(i / 5) + y:.6f} {i / 40 + z:.6f} 0 0 0 1\n"
+        f"{100 + i / 10:.6f} {np.cos(i / 5) + x:.6f} {np.sin(i / 5) + y:.6f} {i / 40 + z:.6f} "
+        f"0 0 {np.sin(i / 10):.9f} {np.cos(i / 10):.9f}\n"
         for i, (x, y, z) in enumerate(noise)
     )
 
