@@ -363,7 +363,7 @@ def _end_of(handle: RunHandle, *, shares_files: bool) -> RecordedEnd | None:
     if end is None or end.exited.started_at is None or end.exited.ended_at is None:
         return end
     started_at, ended_at = end.exited.started_at, end.exited.ended_at
-    if "clock" in handle.data and shares_files:
+    if shares_files:  # a clock may also have been set while the run went on
         started_at = datetime.fromisoformat(handle.data["started_at"])
         ended_at = by_this_clock(Path(handle.data["work"]) / EXIT_FILE, ended_at)
     late = ended_at - started_at > timedelta(seconds=float(handle.data["timeout_s"]))
