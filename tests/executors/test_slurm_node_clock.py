@@ -83,7 +83,7 @@ def test_a_run_that_was_ended_is_late_by_the_clock_of_the_worker(tmp_path, laste
     """The clock of the node was set right while the run went on, so its own times say 3600 s less than it took."""
     ended = utc_now()
     began = ended - timedelta(seconds=lasted_s)
-    content = {"exit_code": 143, "out_of_memory": False, "signalled": True}
+    content: dict[str, object] = {"exit_code": 143, "out_of_memory": False, "signalled": True}
     content |= {"started_at": (began + HOUR).isoformat(), "ended_at": ended.isoformat()}
     written(tmp_path / "exit.json", ended, json.dumps(content))
     data = {"work": str(tmp_path), "timeout_s": "60", "started_at": began.isoformat()}
