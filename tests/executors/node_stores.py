@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import ssl
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -75,14 +76,16 @@ class Line:
     Args:
         url: The address of the controller.
         cut_after: After how many bytes to cut a connection, one after the other; later ones are left alone.
+        tls: Encrypts the side of the node, as a reverse proxy does.
     """
 
-    def __init__(self, url: str, cut_after: list[int]) -> None:
+    def __init__(self, url: str, cut_after: list[int], tls: ssl.SSLContext | None = None) -> None:
         self._target = urlsplit(url).hostname, urlsplit(url).port
         self._cuts = list(cut_after)
         self._listener = socket.create_server(("127.0.0.1", 0))
         LINES.append(self)
-        self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._tls = tls
+        self.url = f"http{'s' if tls else ''}://127.0.0.1:{self._listener.getsockname()[1]}"
         self.received = 0
         self.connections = 0
         threading.Thread(target=self._accept, daemon=True).start()
@@ -97,6 +100,11 @@ class Line:
             except OSError:
                 return
             self.connections += 1
+            if self._tls is not None:
+                try:
+                    near = self._tls.wrap_socket(near, server_side=True)
+                except OSError:  # the node does not trust the certificate
+                    continue
             far = socket.create_connection(self._target)
             cut_after = self._cuts.pop(0) if self._cuts else None
             threading.Thread(target=self._pass_on, args=(near, far), daemon=True).start()

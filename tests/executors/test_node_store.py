@@ -8,6 +8,7 @@ import json
 import os
 import random
 import signal
+import ssl
 import stat
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import tarfile
 import threading
 import time
 from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
@@ -35,7 +37,13 @@ from slamhive.executors.node_store.caches import NodeCaches
 from slamhive.executors.node_store.controller import NodeStore, Reports
 from slamhive.executors.node_store.offers import Offers
 from slamhive.executors.node_store.on_node.cache import FOLDER, Cache, CacheFull, Held, Item
-from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused, clock_offset
+from slamhive.executors.node_store.on_node.connection import (
+    Away,
+    Connection,
+    Refused,
+    clock_offset,
+    unreached_because,
+)
 from slamhive.executors.node_store.on_node.fetch import Fetcher, WrongContent
 from slamhive.executors.node_store.on_node.mirror import Mirror, Watched
 from slamhive.executors.node_store.on_node.results import Output, pack_results, send_results
@@ -679,6 +687,59 @@ def _spec(data: Path, recording: Path) -> RunSpec:
         timeout_s=60.0,
         work=data / "runs" / "7" / "work",
     )
+
+
+@pytest.fixture
+def proxy_certificate(tmp_path: Path) -> tuple[ssl.SSLContext, Path]:
+    """A proxy with a certificate for 127.0.0.1 that nobody trusts, and the certificate."""
+    certificate, key = tmp_path / "proxy.crt", tmp_path / "proxy.key"
+    words = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=127.0.0.1"
+    words += f" -addext subjectAltName=IP:127.0.0.1 -keyout {key} -out {certificate}"
+    subprocess.run(["openssl", *words.split()], check=True, capture_output=True)
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.load_cert_chain(certificate, key)
+    return context, certificate
+
+
+def test_nodes_work_through_tls_if_they_trust_the_certificate(
+    data, cache, recording, tmp_path, proxy_certificate, monkeypatch
+):
+    tls, certificate = proxy_certificate
+    run = register(data, inputs={"recording": recording})
+    with serving(data) as server:
+        line = Line(server.url, [], tls)
+        assert "certificate verify failed" in unreached_because(line.url)
+        with pytest.raises(Away, match="certificate verify failed"):
+            run.connection(line.url).ask("POST", "claim", json.dumps({"holder": "a"}).encode())
+        monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+        assert unreached_because(line.url) == ""
+        held = cache.hold(item_of(run), Fetcher(run.connection(line.url)))
+        assert held.path.read_bytes() == recording.read_bytes()
+        held.release()
+
+
+def test_a_node_says_why_it_does_not_reach_the_controller(data):
+    with serving(data) as server:
+        assert unreached_because(server.url) == ""
+        url = server.url
+    assert "refused" in unreached_because(url)
+
+
+def test_a_proxy_with_a_small_limit_is_named_with_its_remedy(data):
+    class Proxy(BaseHTTPRequestHandler):
+        def do_PUT(self):
+            self.rfile.read(int(self.headers["Content-Length"]))
+            self.send_error(413)
+
+        def log_message(self, *_):
+            pass
+
+    run = register(data)
+    with HTTPServer(("127.0.0.1", 0), Proxy) as proxy:
+        threading.Thread(target=proxy.handle_request, daemon=True).start()
+        connection = run.connection(f"http://127.0.0.1:{proxy.server_port}")
+        with pytest.raises(Refused, match=r"takes no pieces of 8 MB .*client_max_body_size 16m in nginx"):
+            connection.ask("PUT", "result", b"x" * 100)
 
 
 def test_addresses_and_tickets_are_checked():

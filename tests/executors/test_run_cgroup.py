@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.executors.cgroup import CgroupV2
-from slamhive.executors.process.cgroup_home import Home
+from slamhive.executors.process.cgroup_home import Home, smallest_limit_around
 from slamhive.executors.process.containment import found_again
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
 from slamhive.executors.process.run_cgroup import RunCgroup, RunCgroupV2, group_name, left_over_groups
@@ -221,6 +221,26 @@ def test_a_live_group_of_version_2_is_killed_as_a_whole():
     assert group.members() == []
     group.remove()
     assert not folder.exists()
+
+
+def test_a_limit_around_the_supervisor_alone_is_said(tmp_path, monkeypatch):
+    """The groups of a job as Slurm 22.05 made them on Debian 12. They belong to root, and the job has 200 MB more."""
+    scope = "system.slice/vm3_slurmstepd.scope"
+    step = f"{scope}/job_5/step_batch"
+    for group in (scope, step, f"{step}/user/task_0"):
+        write(tmp_path / group, memory__max="max\n")
+    for group in (f"{scope}/job_5", f"{step}/user"):
+        write(tmp_path / group, memory__max="700448768\n")
+    own = tmp_path / "own"
+    own.write_text(f"0::/{step}/user/task_0\n")
+    assert smallest_limit_around("memory.max", tmp_path, own) == ("job_5", 700_448_768)
+    assert smallest_limit_around("pids.max", tmp_path, own) is None
+    monkeypatch.setattr(
+        "slamhive.executors.process.tree_limit.smallest_limit_around",
+        lambda file: smallest_limit_around(file, tmp_path, own),
+    )
+    words = TreeLimit.make(ContainmentRequest("tests", "key", 64)).words()
+    assert words["memory"] == "checked by the supervisor; the kernel lets job_5 have 700 MB in all"
 
 
 def test_whoever_is_not_root_gets_a_ceiling_of_the_kernel():

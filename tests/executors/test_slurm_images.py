@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import tarfile
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -271,6 +271,14 @@ def test_what_a_node_offers_in_words():
     assert (found.found, found.remedy) == ("Xeon, 8 CPUs, 16.0 GB; Podman 4.3; not Charliecloud: no ch-run", None)
     assert describe("node n1", report, "charliecloud").remedy is not None
     assert describe("node n1", report, "none").remedy is None
+
+
+def test_a_node_that_does_not_reach_the_worker_says_why():
+    report = NodeReport("n1", describe_host(), [Tried("podman", "4.3")], "certificate verify failed")
+    found = describe("node n1", NodeReport.loads(json.dumps(asdict(report))), "auto", "https://hive.lab")
+    assert found.found.endswith("; does not reach https://hive.lab: certificate verify failed")
+    assert found.remedy is not None
+    assert "update-ca-certificates" in found.remedy
 
 
 def test_mount_points_lie_in_the_image_or_in_folders_of_the_run_alone(tmp_path):

@@ -77,6 +77,11 @@ class NodeStore:
         self.offers = Offers(data.resolve())
         self._caches = NodeCaches(data.resolve())
 
+    @property
+    def url(self) -> str:
+        """Where nodes reach the controller; empty if nowhere."""
+        return self._access.url
+
     def unavailable_because(self) -> str | None:
         """Why no run can be handed out; None if it can."""
         if self._access.url:

@@ -240,10 +240,26 @@ def smallest_limit_above(home: Home, file: str, root: Path = CGROUP_ROOT) -> tup
         file: ``pids.max`` or ``memory.max``; version 1 is not asked.
         root: Where the control groups are mounted.
     """
+    return _smallest_limit(home.folder, file, root) if home.version == 2 else None
+
+
+def smallest_limit_around(file: str, root: Path = CGROUP_ROOT, own: Path = OWN_GROUP) -> tuple[str, int] | None:
+    """The same for the groups of this process, which it need not be able to change: a job of Slurm is in such a one.
+
+    ``own`` names the groups of this process.
+    """
+    try:
+        memberships = parse_memberships(own.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return _smallest_limit(root / memberships.get("", "/").lstrip("/"), file, root)
+
+
+def _smallest_limit(folder: Path, file: str, root: Path) -> tuple[str, int] | None:
+    """Of several groups with the same limit, the outermost is named: that of a job, not of a step in it."""
     limits = []
-    for folder in (home.folder, *home.folder.parents) if home.version == 2 else ():
-        if folder == root:
-            break
+    around = [group for group in (folder, *folder.parents) if group.is_relative_to(root) and group != root]
+    for group in reversed(around):
         with contextlib.suppress(OSError, ValueError):  # no such controller there, or "max"
-            limits.append((folder.name, int((folder / file).read_text(encoding="ascii"))))
+            limits.append((group.name, int((group / file).read_text(encoding="ascii"))))
     return min(limits, key=lambda limit: limit[1], default=None)

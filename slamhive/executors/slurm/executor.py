@@ -7,9 +7,10 @@ goes and how it ended. Slurm is asked for everything else, by the comment of the
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -49,11 +50,14 @@ from slamhive.executors.slurm.gpu_readings import use_of
 from slamhive.executors.slurm.gres import offers, read_gpu
 from slamhive.executors.slurm.job import ERRORS_FILE, job_commands, job_limits, job_request
 from slamhive.executors.slurm.node import GPU_KEY, HOST_KEY, USAGE_FILE, Place
+from slamhive.executors.slurm.node_clock import by_this_clock, difference_in_words, start_by_this_clock
 from slamhive.executors.slurm.options import CONTAINERS, GPU, JOB_OPTIONS, OPTIONS, PYTHON
 from slamhive.executors.slurm.queue import Queue
 from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import BY_SIGNAL, Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
+
+logger = logging.getLogger(__name__)
 
 _QUEUE_AGE_S = 1.0
 """All runs of a worker share one look at the queue in this time."""
@@ -133,12 +137,24 @@ class SlurmExecutor(ProcessExecutor):
             raise self._why_not_started(spec, work)
         place = Place.load(work)
         data = {name: str(identity[name]) for name in ("pid", "birth", "started_at")}
+        if self.capabilities.shares_files:
+            data |= self._by_this_clock(spec, work, place.node, datetime.fromisoformat(identity["started_at"]))
         data |= {"work": str(work), "key": spec.key, "timeout_s": str(spec.timeout_s)}
         data |= {"node": place.node, "job": place.job}
         protections = Protections(**identity["protections"])
         container = f"a container of {place.runtime}, " if place.runtime else ""
         where = f"{container}job {place.job} of Slurm on node {place.node}, {protections.held_by}"
         return RunHandle(self.name, data, replace(protections, held_by=where), place.host, place.gpu)
+
+    @staticmethod
+    def _by_this_clock(spec: RunSpec, work: Path, node: str, said: datetime) -> dict[str, str]:
+        """The part of the handle that says by how much the clock of the node differs; nothing where it does not."""
+        found = start_by_this_clock(work / IDENTITY_FILE, said)
+        difference = difference_in_words(node, said, found)
+        if difference is None:
+            return {}
+        logger.warning("run %d: %s", spec.run_id, difference)
+        return {"started_at": found.isoformat(), "clock": difference}
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """``exit.json`` says how the run ended. Without it, Slurm knows whether the job goes on or what ended it."""
@@ -152,7 +168,7 @@ class SlurmExecutor(ProcessExecutor):
 
     def _ended(self, handle: RunHandle) -> Exited | Gone | None:
         """Return the end of the run, as far as it is recorded. Slurm and its users end jobs by signals."""
-        end = _end_of(handle)
+        end = _end_of(handle, shares_files=self.capabilities.shares_files)
         if end is None:
             return None
         exited, outside = end
@@ -341,14 +357,19 @@ def _begun(work: Path) -> bool:
     return (work / IDENTITY_FILE).exists()
 
 
-def _end_of(handle: RunHandle) -> RecordedEnd | None:
+def _end_of(handle: RunHandle, *, shares_files: bool) -> RecordedEnd | None:
     """Return the end of the run. Slurm ends late runs by the signals that the supervisor knows, so the time says it."""
     end = read_end(handle)
     if end is None or end.exited.started_at is None or end.exited.ended_at is None:
         return end
-    late = end.exited.ended_at - end.exited.started_at > timedelta(seconds=float(handle.data["timeout_s"]))
+    started_at, ended_at = end.exited.started_at, end.exited.ended_at
+    if shares_files:  # a clock may also have been set while the run went on
+        started_at = datetime.fromisoformat(handle.data["started_at"])
+        ended_at = by_this_clock(Path(handle.data["work"]) / EXIT_FILE, ended_at)
+    late = ended_at - started_at > timedelta(seconds=float(handle.data["timeout_s"]))
     by_signal = end.from_outside or end.exited.exit_code in BY_SIGNAL
-    return end._replace(exited=replace(end.exited, timed_out=late and by_signal))
+    timed_out = late and by_signal
+    return end._replace(exited=replace(end.exited, started_at=started_at, ended_at=ended_at, timed_out=timed_out))
 
 
 def _said_of(jobs: Sequence[command.Job]) -> str:

@@ -2,7 +2,7 @@
 
 ``supervise`` takes ``gpu`` as a further argument for a run that asked for one.
 
-``... node report`` prints what the node has to offer, see :class:`NodeReport`.
+``... node report [NODE_URL]`` prints what the node has to offer, see :class:`NodeReport`.
 
 The supervisor is the one of the process executor, in the foreground: the job lasts as long as it does. Beside it, and
 outside of what counts for the run, a second process writes to ``usage.json`` ten times a second. It holds the usage of
@@ -26,6 +26,7 @@ from slamhive.domain.gpu import GivenGpu
 from slamhive.domain.host import Host
 from slamhive.executors.host import describe_host
 from slamhive.executors.host_counters import HostCounters, HostReader
+from slamhive.executors.node_store.on_node.connection import unreached_because
 from slamhive.executors.process.shim import IDENTITY_FILE, supervise
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.supervisors import (
@@ -72,17 +73,19 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class NodeReport:
-    """Describe this node and its container runtimes."""
+    """This node, its container runtimes, and why it does not reach the worker; empty if it need not."""
 
     node: str
     host: Host
     runtimes: list[Tried]
+    unreached: str = ""
 
     @classmethod
     def loads(cls, text: str) -> NodeReport:
         """Read what :func:`report` printed. Raises ValueError, KeyError or TypeError if it is something else."""
         content = json.loads(text)
-        return cls(content["node"], Host(**content["host"]), [Tried(**entry) for entry in content["runtimes"]])
+        runtimes = [Tried(**entry) for entry in content["runtimes"]]
+        return cls(content["node"], Host(**content["host"]), runtimes, content.get("unreached", ""))
 
 
 def prepare(work: Path, *, gpu: bool = False) -> None:
@@ -108,9 +111,10 @@ def prepare(work: Path, *, gpu: bool = False) -> None:
     write_aside(work / PLACE_FILE, json.dumps(asdict(place)))
 
 
-def report() -> None:
-    """Print what this node has to offer, as JSON."""
-    json.dump(asdict(NodeReport(_node(), describe_host(), list(try_runtimes()))), sys.stdout)
+def report(url: str = "") -> None:
+    """Print what this node has to offer, as JSON; with ``url``, also whether it reaches the worker there."""
+    unreached = unreached_because(url) if url else ""
+    json.dump(asdict(NodeReport(_node(), describe_host(), list(try_runtimes()), unreached)), sys.stdout)
 
 
 def _node() -> str:
@@ -176,7 +180,7 @@ class Meter:
 
 if __name__ == "__main__":
     if sys.argv[1] == "report":
-        report()
+        report(*sys.argv[2:3])
     elif sys.argv[1] == "measure":
         measure(Path(sys.argv[2]))
     else:

@@ -41,6 +41,7 @@ from slamhive.executors.slurm.job import ERRORS_FILE, delivery_request, ticket_c
 from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE
 from slamhive.executors.slurm.options import CONTAINERS, PYTHON
 from slamhive.executors.slurm.runtimes import APPTAINER, NONE
+from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import RunInput, RunSpec
 from slamhive.executors.status import Gone, RunHandle, Running, RunStatus
 from slamhive.files import write_aside
@@ -72,6 +73,11 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
     def examine(self) -> list[Finding]:
         """Also how data gets to the nodes."""
         return [*super().examine(), self._store.examine()]
+
+    def examine_nodes(self) -> list[Finding]:
+        """Also whether nodes reach the worker."""
+        value = self._context.value
+        return survey(self._options, value(CONTAINERS), value(PYTHON), self._store.url)
 
     def nodes(self) -> list[Node]:
         """With what they have said of their caches."""

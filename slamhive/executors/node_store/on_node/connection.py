@@ -14,6 +14,10 @@ FROM_HEADER = "X-From"
 TOTAL_HEADER = "X-Total"
 SHA256_HEADER = "X-SHA256"
 OVER = "over"
+TOO_LARGE_FOR_PROXY = (
+    "a proxy before NODE_ADDRESS takes no pieces of 8 MB (status 413); raise its limit, for example by "
+    "client_max_body_size 16m in nginx"
+)
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 10.0
 _LONGEST_ERROR_BYTES = 10000
 
@@ -98,6 +102,8 @@ class Connection:
             content = {}
         answer.close()
         self.close()
+        if answer.status == 413 and "error" not in content:
+            raise Refused(413, {"error": TOO_LARGE_FOR_PROXY})
         # 413 and the like are ours. What a proxy says while the controller is down is not about this run.
         if answer.status >= 500 or (answer.status in (404, 408, 429) and "error" not in content):
             raise Away(str(content.get("error", "status " + str(answer.status))))
@@ -113,6 +119,20 @@ class Connection:
         sent["Authorization"] = "Bearer " + self._token
         self._http.request(method, self._root + place, body=body or None, headers=sent)
         return self._http.getresponse()
+
+
+def unreached_because(url: str, timeout_s: float = 10.0) -> str:
+    """Why this machine does not reach the controller; empty if it does. The controller knows no run of this name."""
+    connection = Connection(url, "nobody", "none", timeout_s)
+    try:
+        connection.ask("GET", "wanted")
+    except Refused as refused:
+        return "" if refused.status == 401 else str(refused)
+    except Away as away:
+        return str(away)
+    finally:
+        connection.close()
+    return "something else answers there"
 
 
 def clock_offset(ask: Callable[[], Dict[str, Any]], clock: Callable[[], float] = time.time) -> float:
