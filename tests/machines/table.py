@@ -76,7 +76,7 @@ ROOTLESS_DOCKER = (
     "grep -q dev /etc/subuid || echo dev:100000:65536 | tee -a /etc/subuid >> /etc/subgid",
     (
         "runuser -u dev -- env XDG_RUNTIME_DIR=/run/user/1000 systemd-run --user --quiet --unit=docker -p Delegate=yes "
-        "-E PATH=/usr/bin:/bin:/usr/sbin:/sbin:/usr/share/docker.io/contrib dockerd-rootless.sh"
+        "-E PATH=/usr/bin:/bin:/usr/sbin:/sbin:/usr/share/docker.io/contrib /usr/share/docker.io/contrib/dockerd-rootless.sh"
     ),
     "until test -S /run/user/1000/docker.sock; do sleep 1; done",
     "runuser -u dev -- docker -H unix:///run/user/1000/docker.sock import " + CONTAINER_TAR + " " + IMAGE,

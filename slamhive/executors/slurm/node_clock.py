@@ -21,7 +21,7 @@ _LEAST = timedelta(seconds=10)
 
 
 def by_this_clock(file: Path, said: datetime) -> datetime:
-    """The time at which ``file`` was written, if that is so far from the time ``said`` in it that the clocks must differ."""
+    """The time at which ``file`` was written, if it is too far from the time ``said`` in it for equal clocks."""
     probe = file.with_name(_PROBE_FILE)
     try:
         probe.write_bytes(b"x")
