@@ -71,12 +71,14 @@ _IN_SHELL = "sh -c '{probe}'"
 _CONTAINER = "docker run --rm -v /home/dev:/home/dev {options} " + IMAGE + " {shell}"
 IMPORT_IMAGE = (f"docker image inspect {IMAGE} > /dev/null 2>&1 || docker import {CONTAINER_TAR} {IMAGE}",)
 ROOTLESS = "export DOCKER_HOST=unix:///run/user/1000/{socket}; "
+CONTRIB = "/usr/share/docker.io/contrib"
+"""Where Debian keeps the programs of rootless Docker, outside of any PATH."""
 ROOTLESS_DOCKER = (
     *LINGER,
     "grep -q dev /etc/subuid || echo dev:100000:65536 | tee -a /etc/subuid >> /etc/subgid",
     (
         "runuser -u dev -- env XDG_RUNTIME_DIR=/run/user/1000 systemd-run --user --quiet --unit=docker -p Delegate=yes "
-        "-E PATH=/usr/bin:/bin:/usr/sbin:/sbin:/usr/share/docker.io/contrib /usr/share/docker.io/contrib/dockerd-rootless.sh"
+        f"-E PATH=/usr/bin:/bin:/usr/sbin:/sbin:{CONTRIB} {CONTRIB}/dockerd-rootless.sh"
     ),
     "until test -S /run/user/1000/docker.sock; do sleep 1; done",
     "runuser -u dev -- docker -H unix:///run/user/1000/docker.sock import " + CONTAINER_TAR + " " + IMAGE,
