@@ -91,7 +91,10 @@ def test_a_prism_gives_positions_only(source, tmp_path):
     assert dataset.groundtruth is not None
     assert dataset.groundtruth.positions_only
     assert dataset.groundtruth.source == "laser tracker (Leica MS50)"
-    assert plan(source).notes == ("ground truth is the positions of a prism, 0.500 m from the body",)
+    assert plan(source).notes == (
+        "ground truth is the positions of a prism, 0.500 m from the body",
+        "the ground truth has positions only: runs get no rotation errors",
+    )
 
 
 def test_the_authors_estimate_is_chosen_and_two_measurements_are_refused(source):
