@@ -50,17 +50,20 @@ def is_constant(quats: FloatArray, positions_m: FloatArray) -> bool:
     """
     if len(quats) < FEWEST_POSES or not np.isfinite(quats).all() or not np.isfinite(positions_m).all():
         return False
-    # q and -q are one orientation.
-    away = np.minimum(np.abs(quats - quats[0]).max(axis=1), np.abs(quats + quats[0]).max(axis=1))
+    # q and -q are one orientation. A file may hold any number here; what is no quaternion is refused later.
+    with np.errstate(over="ignore"):
+        away = np.minimum(np.abs(quats - quats[0]).max(axis=1), np.abs(quats + quats[0]).max(axis=1))
     return float(away.max()) < CONSTANT and heading_change_rad(positions_m) > TURNED_RAD
 
 
 def heading_change_rad(positions_m: FloatArray) -> float:
     """Largest angle between the first long step and any later one; positions (n, 3)."""
     chosen = positions_m[:: max(1, len(positions_m) // _STEPS)]
-    steps = np.diff(chosen, axis=0)
-    lengths = np.linalg.norm(steps, axis=1)
-    steps, lengths = steps[lengths > SHORTEST_STEP_M], lengths[lengths > SHORTEST_STEP_M]
+    with np.errstate(over="ignore"):  # a file may hold any number; steps too long for one have no direction
+        steps = np.diff(chosen, axis=0)
+        lengths = np.linalg.norm(steps, axis=1)
+    counts = (lengths > SHORTEST_STEP_M) & np.isfinite(lengths)
+    steps, lengths = steps[counts], lengths[counts]
     if len(steps) < 2:
         return 0.0
     cosines = (steps / lengths[:, None]) @ (steps[0] / lengths[0])

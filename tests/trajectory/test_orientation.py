@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slamhive.trajectory.layout import parse_rows
-from slamhive.trajectory.orientation import NEVER_TURNS, ZERO, is_constant, lacking
+from slamhive.trajectory.orientation import NEVER_TURNS, ZERO, heading_change_rad, is_constant, lacking
 from slamhive.trajectory.tum import POSITIONS_ONLY, parse_ground_truth
 
 ANGLES = np.linspace(0, np.pi, 40)
@@ -60,3 +60,14 @@ def test_rows_without_orientation_have_no_quaternion_order():
     raw = parse_rows(rows("0 0 0 0"), "t.txt")
     assert (raw.orientations, raw.without, raw.quats[0].tolist()) == (False, ZERO, [0, 0, 0, 1])
     assert parse_rows(rows("0 0 0 1", STRAIGHT), "t.txt").orientations
+
+
+def test_numbers_beyond_all_scales_are_no_path():
+    """A damaged file may hold any number; the steps to and from it have no direction."""
+    positions_m = np.zeros((20, 3))
+    positions_m[:, 0] = np.arange(20)
+    positions_m[9] = (9.0, 1e308, -1e308)
+    assert heading_change_rad(positions_m) == 0.0
+    quats = np.tile((0.0, 0.0, 0.0, 1.0), (20, 1))
+    quats[3] = 1.7e308
+    assert lacking(quats, positions_m) == ""
