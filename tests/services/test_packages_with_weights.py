@@ -103,7 +103,8 @@ def test_a_run_reads_its_weights_but_cannot_change_them(hive: Hive, tmp_path: Pa
     assert (failed.state, failed.reason) == (RunState.FAILED, FailureReason.PREPROCESS_ERROR)
     assert failed.started_at is None
     assert failed.detail == (
-        f"weights/tiny/net.pth is not what the weights net.pth were: SHA-256 {hashlib.sha256(b'changed').hexdigest()}, expected "
+        "weights/tiny/net.pth is not what the weights net.pth were: "
+        f"SHA-256 {hashlib.sha256(b'changed').hexdigest()}, expected "
         f"{hashlib.sha256(CONTENT).hexdigest()}; use the file that https://example.org/page publishes"
     )
 
