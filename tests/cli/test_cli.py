@@ -307,7 +307,7 @@ def test_a_narrow_terminal_goes_without_the_least_columns():
 def test_the_doctor_first_says_that_one_can_start_then_what_is_not_fine(slamhive):
     brief, full = slamhive("doctor"), slamhive("doctor", "--all")
     first, heading, *rows = brief.stdout.splitlines()
-    assert first.startswith("this machine can start, runs use process (")
+    assert first.startswith("this machine can start, runs use process, as set")
     assert heading.split() == ["what", "verdict", "found", "remedy"]
     checks = json.loads(slamhive("doctor", "--json").stdout)
     # Another test may have built the package already. An executor that is not in force is no fault.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from math import cos, sin
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,15 @@ pytestmark = pytest.mark.integration
 @pytest.fixture
 def run_id(hive: Hive) -> int:
     """A run that succeeded, whose trajectory is the ground truth, one centimetre larger in a metre."""
+
+    path = hive.settings.datasets_folder / "track" / "groundtruth.txt"
+    # A ground truth that never turns on its winding path would count as positions alone.
+    lines = [line.split() for line in path.read_text().splitlines() if not line.startswith("#")]
+    halves = [0.002 * number for number in range(len(lines))]
+    turned = [
+        [*row[:4], "0", "0", f"{sin(half):.9f}", f"{cos(half):.9f}"] for row, half in zip(lines, halves, strict=True)
+    ]
+    path.write_text("".join(" ".join(row) + "\n" for row in turned))
 
     def write(spec: RunSpec) -> None:
         truth = (hive.settings.datasets_folder / "track" / "groundtruth.txt").read_text()
