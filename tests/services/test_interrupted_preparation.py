@@ -143,6 +143,8 @@ def test_a_run_that_is_cancelled_meanwhile_is_not_queued_again(hive: Hive, monke
     (run,) = hive.runs.submit(SHORT)
     workers.append(hive.worker())
     with monkeypatch.context() as troubled:
+        # Other tests may have made the environment, which all of them share.
+        troubled.setattr(ProcessExecutor, "identity", lambda _executor, _package: None)
         troubled.setattr(ProcessExecutor, "build", interrupted)
         workers[0].run()
     hive.worker().run(until_idle=True)
