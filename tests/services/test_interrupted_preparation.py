@@ -59,6 +59,24 @@ def _asked(worker: psutil.Process) -> None:
     worker.send_signal(signal.SIGTERM)
 
 
+def test_a_run_that_is_cancelled_meanwhile_is_not_queued_again(hive: Hive, monkeypatch: pytest.MonkeyPatch) -> None:
+    workers: list[Worker] = []
+
+    def interrupted(*_: object) -> None:
+        hive.runs.cancel(run.id)
+        workers[0].stop()
+        raise ImageMissing("interrupted")
+
+    (run,) = hive.runs.submit(SHORT)
+    workers.append(hive.worker())
+    with monkeypatch.context() as troubled:
+        troubled.setattr(ProcessExecutor, "identity", unknown)
+        troubled.setattr(ProcessExecutor, "build", interrupted)
+        workers[0].run()
+    hive.worker().run(until_idle=True)
+    assert hive.runs.get(run.id).state is RunState.CANCELLED
+
+
 @pytest.mark.parametrize("interrupt", [_ctrl_c, _unit_is_stopped, _asked])
 def test_an_interrupted_installation_returns_the_run_to_the_queue(
     hive: Hive, tmp_path: Path, interrupt: Callable[[psutil.Process], None]
@@ -92,6 +110,10 @@ def test_an_interrupted_installation_returns_the_run_to_the_queue(
     assert started_times(hive, run.id) == 1
 
 
+def unknown(_executor: ProcessExecutor, _package: object) -> None:
+    """No environment, though other tests may have made the one that all of them share: it is built."""
+
+
 @pytest.mark.parametrize(
     ("step", "error", "left"),
     [
@@ -114,6 +136,7 @@ def test_a_failure_just_before_the_worker_is_told_to_stop_is_not_the_runs(
     (run,) = hive.runs.submit(SHORT)
     workers.append(hive.worker())
     with monkeypatch.context() as troubled:
+        troubled.setattr(ProcessExecutor, "identity", unknown)
         troubled.setattr(ProcessExecutor, step, interrupted)
         workers[0].run()
     assert hive.runs.get(run.id).state is left
@@ -126,26 +149,8 @@ def test_a_failure_that_nothing_explains_is_the_runs(hive: Hive, monkeypatch: py
     def fails(*_: object) -> None:
         raise ImageMissing("pip install failed with exit code 1: no such version")
 
+    monkeypatch.setattr(ProcessExecutor, "identity", unknown)
     monkeypatch.setattr(ProcessExecutor, "build", fails)
     (run,) = hive.runs.submit(SHORT)
     hive.worker().run(until_idle=True)
     assert hive.runs.get(run.id).reason is FailureReason.IMAGE_MISSING
-
-
-def test_a_run_that_is_cancelled_meanwhile_is_not_queued_again(hive: Hive, monkeypatch: pytest.MonkeyPatch) -> None:
-    workers: list[Worker] = []
-
-    def interrupted(*_: object) -> None:
-        hive.runs.cancel(run.id)
-        workers[0].stop()
-        raise ImageMissing("interrupted")
-
-    (run,) = hive.runs.submit(SHORT)
-    workers.append(hive.worker())
-    with monkeypatch.context() as troubled:
-        # Other tests may have made the environment, which all of them share.
-        troubled.setattr(ProcessExecutor, "identity", lambda _executor, _package: None)
-        troubled.setattr(ProcessExecutor, "build", interrupted)
-        workers[0].run()
-    hive.worker().run(until_idle=True)
-    assert hive.runs.get(run.id).state is RunState.CANCELLED
