@@ -70,7 +70,6 @@ def test_a_run_that_is_cancelled_meanwhile_is_not_queued_again(hive: Hive, monke
     (run,) = hive.runs.submit(SHORT)
     workers.append(hive.worker())
     with monkeypatch.context() as troubled:
-        troubled.setattr(ProcessExecutor, "identity", unknown)
         troubled.setattr(ProcessExecutor, "build", interrupted)
         workers[0].run()
     hive.worker().run(until_idle=True)
@@ -110,10 +109,6 @@ def test_an_interrupted_installation_returns_the_run_to_the_queue(
     assert started_times(hive, run.id) == 1
 
 
-def unknown(_executor: ProcessExecutor, _package: object) -> None:
-    """No environment, though other tests may have made the one that all of them share: it is built."""
-
-
 @pytest.mark.parametrize(
     ("step", "error", "left"),
     [
@@ -136,7 +131,6 @@ def test_a_failure_just_before_the_worker_is_told_to_stop_is_not_the_runs(
     (run,) = hive.runs.submit(SHORT)
     workers.append(hive.worker())
     with monkeypatch.context() as troubled:
-        troubled.setattr(ProcessExecutor, "identity", unknown)
         troubled.setattr(ProcessExecutor, step, interrupted)
         workers[0].run()
     assert hive.runs.get(run.id).state is left
@@ -149,7 +143,6 @@ def test_a_failure_that_nothing_explains_is_the_runs(hive: Hive, monkeypatch: py
     def fails(*_: object) -> None:
         raise ImageMissing("pip install failed with exit code 1: no such version")
 
-    monkeypatch.setattr(ProcessExecutor, "identity", unknown)
     monkeypatch.setattr(ProcessExecutor, "build", fails)
     (run,) = hive.runs.submit(SHORT)
     hive.worker().run(until_idle=True)
