@@ -30,10 +30,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.search_data import fill, make
 from slamhive.analysis.plot_types import PLOT_TYPES
 from slamhive.analysis.plotly_chart import plotly_figure
-from slamhive.project import project_root
+from slamhive.base.project import project_root
+from slamhive.services.analysis.bundle import report_page
+from slamhive.services.analysis.run import AnalysisLimits
 from slamhive.services.hive import open_hive
-from slamhive.services.reports.bundle import report_page
-from slamhive.services.reports.run import AnalysisLimits
 
 SCATTER = "x: nFeatures, y: ate.rmse"
 OPTIONS = {

@@ -25,11 +25,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from slamhive.base.tree import unpack_trusted
 from slamhive.services.archive.exporting import ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport
 from slamhive.services.archive.layout import CHECKSUMS
 from slamhive.services.hive import Hive, open_hive
-from slamhive.tree import unpack_trusted
 from slamhive.web.static_site import SiteRequest, StaticSite
 from tests.services.archive_world import all_files, all_rows, make_runs
 from tests.services.tiny_project import environment, make_dataset, make_project

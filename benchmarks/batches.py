@@ -23,7 +23,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from slamhive.cli.batches import evaluate_to_end
+from slamhive.cli.waiting import evaluate_to_end
 from slamhive.domain.sensors import SensorSetup
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.imports.request import ImportRequest

@@ -29,11 +29,11 @@ from typing import Any
 import cv2  # noqa: F401 - a check needs it
 import scipy.spatial  # noqa: F401 - a check needs it
 
-from slamhive.bags.reader import decode, messages, open_bag
-from slamhive.bags.room import RoomOptions, render_room
-from slamhive.catalogue.dataset_file import load_dataset
-from slamhive.checks.run import check_dataset
 from slamhive.domain.dataset import Dataset
+from slamhive.packages.dataset_file import load_dataset
+from slamhive.recordings.checks.registry import check_dataset
+from slamhive.recordings.reader import decode, messages, open_bag
+from slamhive.recordings.room import RoomOptions, render_room
 
 GOAL = 2.0
 

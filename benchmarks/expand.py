@@ -16,13 +16,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
+from slamhive.domain.configuration import VariantStep
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter, ParameterType, Scalar
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
-from slamhive.domain.variant import VariantStep
-from slamhive.sweep.expand import PlannedRun, expand
-from slamhive.sweep.experiment_file import parse_experiment
-from slamhive.sweep.view import CatalogueView
+from slamhive.experiments.binding import CatalogueView
+from slamhive.experiments.expansion import PlannedRun, expand
+from slamhive.experiments.file import parse_experiment
 
 TIME_BOUND_S = 10.0
 MEMORY_BOUND_BYTES = 1_000_000_000

@@ -29,13 +29,13 @@ import numpy as np
 from rosbags.convert.converter import convert
 from rosbags.typesys import Stores, get_typestore
 
-from slamhive import strict_yaml
-from slamhive.bags.bag_writer import BagWriter
-from slamhive.bags.importers import plan_import
-from slamhive.bags.importing import ImportOptions, perform
+from slamhive.base import strict_yaml
+from slamhive.base.files import size_bytes
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.files import size_bytes
+from slamhive.recordings.importers.registry import plan_import
+from slamhive.recordings.importing import ImportOptions, perform
+from slamhive.recordings.ros1_writer import BagWriter
 
 WIDTH, HEIGHT, IMU_PER_IMAGE = 752, 480, 10
 START_NS, PERIOD_NS = 10**18, 50_000_000

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from slamhive.runs.point_cloud import PointCloud, sampled_cloud, thinned_cloud
+from slamhive.run_folder.point_cloud import MapCloud, sampled_cloud, thinned_cloud
 from slamhive.web.presenters.scenes import cloud_bytes
 
 GOAL_S = 2.0
@@ -87,7 +87,7 @@ def measure(path: Path) -> dict[str, Any]:
     }
 
 
-def timed(path: Path, read: Any) -> tuple[PointCloud, float]:
+def timed(path: Path, read: Any) -> tuple[MapCloud, float]:
     """The points, and how long it takes until the bytes for the page are there."""
     began_s = time.perf_counter()
     cloud = read(path, path.name)

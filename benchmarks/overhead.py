@@ -26,9 +26,9 @@ from typing import Any
 
 import docker
 
-from slamhive.bags.room import RoomOptions
-from slamhive.errors import NotFound
-from slamhive.schema.submission import Submission
+from slamhive.base.errors import NotFound
+from slamhive.documents.submission import Submission
+from slamhive.recordings.room import RoomOptions
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.runs.record import spec_from_json
 from slamhive.store import RunRecord

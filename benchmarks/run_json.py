@@ -16,7 +16,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.search_data import fill, make
-from slamhive.schema.run import Run
+from slamhive.documents.run import RunDocument
 from slamhive.store import open_store
 
 RUNS = 50
@@ -30,9 +30,9 @@ def main() -> None:
         fill(store, make(RUNS))
         records = store.read(lambda t: t.runs.get_many(list(range(1, RUNS + 1)), with_metrics=True))
         store.close()
-    documents = [Run.of(record) for record in records]
+    documents = [RunDocument.of(record) for record in records]
     for what, work in (
-        ("document of a record", lambda: [Run.of(record) for record in records]),
+        ("document of a record", lambda: [RunDocument.of(record) for record in records]),
         ("JSON of a document", lambda: [document.content for document in documents]),
     ):
         took_s = min(timeit.repeat(work, number=1, repeat=REPEATS))

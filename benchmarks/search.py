@@ -40,12 +40,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.search_data import fill, make
 from benchmarks.web import SERVER
-from slamhive.project import project_root
-from slamhive.search.binding import Search, read_search
-from slamhive.search.fields import vocabulary_of
+from slamhive.base.project import project_root
+from slamhive.base.settings_sources import load_settings
+from slamhive.filters.binding import Search, read_search
+from slamhive.filters.fields import vocabulary_of
 from slamhive.services.datasets.catalogue import Catalogue
-from slamhive.services.searches.service import Searches
-from slamhive.settings_sources import load_settings
+from slamhive.services.searches import Searches
 from slamhive.store import RunSort, Store, open_store
 from tests.services.mariadb import INSTALL_COMMAND, DatabaseServer, find_server
 

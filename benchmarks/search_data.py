@@ -23,20 +23,19 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.verdict import VerdictKind
 from slamhive.store import Store
-from slamhive.store.metrics import VERDICT
+from slamhive.store.metrics import CODES, VERDICT
 from slamhive.store.models import (
     MEASURED_PROTOCOL_ID,
-    Algorithm,
-    Configuration,
-    ConfigurationValue,
-    Dataset,
-    Metric,
-    MetricValue,
-    Parameter,
-    Run,
+    AlgorithmRow,
+    ConfigurationRow,
+    ConfigurationValueRow,
+    DatasetRow,
+    MetricRow,
+    MetricValueRow,
+    ParameterRow,
+    RunRow,
 )
-from slamhive.store.tables import Base
-from slamhive.store.verdicts import CODES
+from slamhive.store.tables import TableBase
 
 REPEATS = 5
 METRICS = 40
@@ -98,7 +97,7 @@ def fill(store: Store, made: Made) -> float:
     """Store all rows; how many seconds it took. Indexes that only searches need are made at the end."""
     began = time.perf_counter()
     mysql = store.engine.dialect.name == "mysql"
-    indexes = [index for index in MetricValue.__table__.indexes if index.name == "ix_metric_values_search"]
+    indexes = [index for index in MetricValueRow.__table__.indexes if index.name == "ix_metric_values_search"]
     patient = create_engine(store.engine.url)  # the store's gives up on a statement after a minute
     for index in indexes:
         index.drop(patient)
@@ -135,30 +134,30 @@ def _execute(connection: Any, table: Any, batch: Sequence[dict[str, Any]], *, my
 def _tables(made: Made) -> Iterator[tuple[Any, Iterator[dict[str, Any]]]]:
     now = BEGIN.strftime("%Y-%m-%d %H:%M:%S.%f")
     yield (
-        Algorithm.__table__,
+        AlgorithmRow.__table__,
         (
             {"id": place, "name": name, "package": name.split("-")[0], "mode": name}
             for place, name in enumerate(ALGORITHMS, 1)
         ),
     )
-    yield Dataset.__table__, (
+    yield DatasetRow.__table__, (
         {"id": place, "name": name, "checksum": "c", "duration_s": 100.0, "folder": "f", "sensors": "[]", "title": name,
          "registered_at": now}
         for place, name in enumerate(DATASETS, 1)
     )  # fmt: skip
     yield (
-        Parameter.__table__,
+        ParameterRow.__table__,
         (
             {"id": place, "scope": "orb", "key": key, "type": "float", "unit": "", "general": None}
             for place, key in enumerate(PARAMETERS, 1)
         ),
     )
-    yield Metric.__table__, ({"id": place, "key": key} for place, key in enumerate(made.keys, 1))
-    yield Base.metadata.tables["protocols"], iter([_protocol()])
-    yield Configuration.__table__, _configurations(made, now)
-    yield ConfigurationValue.__table__, _values(made)
-    yield Run.__table__, _runs(made)
-    yield MetricValue.__table__, _figures(made)
+    yield MetricRow.__table__, ({"id": place, "key": key} for place, key in enumerate(made.keys, 1))
+    yield TableBase.metadata.tables["protocols"], iter([_protocol()])
+    yield ConfigurationRow.__table__, _configurations(made, now)
+    yield ConfigurationValueRow.__table__, _values(made)
+    yield RunRow.__table__, _runs(made)
+    yield MetricValueRow.__table__, _figures(made)
 
 
 def _protocol() -> dict[str, Any]:

@@ -19,8 +19,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from slamhive.executors.slurm import command
-from slamhive.executors.slurm.arrays import JobRequest, Submission, submission
-from slamhive.executors.slurm.queue import Queue
+from slamhive.executors.slurm.command import Queue
+from slamhive.executors.slurm.jobs import ArraySubmission, JobRequest, submission
 from tests.executors.slurm_cluster import Cluster
 
 
@@ -50,9 +50,9 @@ def main() -> None:
 
 def _round(way: str, runs: int) -> tuple[float, int, float]:
     """Submit all; the time it took (s), the calls of ``sbatch``, and how long a look at all jobs took then (s)."""
-    calls: list[Submission] = []
+    calls: list[ArraySubmission] = []
 
-    def send(sent: Submission) -> None:
+    def send(sent: ArraySubmission) -> None:
         calls.append(sent)
         command.submit(sent)
 

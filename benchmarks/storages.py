@@ -19,12 +19,12 @@ import time
 from pathlib import Path
 
 from benchmarks.variants import CAMERAS, every_second, half_size, make_dataset, say
-from slamhive.bags.exporters import export_dataset, plan_export
-from slamhive.bags.variants.build import build_variant
-from slamhive.catalogue.dataset_file import load_dataset
+from slamhive.base.files import size_bytes
+from slamhive.domain.configuration import VariantStep
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.variant import VariantStep
-from slamhive.files import size_bytes
+from slamhive.packages.dataset_file import load_dataset
+from slamhive.recordings.exporters import export_dataset, plan_export
+from slamhive.recordings.variants.build import build_variant
 
 STORAGES = ("ros1", "ros2", "mcap")
 STEPS = {"half rate": every_second(*CAMERAS), "half size": half_size(*CAMERAS)}

@@ -21,20 +21,20 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.expand import EXPERIMENT, PER_VALUE, catalogue
+from slamhive.base.settings import Settings
+from slamhive.experiments.expansion import expand
+from slamhive.experiments.file import parse_experiment
 from slamhive.services.datasets.catalogue import Catalogue
-from slamhive.services.datasets.variants import Variants
+from slamhive.services.datasets.variants import VariantService
 from slamhive.services.executors import Executors
-from slamhive.services.experiments import status as statuses
+from slamhive.services.experiments import progress as statuses
 from slamhive.services.experiments.context import ExperimentContext
 from slamhive.services.experiments.folder import StoredExperiment
-from slamhive.services.experiments.service import Experiments
-from slamhive.services.experiments.storing import fill, put_experiment
+from slamhive.services.experiments.service import ExperimentService
+from slamhive.services.experiments.starting import fill, put_experiment
 from slamhive.services.ledger.keeping import Ledger
-from slamhive.settings import Settings
 from slamhive.store import Lease, Store, open_store
-from slamhive.store.experiment_records import ExperimentState
-from slamhive.sweep.expand import expand
-from slamhive.sweep.experiment_file import parse_experiment
+from slamhive.store.records import ExperimentState
 from tests.services.mariadb import DatabaseServer, find_server
 
 STORE_BOUND_S = 60.0
@@ -70,7 +70,7 @@ def measure(store: Store, text: str, folder: Path) -> dict[str, float]:
         settings := Settings(data=folder),
         store,
         Catalogue(settings, folder),
-        Variants(settings, store),
+        VariantService(settings, store),
         Executors(settings, folder, lambda: False),
     )
     store.listener = Ledger(settings, store).note
@@ -97,7 +97,7 @@ def measure(store: Store, text: str, folder: Path) -> dict[str, float]:
     stored = _timed(storing)
     claim = _timed(lambda: store.write(lambda t: t.queue.claim(Lease("benchmark", now, 60.0))))
     page = _timed(lambda: store.read(lambda t: statuses.cell_page(t, experiment.name, 50_000, 50)))
-    experiments = Experiments(context)
+    experiments = ExperimentService(context)
     first_status = _timed(lambda: experiments.status(experiment.name))
     status = _timed(lambda: experiments.status(experiment.name))
     experiments.grid(experiment.name, "p0", "p1")

@@ -15,8 +15,7 @@ import threading
 import time
 from pathlib import Path
 
-from slamhive.client.http import HttpBackend
-from slamhive.client.uploading import send_file
+from slamhive.client.http import HttpBackend, send_file
 from slamhive.services.hive import open_hive
 from slamhive.web.serve import WebServer
 

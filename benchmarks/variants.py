@@ -35,11 +35,11 @@ from numpy.typing import NDArray
 from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from slamhive.bags.staging import checksum
-from slamhive.bags.variants.build import build_variant
+from slamhive.domain.configuration import Variant, VariantStep
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.domain.variant import Variant, VariantStep
+from slamhive.recordings.staging import checksum
+from slamhive.recordings.variants.build import build_variant
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 WIDTH, HEIGHT = 752, 480

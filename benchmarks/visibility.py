@@ -22,13 +22,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.search import DEEP, GROUPED, QUERIES, page, sqlite_store
 from benchmarks.search_data import fill, make
-from slamhive.domain.visibility import Viewer
-from slamhive.project import project_root
-from slamhive.search.binding import read_search
-from slamhive.search.fields import vocabulary_of
+from slamhive.base.project import project_root
+from slamhive.base.settings_sources import load_settings
+from slamhive.domain.accounts import Viewer
+from slamhive.filters.binding import read_search
+from slamhive.filters.fields import vocabulary_of
 from slamhive.services.datasets.catalogue import Catalogue
-from slamhive.services.searches.service import Searches
-from slamhive.settings_sources import load_settings
+from slamhive.services.searches import Searches
 from slamhive.store import Store
 
 HIDDEN = {"all": None, "none": 0.0, "1 %": 0.01, "50 %": 0.5}

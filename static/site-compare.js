@@ -56,7 +56,7 @@
 
   const digits = (value) => value.toPrecision(4);
 
-  /** Which metrics are not marked, and why; as services/run_comparison/marks.py has it for the pages of a server. */
+  /** Which metrics are not marked, and why; as services/run_comparison.py has it for the pages of a server. */
   function unmarkedParts(runs, protocols) {
     const several = (key) => new Set(runs.map((run) => run[key]).filter(Boolean)).size;
     const parts = [];

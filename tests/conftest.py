@@ -40,7 +40,7 @@ MARKS_OF_MANY = re.compile(r"^([A-Z]+) = (\[\s+pytest\.mark\.[^\]]*\])", re.MULT
 
 
 LONGEST = (
-    "bags/test_room_dataset.py",
+    "recordings/test_room_dataset.py",
     "deploy/test_wheel.py",
     "services/test_file_fuzz.py",
     "web/test_web_fuzz.py",
@@ -51,7 +51,7 @@ LONGEST = (
     "analysis/test_plot_types.py",
     "services/analyses/test_stored_analyses.py",
     "algorithms/test_real_algorithms.py",
-    "bags/test_variants_memory.py",
+    "recordings/test_variants_memory.py",
     "evaluation/test_evo_agreement.py",
     "executors/test_remote_run.py",
     "services/imports/test_import_killed.py",

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.bags.importing import ImportOptions
-from slamhive.bags.room import RoomOptions
+from slamhive.recordings.importing import ImportOptions
+from slamhive.recordings.room import RoomOptions
 from slamhive.services.hive import Hive
 from tests.sharing import made_once
 

@@ -18,37 +18,29 @@ from slamhive import cli
 from slamhive.analysis.analysis_file import analysis_schema
 from slamhive.analysis.plot_types import PLOT_TYPES, PlotOptions
 from slamhive.analysis.report import Report, ReportBrief
-from slamhive.bags.variants.rules import RegisteredSteps, describe_options, explain_step
-from slamhive.catalogue.algorithm_file import ALGORITHM_FILE, load_algorithms
-from slamhive.catalogue.protocol_file import protocol_schema
-from slamhive.cloud.cloud_file import cloud_schema
+from slamhive.base.project import project_root
+from slamhive.base.settings_sources import describe
+from slamhive.cloud.plan import cloud_schema
+from slamhive.documents import accounts, catalogue, experiment, machines
+from slamhive.documents.archive import ArchiveManifest, LedgerLine, RunLine
+from slamhive.documents.catalogue import CachedVariant, DatasetCheck, FoundThing, MatchDocument, PlugIn, StepDocument
+from slamhive.documents.challenge import Challenge, ChallengeBrief, ChallengeFile, ChallengeRanking, ChallengeSubmission
+from slamhive.documents.experiment import Notice, StoredAnalysis
+from slamhive.documents.gate import Baseline, BaselineBrief, GateAnswer, ReplayAnswer
+from slamhive.documents.imports import Import
+from slamhive.documents.machines import CloudPlanDocument, CloudStatus
+from slamhive.documents.model import json_schema
+from slamhive.documents.protocol import ComparisonDocument, ProtocolsDocument, ToolMetrics
+from slamhive.documents.record import RunFile
+from slamhive.documents.run import EvaluationDocument, RunWith
+from slamhive.documents.submission import Submission
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.metrics import CATALOGUE, Group, Metric
 from slamhive.executors.registry import declared_settings
-from slamhive.project import project_root
-from slamhive.schema import accounts, catalogue, collection, experiment, nodes
-from slamhive.schema.analysis import StoredAnalysis
-from slamhive.schema.archive import Manifest, RunLine
-from slamhive.schema.challenge import Challenge, ChallengeBrief, ChallengeFile, ChallengeRanking, ChallengeSubmission
-from slamhive.schema.checks import DatasetCheck
-from slamhive.schema.cloud import CloudPlan, CloudStatus
-from slamhive.schema.comparison import Comparison
-from slamhive.schema.finding import FoundThing
-from slamhive.schema.gate import Baseline, BaselineBrief, GateAnswer
-from slamhive.schema.imports import Import
-from slamhive.schema.ledger import LedgerLine
-from slamhive.schema.matching import Match
-from slamhive.schema.model import json_schema
-from slamhive.schema.notice import Notice
-from slamhive.schema.plugin import PlugIn
-from slamhive.schema.protocol import Protocols, ToolMetrics
-from slamhive.schema.record import RunFile
-from slamhive.schema.replay import ReplayAnswer
-from slamhive.schema.run import Evaluation, RunWith
-from slamhive.schema.submission import Submission
-from slamhive.schema.variant import CachedVariant, Step
-from slamhive.settings_sources import describe
-from slamhive.sweep.experiment_file import experiment_schema
+from slamhive.experiments.file import experiment_schema
+from slamhive.packages.algorithm_file import ALGORITHM_FILE, load_algorithms
+from slamhive.packages.protocol_file import protocol_schema
+from slamhive.recordings.variants.rules import RegisteredSteps, describe_options, explain_step
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PYTHON_PAGE = DOCS / "python.md"
@@ -199,41 +191,41 @@ def _about(package: AlgorithmPackage) -> str:
 
 
 DOCUMENTS: dict[str, Any] = {
-    "account": accounts.Account,
-    "algorithm": catalogue.Algorithm,
+    "account": accounts.AccountDocument,
+    "algorithm": catalogue.AlgorithmDocument,
     "algorithm-test": catalogue.BoundResult,
     "api-token": accounts.ApiToken,
-    "archive": Manifest,
+    "archive": ArchiveManifest,
     "archive-run": RunLine,
-    "audit-line": accounts.AuditLine,
+    "audit-line": accounts.AuditLineDocument,
     "challenge-brief": ChallengeBrief,
     "challenge-public": Challenge,
     "challenge-ranking": ChallengeRanking,
     "challenge-submission": ChallengeSubmission,
-    "cloud-plan": CloudPlan,
+    "cloud-plan": CloudPlanDocument,
     "cloud-status": CloudStatus,
-    "comparison": Comparison,
-    "configuration": catalogue.Configuration,
-    "dataset": catalogue.Dataset,
+    "comparison": ComparisonDocument,
+    "configuration": catalogue.ConfigurationDocument,
+    "dataset": catalogue.DatasetDocument,
     "dataset-check": DatasetCheck,
-    "evaluation": Evaluation,
-    "experiment-cell": experiment.Cell,
-    "experiment-grid": experiment.Grid,
-    "experiment-preview": experiment.ExperimentPreview,
-    "experiment-status": experiment.ExperimentStatus,
+    "evaluation": EvaluationDocument,
+    "experiment-cell": experiment.CellDocument,
+    "experiment-grid": experiment.GridDocument,
+    "experiment-preview": experiment.ExperimentPreviewDocument,
+    "experiment-status": experiment.ExperimentStatusDocument,
     "found": FoundThing,
     "gate-answer": GateAnswer,
     "gate-baseline": Baseline,
     "gate-baseline-brief": BaselineBrief,
     "import": Import,
     "ledger-line": LedgerLine,
-    "link-report": collection.LinkReport,
-    "match": Match,
-    "nodes": nodes.Overview,
+    "link-report": catalogue.LinkReportDocument,
+    "match": MatchDocument,
+    "nodes": machines.OverviewDocument,
     "notice": Notice,
     "plug-in": PlugIn,
-    "protocols": Protocols,
-    "public-sequence": collection.PublicSequence,
+    "protocols": ProtocolsDocument,
+    "public-sequence": catalogue.PublicSequence,
     "replay-answer": ReplayAnswer,
     "report": Report,
     "report-brief": ReportBrief,
@@ -242,7 +234,7 @@ DOCUMENTS: dict[str, Any] = {
     "stored-analysis": StoredAnalysis,
     "tool-metrics": ToolMetrics,
     "variant": CachedVariant,
-    "variant-step": Step,
+    "variant-step": StepDocument,
 }
 """What commands, the web API, run folders and archives write."""
 

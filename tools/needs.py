@@ -16,7 +16,7 @@ from pathlib import Path
 import machine
 from steps import StepFailed, say
 
-from slamhive.debian import find_program, install_command
+from slamhive.base.debian import find_program, install_command
 from slamhive.executors.docker.address import JOIN
 
 ROOT = Path(__file__).resolve().parent.parent

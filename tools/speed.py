@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from slamhive.machine_speed import REFERENCE_S, work_s
+from slamhive.base.machine import REFERENCE_S, work_s
 
 EVERY_S = 1.0
 

@@ -30,7 +30,7 @@ import needs
 import speed
 from steps import StepFailed
 
-from slamhive.debian import install_command
+from slamhive.base.debian import install_command
 
 ROOT = Path(__file__).resolve().parent.parent
 BIN = Path(sys.executable).parent

@@ -24,13 +24,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError
+from slamhive.base.files import write_aside
 from slamhive.domain.protocol import protocol_from_content
 from slamhive.domain.verdict import VerdictKind
-from slamhive.errors import InvalidInput, NotFound, SlamHiveError
-from slamhive.evaluation.artefacts import run_task
 from slamhive.evaluation.job import Artefacts, EvaluationTask
 from slamhive.evaluation.references import References
-from slamhive.files import write_aside
+from slamhive.evaluation.work import run_task
 from slamhive.services.hive import Hive, open_hive
 from slamhive.store import RunRecord
 

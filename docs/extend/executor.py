@@ -14,7 +14,10 @@ from pathlib import Path
 
 import psutil
 
-from slamhive.clock import monotonic_s
+from slamhive.base.clock import monotonic_s
+from slamhive.base.files import write_aside
+from slamhive.base.settings import ExecutorOption
+from slamhive.base.tree import remove_tree
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import (
     Capabilities,
@@ -24,14 +27,11 @@ from slamhive.executors.base import (
     ProgressCallback,
     StartFailed,
 )
-from slamhive.executors.local_files import make_own_copies, read_places, written_places
 from slamhive.executors.process.environment import Environments
-from slamhive.executors.process.tree_usage import ProcessTreeSource
+from slamhive.executors.process.tree_limit import ProcessTreeSource
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Gone, RunHandle, Running, RunStatus
-from slamhive.files import write_aside
-from slamhive.settings import ExecutorOption
-from slamhive.tree import remove_tree
+from slamhive.executors.transfer import make_own_copies, read_places, written_places
 
 KEY_VARIABLE = "PLAIN_RUN_KEY"
 PATIENCE_S = 10.0

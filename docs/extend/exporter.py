@@ -6,12 +6,12 @@
 from functools import partial
 from pathlib import Path
 
-from slamhive.bags.exporters.frames import ImuSink, export_frames, left_out, message_counts
-from slamhive.bags.exporters.plan import ExportPlan
-from slamhive.bags.staging import Progress
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import SensorKind
-from slamhive.errors import InvalidInput
+from slamhive.recordings.exporters.frames import ImuSink, export_frames, left_out, message_counts
+from slamhive.recordings.exporters.plan import ExportPlan
+from slamhive.recordings.staging import Progress
 
 LINE_BYTES = 160
 

@@ -8,12 +8,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slamhive.bags.bag_writer import BagWriter, nanoseconds
-from slamhive.bags.detection import Detection
-from slamhive.bags.importing import DatasetText, ImportOptions, ImportPlan, PlannedTruth, Stream, rate_hz
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.errors import InvalidInput
-from slamhive.trajectory.tum import read_tum
+from slamhive.recordings.importing import (
+    DatasetText,
+    Detection,
+    ImportOptions,
+    ImportPlan,
+    PlannedStream,
+    PlannedTruth,
+    rate_hz,
+)
+from slamhive.recordings.ros1_writer import BagWriter, nanoseconds
+from slamhive.trajectory.layout import read_tum
 
 LIST = "depth.txt"
 TRUTH = "groundtruth.txt"
@@ -70,7 +77,7 @@ def read_list(path: Path) -> list[tuple[float, str]]:
     return images
 
 
-def depth_stream(source: Path, images: list[tuple[float, str]], units_per_m: float) -> Stream:
+def depth_stream(source: Path, images: list[tuple[float, str]], units_per_m: float) -> PlannedStream:
     """The messages of the depth camera: their timestamps, and how one of them is written."""
     times_ns = np.array([nanoseconds(timestamp_s) for timestamp_s, _ in images])
     height, width = read_depth(source / images[0][1]).shape
@@ -94,7 +101,7 @@ def depth_stream(source: Path, images: list[tuple[float, str]], units_per_m: flo
     def write(bag: BagWriter, index: int) -> None:
         bag.image(sensor, int(times_ns[index]), read_depth(source / images[index][1]), "16UC1")
 
-    return Stream(sensor, times_ns, write, message_bytes=2 * width * height)
+    return PlannedStream(sensor, times_ns, write, message_bytes=2 * width * height)
 
 
 def read_depth(path: Path) -> np.ndarray:

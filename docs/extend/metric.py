@@ -5,8 +5,8 @@ Copy this file, rename the metric, and change `evaluate`.
 
 import numpy as np
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import Direction, Group, Metric
-from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import MetricValues, Paired
 
 # What the metric is. Lists, filters, pages, exports and analyses know it from here; none of them needs a change.

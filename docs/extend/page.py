@@ -7,9 +7,9 @@ from flask import Blueprint, flash, redirect, render_template_string, request, u
 from werkzeug.wrappers import Response
 
 from slamhive.domain.run import RunState
-from slamhive.search.build import matching
+from slamhive.filters.words import matching
 from slamhive.web.context import hive
-from slamhive.web.pages import Page
+from slamhive.web.pages import PluginPage
 
 # Its name and url_prefix must be its own. Templates of a real package lie in its folder: template_folder="templates".
 blueprint = Blueprint("failures", __name__, url_prefix="/failures")
@@ -54,4 +54,4 @@ def again() -> Response:
     return redirect(url_for("failures.index"))
 
 
-PAGE = Page("Failures", blueprint)
+PAGE = PluginPage("Failures", blueprint)

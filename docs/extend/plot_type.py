@@ -8,7 +8,7 @@ from pydantic import Field
 from slamhive.analysis.chart import Axis, Chart, Points
 from slamhive.analysis.plot_types import PlotData, PlotOptions, PlotType
 from slamhive.analysis.plot_types.base import caption, number_column, raw_table, result_of, with_values
-from slamhive.analysis.result import PlotResult
+from slamhive.analysis.report import PlotResult
 
 
 class HistoryOptions(PlotOptions):

@@ -6,9 +6,9 @@ a dataset. Copy this file and change the options and what happens to a message.
 
 from typing import ClassVar
 
-from slamhive.bags.variants.step import Array, Message, Operation, Step, Stream
-from slamhive.bags.variants.steps.options import option
 from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.recordings.variants.step import Array, Message, Operation, Step, Stream
+from slamhive.recordings.variants.steps.options import option
 
 
 class ImuScale(Step):
@@ -33,8 +33,8 @@ class ImuScale(Step):
         """Say what happens to the messages of one topic.
 
         An IMU sample is an array of 6: angular rate in rad/s, specific force in m/s². Images and point clouds come as
-        arrays too; docs in slamhive/bags/variants/step.py. Transforms run in several threads: return a new array. For
-        random numbers, subclass SeededStep and draw them from `message.random()`.
+        arrays too; docs in slamhive/recordings/variants/step.py. Transforms run in several threads: return a new
+        array. For random numbers, subclass SeededStep and draw them from `message.random()`.
         """
         factors = [self.gyroscope] * 3 + [self.accelerometer] * 3
 

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from slamhive.analysis.selection import parse_expression
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.validation import explained
 from slamhive.domain.verdict import FailureRule
-from slamhive.errors import InvalidInput
-from slamhive.schema.validation import explained
 
 MAX_SETS = 50
 MAX_PLOTS = 50

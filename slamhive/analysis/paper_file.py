@@ -7,16 +7,98 @@ the paper (first repeat only, failed runs at invented values, ``best`` without e
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
-from slamhive import strict_yaml
-from slamhive.analysis.paper_keys import any_of, our_key, quoted
-from slamhive.analysis.paper_text import MARK
 from slamhive.analysis.selection import Combined, Expression, SetName, names_in, union_of
+from slamhive.base import strict_yaml
+from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.errors import InvalidInput, unknown
-from slamhive.foreign.numbers import Numbers, meant
+from slamhive.packages.published.combination import Numbers, Part, meant, only, parts_of
+
+# Keys and values of published analysis files in the language of filters and columns.
+
+
+_STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
+_PREFIXES = {
+    "dataset_resolution": "variant.resolution.scale",
+    "dataset_frequency": "variant.rate.every",
+}
+_SEEN = {
+    "image_width": "image_width",
+    "image_height": "image_height",
+    "image_frequency": "image_rate_hz",
+    "imu_frequency": "imu_rate_hz",
+}
+"""Columns that say what a run saw, by the general names of parameters that said so."""
+
+
+def our_key(name: str) -> str:
+    """The key of a metric or parameter of the published system.
+
+    ``ate_rmse`` is ``ate.rmse``; in ``general+nFeatures``, the name of the parameter follows the plus sign. Size and
+    rate of images are columns of their own, because datasets and steps give them here.
+    """
+    kind, _, statistic = name.partition("_")
+    if (kind in {"ate", "rpe"} and statistic in _STATISTICS) or name in {"cpu_mean", "cpu_max", "ram_max"}:
+        return f"{kind}.{statistic}"
+    prefix, plus, rest = name.partition("+")
+    return _PREFIXES.get(prefix, _SEEN.get(rest, rest)) if plus else name
+
+
+def any_of(key: str, names: Sequence[str]) -> str:
+    """A filter for runs with any of these names."""
+    return "(" + " or ".join(f"{key} = {quoted(name)}" for name in names) + ")"
+
+
+def quoted(value: str) -> str:
+    """A value in the filter language: numbers and plain words as they are, all others in quotes."""
+    try:
+        float(value)
+    except ValueError:
+        plain = value.replace("_", "").replace("-", "").replace(".", "").isalnum()
+        return value if plain else json.dumps(value, ensure_ascii=False)
+    return value
+
+
+# Finds the one analysis in a published file that also holds prose and other documents.
+
+
+MARK = "evaluation_form"
+"""The key that identifies a file of the published system."""
+
+_TOP_KEY = re.compile(r"(group_name|group_description|evaluation_form|configuration_choose|is_visualized|ids)\s*:")
+
+
+def only_analysis(text: str, source: str) -> str:
+    """The one analysis in a text that may also hold prose and other documents, which become empty lines.
+
+    Published files have prose before the first key, lines of dashes between documents, and sometimes two analyses, each
+    with its ``group_name``. Raises InvalidInput if there are two analyses, with the line of the second.
+    """
+    lines = text.split("\n")
+    found = [part for whole in parts_of(lines) for part in _split_at_names(lines, whole)]
+    holding = [part for part in found if any(line.startswith(f"{MARK}:") for line in lines[slice(*part)])]
+    if len(holding) > 1:
+        raise InvalidInput(
+            f"{source}, line {holding[1][0] + 1}: a second analysis begins", "give each a file of its own"
+        )
+    if not holding:
+        return text
+    first, last = holding[0]
+    while not _TOP_KEY.match(lines[first]):
+        first += 1
+    return only(lines, (first, last))
+
+
+def _split_at_names(lines: Sequence[str], part: Part) -> Iterator[Part]:
+    """A part, cut before each ``group_name`` after the first one."""
+    named = [number for number in range(*part) if lines[number].startswith("group_name:")]
+    yield from pairwise([part[0], *named[1:], part[1]])
+
 
 IDS = "ids"
 """The key, of ours, that says what the numbers in such a file mean."""
@@ -67,7 +149,7 @@ def convert(
         content: The parsed file.
         places: The lines of its parts, for messages.
         here: The numbers of this installation.
-        given: What a user said about the numbers, see :func:`slamhive.foreign.numbers.meant`.
+        given: What a user said about the numbers, see :func:`slamhive.packages.published.combination.meant`.
 
     Raises:
         InvalidInput: with the place of the mistake, also for a number that nobody says the meaning of.
@@ -296,7 +378,7 @@ class _Paper:
             raise self._unsaid(self._places.of("configuration_choose", "configuration_id"), "configuration", number, "")
         return known[number]
 
-    def _unsaid(self, place: strict_yaml.Place, kind: str, number: int, here: str) -> InvalidInput:
+    def _unsaid(self, place: strict_yaml.YamlPlace, kind: str, number: int, here: str) -> InvalidInput:
         return InvalidInput(
             f"{place}: {kind} {number} may be another one in this installation{here}",
             f"say what it is, --id {kind}:{number}={'NUMBER' if kind == 'configuration' else 'NAME'}, or that all "

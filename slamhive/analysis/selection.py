@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from slamhive.errors import InvalidInput, unknown
+from slamhive.base.errors import InvalidInput, unknown
 
 _TOKEN = re.compile(r"\s*(?:(?P<name>[A-Za-z_][A-Za-z0-9_]*)|(?P<sign>[|&()∪∩∖\\-]))")
 _WORDS = {"union": "|", "or": "|", "intersection": "&", "and": "&", "minus": "-", "without": "-", "difference": "-"}

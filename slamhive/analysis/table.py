@@ -14,10 +14,11 @@ from enum import StrEnum
 import numpy as np
 import pandas as pd
 
-from slamhive.analysis.colours import MARKERS, algorithm_colours, dataset_markers, marker_of
-from slamhive.domain.attributes import ATTRIBUTE_KINDS
+from slamhive.analysis.chart import MARKERS, algorithm_colours, dataset_markers, marker_of
+from slamhive.base.errors import InvalidInput, unknown
+from slamhive.domain.dataset import ATTRIBUTE_KINDS
 from slamhive.domain.metrics import CATALOGUE, Direction
-from slamhive.domain.numbers import plural
+from slamhive.domain.names import plural
 from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
 from slamhive.domain.verdict import (
     DATED_FRACTION,
@@ -29,7 +30,6 @@ from slamhive.domain.verdict import (
     VerdictKind,
     judge,
 )
-from slamhive.errors import InvalidInput, unknown
 
 
 class ColumnKind(StrEnum):

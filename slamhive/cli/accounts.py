@@ -6,16 +6,85 @@ import sys
 
 import click
 
-from slamhive.cli.account_tokens import token
+from slamhive.base.bounds import check_text
+from slamhive.base.errors import InvalidInput
 from slamhive.cli.acting import acting
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say
-from slamhive.domain.accounts import Identity, Role
-from slamhive.errors import InvalidInput
-from slamhive.input_bounds import check_text
-from slamhive.schema.accounts import Account, AuditLine
+from slamhive.documents.accounts import AccountDocument, ApiToken, AuditLineDocument
+from slamhive.domain.accounts import Identity, Role, Scope
+from slamhive.services.accounts import LONGEST_TOKEN_DAYS, TokenRequest
 from slamhive.store import Account as AccountRecord
+
+# ``slamhive account token``: personal API tokens.
+
+
+@click.group("token")
+def token() -> None:
+    """Make, list and revoke API tokens, by which programs use the web API."""
+
+
+@token.command("create")
+@click.argument("account")
+@click.argument("name")
+@click.option("--scope", "scopes", type=choice(Scope), multiple=True, default=[Scope.READ.value], show_default=True)
+@click.option(
+    "--days", type=click.IntRange(1, LONGEST_TOKEN_DAYS), default=90, show_default=True, help="How long it can be used."
+)
+@json_option
+@pass_cli
+def create(cli: CliContext, account: str, name: str, scopes: tuple[str, ...], days: int, as_json: bool) -> None:
+    """Make the token NAME for ACCOUNT, and print its text, which is stored nowhere."""
+    request = TokenRequest(name, [Scope(scope) for scope in scopes], days)
+    with acting(cli, f"{account}: {name}, {', '.join(scopes)}, {days} d") as accounts:
+        made, text = accounts.create_token(account, request)
+    if as_json:
+        print_json({**ApiToken.of(made).content, "text": text})
+        return
+    tell(f"token {made.id} of {account}, until {made.expires_at:%Y-%m-%d}; it is shown only now:")
+    say(text)
+
+
+@token.command("list")
+@click.argument("account", required=False)
+@json_option
+@pass_cli
+def list_tokens(cli: CliContext, account: str | None, as_json: bool) -> None:
+    """List the tokens of ACCOUNT, or of all accounts."""
+    found = cli.hive().accounts.tokens(account)
+    if as_json:
+        print_json([ApiToken.of(entry).content for entry in found])
+    elif found:
+        rows = [
+            (
+                entry.id,
+                entry.owner,
+                entry.name,
+                ", ".join(entry.scopes),
+                f"{entry.expires_at:%Y-%m-%d}",
+                "never" if entry.used_at is None else f"{entry.used_at:%Y-%m-%d %H:%M}",
+            )
+            for entry in found
+        ]
+        print_table(("id", "account", "name", "scopes", "until", "used"), rows, right=("id",))
+    else:
+        tell("there are no tokens")
+
+
+@token.command("revoke")
+@click.argument("token_id", type=click.IntRange(1, 2**31 - 1))
+@json_option
+@pass_cli
+def revoke(cli: CliContext, token_id: int, as_json: bool) -> None:
+    """End the token with this id, at once."""
+    with acting(cli, str(token_id)) as accounts:
+        revoked = accounts.revoke(token_id)
+    if as_json:
+        print_json(ApiToken.of(revoked).content)
+    else:
+        say(f"token {revoked.id} {revoked.name} of {revoked.owner} is revoked")
+
 
 MOST_LINES = 10_000
 _LONGEST_LINE = 10_000
@@ -44,7 +113,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
     """List the accounts."""
     found = cli.hive().accounts.list()
     if as_json:
-        print_json([Account.of(entry).content for entry in found])
+        print_json([AccountDocument.of(entry).content for entry in found])
     elif found:
         rows = [(entry.name, entry.role, f"{entry.created_at:%Y-%m-%d}", _state(entry)) for entry in found]
         print_table(("name", "role", "since", "state"), rows)
@@ -128,7 +197,7 @@ def audit(cli: CliContext, name: str | None, limit: int, as_json: bool) -> None:
     """List who started, deleted or changed what, the newest first."""
     lines = cli.hive().accounts.audit(limit, account=name)
     if as_json:
-        print_json([AuditLine.of(line).content for line in lines])
+        print_json([AuditLineDocument.of(line).content for line in lines])
     elif lines:
         rows = [
             (f"{line.at:%Y-%m-%d %H:%M:%S}", line.account, line.via, line.address, line.action, line.subject)
@@ -155,10 +224,12 @@ def _state(entry: AccountRecord) -> str:
 
 def _show(entry: AccountRecord, *, as_json: bool) -> None:
     if as_json:
-        print_json(Account.of(entry).content)
+        print_json(AccountDocument.of(entry).content)
     else:
         say(f"{entry.name}: {entry.role}, {_state(entry)}")
 
 
 account.add_command(token)
+
+
 COMMANDS = (account,)

@@ -10,11 +10,89 @@ from contextlib import contextmanager
 
 import click
 
+from slamhive.base.clock import utc_now
 from slamhive.cli.context import CliContext
-from slamhive.cli.data_root import command_name
-from slamhive.clock import utc_now
 from slamhive.services.accounts import Accounts
-from slamhive.store import Act
+from slamhive.services.data_root import DataRoot
+from slamhive.store import AuditAct
+
+# The data root of each command: created, needed, or not used.
+
+
+EXPECTED: dict[str, DataRoot] = {
+    "algorithm build": DataRoot.MADE,
+    "algorithm import": DataRoot.MADE,
+    "algorithm weights": DataRoot.MADE,
+    "archive import": DataRoot.MADE,
+    "challenge create": DataRoot.MADE,
+    "dataset fetch": DataRoot.MADE,
+    "dataset import": DataRoot.MADE,
+    "dataset room": DataRoot.MADE,
+    "demo": DataRoot.MADE,
+    "replay": DataRoot.MADE,
+    "runs import": DataRoot.MADE,
+    "serve": DataRoot.MADE,
+    "worker": DataRoot.MADE,
+    "account add": DataRoot.FOUND,
+    "challenge cancel": DataRoot.FOUND,
+    "challenge close": DataRoot.FOUND,
+    "challenge evaluate": DataRoot.FOUND,
+    "challenge phase": DataRoot.FOUND,
+    "challenge remove": DataRoot.FOUND,
+    "challenge submit": DataRoot.FOUND,
+    "configuration create": DataRoot.FOUND,
+    "configuration import": DataRoot.FOUND,
+    "algorithm test": DataRoot.FOUND,
+    "experiment start": DataRoot.FOUND,
+    "gate check": DataRoot.FOUND,
+    "reindex": DataRoot.FOUND,
+    "run": DataRoot.FOUND,
+    "algorithm list": DataRoot.OPTIONAL,
+    "algorithm show": DataRoot.OPTIONAL,
+    "cloud down": DataRoot.OPTIONAL,
+    "cloud status": DataRoot.OPTIONAL,
+    "cloud sweep": DataRoot.OPTIONAL,
+    "dataset links": DataRoot.OPTIONAL,
+    "dataset search": DataRoot.OPTIONAL,
+    "doctor": DataRoot.OPTIONAL,
+    "experiment convert": DataRoot.OPTIONAL,
+    "plugins": DataRoot.OPTIONAL,
+}
+"""By the name of a command. All others read, and refuse a data root that does not exist."""
+
+LISTS = frozenset(
+    {
+        *(
+            "account audit",
+            "account list",
+            "algorithm list",
+            "compare",
+            "configuration groups",
+            "configuration list",
+            "configuration show",
+            "dataset list",
+            "find",
+        ),
+        *("experiment list", "experiment report", "experiment status", "protocol compare", "protocol list"),
+        *("algorithm versions", "compare", "runs", "runs show", "search list", "variants list"),
+    }
+)
+"""Commands that print what is stored. All that one of them reads is of the same moment."""
+
+
+def expected_of(context: click.Context) -> DataRoot:
+    """Return what the command that runs in ``context`` expects of the data root."""
+    return EXPECTED.get(command_name(context), DataRoot.READ)
+
+
+def command_name(context: click.Context) -> str:
+    """The name of the command with those of its groups, without the program's: ``dataset room``."""
+    names: list[str] = []
+    while context.parent is not None:
+        names.insert(0, context.command.name or "")
+        context = context.parent
+    return " ".join(names)
+
 
 COMMAND_LINE = "command line"
 
@@ -24,7 +102,7 @@ def acting(cli: CliContext, subject: str) -> Iterator[Accounts]:
     """The accounts. What the block changes is in the audit log as done by the user of this machine."""
     hive = cli.hive()
     action = command_name(click.get_current_context())
-    with hive.store.acting(Act(uuid.uuid4().hex, utc_now(), _user(), COMMAND_LINE, "", action, subject[:200])):
+    with hive.store.acting(AuditAct(uuid.uuid4().hex, utc_now(), _user(), COMMAND_LINE, "", action, subject[:200])):
         yield hive.accounts
 
 

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamhive.cli import offers
+from slamhive.base.errors import InvalidInput
+from slamhive.cli import completion
 from slamhive.cli.context import run_number
 from slamhive.cli.output import counting_bar, print_json, tell
 from slamhive.cli.visible import confirm, say
-from slamhive.domain.numbers import plural
-from slamhive.errors import InvalidInput
+from slamhive.domain.names import plural
 
 if TYPE_CHECKING:
     from slamhive.services.hive import Hive
     from slamhive.services.search_actions import Acted, Progress
 
 _OPTIONS = (
-    click.argument("run_ids", type=run_number, nargs=-1, shell_complete=offers.RUN),
+    click.argument("run_ids", type=run_number, nargs=-1, shell_complete=completion.RUN),
     click.option("--where", metavar="FILTER", help="All runs that match, e.g. 'dataset ~ MH_*', instead of numbers."),
     click.option("--yes", is_flag=True, help="With --where: do not ask for confirmation."),
 )

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
+from slamhive.base.errors import NotFound
 from slamhive.cli.context import CliContext, pass_cli
 from slamhive.cli.visible import write_out
 from slamhive.domain.bibliography import Reference, bibtex
-from slamhive.errors import NotFound
 from slamhive.services.hive import Hive
 
 

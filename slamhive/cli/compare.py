@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from slamhive.cli import offers
+from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say
@@ -14,7 +14,7 @@ from slamhive.services.run_comparison import Figure, RunComparison, read_run_ids
 
 
 @click.command()
-@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
+@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=completion.RUN)
 @click.option("--protocol", metavar="FINGERPRINT", help="Compare under this one.  [default: the one most runs have]")
 @click.option(
     "--group", type=click.Choice(["configuration"]), help="One column for all repeats, with mean and interval."

@@ -8,20 +8,25 @@ from typing import Any
 
 import click
 
-from slamhive import strict_yaml
-from slamhive.cli import offers
+from slamhive.base import strict_yaml
+from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.base.files import write_aside
+from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.matching import print_match
-from slamhive.cli.output import print_json, print_table, tell
-from slamhive.cli.run_options import all_of, content_options, run_options, submission_values
+from slamhive.cli.output import print_json, print_match, print_table, tell
+from slamhive.cli.running import all_of, content_options, run_options, submission_values
 from slamhive.cli.runs import print_runs
 from slamhive.cli.visible import say, write_out
+from slamhive.documents.catalogue import MatchDocument
+from slamhive.documents.submission import Submission
 from slamhive.domain.parameters import Value
-from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.files import write_aside
-from slamhive.schema.matching import Match
-from slamhive.schema.submission import Submission
-from slamhive.services.configurations import Changes, Label, Stored, configuration_document, parse_conditions
+from slamhive.services.configurations import (
+    ConfigurationChange,
+    Label,
+    Stored,
+    configuration_document,
+    parse_conditions,
+)
 from slamhive.store import ConfigurationFilter, ConfigurationRecord
 
 RUNS_SHOWN = 10
@@ -124,7 +129,7 @@ def show(cli: CliContext, reference: str, as_json: bool) -> None:
     ]
     print_table(("parameter", "value", "type", "unit", "general name"), rows, right=("value",))
     try:
-        print_match(Match.of_match(hive.configurations.match(record.id)))
+        print_match(MatchDocument.of_match(hive.configurations.match(record.id)))
     except SlamHiveError as error:
         tell(f"note: {error}")
     print_runs(list(runs), as_json=False)
@@ -133,8 +138,8 @@ def show(cli: CliContext, reference: str, as_json: bool) -> None:
 
 
 @configuration.command("create")
-@click.argument("algorithm", shell_complete=offers.ALGORITHM)
-@click.argument("dataset", shell_complete=offers.DATASET)
+@click.argument("algorithm", shell_complete=completion.ALGORITHM)
+@click.argument("dataset", shell_complete=completion.DATASET)
 @content_options()
 @label_options
 @json_option
@@ -248,13 +253,13 @@ def group(cli: CliContext, name: str, references: tuple[str, ...], remove: bool)
     say(f"{name}: {service.groups().get(name.strip(), 0)} configurations")
 
 
-def _changes(options: dict[str, Any]) -> Changes:
+def _changes(options: dict[str, Any]) -> ConfigurationChange:
     values = submission_values(options)
     if values["variant"] and options["no_steps"]:
         raise InvalidInput("--step and --no-steps are given", "give one of them")
     unchanged = not values["variant"] and not options["no_steps"]
     kept = {"variant": None if unchanged else values["variant"], "sensors": values["sensors"] or None}
-    return Changes(**{**values, **kept})
+    return ConfigurationChange(**{**values, **kept})
 
 
 def _label(options: dict[str, Any]) -> Label:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamhive.errors import NotFound
+from slamhive.base.errors import NotFound
 
 if TYPE_CHECKING:
     from slamhive.services.hive import Hive
@@ -31,7 +31,7 @@ class CliContext:
     def hive(self, *, indexed: bool = True) -> Hive:
         """The installation. ``indexed`` refuses one whose database lacks its runs."""
         # Importing the services takes half a second, which `--help` and `--version` need not wait for.
-        from slamhive.cli.data_root import LISTS, command_name, expected_of  # noqa: PLC0415
+        from slamhive.cli.acting import LISTS, command_name, expected_of  # noqa: PLC0415
         from slamhive.services.data_root import DataRoot  # noqa: PLC0415
         from slamhive.services.hive import check_indexed, open_hive  # noqa: PLC0415
 
@@ -59,8 +59,8 @@ class CliContext:
 
 def _tell_data_root(hive: Hive) -> None:
     """Say where results go, unless the user chose the place or can see it in the checkout."""
+    from slamhive.base.project import about_data_root  # noqa: PLC0415
     from slamhive.cli.output import tell  # noqa: PLC0415 - `--help` prints without rich
-    from slamhive.project import about_data_root  # noqa: PLC0415
 
     remark = about_data_root(hive.project_root, hive.settings.data)
     if remark:

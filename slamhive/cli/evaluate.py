@@ -8,23 +8,27 @@ from typing import Any
 
 import click
 
-from slamhive.cli import offers
-from slamhive.cli.batches import evaluate_to_end
+from slamhive.base.errors import Conflict, InvalidInput
+from slamhive.base.settings import Mode
+from slamhive.base.strict_yaml import dump as strict_yaml_dump
+from slamhive.cli import completion
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
-from slamhive.cli.hints import hints_of, print_hints
-from slamhive.cli.output import print_json, tell
+from slamhive.cli.output import hints_of, print_hints, print_json, print_table, tell
 from slamhive.cli.runs import print_runs
-from slamhive.domain.hint import Hint
-from slamhive.domain.numbers import plural
-from slamhive.domain.protocol import Alignment, Duplicates
-from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.cli.visible import say, write_out
+from slamhive.cli.waiting import evaluate_to_end
+from slamhive.documents import protocol as schema
+from slamhive.documents.model import dump
+from slamhive.documents.run import RunDocument
+from slamhive.domain.metrics import described
+from slamhive.domain.names import plural
+from slamhive.domain.protocol import Alignment, Duplicates, ProtocolRequest
 from slamhive.domain.run import RunState
-from slamhive.errors import InvalidInput
+from slamhive.domain.verdict import Hint
 from slamhive.evaluation.job import Artefacts
-from slamhive.schema.model import dump
-from slamhive.schema.run import Run
-from slamhive.search.build import matching
-from slamhive.search.grammar import join
+from slamhive.filters.syntax import join
+from slamhive.filters.words import matching
+from slamhive.services.evaluations import ToolFigures, preset_documents, presets, protocols_document
 from slamhive.services.hive import Hive
 from slamhive.store import EvaluationRecord
 
@@ -32,7 +36,7 @@ _NAMED_RUNS = 20
 
 
 @click.command()
-@click.argument("run_ids", type=run_number, nargs=-1, shell_complete=offers.RUN)
+@click.argument("run_ids", type=run_number, nargs=-1, shell_complete=completion.RUN)
 @click.option("--all-unevaluated", is_flag=True, help="All successful runs that are not evaluated yet.")
 @click.option("--where", metavar="FILTER", help="All successful runs that match, e.g. 'dataset ~ MH_*'.")
 @click.option("--protocol", metavar="NAME|FILE", help="See `slamhive protocol list`; default: chosen from the sensors.")
@@ -103,7 +107,7 @@ def _report(hive: Hive, ended: list[EvaluationRecord], *, as_json: bool) -> None
     reasons = {record.run_id: record.reason for record in ended if record.reason is not None}
     entries = service.as_evaluated(ended)
     if as_json:
-        print_json([_evaluated(Run.of(entry), reasons, hints) for entry in entries])
+        print_json([_evaluated(RunDocument.of(entry), reasons, hints) for entry in entries])
     else:
         print_runs(entries, as_json=False)
     print_hints(hints)
@@ -120,9 +124,122 @@ def _report(hive: Hive, ended: list[EvaluationRecord], *, as_json: bool) -> None
         tell(f"lists still show metrics of another protocol for {words}")
 
 
-def _evaluated(run: Run, reasons: Mapping[int, str], hints: Mapping[int, tuple[Hint, ...]]) -> dict[str, Any]:
+def _evaluated(run: RunDocument, reasons: Mapping[int, str], hints: Mapping[int, tuple[Hint, ...]]) -> dict[str, Any]:
     found = dump(tuple[Hint, ...], hints.get(run.id, ()))
     return {**run.content, "evaluation_reason": reasons.get(run.id), "hints": found}
 
 
-COMMANDS = (evaluate,)
+# ``slamhive protocol``: evaluation protocols by name, and metrics side by side.
+
+
+@click.group("protocol")
+def protocol() -> None:
+    """Show evaluation protocols, and choose the one whose metrics are shown."""
+
+
+@protocol.command("list")
+@json_option
+@pass_cli
+def list_protocols(cli: CliContext, as_json: bool) -> None:
+    """List presets, and protocols in use by fingerprint."""
+    used = cli.hive().protocols.used()
+    if as_json:
+        print_json(protocols_document(used).content)
+        return
+    runs = {entry.protocol.fingerprint: entry.runs for entry in used}
+    rows: list[tuple[str | None, str, int, str]] = [
+        (name, preset.protocol.fingerprint, runs.pop(preset.protocol.fingerprint, 0), preset.title)
+        for name, preset in presets()
+    ]
+    rows += [
+        (None, entry.protocol.fingerprint, entry.runs, entry.protocol.label)
+        for entry in used
+        if entry.protocol.fingerprint in runs
+    ]
+    print_table(("name", "fingerprint", "runs", "what it is"), rows, right=("runs",))
+
+
+@protocol.command("show")
+@click.argument("name", metavar="NAME|FILE")
+@json_option
+@pass_cli
+def show(cli: CliContext, name: str, as_json: bool) -> None:
+    """Show a protocol as YAML: a preset, a fingerprint or a file."""
+    request = cli.hive().protocols.find(name)
+    preset = dict(presets()).get(name)
+    if as_json:
+        print_json(
+            {"name": name, "values": dict(request.values)} if preset is None else preset_documents()[name].content
+        )
+        return
+    if preset is not None:
+        say(f"# {preset.title}\n# {preset.differs}\n# {preset.source}")
+        say(f"# prints {', '.join(preset.metrics)}; fingerprint {preset.protocol.fingerprint}")
+    values = {key: list(value) if isinstance(value, tuple) else value for key, value in request.values.items()}
+    write_out(
+        strict_yaml_dump({key: str(v) if isinstance(v, str) else v for key, v in values.items() if v is not None})
+    )
+
+
+@protocol.command("use")
+@click.argument("name", metavar="PROTOCOL")
+@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=completion.RUN)
+@pass_cli
+def use(cli: CliContext, name: str, run_ids: tuple[int, ...]) -> None:
+    """Show the metrics of PROTOCOL (a name, fingerprint or file) for runs RUN_IDS in lists and pages.
+
+    The runs must have been evaluated under it. The metrics of their other protocols are kept.
+    """
+    hive = cli.hive()
+    hive.check_writable()
+    hive.current_protocols.use_asked(run_ids, hive.protocols.find(name))
+    say(f"{plural(len(set(run_ids)), 'run')} changed")
+
+
+@protocol.command("compare")
+@click.argument("run_id", type=run_number, shell_complete=completion.RUN)
+@json_option
+@pass_cli
+def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
+    """Evaluate run RUN_ID as each published tool does, and show the metrics side by side."""
+    hive = cli.hive()
+    if not hive.runs.get(run_id).state.ended:
+        raise Conflict(f"run {run_id} has not ended", "wait for it")
+    if hive.settings.mode is not Mode.VIEW_ONLY:
+        evaluation_ids = hive.comparisons.queue(run_id)
+        if evaluation_ids:
+            evaluate_to_end(hive.evaluations, evaluation_ids)
+    rows = hive.comparisons.of(run_id)
+    if as_json:
+        print_json([_tool(row).content for row in rows])
+        return
+    print_table(("tool", "protocol", "metrics", "note"), [_tool_row(row) for row in rows])
+    for row in rows:
+        say(f"{row.name}: {row.preset.differs}")
+
+
+def _tool_row(row: ToolFigures) -> tuple[Any, ...]:
+    figures = [
+        f"{key} {value:.6g} {described(key).unit}".rstrip()
+        + (f" over {row.samples[key]}" if key in row.samples else "")
+        for key, value in row.figures.items()
+    ]
+    return (row.name, None if row.protocol is None else row.protocol.fingerprint, "\n".join(figures) or None, row.note)
+
+
+def _tool(row: ToolFigures) -> schema.ToolMetrics:
+    return schema.ToolMetrics(
+        name=row.name,
+        title=row.preset.title,
+        protocol=row.protocol,
+        fingerprint=None if row.protocol is None else row.protocol.fingerprint,
+        figures=schema.with_units(row.figures, row.samples),
+        note=row.note,
+        differs=row.preset.differs,
+    )
+
+
+COMMANDS = (
+    evaluate,
+    protocol,
+)

@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamhive.cli import offers
+from slamhive.base.errors import InvalidInput
+from slamhive.base.files import write_aside
+from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.groups import LazyGroup
-from slamhive.cli.mistakes import Answering
+from slamhive.cli.main import LazyGroup
 from slamhive.cli.output import print_json, print_table, tell
-from slamhive.cli.visible import say
+from slamhive.cli.visible import Answering, say
 from slamhive.domain.gate import DEFAULT_MARGINS, Answer, read_budget
-from slamhive.domain.numbers import plural
-from slamhive.errors import InvalidInput
-from slamhive.files import write_aside
+from slamhive.domain.names import plural
 
 if TYPE_CHECKING:
-    from slamhive.schema.gate import Baseline, GateAnswer
+    from slamhive.documents.gate import Baseline, GateAnswer
     from slamhive.services.gates import GateCheck
     from slamhive.services.hive import Hive
 
@@ -89,7 +88,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
 
 
 @gate.command()
-@click.argument("baseline_name", metavar="BASELINE", shell_complete=offers.BASELINE)
+@click.argument("baseline_name", metavar="BASELINE", shell_complete=completion.BASELINE)
 @json_option
 @pass_cli
 def show(cli: CliContext, baseline_name: str, as_json: bool) -> None:
@@ -116,7 +115,7 @@ def show(cli: CliContext, baseline_name: str, as_json: bool) -> None:
 
 
 @gate.command()
-@click.argument("name", shell_complete=offers.BASELINE)
+@click.argument("name", shell_complete=completion.BASELINE)
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 @pass_cli
 def export(cli: CliContext, name: str, file: Path) -> None:
@@ -126,7 +125,7 @@ def export(cli: CliContext, name: str, file: Path) -> None:
 
 
 @gate.command()
-@click.argument("name", shell_complete=offers.BASELINE)
+@click.argument("name", shell_complete=completion.BASELINE)
 @pass_cli
 def remove(cli: CliContext, name: str) -> None:
     """Delete the baseline NAME; its runs stay."""
@@ -135,7 +134,7 @@ def remove(cli: CliContext, name: str) -> None:
 
 
 @gate.command()
-@click.argument("baseline_name", metavar="BASELINE", shell_complete=offers.BASELINE)
+@click.argument("baseline_name", metavar="BASELINE", shell_complete=completion.BASELINE)
 @click.option("--where", metavar="FILTER", help="Check runs that exist; those of the baseline are left out.")
 @click.option(
     "--run",
@@ -185,8 +184,8 @@ def check(cli: CliContext, /, baseline_name: str, as_json: bool, **options: Any)
 def _of_existing(hive: Hive, prepared: GateCheck, options: dict[str, Any]) -> GateAnswer:
     run_ids = hive.gates.find(options["where"])
     if options["evaluate"]:
-        from slamhive.cli.batches import evaluate_to_end  # noqa: PLC0415 - few checks evaluate
-        from slamhive.domain.protocol_request import exactly  # noqa: PLC0415
+        from slamhive.cli.waiting import evaluate_to_end  # noqa: PLC0415 - few checks evaluate
+        from slamhive.domain.protocol import exactly  # noqa: PLC0415
 
         for protocol, lacking in hive.gates.lacking(prepared, run_ids).items():
             queued = hive.evaluations.queue(lacking, exactly(protocol, protocol.fingerprint))

@@ -7,17 +7,16 @@ from typing import Any
 
 import click
 
-from slamhive.cli.batches import evaluate_to_end
+from slamhive.base.errors import InvalidInput
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
-from slamhive.cli.hints import hints_of, print_hints
-from slamhive.cli.output import print_json, progress_bar, tell
+from slamhive.cli.output import hints_of, print_hints, print_json, progress_bar, tell
 from slamhive.cli.visible import say
-from slamhive.domain.numbers import plural
+from slamhive.cli.waiting import evaluate_to_end
+from slamhive.documents.imports import Import
+from slamhive.domain.names import plural
 from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.trajectory_kind import TrajectoryKind
-from slamhive.errors import InvalidInput
-from slamhive.schema.imports import Import
 from slamhive.services.imports import (
     DEFAULT_GROUND_TRUTH,
     DEFAULT_PATTERN,

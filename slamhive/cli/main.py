@@ -4,17 +4,50 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from slamhive import __version__
+from slamhive.base.bounds import check_text
 from slamhive.cli.context import CliContext
-from slamhive.cli.groups import LazyGroup
-from slamhive.cli.mistakes import mistakes_end_with
-from slamhive.cli.visible import VisibleFormatter
-from slamhive.input_bounds import check_text
+from slamhive.cli.visible import VisibleFormatter, mistakes_end_with
+
+# Groups of commands that import the module of a command only when it is used.
+
+
+class LazyGroup(click.Group):
+    """A group of commands.
+
+    Args:
+        modules: {command: module of :mod:`slamhive.cli` that has it in ``COMMANDS``}. Importing all takes a second.
+        more: What a click.Group takes.
+    """
+
+    def __init__(self, *args: Any, modules: Mapping[str, str] | None = None, **more: Any) -> None:
+        super().__init__(*args, **more)
+        self.modules = dict(modules or {})
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names of all commands."""
+        return sorted({*super().list_commands(ctx), *self.modules})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of that name; its module is imported now."""
+        if cmd_name not in self.modules:
+            return super().get_command(ctx, cmd_name)
+        commands: tuple[click.Command, ...] = import_module(f"slamhive.cli.{self.modules[cmd_name]}").COMMANDS
+        return next(command for command in commands if command.name == cmd_name)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem[str]]:
+        """Commands and options that begin so; commands without their help, which would import all modules."""
+        names = [CompletionItem(name) for name in self.list_commands(ctx) if name.startswith(incomplete)]
+        return [*names, *click.Command.shell_complete(self, ctx, incomplete)]
+
 
 SECTIONS = {
     "Start here": {
@@ -27,7 +60,7 @@ SECTIONS = {
         "dataset": ("datasets", "Fetch, import, check, export, render and show datasets"),
         "variants": ("variants", "Make and remove degraded or cut copies of datasets"),
         "algorithm": ("algorithms", "List, show, import, build and test algorithms"),
-        "find": ("finding", "Find anything that has these words in its name or text"),
+        "find": ("searching", "Find anything that has these words in its name or text"),
     },
     "Runs and experiments": {
         "run": ("running", "Run one algorithm on one dataset"),
@@ -36,14 +69,14 @@ SECTIONS = {
         "experiment": ("experiments", "Run many configurations from one file, and report on them"),
         "configuration": ("configurations", "Name, group, export and import configurations"),
         "evaluate": ("evaluate", "Compute the errors of runs, under any protocol"),
-        "protocol": ("protocols", "List, compare and choose protocols of evaluations"),
+        "protocol": ("evaluate", "List, compare and choose protocols of evaluations"),
     },
     "Results": {
         "compare": ("compare", "Show what differs between some runs, side by side"),
         "gate": ("gates", "Fail in CI when new runs are worse than a stored baseline"),
-        "replay": ("replay", "Run an archive again here, and say if the results agree"),
-        "analyse": ("analyse", "Draw plots and tables from an analysis file"),
-        "analyses": ("stored_analyses", "List, share and delete the analyses of the web pages"),
+        "replay": ("archive", "Run an archive again here, and say if the results agree"),
+        "analyse": ("analyses", "Draw plots and tables from an analysis file"),
+        "analyses": ("analyses", "List, share and delete the analyses of the web pages"),
     },
     "Share": {
         "archive": ("archive", "Export runs to a file, check and import it, publish a site"),
@@ -52,13 +85,13 @@ SECTIONS = {
     },
     "Machines": {
         "worker": ("serving", "Execute what is queued, on this machine or a cluster"),
-        "nodes": ("nodes", "List the machines that execute runs, and keep some free"),
-        "cloud": ("cloud", "Rent machines for an experiment, and give them back"),
+        "nodes": ("machines", "List the machines that execute runs, and keep some free"),
+        "cloud": ("machines", "Rent machines for an experiment, and give them back"),
     },
     "Administration": {
         "account": ("accounts", "Say who may use the web server, and see what they did"),
         "notify": ("notify", "Tell people when experiments end or fail"),
-        "plugins": ("plugins", "List installed plug-ins, and why one is broken"),
+        "plugins": ("maintenance", "List installed plug-ins, and why one is broken"),
         "settings": ("maintenance", "List all settings with value, source and meaning"),
         "reindex": ("maintenance", "Rebuild the database from the folders of the data root"),
     },
@@ -71,7 +104,7 @@ a command differs from those with similar names.
 
 MODULES = {name: module for section in SECTIONS.values() for name, (module, _) in section.items()}
 
-REGISTRY = "slamhive.registry"
+REGISTRY = "slamhive.base.registry"
 """The logger of the module that loads plug-ins. Importing it for its name would load ``importlib.metadata``."""
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import click
 
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, tell
-from slamhive.clock import utc_now
-from slamhive.errors import InvalidInput, Unavailable
-from slamhive.schema.notice import Notice, NoticeEvent
+from slamhive.documents.experiment import Notice, NoticeEvent
 
 
 @click.group()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,11 +12,16 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from slamhive.base.clock import monotonic_s
 from slamhive.cli.visible import say, visible, visible_json, visible_line
-from slamhive.clock import monotonic_s
+from slamhive.documents.catalogue import MatchDocument, UsedSensor
+from slamhive.domain.verdict import Hint
 
 if TYPE_CHECKING:
     from rich.progress import Progress
+
+    from slamhive.services.hive import Hive
+    from slamhive.store import EvaluationRecord
 
 STATE_STYLES = {"succeeded": "green", "failed": "red", "cancelled": "yellow", "running": "cyan", "queued": "dim"}
 PIPED_WIDTH = 160
@@ -187,3 +192,66 @@ def _plain_progress(title: str, *, tells_left: bool = True) -> Callable[[float, 
         messages.print(Text(line), soft_wrap=True)
 
     return show
+
+
+# Hints at common mistakes, as commands print them.
+
+
+_NAMED_RUNS = 5
+
+
+def hint_in_words(hint: Hint) -> str:
+    """Return what was found, and what to do."""
+    return f"{hint.sentence} Remedy: {hint.remedy}."
+
+
+def hints_of(hive: Hive, ended: Iterable[EvaluationRecord]) -> dict[int, tuple[Hint, ...]]:
+    """{run: hints} of successful evaluations that have hints."""
+    from slamhive.services.evaluations import evaluation_notes  # noqa: PLC0415 - lists of runs show no hints
+
+    found = {
+        entry.run_id: evaluation_notes(hive.runs.folder(entry.run_id), entry.protocol.fingerprint).hints
+        for entry in ended
+        if entry.reason is None
+    }
+    return {run_id: hints for run_id, hints in found.items() if hints}
+
+
+def print_hints(found: dict[int, tuple[Hint, ...]]) -> None:
+    """Print each hint on stderr once, with the numbers of the first run that has it."""
+    alike: dict[tuple[str, str], list[tuple[int, Hint]]] = {}
+    for run_id, hints in found.items():
+        for hint in hints:
+            alike.setdefault((hint.key, hint.remedy.partition(":")[0]), []).append((run_id, hint))
+    for members in alike.values():
+        first, hint = members[0]
+        numbers = ", ".join(str(run_id) for run_id, _ in members[:_NAMED_RUNS])
+        more = f" and {len(members) - _NAMED_RUNS} more" if len(members) > _NAMED_RUNS else ""
+        where = f"run {first}" if len(members) == 1 else f"runs {numbers}{more} (the numbers are those of run {first})"
+        tell(f"hint for {where}: {hint_in_words(hint)}")
+
+
+# The fit of an algorithm and a dataset, on the command line.
+
+
+def print_match(match: MatchDocument) -> None:
+    """The sensor in each role, and the parameters that are taken from sensors."""
+    rows = [
+        (role, used.name, f"{used.rate_hz:g}", match.topics.get(role, used.topic), _others(used))
+        for role, used in match.sensors.items()
+    ]
+    print_table(("role", "sensor", "Hz", "topic", "also fits"), rows, right=("Hz",))
+    if match.parameters:
+        print_table(("parameter", "value", "source"), list(bound_rows(match)))
+    else:
+        say("no parameter is taken from a sensor")
+
+
+def _others(used: UsedSensor) -> str | None:
+    return ", ".join(name for name in used.fitting if name != used.name) or None
+
+
+def bound_rows(match: MatchDocument | None) -> Iterator[tuple[str, object, str]]:
+    """Key, value and source of each parameter that is taken from a sensor."""
+    for key, entry in ({} if match is None else match.parameters).items():
+        yield key, list(entry.value) if isinstance(entry.value, tuple) else entry.value, entry.words

@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamhive.cli import offers
+from slamhive.base.errors import InvalidInput
+from slamhive.cli import completion
 from slamhive.cli.chosen_runs import ChosenRuns, SearchAction, runs_or_search
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
-from slamhive.cli.groups import LazyGroup
-from slamhive.cli.hints import hint_in_words
-from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.main import LazyGroup
+from slamhive.cli.output import counting_bar, hint_in_words, print_json, print_table, tell
 from slamhive.cli.searching import Listing, print_export, print_groups, search_of, split_columns, write_parquet
 from slamhive.cli.sharing import in_words
 from slamhive.cli.visible import say, write_raw
-from slamhive.domain.external import IMPORTED
+from slamhive.documents.api_answers import DeletedRunDocument
+from slamhive.domain.accounts import Visibility
+from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.metrics import described
-from slamhive.domain.numbers import plural
-from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.visibility import Visibility
-from slamhive.errors import InvalidInput
+from slamhive.domain.names import plural
+from slamhive.domain.run import FailureReason, NotesChange, RunNotes, RunState
 from slamhive.services.exports import disturbed_text, trust_text
 from slamhive.store import RunRecord, RunSort
 
@@ -49,9 +49,7 @@ COLUMNS = (
 LISTS = ("states", "reasons", "experiments", "algorithms", "datasets")
 _ELSEWHERE = {
     "import": "imports",
-    **dict.fromkeys(("note", "tag"), "run_notes"),
     "share": "sharing",
-    **dict.fromkeys(("delete", "restore", "trash"), "run_trash"),
 }
 NUMBERS = ("id", "poses", "ATE m", "tracked", "CPU cores", "RAM MB", "time s")
 
@@ -137,7 +135,7 @@ def _print_page(listing: Listing, *, as_json: bool) -> None:
 
 
 @runs.command("show")
-@click.argument("run_id", type=run_number, shell_complete=offers.RUN)
+@click.argument("run_id", type=run_number, shell_complete=completion.RUN)
 @click.option("--all", "everything", is_flag=True, help="Also all parameters, metrics and changes of state.")
 @json_option
 @pass_cli
@@ -171,8 +169,8 @@ def show(cli: CliContext, run_id: int, everything: bool, as_json: bool) -> None:
 
 def _print_tables(entry: RunRecord, content: dict[str, Any], match: Any) -> None:
     """Print parameters, what was taken from sensors, metrics and changes of state, as far as there are any."""
-    from slamhive.cli.matching import bound_rows  # noqa: PLC0415 - the list of runs needs none
-    from slamhive.schema.matching import Match  # noqa: PLC0415
+    from slamhive.cli.output import bound_rows  # noqa: PLC0415 - the list of runs needs none
+    from slamhive.documents.catalogue import MatchDocument  # noqa: PLC0415
 
     metrics = [
         (key, f"{part['value']:.6g}", part["unit"], described(key).sample(entry.metrics or {}))
@@ -180,7 +178,7 @@ def _print_tables(entry: RunRecord, content: dict[str, Any], match: Any) -> None
     ]
     tables: tuple[tuple[tuple[str, ...], list[tuple[Any, ...]]], ...] = (
         (("parameter", "value"), list(content["parameters"].items())),
-        (("parameter", "value", "source"), list(bound_rows(Match.read(match) if match else None))),
+        (("parameter", "value", "source"), list(bound_rows(MatchDocument.read(match) if match else None))),
         (("metric", "value", "unit", "over"), metrics),
         (("at", "from", "to", "why"), [(e["at"], e["from"], e["to"], e["why"]) for e in content["events"]]),
     )
@@ -191,7 +189,7 @@ def _print_tables(entry: RunRecord, content: dict[str, Any], match: Any) -> None
 
 
 @runs.command("log")
-@click.argument("run_id", type=run_number, shell_complete=offers.RUN)
+@click.argument("run_id", type=run_number, shell_complete=completion.RUN)
 @click.option(
     "--bytes",
     "max_bytes",
@@ -212,7 +210,7 @@ def log(cli: CliContext, run_id: int, max_bytes: int, raw: bool) -> None:
 
 
 @runs.command("cancel")
-@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=offers.RUN)
+@click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=completion.RUN)
 @json_option
 @pass_cli
 def cancel(cli: CliContext, run_ids: tuple[int, ...], as_json: bool) -> None:
@@ -357,9 +355,9 @@ def _number(value: float | None, pattern: str, factor: float = 1.0) -> str | Non
 def print_runs(entries: list[RunRecord], as_json: bool) -> None:
     """Runs as a table on stdout, or as a JSON list."""
     if as_json:
-        from slamhive.schema.run import Run  # noqa: PLC0415 - the models of documents take long to make
+        from slamhive.documents.run import RunDocument  # noqa: PLC0415 - the models of documents take long to make
 
-        print_json([Run.of(entry).content for entry in entries])
+        print_json([RunDocument.of(entry).content for entry in entries])
     elif entries:
         print_table(COLUMNS, [run_row(entry) for entry in entries], right=NUMBERS, spare=SPARE)
         for entry in entries:
@@ -372,5 +370,112 @@ def print_runs(entries: list[RunRecord], as_json: bool) -> None:
     else:
         tell("no runs; `slamhive run ALGORITHM DATASET` starts one")
 
+
+# ``slamhive runs note`` and ``slamhive runs tag``: what people write about runs.
+
+
+@click.command("note")
+@click.argument("run_id", type=run_number, shell_complete=completion.RUN)
+@click.argument("text")
+@json_option
+@pass_cli
+def note(cli: CliContext, run_id: int, text: str, as_json: bool) -> None:
+    """Write the note of a run; an empty text removes it."""
+    _show(cli.hive().notes.change([run_id], NotesChange(note=text)), as_json=as_json)
+
+
+@click.command("tag")
+@runs_or_search
+@click.option("--add", multiple=True, metavar="TAG", help="Give the runs this tag.")
+@click.option("--remove", multiple=True, metavar="TAG", help="Take this tag away from them.")
+@json_option
+@pass_cli
+def tag(cli: CliContext, /, add: tuple[str, ...], remove: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
+    """Add tags to runs, or remove them. Filters find them: tag = paper."""
+    hive, runs = cli.hive(), ChosenRuns(**chosen)
+    if not add and not remove:
+        raise InvalidInput("no tag is named", "use --add TAG or --remove TAG")
+    change = NotesChange(add=add, remove=remove)
+    if runs.where is None:
+        _show(hive.notes.change(runs.run_ids, change), as_json=as_json)
+        return
+    action = SearchAction("tag", "change the tags of {runs}?", "the tags of {runs} are stored")
+    runs.act(hive, action, lambda ids, progress: hive.search_actions.tag(ids, change, progress), as_json=as_json)
+
+
+def _show(changed: dict[int, RunNotes], *, as_json: bool) -> None:
+    if as_json:
+        print_json([{"id": run_id, **notes.content} for run_id, notes in changed.items()])
+        return
+    for run_id, notes in changed.items():
+        said = [f"tags {', '.join(notes.tags)}" if notes.tags else "no tags"] + ([notes.note] if notes.note else [])
+        say(f"run {run_id}: {'; '.join(said)}")
+
+
+# ``slamhive runs delete``, ``restore`` and ``trash``.
+
+
+@click.command("delete")
+@runs_or_search
+@json_option
+@pass_cli
+def delete(cli: CliContext, /, as_json: bool, **chosen: Any) -> None:
+    """Move runs that have ended to the trash, with their files.
+
+    With --where, runs that have not ended or are being evaluated are left out.
+    """
+    hive, runs = cli.hive(), ChosenRuns(**chosen)
+    if runs.where is not None:
+        action = SearchAction("delete", "move {runs} to the trash?", "{runs} moved to the trash")
+        acted = runs.act(hive, action, hive.search_actions.delete, as_json=as_json)
+        if acted.at is not None and acted.done and not as_json:
+            say(f"slamhive runs restore --deleted-at {acted.at.isoformat()} takes them out again")
+        return
+    deleted = hive.trash.delete(runs.run_ids)
+    if as_json:
+        print_json({"done": len(deleted), "left_out": 0, "reasons": []})
+        return
+    numbers = " ".join(str(run.id) for run in deleted)
+    say(f"{plural(len(deleted), 'run')} moved to the trash; slamhive runs restore {numbers} takes them out again")
+
+
+@click.command("restore")
+@click.argument("run_ids", type=run_number, nargs=-1, shell_complete=completion.RUN)
+@click.option("--deleted-at", metavar="TIME", help="All runs that one command deleted at this time, as it said.")
+@pass_cli
+def restore(cli: CliContext, run_ids: tuple[int, ...], deleted_at: str | None) -> None:
+    """Take runs out of the trash, under their old numbers."""
+    if bool(run_ids) == (deleted_at is not None):
+        raise InvalidInput("name runs by number, or give --deleted-at: one of the two", "see slamhive runs trash")
+    hive = cli.hive()
+    wanted = list(run_ids) if deleted_at is None else hive.trash.deleted_together(deleted_at)
+    with counting_bar("restore", len(wanted)) as bar:
+        restored = hive.trash.restore(wanted, lambda done: bar(done, ""))
+    say(f"{plural(len(restored), 'run')} restored")
+
+
+@click.command("trash")
+@click.option("--empty", is_flag=True, help="Remove the files of all deleted runs for good.")
+@json_option
+@pass_cli
+def trash(cli: CliContext, empty: bool, as_json: bool) -> None:
+    """List the deleted runs, or remove them for good."""
+    hive = cli.hive()
+    if empty:
+        say(f"{plural(hive.trash.empty(), 'run')} removed for good")
+        return
+    found = hive.trash.listed()
+    rows = [(run.deleted.run_id, run.algorithm, run.dataset, run.deleted.at.isoformat()) for run in found]
+    columns = ("id", "algorithm", "dataset", "deleted_at")
+    if as_json:
+        print_json([DeletedRunDocument.of(run).content for run in found])
+    elif rows:
+        print_table(columns, rows, right=("id",))
+    else:
+        tell("the trash is empty")
+
+
+for _command in (note, tag, delete, restore, trash):
+    runs.add_command(_command)
 
 COMMANDS = (runs,)

@@ -10,19 +10,20 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias
 
 import click
 
-from slamhive.cli import offers
+from slamhive.base.errors import InvalidInput
+from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say, write_out
-from slamhive.domain.list_look import MOST_PINNED
+from slamhive.documents.catalogue import FoundThing
+from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.errors import InvalidInput
-from slamhive.search.binding import Search, bind, read_search
-from slamhive.search.grammar import join
-from slamhive.search.parser import parse_filter
-from slamhive.search.syntax import Comparison, Sign, Word, filter_text
-from slamhive.search.words import in_words
+from slamhive.filters.binding import Search, bind, read_search
+from slamhive.filters.parser import parse_filter
+from slamhive.filters.syntax import FilterComparison, Sign, Word, filter_text, join
+from slamhive.filters.words import in_words
 from slamhive.services.exports import GroupExport, Record, RunExport, TableExport, by_protocol
+from slamhive.services.finding import find as find_everything
 from slamhive.services.searches import order_in_words, summary
 from slamhive.store import Count, RunRecord, RunSort
 from slamhive.store.records import GroupRecord, SavedSearchRecord, Spread
@@ -48,7 +49,9 @@ def search_of(hive: Hive, where: str, lists: dict[str, Sequence[str]]) -> Search
     vocabulary = hive.searches.vocabulary()
     typed = parse_filter(where)
     bind(typed, where, vocabulary)  # so that a message points into the text that was typed
-    chosen = [Comparison(Word(name), Sign.IN, tuple(map(Word, values))) for name, values in lists.items() if values]
+    chosen = [
+        FilterComparison(Word(name), Sign.IN, tuple(map(Word, values))) for name, values in lists.items() if values
+    ]
     parts = [*([] if typed is None else [typed]), *chosen]
     return read_search(filter_text(join("and", parts)), vocabulary) if parts else Search()
 
@@ -204,16 +207,18 @@ def list_(cli: CliContext, as_json: bool) -> None:
     """List saved searches."""
     saved = cli.hive().searches.saved()
     if as_json:
-        from slamhive.schema.api_answers import SavedSearch  # noqa: PLC0415 - lists of runs need none of these models
+        from slamhive.documents.api_answers import (  # noqa: PLC0415 - lists of runs need none of these models
+            SavedSearchDocument,
+        )
 
-        print_json([SavedSearch.of(entry).content for entry in saved])
+        print_json([SavedSearchDocument.of(entry).content for entry in saved])
         return
     rows = [(entry.name, entry.filter_text or "all runs", entry.sort.key, ", ".join(entry.columns)) for entry in saved]
     print_table(("name", "where", "sort", "columns"), rows)
 
 
 @search_group.command("delete")
-@click.argument("name", shell_complete=offers.SEARCH)
+@click.argument("name", shell_complete=completion.SEARCH)
 @pass_cli
 def delete(cli: CliContext, name: str) -> None:
     """Delete the saved search NAME."""
@@ -226,4 +231,29 @@ def split_columns(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-COMMANDS = (search_group,)
+# ``slamhive find``: one search over everything that has a name.
+
+
+@click.command()
+@click.argument("words", nargs=-1, required=True)
+@json_option
+@pass_cli
+def find(cli: CliContext, words: tuple[str, ...], as_json: bool) -> None:
+    """Find WORDS in names and descriptions of algorithms, datasets, experiments, analyses, searches and metrics.
+
+    A number is also a run; a tag or a filter also finds the runs that it fits. Of each kind the best 8 are shown.
+    """
+    groups = find_everything(cli.hive(), " ".join(words))
+    found = [entry for entries in groups.values() for entry in entries]
+    if as_json:
+        print_json([FoundThing.of(entry).content for entry in found])
+    elif found:
+        print_table(("what", "name", "description"), [(entry.kind.value, entry.name, entry.words) for entry in found])
+    else:
+        tell(f"nothing is called {' '.join(words)!r}")
+
+
+COMMANDS = (
+    search_group,
+    find,
+)

@@ -9,13 +9,13 @@ from types import FrameType
 
 import click
 
+from slamhive.base.settings import Mode
 from slamhive.cli.context import CliContext, pass_cli
 from slamhive.cli.demo import run_demo
 from slamhive.cli.output import tell
 from slamhive.services.accounts import LOOPBACK_HOSTS, accounts_needed
 from slamhive.services.hive import Hive
 from slamhive.services.worker import WorkerProcess
-from slamhive.settings import Mode
 
 STAND_BY_S = 1.0
 

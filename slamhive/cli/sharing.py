@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamhive.cli import offers
+from slamhive.base.errors import InvalidInput
+from slamhive.cli import completion
 from slamhive.cli.chosen_runs import ChosenRuns, SearchAction, runs_or_search
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json
 from slamhive.cli.visible import say
-from slamhive.domain.visibility import Sharing, Visibility, visibility_of
-from slamhive.errors import InvalidInput
+from slamhive.domain.accounts import Sharing, Visibility, visibility_of
 
 if TYPE_CHECKING:
     from slamhive.services.sharing import SharingChange
@@ -51,7 +51,7 @@ def share_runs(cli: CliContext, /, visibility: str | None, owner: str | None, as
 
 
 @click.command("share")
-@click.argument("name", shell_complete=offers.EXPERIMENT)
+@click.argument("name", shell_complete=completion.EXPERIMENT)
 @sharing_options
 def share_experiment(cli: CliContext, name: str, visibility: str | None, owner: str | None, as_json: bool) -> None:
     """Choose who may see an experiment and its runs where there are accounts."""

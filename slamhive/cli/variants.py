@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import click
 
-from slamhive.bags.variants.cache import VariantEntry
-from slamhive.bags.variants.rules import RegisteredSteps, describe_options, describe_step
-from slamhive.cli import offers
+from slamhive.base.errors import Conflict, InvalidInput
+from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
-from slamhive.cli.run_options import parse_steps, step_option
+from slamhive.cli.running import parse_steps, step_option
 from slamhive.cli.visible import say
-from slamhive.domain.variant import Variant
-from slamhive.errors import Conflict, InvalidInput
-from slamhive.schema.model import load
-from slamhive.schema.variant import CachedVariant, Step, StepOption
+from slamhive.documents.catalogue import CachedVariant, StepDocument, StepOptionDocument
+from slamhive.documents.model import load
+from slamhive.domain.configuration import Variant
+from slamhive.recordings.variants.cache import VariantEntry
+from slamhive.recordings.variants.rules import RegisteredSteps, describe_options, describe_step
 
 KEY_SHOWN = 12
 
@@ -75,7 +75,7 @@ def list_(cli: CliContext, dataset: str | None, as_json: bool) -> None:
 
 
 @variants.command("make")
-@click.argument("dataset", shell_complete=offers.DATASET)
+@click.argument("dataset", shell_complete=completion.DATASET)
 @step_option
 @json_option
 @pass_cli
@@ -164,9 +164,9 @@ def _chosen(cli: CliContext, keys: tuple[str, ...], dataset: str | None, everyth
     return service.entries(dataset)
 
 
-def _step(kind: str) -> Step:
-    options = tuple(map(StepOption.of, describe_options(kind)))
-    return Step(kind=kind, help=describe_step(kind), options=options)
+def _step(kind: str) -> StepDocument:
+    options = tuple(map(StepOptionDocument.of, describe_options(kind)))
+    return StepDocument(kind=kind, help=describe_step(kind), options=options)
 
 
 def _default(value: object, required: bool) -> str:

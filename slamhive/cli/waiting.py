@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+from slamhive.base.clock import monotonic_s
+from slamhive.base.errors import SlamHiveError
 from slamhive.cli.output import counting_bar, tell
-from slamhive.clock import monotonic_s
 from slamhive.domain.run import RunState
-from slamhive.errors import SlamHiveError
-from slamhive.services.experiments import Phase, Standing
+from slamhive.executors.host import worker_identity
+from slamhive.services.evaluations import Evaluations
+from slamhive.services.experiments import ConfigurationStanding, Phase
 from slamhive.services.hive import Hive
-from slamhive.store import EvaluationState, RunRecord
+from slamhive.store import EvaluationRecord, EvaluationState, RunRecord
 
 if TYPE_CHECKING:
     from slamhive.services.worker import WorkingMeanwhile
@@ -100,7 +103,7 @@ def _show_experiment(
                     on_end(hive.runs.get(run_id))
             waiting = left
             status = hive.experiments.status(name)
-            if status.standing is Standing.PAUSED and not status.counts[Phase.RUNNING]:
+            if status.standing is ConfigurationStanding.PAUSED and not status.counts[Phase.RUNNING]:
                 tell(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
                 return
             phase = f" ({status.phase})" if status.phase else ""
@@ -140,3 +143,32 @@ def _cancel_all(hive: Hive, run_ids: Sequence[int]) -> None:
         if all(record.state.ended for record in hive.store.read(lambda t: t.runs.get_many(run_ids))):
             return
         time.sleep(PAUSE_S)
+
+
+# Run many evaluations, or wait until a worker has.
+
+
+BATCH_PAUSE_S = 0.5
+PART = 500
+"""How many evaluations one query names."""
+
+
+def evaluate_to_end(service: Evaluations, evaluation_ids: Sequence[int]) -> list[EvaluationRecord]:
+    """Run the evaluations, or wait for the worker that does. Returns them as they ended, in their order.
+
+    If this process is interrupted, the others stay queued.
+    """
+    stopping = threading.Event()
+    service.take_over_from_the_dead()
+    with counting_bar("evaluating", len(evaluation_ids)) as show:
+        for start in range(0, len(evaluation_ids), PART):
+            part = evaluation_ids[start : start + PART]
+            runs = frozenset(record.run_id for record in service.records(part))
+            while True:
+                left = service.still_open(part)
+                show(start + len(part) - len(left), "")
+                if not left:
+                    break
+                if not service.work_once(worker_identity(), stopping, runs):
+                    stopping.wait(BATCH_PAUSE_S)
+    return service.records(evaluation_ids)

@@ -17,10 +17,10 @@ from slamhive.client.waiting import PAUSE_S, is_complete, rests
 if TYPE_CHECKING:
     import httpx
 
-    from slamhive.client.trajectory import RunTrajectory
+    from slamhive.client.runs import RunTrajectory
+    from slamhive.documents.experiment import ExperimentStatusDocument
+    from slamhive.documents.run import RunDocument, RunWith
     from slamhive.domain.parameters import Value
-    from slamhive.schema.experiment import ExperimentStatus
-    from slamhive.schema.run import Run, RunWith
 
 T = TypeVar("T")
 
@@ -48,7 +48,7 @@ class AsyncHive:
             raise silent(self._url, error) from None
         return answer_of(request, response)
 
-    async def runs(self, where: str = "", sort: str = "id", *, descending: bool = True) -> AsyncIterator[Run]:
+    async def runs(self, where: str = "", sort: str = "id", *, descending: bool = True) -> AsyncIterator[RunDocument]:
         """All runs that match a filter, read in pages."""
         after: str | None = None
         while True:
@@ -69,13 +69,13 @@ class AsyncHive:
 
     async def trajectory(self, run_id: int) -> RunTrajectory:
         """The estimated trajectory of a run; raises NotFound."""
-        from slamhive.client.trajectory import RunTrajectory  # noqa: PLC0415 - loads NumPy
+        from slamhive.client.runs import RunTrajectory  # noqa: PLC0415 - loads NumPy
 
         return RunTrajectory.of_tum(await self.file(run_id), f"run {run_id}")
 
     async def submit(
         self, algorithm: str, dataset: str, parameters: Mapping[str, Value] | None = None, **options: Any
-    ) -> tuple[Run, ...]:
+    ) -> tuple[RunDocument, ...]:
         """Queue runs, as :meth:`slamhive.client.Runs.submit`."""
         asked = submission_of(algorithm, dataset, parameters, options)
         return (await self.ask(requests.submit(asked))).runs
@@ -89,11 +89,11 @@ class AsyncHive:
             found.append(run)
         return tuple(found)
 
-    async def start(self, text: str, executor: str | None = None) -> ExperimentStatus:
+    async def start(self, text: str, executor: str | None = None) -> ExperimentStatusDocument:
         """Queue all runs of an experiment file; the same text again completes an interrupted start."""
         return await self.ask(requests.start(text, executor))
 
-    async def wait_for_experiment(self, name: str) -> ExperimentStatus:
+    async def wait_for_experiment(self, name: str) -> ExperimentStatusDocument:
         """Wait until all runs of an experiment have ended and been evaluated, or until it is paused."""
         while not rests(status := await self.ask(requests.experiment(name))):
             await asyncio.sleep(PAUSE_S)

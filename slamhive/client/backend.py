@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from slamhive.domain.found_action import FoundAction
-    from slamhive.domain.visibility import Visibility
-    from slamhive.schema import experiment as experiment_schema
-    from slamhive.schema import run as run_schema
-    from slamhive.schema.api_answers import ActedOn, Analysis, AnalysisWithFile
-    from slamhive.schema.catalogue import Algorithm, Dataset
-    from slamhive.schema.challenge import ChallengeSubmission
-    from slamhive.schema.submission import Submission
-    from slamhive.schema.uploads import Imported
+    from slamhive.documents import experiment as experiment_schema
+    from slamhive.documents import run as run_schema
+    from slamhive.documents.api_answers import ActedOn, AnalysisDocument, AnalysisWithFile
+    from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
+    from slamhive.documents.challenge import ChallengeSubmission
+    from slamhive.documents.imports import ImportedDocument
+    from slamhive.documents.submission import Submission
+    from slamhive.domain.accounts import Visibility
+    from slamhive.domain.finding import FoundAction
 
 LOG_BYTES = 200_000
 """How much of the end of a log is read."""
@@ -26,12 +26,12 @@ LOG_BYTES = 200_000
 
 def text_of(file: Path | str) -> str:
     """The text of a file that is given by its path, or as its text. Raises InvalidInput if it cannot be read."""
-    from slamhive import strict_yaml  # noqa: PLC0415 - reading needs none of this
+    from slamhive.base import strict_yaml  # noqa: PLC0415 - reading needs none of this
 
     return strict_yaml.read_text(file) if isinstance(file, Path) else file
 
 
-class Change(StrEnum):
+class RequestedChange(StrEnum):
     """What can be done to an experiment that was started."""
 
     PAUSE = "pause"
@@ -59,7 +59,7 @@ class Backend(Protocol):
     def label(self) -> str:
         """The data root, or the address of the server."""
 
-    def runs(self, query: RunQuery) -> Iterator[run_schema.Run]:
+    def runs(self, query: RunQuery) -> Iterator[run_schema.RunDocument]:
         """All matching runs, read in pages. Raises InvalidInput for a filter that is not valid."""
 
     def count(self, query: RunQuery) -> int:
@@ -83,19 +83,19 @@ class Backend(Protocol):
     def activity(self, run_id: int) -> str:
         """What a run does now, in words."""
 
-    def submit(self, submission: Submission) -> tuple[run_schema.Run, ...]:
+    def submit(self, submission: Submission) -> tuple[run_schema.RunDocument, ...]:
         """Queue runs. Raises NotFound or InvalidInput naming the value, Forbidden where nothing may change."""
 
-    def cancel(self, run_id: int) -> run_schema.Run:
+    def cancel(self, run_id: int) -> run_schema.RunDocument:
         """Cancel a queued run, or ask for the end of an active one."""
 
-    def share(self, run_id: int, visibility: Visibility) -> run_schema.Run:
+    def share(self, run_id: int, visibility: Visibility) -> run_schema.RunDocument:
         """Choose who may see a run. Raises Forbidden unless it is one's own."""
 
-    def retry(self, run_id: int) -> run_schema.Run:
+    def retry(self, run_id: int) -> run_schema.RunDocument:
         """Queue the same again as a new run."""
 
-    def annotate(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> run_schema.Run:
+    def annotate(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> run_schema.RunDocument:
         """Replace the note and the tags of a run; None keeps them. Raises InvalidInput naming what cannot be kept."""
 
     def act(self, query: RunQuery, action: FoundAction, options: Mapping[str, Any]) -> ActedOn:
@@ -107,34 +107,34 @@ class Backend(Protocol):
     def restore(self, deleted_at: str) -> tuple[int, ...]:
         """Take what was deleted together out of the trash; returns the numbers of the runs. Raises NotFound."""
 
-    def experiments(self) -> tuple[experiment_schema.ExperimentStatus, ...]:
+    def experiments(self) -> tuple[experiment_schema.ExperimentStatusDocument, ...]:
         """All experiments, the newest first."""
 
-    def experiment(self, name: str) -> experiment_schema.ExperimentStatus:
+    def experiment(self, name: str) -> experiment_schema.ExperimentStatusDocument:
         """One experiment; raises NotFound."""
 
-    def cells(self, name: str) -> Iterator[experiment_schema.Cell]:
+    def cells(self, name: str) -> Iterator[experiment_schema.CellDocument]:
         """The configurations of an experiment with their runs and metrics, read in pages."""
 
-    def start(self, text: str, executor: str | None) -> experiment_schema.ExperimentStatus:
+    def start(self, text: str, executor: str | None) -> experiment_schema.ExperimentStatusDocument:
         """Queue the runs of an experiment file. The same text again completes an interrupted start."""
 
-    def change(self, name: str, change: Change) -> experiment_schema.ExperimentStatus:
+    def change(self, name: str, change: RequestedChange) -> experiment_schema.ExperimentStatusDocument:
         """Pause, resume or cancel an experiment, or queue its failed runs again."""
 
-    def datasets(self) -> tuple[Dataset, ...]:
+    def datasets(self) -> tuple[DatasetDocument, ...]:
         """All datasets, by name."""
 
-    def dataset(self, name: str) -> Dataset:
+    def dataset(self, name: str) -> DatasetDocument:
         """One dataset; raises NotFound."""
 
-    def algorithms(self) -> tuple[Algorithm, ...]:
+    def algorithms(self) -> tuple[AlgorithmDocument, ...]:
         """All algorithms, by name."""
 
-    def algorithm(self, name: str) -> Algorithm:
+    def algorithm(self, name: str) -> AlgorithmDocument:
         """One algorithm; raises NotFound."""
 
-    def analyses(self) -> tuple[Analysis, ...]:
+    def analyses(self) -> tuple[AnalysisDocument, ...]:
         """The listed analyses, the newest first."""
 
     def analysis(self, token: str) -> AnalysisWithFile:
@@ -146,25 +146,25 @@ class Backend(Protocol):
     def analysis_file(self, token: str, name: str) -> bytes:
         """One file of the report; raises NotFound."""
 
-    def create_analysis(self, text: str, *, listed: bool) -> Analysis:
+    def create_analysis(self, text: str, *, listed: bool) -> AnalysisDocument:
         """Queue an analysis file. Raises InvalidInput naming the line."""
 
-    def recompute_analysis(self, token: str) -> Analysis:
+    def recompute_analysis(self, token: str) -> AnalysisDocument:
         """Queue an analysis again."""
 
-    def share_analysis(self, token: str, visibility: Visibility) -> Analysis:
+    def share_analysis(self, token: str, visibility: Visibility) -> AnalysisDocument:
         """Choose who may see an analysis. Raises Forbidden unless it is one's own."""
 
     def delete_analysis(self, token: str) -> None:
         """Delete an analysis for good."""
 
-    def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+    def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
         """Make a dataset of a recording on this machine. ``options`` are those of :class:`DatasetUpload`.
 
         ``groundtruth`` and ``calibration`` are paths here. Raises InvalidInput or Conflict naming the value.
         """
 
-    def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+    def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
         """Import the trajectories in a folder on this machine. ``options`` are those of :class:`RunsUpload`."""
 
     def submit_image(

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 if TYPE_CHECKING:
-    from slamhive.client.analyses import Analyses
     from slamhive.client.backend import Backend
-    from slamhive.client.catalogue import Named
-    from slamhive.client.experiments import Experiments
+    from slamhive.client.experiments import Analyses, Experiments
     from slamhive.client.runs import Runs
-    from slamhive.schema.catalogue import Algorithm, Dataset
-    from slamhive.schema.challenge import ChallengeSubmission
-    from slamhive.schema.uploads import Imported
+    from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
+    from slamhive.documents.challenge import ChallengeSubmission
+    from slamhive.documents.imports import ImportedDocument
 
 
 class Hive:
@@ -65,37 +64,33 @@ class Hive:
     @property
     def analyses(self) -> Analyses:
         """All listed analyses."""
-        from slamhive.client.analyses import Analyses  # noqa: PLC0415 - on first use
+        from slamhive.client.experiments import Analyses  # noqa: PLC0415 - on first use
 
         return Analyses(self._backend)
 
     @property
-    def datasets(self) -> Named[Dataset]:
+    def datasets(self) -> Named[DatasetDocument]:
         """All datasets: their sensors, durations and ground truth (``docs/schemas/dataset.schema.json``)."""
-        from slamhive.client.catalogue import Named  # noqa: PLC0415 - on first use
-
         return Named(self._backend.datasets, self._backend.dataset)
 
     @property
-    def algorithms(self) -> Named[Algorithm]:
+    def algorithms(self) -> Named[AlgorithmDocument]:
         """All algorithms: what they need, and their parameters (``docs/schemas/algorithm.schema.json``)."""
-        from slamhive.client.catalogue import Named  # noqa: PLC0415 - on first use
-
         return Named(self._backend.algorithms, self._backend.algorithm)
 
-    def import_dataset(self, path: Path | str, *, progress: bool = True, **options: Any) -> Imported:
+    def import_dataset(self, path: Path | str, *, progress: bool = True, **options: Any) -> ImportedDocument:
         """Make a dataset of the recording at ``path``, a file or a folder of this machine.
 
         It is sent to a server in parts; a broken connection costs one part at most. ``options`` are the fields of
-        :class:`~slamhive.schema.uploads.DatasetUpload`; ``groundtruth`` and ``calibration`` are paths. Raises NotFound,
-        InvalidInput or Conflict naming the value.
+        :class:`~slamhive.documents.imports.DatasetUpload`; ``groundtruth`` and ``calibration`` are paths. Raises
+        NotFound, InvalidInput or Conflict naming the value.
         """
         return self._backend.import_dataset(Path(path), options, progress=progress)
 
-    def import_runs(self, path: Path | str, *, progress: bool = True, **options: Any) -> Imported:
+    def import_runs(self, path: Path | str, *, progress: bool = True, **options: Any) -> ImportedDocument:
         """Import the trajectories in the folder at ``path`` as runs; a worker evaluates them.
 
-        ``options`` are the fields of :class:`~slamhive.schema.uploads.RunsUpload`.
+        ``options`` are the fields of :class:`~slamhive.documents.imports.RunsUpload`.
         """
         return self._backend.import_runs(Path(path), options, progress=progress)
 
@@ -105,7 +100,7 @@ class Hive:
         """Submit the image at ``path`` to a challenge, or with ``package="NAME@2"`` a package of the installation.
 
         The file is what ``slamhive algorithm export`` or ``docker save`` wrote. ``options`` are the fields of
-        :class:`~slamhive.schema.challenge_requests.ImageEntry`. Raises NotFound, InvalidInput, Conflict or
+        :class:`~slamhive.documents.challenge.ImageEntry`. Raises NotFound, InvalidInput, Conflict or
         TooManyRequests.
         """
         return self._backend.submit_image(challenge, None if path is None else Path(path), options, progress=progress)
@@ -128,3 +123,29 @@ class Hive:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+# What runs are made of: datasets and algorithms.
+
+
+D = TypeVar("D")
+
+
+class Named(Generic[D]):
+    """The datasets, or the algorithms, of an installation in the order of their names.
+
+    Args:
+        read_all: Reads the documents of all.
+        read_one: Reads the document of one name; raises NotFound.
+    """
+
+    def __init__(self, read_all: Callable[[], tuple[D, ...]], read_one: Callable[[str], D]) -> None:
+        self._read_all = read_all
+        self._read_one = read_one
+
+    def __iter__(self) -> Iterator[D]:
+        return iter(self._read_all())
+
+    def get(self, name: str) -> D:
+        """The document of one name; raises NotFound."""
+        return self._read_one(name)

@@ -2,35 +2,116 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
+import tarfile
+import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, Unavailable
 from slamhive.client import requests
-from slamhive.client.backend import LOG_BYTES, Change, RunQuery
+from slamhive.client.backend import LOG_BYTES, RequestedChange, RunQuery
 from slamhive.client.requests import HEADERS, PREFIX, Request, raise_for
-from slamhive.client.uploading import import_from, send_file
-from slamhive.client.waiting import percent_bar
-from slamhive.errors import InvalidInput, Unavailable
-from slamhive.schema.uploads import OCTETS
+from slamhive.client.waiting import PAUSE_S, percent_bar
+from slamhive.documents.imports import OCTETS, ImportedDocument, Upload
 
 if TYPE_CHECKING:
     import httpx
 
-    from slamhive.domain.found_action import FoundAction
-    from slamhive.domain.visibility import Visibility
-    from slamhive.schema.api_answers import ActedOn, Analysis, AnalysisWithFile, CellPage, RunPage
-    from slamhive.schema.catalogue import Algorithm, Dataset
-    from slamhive.schema.challenge import ChallengeSubmission
-    from slamhive.schema.experiment import Cell, ExperimentStatus
-    from slamhive.schema.run import Run, RunWith
-    from slamhive.schema.submission import Submission
-    from slamhive.schema.uploads import Imported
+    from slamhive.documents.api_answers import ActedOn, AnalysisDocument, AnalysisWithFile, CellPageDocument, RunPage
+    from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
+    from slamhive.documents.challenge import ChallengeSubmission
+    from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument
+    from slamhive.documents.run import RunDocument, RunWith
+    from slamhive.documents.submission import Submission
+    from slamhive.domain.accounts import Visibility
+    from slamhive.domain.finding import FoundAction
+
+# Sends files to a server in parts, and waits until they are imported. A broken connection costs one part at most.
+
+
+Send = Callable[[Request[Any]], Any]
+_AGAIN = 5
+"""How often in succession a part is sent again after the connection broke."""
+
+
+def import_from(
+    send: Send, path: Path, request: Callable[[str], Request[Upload]], *, progress: bool
+) -> ImportedDocument:
+    """Send the file or folder at ``path``, and import it by what ``request`` makes of the token of the upload.
+
+    Raises what the import raises, and NotFound if there is no such file.
+    """
+    with percent_bar(path.name, progress=progress) as show:
+        upload = send_file(send, path, lambda share: show(share / 2, "sending"))
+        upload = send(request(upload.token))
+        while upload.imported is None:
+            if upload.work is None:
+                raise Unavailable(f"{path.name} is not being imported any more", "the server was restarted; try again")
+            if upload.work.problem is not None:
+                raise InvalidInput(upload.work.problem)
+            show((1 + upload.work.fraction) / 2, upload.work.activity)
+            time.sleep(PAUSE_S)
+            upload = send(requests.upload(upload.token))
+        made: ImportedDocument = upload.imported
+        return made
+
+
+def send_file(send: Send, path: Path, show: Callable[[float], None] = lambda _share: None) -> Upload:
+    """Upload the file at ``path``, or a tar archive of the folder there."""
+    with _as_file(path) as file:
+        upload: Upload = send(requests.create_upload(file.name, file.stat().st_size, _sha256(file)))
+        with file.open("rb") as stream:
+            while upload.received_bytes < upload.size_bytes:
+                stream.seek(upload.received_bytes)
+                upload = _send_part(send, upload, stream.read(upload.part_bytes))
+                show(upload.received_bytes / upload.size_bytes)
+        return upload
+
+
+def _send_part(send: Send, upload: Upload, data: bytes) -> Upload:
+    """Send a part; after a broken connection the answer is how far the upload is."""
+    for attempt in range(_AGAIN):
+        try:
+            if attempt:
+                found: Upload = send(requests.upload(upload.token))
+                if found.received_bytes != upload.received_bytes:
+                    return found
+            sent: Upload = send(requests.send_part(upload.token, upload.received_bytes, data))
+        except (Unavailable, Conflict):  # Conflict: the server has not noticed yet that the connection broke
+            if attempt == _AGAIN - 1:
+                raise
+            time.sleep(PAUSE_S * 2**attempt)
+        else:
+            return sent
+    raise AssertionError
+
+
+@contextmanager
+def _as_file(path: Path) -> Iterator[Path]:
+    if path.is_file():
+        yield path
+        return
+    if not path.is_dir():
+        raise NotFound(f"{path} does not exist", "give the path of a file or a folder")
+    with tempfile.TemporaryDirectory() as aside:
+        packed = Path(aside) / f"{path.resolve().name}.tar"
+        with tarfile.open(packed, "w") as archive:
+            archive.add(path, arcname=path.resolve().name)
+        yield packed
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
 
 T = TypeVar("T")
-P = TypeVar("P", "RunPage", "CellPage")
+P = TypeVar("P", "RunPage", "CellPageDocument")
 TIMEOUT_S = 60.0
 CONNECTING_AGAIN = 2
 """How often a connection that cannot be made is tried again."""
@@ -89,7 +170,7 @@ class HttpBackend:
         transport = library.HTTPTransport(retries=CONNECTING_AGAIN)
         self._client: httpx.Client = library.Client(transport=transport, **connection_options(url, token))
 
-    def runs(self, query: RunQuery) -> Iterator[Run]:
+    def runs(self, query: RunQuery) -> Iterator[RunDocument]:
         """See :class:`~slamhive.client.backend.Backend`."""
         for page in self._pages(lambda after: requests.run_page(query, after)):
             yield from page.runs
@@ -123,23 +204,23 @@ class HttpBackend:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.run_progress(run_id)).text
 
-    def submit(self, submission: Submission) -> tuple[Run, ...]:
+    def submit(self, submission: Submission) -> tuple[RunDocument, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.submit(submission)).runs
 
-    def cancel(self, run_id: int) -> Run:
+    def cancel(self, run_id: int) -> RunDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.cancel(run_id))
 
-    def share(self, run_id: int, visibility: Visibility) -> Run:
+    def share(self, run_id: int, visibility: Visibility) -> RunDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.share(run_id, visibility)).runs[0]
 
-    def retry(self, run_id: int) -> Run:
+    def retry(self, run_id: int) -> RunDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.retry(run_id))
 
-    def annotate(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> Run:
+    def annotate(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> RunDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.annotate(run_id, note, tags))
 
@@ -151,44 +232,44 @@ class HttpBackend:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.restore(deleted_at)).runs
 
-    def experiments(self) -> tuple[ExperimentStatus, ...]:
+    def experiments(self) -> tuple[ExperimentStatusDocument, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.experiments()).experiments
 
-    def experiment(self, name: str) -> ExperimentStatus:
+    def experiment(self, name: str) -> ExperimentStatusDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.experiment(name))
 
-    def cells(self, name: str) -> Iterator[Cell]:
+    def cells(self, name: str) -> Iterator[CellDocument]:
         """See :class:`~slamhive.client.backend.Backend`."""
         for page in self._pages(lambda after: requests.cells(name, after)):
             yield from page.cells
 
-    def start(self, text: str, executor: str | None) -> ExperimentStatus:
+    def start(self, text: str, executor: str | None) -> ExperimentStatusDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.start(text, executor))
 
-    def change(self, name: str, change: Change) -> ExperimentStatus:
+    def change(self, name: str, change: RequestedChange) -> ExperimentStatusDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.change(name, change))
 
-    def datasets(self) -> tuple[Dataset, ...]:
+    def datasets(self) -> tuple[DatasetDocument, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.datasets()).datasets
 
-    def dataset(self, name: str) -> Dataset:
+    def dataset(self, name: str) -> DatasetDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.dataset(name))
 
-    def algorithms(self) -> tuple[Algorithm, ...]:
+    def algorithms(self) -> tuple[AlgorithmDocument, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.algorithms()).algorithms
 
-    def algorithm(self, name: str) -> Algorithm:
+    def algorithm(self, name: str) -> AlgorithmDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.algorithm(name))
 
-    def analyses(self) -> tuple[Analysis, ...]:
+    def analyses(self) -> tuple[AnalysisDocument, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.analyses()).analyses
 
@@ -204,15 +285,15 @@ class HttpBackend:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.analysis_file(token, name))
 
-    def create_analysis(self, text: str, *, listed: bool) -> Analysis:
+    def create_analysis(self, text: str, *, listed: bool) -> AnalysisDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.create_analysis(text, listed=listed))
 
-    def recompute_analysis(self, token: str) -> Analysis:
+    def recompute_analysis(self, token: str) -> AnalysisDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.recompute_analysis(token))
 
-    def share_analysis(self, token: str, visibility: Visibility) -> Analysis:
+    def share_analysis(self, token: str, visibility: Visibility) -> AnalysisDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._send(requests.share_analysis(token, visibility))
 
@@ -220,7 +301,7 @@ class HttpBackend:
         """See :class:`~slamhive.client.backend.Backend`."""
         self._send(requests.delete_analysis(token))
 
-    def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+    def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         known = dict(options)
         if "groundtruth" in known:
@@ -231,7 +312,7 @@ class HttpBackend:
             self._send, path, lambda token: requests.import_upload("datasets", token, known), progress=progress
         )
 
-    def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+    def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return import_from(
             self._send, path, lambda token: requests.import_upload("runs", token, options), progress=progress

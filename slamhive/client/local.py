@@ -7,26 +7,26 @@ from contextlib import AbstractContextManager, closing, contextmanager, nullcont
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.client.backend import LOG_BYTES, Change, RunQuery
+from slamhive.base.errors import Forbidden
+from slamhive.base.settings import Mode
+from slamhive.client.backend import LOG_BYTES, RequestedChange, RunQuery
 from slamhive.client.waiting import percent_bar
-from slamhive.errors import Forbidden
-from slamhive.schema.catalogue import Algorithm, Dataset
-from slamhive.schema.challenge_requests import ImageEntry
-from slamhive.schema.experiment import Cell, ExperimentStatus
-from slamhive.schema.model import parse
-from slamhive.schema.run import Run, RunWith
-from slamhive.schema.uploads import DatasetUpload, Imported, RunsUpload
+from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
+from slamhive.documents.challenge import ImageEntry
+from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument
+from slamhive.documents.imports import DatasetUpload, ImportedDocument, RunsUpload
+from slamhive.documents.model import parse
+from slamhive.documents.run import RunDocument, RunWith
 from slamhive.services.data_root import DataRoot
 from slamhive.services.hive import Hive, check_indexed, open_hive
-from slamhive.settings import Mode
 from slamhive.store import RunRecord, RunSort
 
 if TYPE_CHECKING:
-    from slamhive.domain.found_action import FoundAction
-    from slamhive.domain.visibility import Visibility
-    from slamhive.schema.api_answers import ActedOn, Analysis, AnalysisWithFile
-    from slamhive.schema.challenge import ChallengeSubmission
-    from slamhive.schema.submission import Submission
+    from slamhive.documents.api_answers import ActedOn, AnalysisDocument, AnalysisWithFile
+    from slamhive.documents.challenge import ChallengeSubmission
+    from slamhive.documents.submission import Submission
+    from slamhive.domain.accounts import Visibility
+    from slamhive.domain.finding import FoundAction
     from slamhive.store import AnalysisRecord
 
 PAGE = 1000
@@ -65,13 +65,13 @@ class LocalBackend:
         """The data root."""
         return str(self._hive.settings.data)
 
-    def runs(self, query: RunQuery) -> Iterator[Run]:
+    def runs(self, query: RunQuery) -> Iterator[RunDocument]:
         """See :class:`~slamhive.client.backend.Backend`."""
         pages = self._pages(query)
         key: str | None = None
         while True:
             records, key = pages(key)
-            yield from map(Run.of, records)
+            yield from map(RunDocument.of, records)
             if key is None:
                 return
 
@@ -115,34 +115,34 @@ class LocalBackend:
         progress = self._hive.runs.progress(run_id)
         return self._hive.stored_runs.get(run_id).state.value if progress is None else progress.text
 
-    def submit(self, submission: Submission) -> tuple[Run, ...]:
+    def submit(self, submission: Submission) -> tuple[RunDocument, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""
-        return tuple(map(Run.of, self._writing().runs.submit(submission)))
+        return tuple(map(RunDocument.of, self._writing().runs.submit(submission)))
 
-    def cancel(self, run_id: int) -> Run:
+    def cancel(self, run_id: int) -> RunDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
-        return Run.of(self._writing().runs.cancel(run_id))
+        return RunDocument.of(self._writing().runs.cancel(run_id))
 
-    def share(self, run_id: int, visibility: Visibility) -> Run:
+    def share(self, run_id: int, visibility: Visibility) -> RunDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         from slamhive.services.sharing import SharingChange  # noqa: PLC0415 - reading needs none of this
 
-        return Run.of(self._writing().sharings.runs([run_id], SharingChange(visibility))[0])
+        return RunDocument.of(self._writing().sharings.runs([run_id], SharingChange(visibility))[0])
 
-    def retry(self, run_id: int) -> Run:
+    def retry(self, run_id: int) -> RunDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
-        return Run.of(self._writing().runs.retry(run_id))
+        return RunDocument.of(self._writing().runs.retry(run_id))
 
-    def annotate(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> Run:
+    def annotate(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> RunDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         hive = self._writing()
         hive.notes.replace(run_id, note, tags)
-        return Run.of(hive.runs.get(run_id))
+        return RunDocument.of(hive.runs.get(run_id))
 
     def act(self, query: RunQuery, action: FoundAction, options: Mapping[str, Any]) -> ActedOn:
         """See :class:`~slamhive.client.backend.Backend`."""
-        from slamhive.schema.api_answers import ActedOn  # noqa: PLC0415 - reading needs none of this
-        from slamhive.services.found_runs import ACTIONS, change_found  # noqa: PLC0415
+        from slamhive.documents.api_answers import ActedOn  # noqa: PLC0415 - reading needs none of this
+        from slamhive.services.finding import ACTIONS, change_found  # noqa: PLC0415
 
         hive = self._writing()
         run_ids = hive.searches.find(query.where)
@@ -154,57 +154,57 @@ class LocalBackend:
         trash = self._writing().trash
         return tuple(trash.restore(trash.deleted_together(deleted_at)))
 
-    def experiments(self) -> tuple[ExperimentStatus, ...]:
+    def experiments(self) -> tuple[ExperimentStatusDocument, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""
-        return tuple(map(ExperimentStatus.of, self._hive.experiments.list()))
+        return tuple(map(ExperimentStatusDocument.of, self._hive.experiments.list()))
 
-    def experiment(self, name: str) -> ExperimentStatus:
+    def experiment(self, name: str) -> ExperimentStatusDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
-        return ExperimentStatus.of(self._hive.experiments.status(name))
+        return ExperimentStatusDocument.of(self._hive.experiments.status(name))
 
-    def cells(self, name: str) -> Iterator[Cell]:
+    def cells(self, name: str) -> Iterator[CellDocument]:
         """See :class:`~slamhive.client.backend.Backend`."""
-        return map(Cell.of, self._hive.experiments.report(name))
+        return map(CellDocument.of, self._hive.experiments.report(name))
 
-    def start(self, text: str, executor: str | None) -> ExperimentStatus:
+    def start(self, text: str, executor: str | None) -> ExperimentStatusDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         from slamhive.services.experiments import ExperimentSource  # noqa: PLC0415 - on first use
 
-        return ExperimentStatus.of(self._writing().experiments.start(ExperimentSource(text), executor))
+        return ExperimentStatusDocument.of(self._writing().experiments.start(ExperimentSource(text), executor))
 
-    def change(self, name: str, change: Change) -> ExperimentStatus:
+    def change(self, name: str, change: RequestedChange) -> ExperimentStatusDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         experiments = self._writing().experiments
         changes = {
-            Change.PAUSE: experiments.pause,
-            Change.RESUME: experiments.resume,
-            Change.CANCEL: experiments.cancel,
-            Change.RETRY_FAILED: experiments.retry_failed,
+            RequestedChange.PAUSE: experiments.pause,
+            RequestedChange.RESUME: experiments.resume,
+            RequestedChange.CANCEL: experiments.cancel,
+            RequestedChange.RETRY_FAILED: experiments.retry_failed,
         }
         changes[change](name)
         return self.experiment(name)
 
-    def datasets(self) -> tuple[Dataset, ...]:
+    def datasets(self) -> tuple[DatasetDocument, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""
         from slamhive.services.datasets import dataset_document  # noqa: PLC0415 - on first use
 
         return tuple(map(dataset_document, self._hive.catalogue.datasets()))
 
-    def dataset(self, name: str) -> Dataset:
+    def dataset(self, name: str) -> DatasetDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         from slamhive.services.datasets import dataset_document  # noqa: PLC0415 - on first use
 
         return dataset_document(self._hive.catalogue.dataset(name))
 
-    def algorithms(self) -> tuple[Algorithm, ...]:
+    def algorithms(self) -> tuple[AlgorithmDocument, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""
-        return tuple(map(Algorithm.of, self._hive.catalogue.algorithms()))
+        return tuple(map(AlgorithmDocument.of, self._hive.catalogue.algorithms()))
 
-    def algorithm(self, name: str) -> Algorithm:
+    def algorithm(self, name: str) -> AlgorithmDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
-        return Algorithm.of(self._hive.catalogue.algorithm(name))
+        return AlgorithmDocument.of(self._hive.catalogue.algorithm(name))
 
-    def analyses(self) -> tuple[Analysis, ...]:
+    def analyses(self) -> tuple[AnalysisDocument, ...]:
         """See :class:`~slamhive.client.backend.Backend`."""
         return tuple(map(_analysis_of, self._hive.stored_analyses.listed()))
 
@@ -220,15 +220,15 @@ class LocalBackend:
         """See :class:`~slamhive.client.backend.Backend`."""
         return self._hive.analysis_files.get(token, name)
 
-    def create_analysis(self, text: str, *, listed: bool) -> Analysis:
+    def create_analysis(self, text: str, *, listed: bool) -> AnalysisDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return _analysis_of(self._writing().stored_analyses.create(text, listed=listed))
 
-    def recompute_analysis(self, token: str) -> Analysis:
+    def recompute_analysis(self, token: str) -> AnalysisDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         return _analysis_of(self._writing().stored_analyses.recompute(token))
 
-    def share_analysis(self, token: str, visibility: Visibility) -> Analysis:
+    def share_analysis(self, token: str, visibility: Visibility) -> AnalysisDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         from slamhive.services.sharing import SharingChange  # noqa: PLC0415 - reading needs none of this
 
@@ -238,7 +238,7 @@ class LocalBackend:
         """See :class:`~slamhive.client.backend.Backend`."""
         self._writing().stored_analyses.delete(token)
 
-    def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+    def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         from slamhive.services.uploads import import_dataset  # noqa: PLC0415 - loads the importers
 
@@ -250,7 +250,7 @@ class LocalBackend:
         with percent_bar(path.name, progress=progress) as show:
             return import_dataset(hive.catalogue, request, path, truth, map(Path, files.get("calibration", ())), show)
 
-    def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> Imported:
+    def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
         """See :class:`~slamhive.client.backend.Backend`."""
         from slamhive.services.uploads import import_runs  # noqa: PLC0415 - loads the importers
 
@@ -330,7 +330,7 @@ class LocalBackend:
         return self._hive
 
 
-def _analysis_of(record: AnalysisRecord) -> Analysis:
-    from slamhive.schema.api_answers import Analysis  # noqa: PLC0415 - on first use
+def _analysis_of(record: AnalysisRecord) -> AnalysisDocument:
+    from slamhive.documents.api_answers import AnalysisDocument  # noqa: PLC0415 - on first use
 
-    return Analysis.of(record)
+    return AnalysisDocument.of(record)

@@ -9,37 +9,37 @@ from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from urllib.parse import parse_qs, quote, urlsplit
 
-from slamhive.errors import SlamHiveError, Unavailable
-from slamhive.schema.api_answers import (
+from slamhive.base.errors import SlamHiveError, Unavailable
+from slamhive.documents.api_answers import (
     ActedOn,
     Algorithms,
-    Analyses,
-    Analysis,
+    AnalysesDocument,
+    AnalysisDocument,
     AnalysisWithFile,
-    CellPage,
+    CellPageDocument,
     Datasets,
-    Experiments,
-    Problem,
-    Progress,
+    ExperimentsDocument,
+    ProblemDocument,
+    ProgressDocument,
     Removal,
-    RunFiles,
+    RunFilesDocument,
     RunNumbers,
     RunPage,
-    Runs,
+    RunsDocument,
 )
-from slamhive.schema.catalogue import Algorithm, Dataset
-from slamhive.schema.challenge import ChallengeSubmission, ChallengeSubmissions
-from slamhive.schema.experiment import ExperimentStatus
-from slamhive.schema.model import Document, dump
-from slamhive.schema.problems import STATUS
-from slamhive.schema.run import Run, RunWith
-from slamhive.schema.submission import Submission
-from slamhive.schema.uploads import Upload
+from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
+from slamhive.documents.challenge import ChallengeSubmission, ChallengeSubmissions
+from slamhive.documents.experiment import ExperimentStatusDocument
+from slamhive.documents.imports import Upload
+from slamhive.documents.model import Document, dump
+from slamhive.documents.run import RunDocument, RunWith
+from slamhive.documents.submission import Submission
+from slamhive.documents.validation import STATUS
 
 if TYPE_CHECKING:
-    from slamhive.client.backend import Change, RunQuery
-    from slamhive.domain.found_action import FoundAction
-    from slamhive.domain.visibility import Visibility
+    from slamhive.client.backend import RequestedChange, RunQuery
+    from slamhive.domain.accounts import Visibility
+    from slamhive.domain.finding import FoundAction
 
 T = TypeVar("T")
 D = TypeVar("D", bound=Document)
@@ -83,7 +83,7 @@ def raise_for(status: int, content: bytes, address: str) -> None:
     if status < HTTPStatus.MULTIPLE_CHOICES:
         return
     try:
-        problem = Problem.read(json.loads(content))
+        problem = ProblemDocument.read(json.loads(content))
     except (ValueError, SlamHiveError):
         raise Unavailable(
             f"{address} answered with status {status}, not as SLAM Hive does", "check the address"
@@ -112,9 +112,9 @@ def run(run_id: int) -> Request[RunWith]:
     return _get(f"/runs/{run_id}", RunWith)
 
 
-def run_files(run_id: int) -> Request[RunFiles]:
+def run_files(run_id: int) -> Request[RunFilesDocument]:
     """The files of a run."""
-    return _get(f"/runs/{run_id}/files", RunFiles)
+    return _get(f"/runs/{run_id}/files", RunFilesDocument)
 
 
 def run_file(run_id: int, key: str) -> Request[bytes]:
@@ -127,34 +127,34 @@ def run_log(run_id: int, max_bytes: int) -> Request[str]:
     return Request(f"/runs/{run_id}/log", lambda data: data.decode(errors="replace"), {"bytes": str(max_bytes)})
 
 
-def run_progress(run_id: int) -> Request[Progress]:
+def run_progress(run_id: int) -> Request[ProgressDocument]:
     """How far a run is."""
-    return _get(f"/runs/{run_id}/progress", Progress)
+    return _get(f"/runs/{run_id}/progress", ProgressDocument)
 
 
-def submit(submission: Submission) -> Request[Runs]:
+def submit(submission: Submission) -> Request[RunsDocument]:
     """Queue runs."""
-    return _post("/runs", Runs, dump(Submission, submission))
+    return _post("/runs", RunsDocument, dump(Submission, submission))
 
 
-def cancel(run_id: int) -> Request[Run]:
+def cancel(run_id: int) -> Request[RunDocument]:
     """Cancel a run."""
-    return _post(f"/runs/{run_id}/cancel", Run)
+    return _post(f"/runs/{run_id}/cancel", RunDocument)
 
 
-def share(run_id: int, visibility: Visibility) -> Request[Runs]:
+def share(run_id: int, visibility: Visibility) -> Request[RunsDocument]:
     """Choose who may see a run."""
-    return _post("/runs/share", Runs, {"runs": [run_id], "visibility": visibility.value})
+    return _post("/runs/share", RunsDocument, {"runs": [run_id], "visibility": visibility.value})
 
 
-def retry(run_id: int) -> Request[Run]:
+def retry(run_id: int) -> Request[RunDocument]:
     """Queue the same again."""
-    return _post(f"/runs/{run_id}/retry", Run)
+    return _post(f"/runs/{run_id}/retry", RunDocument)
 
 
-def annotate(run_id: int, note: str | None, tags: Sequence[str] | None) -> Request[Run]:
+def annotate(run_id: int, note: str | None, tags: Sequence[str] | None) -> Request[RunDocument]:
     """Replace the note and the tags of a run."""
-    return _post(f"/runs/{run_id}/notes", Run, {"note": note, "tags": None if tags is None else list(tags)})
+    return _post(f"/runs/{run_id}/notes", RunDocument, {"note": note, "tags": None if tags is None else list(tags)})
 
 
 def act(query: RunQuery, action: FoundAction, count: int, options: Mapping[str, Any]) -> Request[ActedOn]:
@@ -167,30 +167,30 @@ def restore(deleted_at: str) -> Request[RunNumbers]:
     return _post("/trash/restore-together", RunNumbers, {"deleted_at": deleted_at})
 
 
-def experiments() -> Request[Experiments]:
+def experiments() -> Request[ExperimentsDocument]:
     """All experiments."""
-    return _get("/experiments", Experiments)
+    return _get("/experiments", ExperimentsDocument)
 
 
-def experiment(name: str) -> Request[ExperimentStatus]:
+def experiment(name: str) -> Request[ExperimentStatusDocument]:
     """One experiment."""
-    return _get(f"/experiments/{quote(name, safe='')}", ExperimentStatus)
+    return _get(f"/experiments/{quote(name, safe='')}", ExperimentStatusDocument)
 
 
-def cells(name: str, after: str | None) -> Request[CellPage]:
+def cells(name: str, after: str | None) -> Request[CellPageDocument]:
     """A page of the configurations of an experiment."""
     more = {} if after is None else {"after": after}
-    return _get(f"/experiments/{quote(name, safe='')}/cells", CellPage, {"limit": str(CELLS), **more})
+    return _get(f"/experiments/{quote(name, safe='')}/cells", CellPageDocument, {"limit": str(CELLS), **more})
 
 
-def start(text: str, executor: str | None) -> Request[ExperimentStatus]:
+def start(text: str, executor: str | None) -> Request[ExperimentStatusDocument]:
     """Start an experiment."""
-    return _post("/experiments", ExperimentStatus, {"yaml": text, "executor": executor})
+    return _post("/experiments", ExperimentStatusDocument, {"yaml": text, "executor": executor})
 
 
-def change(name: str, change: Change) -> Request[ExperimentStatus]:
+def change(name: str, change: RequestedChange) -> Request[ExperimentStatusDocument]:
     """Change an experiment."""
-    return _post(f"/experiments/{quote(name, safe='')}/{change.value}", ExperimentStatus)
+    return _post(f"/experiments/{quote(name, safe='')}/{change.value}", ExperimentStatusDocument)
 
 
 def datasets() -> Request[Datasets]:
@@ -198,9 +198,9 @@ def datasets() -> Request[Datasets]:
     return _get("/datasets", Datasets)
 
 
-def dataset(name: str) -> Request[Dataset]:
+def dataset(name: str) -> Request[DatasetDocument]:
     """One dataset."""
-    return _get(f"/datasets/{quote(name, safe='')}", Dataset)
+    return _get(f"/datasets/{quote(name, safe='')}", DatasetDocument)
 
 
 def algorithms() -> Request[Algorithms]:
@@ -208,14 +208,14 @@ def algorithms() -> Request[Algorithms]:
     return _get("/algorithms", Algorithms)
 
 
-def algorithm(name: str) -> Request[Algorithm]:
+def algorithm(name: str) -> Request[AlgorithmDocument]:
     """One algorithm."""
-    return _get(f"/algorithms/{quote(name, safe='')}", Algorithm)
+    return _get(f"/algorithms/{quote(name, safe='')}", AlgorithmDocument)
 
 
-def analyses() -> Request[Analyses]:
+def analyses() -> Request[AnalysesDocument]:
     """The listed analyses."""
-    return _get("/analyses", Analyses)
+    return _get("/analyses", AnalysesDocument)
 
 
 def analysis(token: str) -> Request[AnalysisWithFile]:
@@ -233,19 +233,19 @@ def analysis_file(token: str, name: str) -> Request[bytes]:
     return Request(f"{_analysis(token)}/files/{quote(name, safe='')}", bytes)
 
 
-def create_analysis(text: str, *, listed: bool) -> Request[Analysis]:
+def create_analysis(text: str, *, listed: bool) -> Request[AnalysisDocument]:
     """Queue an analysis file."""
-    return _post("/analyses", Analysis, {"yaml": text, "listed": listed})
+    return _post("/analyses", AnalysisDocument, {"yaml": text, "listed": listed})
 
 
-def recompute_analysis(token: str) -> Request[Analysis]:
+def recompute_analysis(token: str) -> Request[AnalysisDocument]:
     """Queue an analysis again."""
-    return _post(f"{_analysis(token)}/recompute", Analysis)
+    return _post(f"{_analysis(token)}/recompute", AnalysisDocument)
 
 
-def share_analysis(token: str, visibility: Visibility) -> Request[Analysis]:
+def share_analysis(token: str, visibility: Visibility) -> Request[AnalysisDocument]:
     """Choose who may see an analysis."""
-    return _post(f"{_analysis(token)}/share", Analysis, {"visibility": visibility.value})
+    return _post(f"{_analysis(token)}/share", AnalysisDocument, {"visibility": visibility.value})
 
 
 def delete_analysis(token: str) -> Request[Removal]:

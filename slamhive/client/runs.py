@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, overload
 
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.client.backend import Backend, RunQuery
-from slamhive.domain.found_action import FoundAction
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.domain.finding import FoundAction
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.protocol import Duplicates
+from slamhive.filters.fields import PARAMETER_PREFIX
+from slamhive.trajectory.layout import parse_tum
+from slamhive.trajectory.model import Trajectory
 
 if TYPE_CHECKING:
-    from slamhive.client.trajectory import RunTrajectory
+    from evo.core.trajectory import PoseTrajectory3D
+
+    from slamhive.documents import run as run_schema
+    from slamhive.documents.api_answers import ActedOn
+    from slamhive.documents.submission import Submission
+    from slamhive.domain.accounts import Visibility
     from slamhive.domain.parameters import Value
     from slamhive.domain.run import RunState
-    from slamhive.domain.visibility import Visibility
-    from slamhive.schema import run as run_schema
-    from slamhive.schema.api_answers import ActedOn
-    from slamhive.schema.submission import Submission
 
 ESTIMATE = "traj.txt"
 
@@ -29,7 +36,7 @@ class Run:
     ``document`` holds everything else that is known, as typed fields; ``docs/schemas/run.schema.json`` lists them.
     """
 
-    def __init__(self, backend: Backend, document: run_schema.Run) -> None:
+    def __init__(self, backend: Backend, document: run_schema.RunDocument) -> None:
         self._backend = backend
         self.document = document
 
@@ -129,7 +136,7 @@ class Run:
 
     def share(self, visibility: str) -> Run:
         """Choose who may see it: ``private``, ``team`` or ``public``. Raises Forbidden unless it is one's own."""
-        from slamhive.domain.visibility import Visibility  # noqa: PLC0415 - reading needs none of this
+        from slamhive.domain.accounts import Visibility  # noqa: PLC0415 - reading needs none of this
 
         return Run(self._backend, self._backend.share(self.id, Visibility.named(visibility)))
 
@@ -144,7 +151,6 @@ class Run:
         return f"{self.document.protocol.fingerprint}-{name}"
 
     def _read(self, key: str) -> RunTrajectory:
-        from slamhive.client.trajectory import RunTrajectory  # noqa: PLC0415 - loads NumPy
 
         return RunTrajectory.of_tum(self.file(key), f"{key} of run {self.id}")
 
@@ -235,9 +241,7 @@ class RunList:
         return self._backend.act(self._query, action, options)
 
     def to_pandas(self, columns: Sequence[str] = ()) -> Any:
-        """A pandas data frame with a row for each run; see :func:`slamhive.client.table.frame_of`."""
-        from slamhive.client.table import frame_of  # noqa: PLC0415 - loads pandas
-
+        """A pandas data frame with a row for each run; see :func:`slamhive.client.runs.frame_of`."""
         return frame_of(self._backend, self._query, columns)
 
 
@@ -271,8 +275,84 @@ def submission_of(
     algorithm: str, dataset: str, parameters: Mapping[str, Value] | None, options: Mapping[str, Any]
 ) -> Submission:
     """A submission of Python values; raises InvalidInput naming the field."""
-    from slamhive.schema.model import load  # noqa: PLC0415 - reading needs none of this
-    from slamhive.schema.submission import Submission  # noqa: PLC0415
+    from slamhive.documents.model import load  # noqa: PLC0415 - reading needs none of this
+    from slamhive.documents.submission import Submission  # noqa: PLC0415
 
     content = {"algorithm": algorithm, "dataset": dataset, "parameters": dict(parameters or {}), **options}
     return load(Submission, content)
+
+
+# Trajectories of runs, for NumPy, pandas and evo.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunTrajectory(Trajectory):
+    """Timestamped poses: ``stamps_s`` (n,), ``positions_m`` (n, 3), ``quats_xyzw`` (n, 4)."""
+
+    @classmethod
+    def of_tum(cls, data: bytes, name: str) -> RunTrajectory:
+        """The trajectory in a TUM file that messages call ``name``; raises InvalidInput. Equal timestamps stay."""
+        found = parse_tum(data, name, Duplicates.KEEP)
+        return cls(found.stamps_s, found.positions_m, found.quats_xyzw)
+
+    def to_evo(self) -> PoseTrajectory3D:
+        """The same as a trajectory of evo."""
+        from evo.core.trajectory import PoseTrajectory3D  # noqa: PLC0415 - takes a second to load
+
+        quats_wxyz = self.quats_xyzw[:, [3, 0, 1, 2]]
+        return PoseTrajectory3D(self.positions_m.copy(), quats_wxyz, self.stamps_s.copy())
+
+    def to_pandas(self) -> Any:
+        """A data frame with the columns of the TUM format, times in s and positions in m."""
+        import pandas as pd  # noqa: PLC0415 - takes half a second to load
+
+        columns = {"timestamp": self.stamps_s}
+        columns |= {f"t{axis}": self.positions_m[:, place] for place, axis in enumerate("xyz")}
+        columns |= {f"q{axis}": self.quats_xyzw[:, place] for place, axis in enumerate("xyzw")}
+        return pd.DataFrame(columns)
+
+
+# Runs as a pandas data frame.
+
+
+_TIMES = ("created_at", "started_at", "ended_at")
+_PARAMETERS = "parameters"
+HEAD = (
+    "id",
+    "algorithm",
+    "version",
+    "dataset",
+    "variant",
+    "configuration",
+    "experiment",
+    "seed",
+    "state",
+    "reason",
+    "verdict",
+    "trust",
+    "tags",
+    *_TIMES,
+    "protocol",
+)
+
+
+def frame_of(backend: Backend, query: RunQuery, columns: Sequence[str] = ()) -> Any:
+    """A row for each run. ``columns`` are keys of columns, metrics and parameters.
+
+    Without ``columns``: what says which run it is, its parameters as ``parameter.NAME``, and every metric that any of
+    the runs has. Metrics are in stored units and missing ones NaN; times are UTC.
+    """
+    import pandas as pd  # noqa: PLC0415 - takes half a second to load
+
+    wanted = tuple(columns) or (*HEAD, _PARAMETERS, *CATALOGUE)
+    frame = pd.DataFrame(list(backend.table(query, wanted)), columns=list(wanted))
+    numbers = [key for key in wanted if key in CATALOGUE]
+    frame = frame.astype(dict.fromkeys(numbers, float))
+    for key in _TIMES:
+        if key in wanted:
+            frame[key] = pd.to_datetime(frame[key], utc=True, format="ISO8601")
+    if columns:
+        return frame
+    parameters = pd.DataFrame([json.loads(text) for text in frame[_PARAMETERS]], index=frame.index)
+    metrics = frame[numbers].dropna(axis="columns", how="all")
+    return pd.concat([frame[list(HEAD)], parameters.add_prefix(PARAMETER_PREFIX), metrics], axis="columns")

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from slamhive.base.clock import monotonic_s
 from slamhive.client.backend import Backend
-from slamhive.clock import monotonic_s
 
 if TYPE_CHECKING:
-    from slamhive.schema.api_answers import AnalysisWithFile
-    from slamhive.schema.experiment import ExperimentStatus
-    from slamhive.schema.run import RunWith
+    from slamhive.documents.api_answers import AnalysisWithFile
+    from slamhive.documents.experiment import ExperimentStatusDocument
+    from slamhive.documents.run import RunWith
 
 Show = Callable[[int, str], None]
 PAUSE_S = 0.3
@@ -37,7 +37,7 @@ def wait_for_runs(backend: Backend, run_ids: Sequence[int], *, progress: bool) -
     return tuple(found)
 
 
-def wait_for_experiment(backend: Backend, name: str, *, progress: bool) -> ExperimentStatus:
+def wait_for_experiment(backend: Backend, name: str, *, progress: bool) -> ExperimentStatusDocument:
     """Wait until all runs of an experiment have ended and been evaluated, or until somebody pauses it."""
     status = backend.experiment(name)
     with _bar(f"experiment {name}", status.runs, progress=progress) as show, backend.working(name) as check:
@@ -69,12 +69,12 @@ def is_complete(run: RunWith) -> bool:
     return run.state.ended and not any(entry.state in _OPEN for entry in run.evaluations)
 
 
-def rests(status: ExperimentStatus) -> bool:
+def rests(status: ExperimentStatusDocument) -> bool:
     """Whether nothing more happens in an experiment by itself."""
     return not status.phase or (status.state == "paused" and not status.counts.get("running"))
 
 
-def _ended(status: ExperimentStatus) -> int:
+def _ended(status: ExperimentStatusDocument) -> int:
     return status.runs - status.missing - status.counts.get("queued", 0) - status.counts.get("running", 0)
 
 

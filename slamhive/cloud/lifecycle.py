@@ -4,18 +4,138 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
-from slamhive.clock import Clock
-from slamhive.cloud.cloud_file import CloudFile
-from slamhive.cloud.cluster_records import CloudRecords
-from slamhive.cloud.plan import FIREWALL, IMAGE
+from slamhive.base.clock import Clock
+from slamhive.base.errors import Conflict, Unavailable
+from slamhive.cloud.machines import NodeOrders, user_data
+from slamhive.cloud.plan import FIREWALL, IMAGE, CloudFile, machine_role
 from slamhive.cloud.providers.base import Provider
-from slamhive.cloud.resources import ROLE_TAG, UID_TAG, Launch, Resource, in_role, tags_of
-from slamhive.cloud.steps import Act, Step, Wanted, deletable, next_step
-from slamhive.cloud.user_data import NodeOrders, user_data
-from slamhive.domain.numbers import plural
-from slamhive.errors import Conflict, Unavailable
-from slamhive.schema.cloud import CloudRecord, CloudState
+from slamhive.cloud.resources import (
+    ROLE_TAG,
+    UID_TAG,
+    CloudRecords,
+    Launch,
+    Resource,
+    ResourceKind,
+    State,
+    in_role,
+    tags_of,
+)
+from slamhive.documents.machines import CloudRecord, CloudState
+from slamhive.domain.names import plural
+
+# What to do next, so that a provider holds what the plan shows, or nothing. Decided from what it holds now.
+#
+# So it does not matter who did the steps before, or where a controller was killed.
+
+
+class Act(StrEnum):
+    """The steps of ``up``."""
+
+    MAKE_FIREWALL = "make the firewall"
+    OPEN_FIREWALL = "open the firewall"
+    START_MACHINES = "start machines"
+    PREPARE = "prepare the first machine"
+    STOP_FIRST = "stop the first machine"
+    MAKE_IMAGE = "make an image of it"
+    RESUME_FIRST = "start the first machine again"
+    WAIT = "wait"
+    DONE = "done"
+
+
+@dataclass(frozen=True, slots=True)
+class CloudStep:
+    """One step; ``roles`` are the machines to start, and ``resource`` is what it concerns."""
+
+    act: Act
+    roles: tuple[str, ...] = ()
+    resource: Resource | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What the plan shows, and what only the record knows: whether firewall and first machine are finished."""
+
+    nodes: int
+    image: bool
+    prepare: bool
+    opened: bool = False
+    prepared: bool = False
+
+
+def next_step(wanted: Wanted, found: Sequence[Resource]) -> CloudStep:
+    """The next step of ``up``."""
+    firewall = in_role(found, FIREWALL)
+    if firewall is None:
+        return CloudStep(Act.MAKE_FIREWALL)
+    if not wanted.opened:
+        return CloudStep(Act.OPEN_FIREWALL, resource=firewall)
+    failed = [entry for entry in found if entry.state is State.FAILED]
+    if failed:
+        return CloudStep(Act.DONE, resource=failed[0], reason=f"{failed[0].kind} {failed[0].id} failed")
+    if wanted.prepare and not wanted.prepared:
+        return _preparation(in_role(found, machine_role(0)))
+    image = in_role(found, IMAGE)
+    if wanted.image and (image is None or image.state is State.PENDING):
+        return _imaging(in_role(found, machine_role(0)), image)
+    return _machines(wanted, found)
+
+
+def _preparation(first: Resource | None) -> CloudStep:
+    if first is None:
+        return CloudStep(Act.START_MACHINES, (machine_role(0),))
+    if first.state is State.STOPPED:
+        return CloudStep(Act.RESUME_FIRST, resource=first)
+    if first.state is State.PENDING:
+        return CloudStep(Act.WAIT, resource=first, reason="the first machine starts")
+    return CloudStep(Act.PREPARE, resource=first)
+
+
+def _imaging(first: Resource | None, image: Resource | None) -> CloudStep:
+    if image is not None:
+        return CloudStep(Act.WAIT, resource=image, reason="the image is made")
+    if first is None:
+        return CloudStep(Act.DONE, reason="the first machine is gone, and so is what was prepared on it")
+    if first.state is State.READY:
+        return CloudStep(Act.STOP_FIRST, resource=first)
+    if first.state is State.PENDING:
+        return CloudStep(Act.WAIT, resource=first, reason="the first machine stops")
+    return CloudStep(Act.MAKE_IMAGE, resource=first)
+
+
+def _machines(wanted: Wanted, found: Sequence[Resource]) -> CloudStep:
+    first = in_role(found, machine_role(0))
+    if first is not None and first.state is State.STOPPED:
+        return CloudStep(Act.RESUME_FIRST, resource=first)
+    roles = tuple(map(machine_role, range(wanted.nodes)))
+    missing = tuple(role for role in roles if in_role(found, role) is None)
+    if missing:
+        return CloudStep(Act.START_MACHINES, missing)
+    pending = [entry for entry in found if entry.kind is ResourceKind.MACHINE and entry.state is State.PENDING]
+    if pending:
+        return CloudStep(Act.WAIT, resource=pending[0], reason=f"{len(pending)} of {wanted.nodes} machines start")
+    return CloudStep(Act.DONE)
+
+
+def deletable(found: Sequence[Resource]) -> tuple[Resource, ...]:
+    """What can be deleted now. Machines go first, because disks and firewalls are in use until they are gone.
+
+    An image that does not know its snapshots yet has to wait, because nobody would find these without it.
+    """
+    alive = [entry for entry in found if entry.state is not State.ENDING]
+    machines = [entry for entry in alive if entry.kind is ResourceKind.MACHINE]
+    images = [
+        entry
+        for entry in alive
+        if entry.kind is ResourceKind.IMAGE and (entry.parts or entry.state is not State.PENDING)
+    ]
+    if any(entry.kind in (ResourceKind.MACHINE, ResourceKind.IMAGE) for entry in found):
+        return (*machines, *images)
+    order = (ResourceKind.SNAPSHOT, ResourceKind.DISK, ResourceKind.FIREWALL)
+    return tuple(sorted(alive, key=lambda entry: order.index(entry.kind)))
+
 
 POLL_S = 5.0
 SETTLE_S = 10.0
@@ -72,7 +192,7 @@ class Rising:
             self._do(step, found)
             last = step
 
-    def _pace(self, step: Step, repeats: int) -> None:
+    def _pace(self, step: CloudStep, repeats: int) -> None:
         """Say what comes; wait before a step that has been done already, because lists of providers lag behind."""
         if not repeats:
             self._hands.tell(step.reason or step.act.value)
@@ -89,12 +209,12 @@ class Rising:
         prepare = self._order.prepare is not None
         return Wanted(record.plan.nodes, IMAGE in record.plan.roles, prepare, record.opened, record.prepared)
 
-    def _done(self, step: Step) -> CloudRecord:
+    def _done(self, step: CloudStep) -> CloudRecord:
         if step.reason:
             raise Unavailable(step.reason, _DOWN.format(self._record.name))
         return self._record
 
-    def _do(self, step: Step, found: Sequence[Resource]) -> None:
+    def _do(self, step: CloudStep, found: Sequence[Resource]) -> None:
         provider, target = self._hands.provider, step.resource
         if step.act is Act.MAKE_FIREWALL:
             provider.make_firewall(self._order, self._name(), self._tags(FIREWALL))

@@ -3,27 +3,166 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.bounds import Bound
+from slamhive.domain.calibration import LidarLayout, PointOrder
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.gpu import GpuNeed
-from slamhive.domain.lidar_needs import LidarNeeds
-from slamhive.domain.package_origin import UNKNOWN, PackageOrigin
-from slamhive.domain.parameters import Parameter
-from slamhive.domain.pinned_image import PinnedImage
-from slamhive.domain.pose_time import PoseTime
-from slamhive.domain.remaps import TopicOf
-from slamhive.domain.requirement import Requirement, check_requirements
-from slamhive.domain.sensor_choice import BY_RULE, Chosen, assign_in_order, check_choice
+from slamhive.domain.packages import UNKNOWN, PackageOrigin, PinnedImage, Weights, version_label
+from slamhive.domain.parameters import Parameter, SensorProperty
+from slamhive.domain.roles import BY_RULE, Chosen, TopicOf, assign_in_order, check_choice
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
-from slamhive.domain.trajectory_kind import TrajectoryKind
-from slamhive.domain.versions import version_label
-from slamhive.domain.weights import Weights
-from slamhive.errors import InvalidInput
+from slamhive.domain.trajectory_kind import PoseTime, TrajectoryKind
+from slamhive.runtime.point_times import TimeReference, TimeUnit
+
+# What an algorithm has to know of a sensor, and whether the dataset has it.
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """An entry of ``requires`` in ``algorithm.yaml``: a property that must be known.
+
+    ``allowed`` are its only values, empty for any.
+    """
+
+    source: SensorProperty
+    allowed: tuple[str, ...] = ()
+
+    def met_by(self, sensor: Sensor) -> bool:
+        """Whether ``sensor`` has the property, with a value that is allowed."""
+        found = self.source.value({self.source.role: sensor})
+        return found is not None and (not self.allowed or str(found) in self.allowed)
+
+
+def check_requirements(requirements: Sequence[Requirement], sensor: Sensor, algorithm: str, dataset: str) -> None:
+    """Raise InvalidInput naming all that ``sensor`` of ``dataset`` lacks of what ``algorithm`` requires of its role."""
+    unmet = [entry for entry in requirements if not entry.met_by(sensor)]
+    missing = [entry.source.name for entry in unmet if entry.source.value({entry.source.role: sensor}) is None]
+    if missing:
+        raise InvalidInput(
+            f"{algorithm} needs {', '.join(missing)} of its {unmet[0].source.role}; {sensor.name} of dataset {dataset} "
+            f"does not state {'it' if len(missing) == 1 else 'them'}",
+            f"add {', '.join(missing)} to the calibration of {sensor.name} in dataset.yaml",
+        )
+    for entry in unmet:
+        raise InvalidInput(
+            f"{algorithm} needs {entry.source} to be {' or '.join(entry.allowed)}; it is "
+            f"{entry.source.value({entry.source.role: sensor})} for {sensor.name} of dataset {dataset}",
+            "choose another sensor, dataset or algorithm",
+        )
+
+
+# Whether a package uses a GPU, and what a GPU is.
+
+
+class GpuNeed(StrEnum):
+    """Whether runs of a package get a GPU."""
+
+    NONE = "none"
+    OPTIONAL = "optional"
+    """A run gets one where the machine has one."""
+    REQUIRED = "required"
+
+
+@dataclass(frozen=True, slots=True)
+class Gpu:
+    """One GPU of this machine. ``uuid`` stays the same over restarts, unlike its number."""
+
+    uuid: str
+    model: str
+    driver: str
+    memory_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class GivenGpu:
+    """The GPU that an engine of several nodes gave to a run. What nobody could find out is None.
+
+    Attributes:
+        node: Where it is.
+        number: What the engine calls it on that node.
+        uuid: As in :class:`Gpu`, with ``model``, ``driver`` and ``memory_bytes``.
+    """
+
+    node: str
+    number: str | None = None
+    uuid: str | None = None
+    model: str | None = None
+    driver: str | None = None
+    memory_bytes: int | None = None
+
+
+# What an algorithm needs of the points of a LiDAR, and whether a dataset has it.
+
+
+class LidarNeed(StrEnum):
+    """Whether an algorithm can do without something."""
+
+    REQUIRED = "required"
+    OPTIONAL = "optional"
+    IGNORED = "ignored"
+
+
+@dataclass(frozen=True, slots=True)
+class LidarNeeds:
+    """What a package asks of point clouds, the entry ``lidar`` of ``algorithm.yaml``.
+
+    Attributes:
+        point_time: A time for each point.
+        ring: The number of the ring of each point.
+        organised: Scans that are images of ranges.
+        point_time_units: The units that it takes; empty if its adapter converts all.
+        point_time_references: What the times may count from; empty if its adapter converts all.
+        point_orders: The orders of points that it takes; empty for any.
+    """
+
+    point_time: LidarNeed = LidarNeed.OPTIONAL
+    ring: LidarNeed = LidarNeed.IGNORED
+    organised: LidarNeed = LidarNeed.IGNORED
+    point_time_units: tuple[TimeUnit, ...] = ()
+    point_time_references: tuple[TimeReference, ...] = ()
+    point_orders: tuple[PointOrder, ...] = ()
+
+    def check(self, sensor: Sensor, algorithm: str, dataset: str) -> None:
+        """Raise InvalidInput if ``sensor`` of ``dataset`` does not give ``algorithm`` what it needs."""
+        layout = LidarLayout.of(sensor)
+        problem = self._lacks(layout) or self._unfit(layout)
+        if problem is not None:
+            needed, found = problem
+            raise InvalidInput(
+                f"{algorithm} needs {needed}; {sensor.name} of dataset {dataset} {found}",
+                "choose another dataset or algorithm, or correct the calibration of the sensor in dataset.yaml",
+            )
+
+    def _lacks(self, layout: LidarLayout) -> tuple[str, str] | None:
+        if self.point_time is LidarNeed.REQUIRED and not layout.times.field:
+            return "a time for each point", "has none"
+        if self.ring is LidarNeed.REQUIRED and not layout.ring_field:
+            return "the ring of each point", "has none"
+        if self.organised is LidarNeed.REQUIRED and not layout.organised:
+            return "organised scans", "has a list of points"
+        return None
+
+    def _unfit(self, layout: LidarLayout) -> tuple[str, str] | None:
+        unit, reference, order = layout.times.unit, layout.times.reference, layout.point_order
+        timed = bool(layout.times.field) and self.point_time is not LidarNeed.IGNORED
+        if timed and self.point_time_units and unit not in self.point_time_units:
+            return f"point times in {_or(self.point_time_units)}", f"has them in {unit}"
+        if timed and self.point_time_references and reference not in self.point_time_references:
+            return f"point times relative to {_or(self.point_time_references)}", f"has them relative to {reference}"
+        if self.point_orders and order not in self.point_orders:
+            return f"points in the order {_or(self.point_orders)}", f"has {order or 'an unknown order'}"
+        return None
+
+
+def _or(choices: tuple[StrEnum, ...]) -> str:
+    return " or ".join(choices)
+
 
 _SHORT_LICENCE = 30
 
@@ -238,3 +377,30 @@ class Algorithm:
             self.lidar.check(sensor, self.name, dataset.name)
         own = [entry for entry in self.requires if entry.source.role == role]
         check_requirements(own, sensor, self.name, dataset.name)
+
+
+# Algorithms that are known by imported trajectories only. They have a name and a sensor setup.
+
+
+IMPORTED = "imported"
+"""The executor of imported runs."""
+
+EXTERNAL_PACKAGE = "(imported)"
+"""The package of algorithms that have none; no real package can have this name. Their mode is their setup."""
+
+
+def external_algorithm(name: str, setup: SensorSetup) -> Algorithm:
+    """The algorithm called ``name``, whose trajectories describe the body. It cannot be run."""
+    package = AlgorithmPackage(
+        name=EXTERNAL_PACKAGE, folder=Path(), title=name, version="", upstream="", licence="", citation=""
+    )
+    return Algorithm(
+        name=name,
+        package=package,
+        mode=setup.value,
+        title=name,
+        setup=setup,
+        inputs=(),
+        trajectory_role="",
+        parameters=(),
+    )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from slamhive.domain.configuration import Playback
 from slamhive.domain.parameters import Value
-from slamhive.domain.protocol_choices import ALIGNMENT_LABELS, Alignment
+from slamhive.domain.protocol import ALIGNMENT_LABELS, Alignment
 from slamhive.domain.verdict import ERROR, RELATION_ERROR, RELATION_ROTATION
 
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from slamhive.base.errors import lacks
 from slamhive.domain.sensors import SensorKind, SensorSetup, setups_of
-from slamhive.errors import lacks
 
 
 class FileKind(StrEnum):

@@ -56,3 +56,23 @@ def _rank(text: str, wanted: list[str], entry: Found) -> int | None:
     if name.startswith(text):
         return 1
     return 2 if all(word in name for word in wanted) else 3
+
+
+# What can be done to all runs of a search.
+
+
+class FoundAction(StrEnum):
+    """One action; its value is the last part of its address in the web API."""
+
+    EVALUATE = "evaluate"
+    RETRY = "retry"
+    TAGS = "tags"
+    SHARE = "share"
+    DELETE = "delete"
+
+
+# How a list of runs may look.
+
+
+MOST_PINNED = 20
+"""Columns that stay in view when a list is scrolled sideways."""

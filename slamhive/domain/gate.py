@@ -8,9 +8,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import Direction, metric
-from slamhive.domain.numbers import plural
-from slamhive.errors import InvalidInput
+from slamhive.domain.names import plural
 
 FAILURES = "failures"
 """The name of the share of failed runs, which is compared like a metric."""
@@ -121,7 +121,7 @@ def _read_margin(text: str) -> tuple[str, Margin | None]:
 
 
 @dataclass(frozen=True, slots=True)
-class Budget:
+class GateBudget:
     """What a check may spend on runs in all: a number of them, or wall time. One of the two is None."""
 
     runs: int | None = None
@@ -142,7 +142,7 @@ class Budget:
         return max(0, math.floor(left_s / max(elapsed_s / spent, 1e-3)))
 
 
-def read_budget(text: str) -> Budget:
+def read_budget(text: str) -> GateBudget:
     """A budget such as ``20 runs``, ``30 min`` or ``2 h``; raises InvalidInput."""
     found = _BUDGET.fullmatch(text.strip().lower())
     remedy = "for example '20 runs', '30 min' or '2 h'"
@@ -150,7 +150,38 @@ def read_budget(text: str) -> Budget:
         raise InvalidInput(f"budget {text[:_SHOWN]!r} is not clear", remedy)
     number, unit = float(found[1]), found[2]
     if unit in ("run", "runs") and number.is_integer() and 1 <= number <= MOST_RUNS:
-        return Budget(runs=int(number))
+        return GateBudget(runs=int(number))
     if unit in _UNITS_S and 0 < number * _UNITS_S[unit] <= _LARGEST_S:
-        return Budget(time_s=number * _UNITS_S[unit])
+        return GateBudget(time_s=number * _UNITS_S[unit])
     raise InvalidInput(f"budget {text[:_SHOWN]!r} is not allowed", remedy)
+
+
+# A replay: what is recorded in a bundle runs again, and agrees with the record or not.
+
+
+class Agreement(StrEnum):
+    """What a replay says of a metric, or of all."""
+
+    AGREE = "agree"
+    DIFFERS = "differs"
+    UNDECIDED = "undecided"
+
+    @classmethod
+    def of(cls, answer: Answer) -> Agreement:
+        """The answer of a check in both directions."""
+        return {Answer.PASS: cls.AGREE, Answer.WORSE: cls.DIFFERS, Answer.UNDECIDED: cls.UNDECIDED}[answer]
+
+    @classmethod
+    def over(cls, answers: Collection[Agreement]) -> Agreement:
+        """The answer over several: one that differs decides, and all have to agree."""
+        if cls.DIFFERS in answers:
+            return cls.DIFFERS
+        return cls.AGREE if answers and set(answers) == {cls.AGREE} else cls.UNDECIDED
+
+
+REPLAY_MARGINS: Mapping[str, Margin] = {
+    FAILURES: Margin(0.0, relative=False),
+    "ate.rmse": Margin(0.10),
+    "tracked.path": Margin(0.02, relative=False),
+}
+"""What a replay compares unless it is asked otherwise: CPU, memory and latency are those of another machine."""

@@ -6,13 +6,12 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter, ParameterType, Value
-from slamhive.domain.remaps import Remap, remaps_of
-from slamhive.domain.sensor_choice import BY_RULE, Chosen
+from slamhive.domain.roles import BY_RULE, Chosen, Remap, remaps_of
 from slamhive.domain.sensors import CalibrationValue, Sensor
-from slamhive.errors import InvalidInput
 
 
 class Origin(StrEnum):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from decimal import Decimal
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}"
 _NAME = re.compile(NAME_PATTERN)
@@ -22,3 +23,17 @@ def check_name(kind: str, name: str) -> str:
             "use 1 to 64 letters, digits, '_', '.' or '-', the first a letter or digit, without '..'",
         )
     return name
+
+
+# Numbers in messages, as a person would write them.
+
+
+def plain(number: float) -> str:
+    """``number`` exactly and without an exponent: ``10000000``, ``0.0000001``, ``1.5``."""
+    text = format(Decimal(repr(number)), "f")
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def plural(count: int, noun: str, many: str | None = None) -> str:
+    """``1 run``, ``1,234 runs``; ``many`` where the plural takes more than an s."""
+    return f"{count:,} {noun if count == 1 else many or noun + 's'}"

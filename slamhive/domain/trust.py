@@ -6,11 +6,245 @@ error is not that of the algorithm.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
-from slamhive.domain.disturbance import Disturbance, DisturbanceKind
+# Whether a run was measured on a disturbed machine: one rule, from what was measured beside the run to reasons.
+#
+# Disturbance is not failure. A disturbed run keeps its outcome and its metrics, with a mark. Its CPU time and latency
+# depend on other load, and in real time dropped frames and errors do too.
+
+
+_LEAST_COVERED = 0.5
+"""Less of a run than this says nothing about the rest."""
+
+
+class DisturbanceKind(StrEnum):
+    """What disturbed a run."""
+
+    STEAL = "steal"
+    OTHERS = "others"
+    CPU_PRESSURE = "cpu_pressure"
+    IO_PRESSURE = "io_pressure"
+    MEMORY_PRESSURE = "memory_pressure"
+    THROTTLING = "throttling"
+    PLAYER_LAG = "player_lag"
+
+    @property
+    def label(self) -> str:
+        """In words."""
+        return _LABELS[self]
+
+
+_LABELS = {
+    DisturbanceKind.STEAL: "steal",
+    DisturbanceKind.OTHERS: "load of others",
+    DisturbanceKind.CPU_PRESSURE: "CPU pressure",
+    DisturbanceKind.IO_PRESSURE: "disk pressure",
+    DisturbanceKind.MEMORY_PRESSURE: "memory pressure",
+    DisturbanceKind.THROTTLING: "thermal throttling",
+    DisturbanceKind.PLAYER_LAG: "late player",
+}
+
+REMEDIES: Mapping[DisturbanceKind, str] = {
+    DisturbanceKind.STEAL: "run it on a machine that is not shared with other virtual machines",
+    DisturbanceKind.OTHERS: "stop other programs and run it again",
+    DisturbanceKind.CPU_PRESSURE: "stop other programs and run it again",
+    DisturbanceKind.IO_PRESSURE: "stop what reads or writes the disk, or use a faster disk, and run it again",
+    DisturbanceKind.MEMORY_PRESSURE: "free memory and run it again",
+    DisturbanceKind.THROTTLING: "improve the cooling, or set a lower fixed CPU frequency, and run it again",
+    DisturbanceKind.PLAYER_LAG: "use a faster disk or a lower playback rate, or play sequentially",
+}
+"""What to do about each kind."""
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbanceLimits:
+    """From where on a machine counts as disturbed; what each limit means is said in :mod:`slamhive.base.settings`."""
+
+    time_fraction: float
+    steal_fraction: float
+    others_fraction: float
+    cpu_pressure: float
+    io_pressure: float
+    memory_pressure: float
+    throttle_events: int
+    player_lag_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class HostInterval:
+    """The machine during a part of the run; what could not be measured is None.
+
+    ``others_cores``: CPU time of everything but the run, over the wall time. ``steal_fraction``: share of the CPU time
+    that the hypervisor gave to other machines. Pressures: share of the time in which some task waited.
+    """
+
+    duration_s: float
+    others_cores: float | None = None
+    steal_fraction: float | None = None
+    cpu_pressure: float | None = None
+    io_pressure: float | None = None
+    memory_pressure: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class HostLoad:
+    """The machine during a run: ``cores`` that the run could use, its intervals, what was counted over the whole run.
+
+    ``not_measured`` says in words what could not be measured and why.
+    """
+
+    cores: int = 0
+    intervals: tuple[HostInterval, ...] = ()
+    throttle_events: int | None = None
+    frequency_hz: float | None = None
+    not_measured: tuple[str, ...] = ()
+
+    @property
+    def covered_s(self) -> float:
+        """How much of the run the intervals cover."""
+        return sum(interval.duration_s for interval in self.intervals)
+
+    def mean(self, name: str) -> float | None:
+        """The mean of a field of the intervals over time, None if it was never measured."""
+        known = [(entry.duration_s, getattr(entry, name)) for entry in self.intervals]
+        known = [(duration_s, value) for duration_s, value in known if value is not None]
+        total_s = sum(duration_s for duration_s, _ in known)
+        return sum(duration_s * value for duration_s, value in known) / total_s if total_s > 0 else None
+
+    def share(self, holds: Callable[[HostInterval], bool]) -> float:
+        """The share of the covered time in which a condition holds."""
+        total_s = self.covered_s
+        return sum(entry.duration_s for entry in self.intervals if holds(entry)) / total_s if total_s > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbanceReason:
+    """One reason why a run counts as disturbed, in words."""
+
+    kind: DisturbanceKind
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """What is known of the disturbance of a run.
+
+    ``known`` is False where too little was measured to call the run undisturbed; ``not_measured`` says what is missing.
+    """
+
+    known: bool
+    reasons: tuple[DisturbanceReason, ...] = ()
+    not_measured: tuple[str, ...] = ()
+
+    @property
+    def disturbed(self) -> bool | None:
+        """Whether the run was disturbed, None if that is not known."""
+        return bool(self.reasons) if self.known else None
+
+    @property
+    def words(self) -> str:
+        """All reasons in one line."""
+        return "; ".join(reason.words for reason in self.reasons)
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "disturbed": self.disturbed,
+            "reasons": [{"kind": reason.kind.value, "words": reason.words} for reason in self.reasons],
+            "not_measured": list(self.not_measured),
+        }
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> Disturbance:
+        """From :attr:`content`; raises ValueError, KeyError or TypeError for anything else."""
+        reasons = tuple(
+            DisturbanceReason(DisturbanceKind(entry["kind"]), str(entry["words"])) for entry in content["reasons"]
+        )
+        return cls(content["disturbed"] is not None, reasons, tuple(map(str, content["not_measured"])))
+
+    @property
+    def remedies(self) -> tuple[str, ...]:
+        """What to do about the reasons, each once."""
+        return tuple(dict.fromkeys(REMEDIES[reason.kind] for reason in self.reasons))
+
+
+def judge(load: HostLoad, duration_s: float, player_lag_s: float | None, limits: DisturbanceLimits) -> Disturbance:
+    """Whether a run of ``duration_s`` was disturbed, and why.
+
+    Args:
+        load: What was measured of the machine.
+        duration_s: How long the run lasted.
+        player_lag_s: How late the player was at worst, None without a schedule.
+        limits: From where on something counts.
+    """
+    reasons = tuple(_disturbance_reasons(load, player_lag_s, limits))
+    not_measured = load.not_measured
+    enough = load.cores > 0 and load.covered_s > 0 and load.covered_s >= _LEAST_COVERED * duration_s
+    if not enough and not reasons and (load.cores > 0 or not not_measured):
+        too_little = f"the machine was watched for {load.covered_s:.1f} s of {duration_s:.1f} s"
+        not_measured = (too_little, *not_measured)
+    return Disturbance(enough or bool(reasons), reasons, not_measured)
+
+
+def _disturbance_reasons(
+    load: HostLoad, player_lag_s: float | None, limits: DisturbanceLimits
+) -> Iterator[DisturbanceReason]:
+    yield from _cpu_reasons(load, limits)
+    for kind, limit, what in (
+        (DisturbanceKind.IO_PRESSURE, limits.io_pressure, "the disk"),
+        (DisturbanceKind.MEMORY_PRESSURE, limits.memory_pressure, "memory"),
+    ):
+        share = load.share(lambda entry, kind=kind, limit=limit: _above(getattr(entry, kind.value), limit))  # type: ignore[misc]
+        if share > limits.time_fraction:
+            mean = load.mean(kind.value) or 0.0
+            words = (
+                f"processes waited for {what} more than {_percent(limit)} of the time for {_percent(share)} of the run"
+            )
+            yield DisturbanceReason(kind, f"{words} ({_percent(mean)} on average)")
+    if load.throttle_events is not None and load.throttle_events > limits.throttle_events:
+        words = f"the processor was too hot and slowed down {load.throttle_events} times"
+        yield DisturbanceReason(DisturbanceKind.THROTTLING, words)
+    if player_lag_s is not None and player_lag_s > limits.player_lag_s:
+        words = f"the player was up to {player_lag_s:.2g} s late"
+        yield DisturbanceReason(DisturbanceKind.PLAYER_LAG, words)
+
+
+def _cpu_reasons(load: HostLoad, limits: DisturbanceLimits) -> Iterator[DisturbanceReason]:
+    stolen = load.share(lambda entry: _above(entry.steal_fraction, limits.steal_fraction))
+    if stolen > limits.time_fraction:
+        mean = load.mean("steal_fraction") or 0.0
+        limit = _percent(limits.steal_fraction)
+        words = f"the hypervisor took more than {limit} of the CPU time for {_percent(stolen)} of the run"
+        yield DisturbanceReason(DisturbanceKind.STEAL, f"{words} ({_percent(mean)} on average)")
+    limit_cores = limits.others_fraction * load.cores
+    busy = load.share(lambda entry: _above(entry.others_cores, limit_cores))
+    if busy > limits.time_fraction:
+        mean = load.mean("others_cores") or 0.0
+        cores = f"{load.cores} core{'s' * (load.cores != 1)}"
+        words = f"other processes used more than {limit_cores:.2g} of {cores} for {_percent(busy)} of the run"
+        yield DisturbanceReason(DisturbanceKind.OTHERS, f"{words} ({mean:.2g} on average)")
+        return
+    # A run with more threads than cores makes its own tasks wait. So pressure counts only beside a load of others.
+    squeezed = load.share(
+        lambda entry: _above(entry.cpu_pressure, limits.cpu_pressure) and _above(entry.others_cores, limit_cores / 2)
+    )
+    if squeezed > limits.time_fraction:
+        words = f"processes waited for a core that other processes used for {_percent(squeezed)} of the run"
+        yield DisturbanceReason(DisturbanceKind.CPU_PRESSURE, words)
+
+
+def _percent(share: float) -> str:
+    return f"{share * 100:.0f} %"
+
+
+def _above(value: float | None, limit: float) -> bool:
+    return value is not None and value > limit
+
 
 DROPPED_FRAMES = "frames.dropped_fraction"
 PLAYER_LAG = "playback.lag_max"

@@ -7,10 +7,11 @@ It reads metrics of the run's evaluation. Those that compare a run with its repe
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from statistics import median
+from typing import Any
 
 ERROR = "ate.rmse"
 RELATION_ERROR = "relations.translation.mean"
@@ -271,3 +272,26 @@ def _good_words(metrics: Mapping[str, float]) -> str:
 
 def _either(parts: list[str]) -> str:
     return f"{', '.join(parts[:-1])} or {parts[-1]}" if len(parts) > 1 else parts[0]
+
+
+# A hint: a common mistake that an evaluation has found behind a large error, and what to do about it.
+
+
+@dataclass(frozen=True, slots=True)
+class Hint:
+    """One likely mistake, or a doubt that a path leaves.
+
+    Attributes:
+        key: Names the mistake: ``quaternion_order``, ``inverse_poses``, ...
+        sentence: What was found, with the numbers that show it.
+        remedy: What to do.
+    """
+
+    key: str
+    sentence: str
+    remedy: str
+
+
+def hints_from_json(content: Iterable[Mapping[str, Any]]) -> tuple[Hint, ...]:
+    """The hints in a ``result.json``; raises TypeError or KeyError for anything else."""
+    return tuple(Hint(str(entry["key"]), str(entry["sentence"]), str(entry["remedy"])) for entry in content)

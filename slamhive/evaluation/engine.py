@@ -8,26 +8,79 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import evo
 import numpy as np
 from evo.core.result import Result
 
-from slamhive.domain.hint import Hint
-from slamhive.domain.verdict import ERROR
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.evaluation import without_truth
-from slamhive.evaluation.evaluators.base import Evaluator, MetricValues, Paired, absent
+from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.sensors import Matrix4
+from slamhive.domain.verdict import ERROR, RELATION_ERROR, Hint
+from slamhive.evaluation.evaluators.base import RELATIONS, Evaluator, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.builtin import EVALUATORS
+from slamhive.evaluation.evaluators.map_quality import MapQuality, map_metrics
+from slamhive.evaluation.evaluators.relations import of_body, read_relations, relation_errors
 from slamhive.evaluation.hints import find_hints
 from slamhive.evaluation.job import EvaluationResult, EvaluationTask, failed_result
-from slamhive.evaluation.pairing import pair
-from slamhive.evaluation.references import References
+from slamhive.evaluation.pairing import pair, shifted
+from slamhive.evaluation.references import NO_TRUTH, References
+from slamhive.trajectory.layout import parse_tum
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.table import read_bounded
-from slamhive.trajectory.tum import parse_tum
+from slamhive.trajectory.transforms import rigid_transform
+
+# Metrics of an estimate if the dataset has relations between poses and no ground-truth trajectory.
+
+
+ESSENTIAL_WITHOUT_TRUTH = RELATION_ERROR
+"""Such an evaluation has failed without this metric."""
+
+
+def evaluate_without_truth(
+    estimate: Trajectory, protocol: Protocol, T_body_estimate: Matrix4, files: Mapping[str, Path], keys: Iterable[str]
+) -> MetricValues:
+    """Errors of the relations, and metrics that need the map alone.
+
+    Args:
+        estimate: The trajectory of the algorithm.
+        protocol: Its time offset and gap threshold are used; its alignment must not leave the scale open.
+        T_body_estimate: Pose of the frame that the estimate describes in the body frame, 16 numbers by rows.
+        files: See :class:`~slamhive.evaluation.evaluators.base.Paired`.
+        keys: All metrics of all evaluators; those that need a ground-truth trajectory are missing.
+
+    Raises:
+        InvalidInput: The relations cannot be compared with the estimate.
+    """
+    _check(protocol)
+    if RELATIONS not in files:
+        raise InvalidInput("the file of the dataset's relations does not exist", "put it back")
+    on_clock = shifted(estimate, protocol.time_offset_s)
+    body = of_body(on_clock, 1.0, rigid_transform(protocol.T_body_sensor or T_body_estimate, "T_body_sensor"))
+    errors = relation_errors(read_relations(files[RELATIONS]), body, protocol.gap_threshold_s)
+    try:
+        maps = map_metrics(files, None)
+    except InvalidInput as error:
+        maps = absent(MapQuality.keys, str(error))
+    missing = {key: NO_TRUTH for key in keys if key not in errors and key not in MapQuality.keys}
+    return MetricValues({**errors, **maps.values}, {**missing, **maps.missing})
+
+
+def _check(protocol: Protocol) -> None:
+    if protocol.alignment in (Alignment.SIM3, Alignment.SCALE):
+        raise InvalidInput(
+            f"relations are in metres, and the alignment {protocol.alignment} leaves the scale of the estimate open, "
+            "which only a ground-truth trajectory could tell",
+            "use se3 if the estimate is in metres",
+        )
+    if protocol.offset_search_s > 0:
+        raise InvalidInput(
+            "a time offset can be searched only where there is a ground-truth trajectory", "give time_offset_s instead"
+        )
+
 
 logger = logging.getLogger(__name__)
 
@@ -64,14 +117,12 @@ def evaluate(task: EvaluationTask, references: References) -> Evaluated | Evalua
         poses = len(estimate)
         if reference is None:
             keys = [key for _, evaluator in EVALUATORS for key in evaluator.keys]
-            found = _finite(
-                without_truth.evaluate_without_truth(estimate, task.protocol, task.T_body_sensor, task.files, keys)
-            )
+            found = _finite(evaluate_without_truth(estimate, task.protocol, task.T_body_sensor, task.files, keys))
         else:
             paired = pair(reference, estimate, task.protocol, task.files)
             matched_poses = len(paired.aligned)
             found = all_metrics(paired)
-        _check_essential(found, without_truth.ESSENTIAL if paired is None else ESSENTIAL)
+        _check_essential(found, ESSENTIAL_WITHOUT_TRUTH if paired is None else ESSENTIAL)
     except InvalidInput as error:
         return failed_result(task, str(error), ENGINE, poses=poses, matched_poses=matched_poses)
     result = EvaluationResult(

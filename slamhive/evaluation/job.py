@@ -14,11 +14,11 @@ from pathlib import Path
 from types import UnionType
 from typing import Any
 
-from slamhive.domain.hint import Hint, hints_from_json
+from slamhive.base.bounds import parse_json_object
+from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.domain.protocol import Protocol, protocol_from_content
 from slamhive.domain.sensors import IDENTITY4, Matrix4
-from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.input_bounds import parse_json_object
+from slamhive.domain.verdict import Hint, hints_from_json
 
 RESULT_FILE = "result.json"
 

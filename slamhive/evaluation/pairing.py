@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Protocol
-from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Paired
-from slamhive.evaluation.references import Reference
+from slamhive.evaluation.references import TruthReference
 from slamhive.trajectory.alignment import align
 from slamhive.trajectory.association import associate
 from slamhive.trajectory.evidence import misread_unit
@@ -27,7 +27,7 @@ SEARCHED_POSES = 1000
 
 
 def pair(
-    reference: Reference, estimate: Trajectory, protocol: Protocol, files: Mapping[str, Path] | None = None
+    reference: TruthReference, estimate: Trajectory, protocol: Protocol, files: Mapping[str, Path] | None = None
 ) -> Paired:
     """Bring ``estimate`` to the clock of the ground truth, match the poses, align them.
 
@@ -71,7 +71,7 @@ def pair(
     )
 
 
-def find_offset(reference: Reference, estimate: Trajectory, protocol: Protocol) -> float:
+def find_offset(reference: TruthReference, estimate: Trajectory, protocol: Protocol) -> float:
     """The offset in s to add to the timestamps of the estimate, so that its angular rate matches the ground truth.
 
     If the ground truth holds positions only, the offset with the least RMSE of the aligned positions. That is less

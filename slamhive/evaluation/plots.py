@@ -13,9 +13,9 @@ from evo.core.trajectory import PoseTrajectory3D
 from evo.tools import plot
 from matplotlib.figure import Figure
 
+from slamhive.base.files import write_aside
 from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.evaluators.evo_errors import ESTIMATE_NAME, REFERENCE_NAME, evo_pair
-from slamhive.files import write_aside
 from slamhive.trajectory.model import FloatArray
 
 _SIZE_INCHES = (8.0, 6.0)

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from slamhive.domain.metrics.segments import LONG_LENGTHS_M, SEGMENT_PERCENTS, SHORT_LENGTHS_M, length_name
+from slamhive.base.errors import InvalidInput
+from slamhive.base.registry import Registry, instances_of
+from slamhive.domain.metrics.trajectories import LONG_LENGTHS_M, SEGMENT_PERCENTS, SHORT_LENGTHS_M, length_name
 from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol, RpePairs, SegmentRule
-from slamhive.errors import InvalidInput
-from slamhive.evaluation.evaluators.hilti import HILTI
-from slamhive.registry import Registry, instances_of
+from slamhive.evaluation.evaluators.completeness import HILTI
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.domain.protocol import Alignment, Duplicates, Protocol
 from slamhive.domain.sensors import Matrix4
-from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.job import EvaluationTask
+from slamhive.trajectory.layout import parse_ground_truth
 from slamhive.trajectory.model import FloatArray, Trajectory
 from slamhive.trajectory.table import read_bounded
 from slamhive.trajectory.transforms import move_sensor, rigid_transform
-from slamhive.trajectory.tum import parse_ground_truth
 
 NO_TRUTH = "the dataset has relations and no ground-truth trajectory"
 """Why a metric that needs a ground-truth trajectory is missing."""
@@ -25,7 +25,7 @@ _SCALING = {Alignment.SIM3, Alignment.SCALE}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reference:
+class TruthReference:
     """A ground truth in the frame of an estimate.
 
     Attributes:
@@ -65,8 +65,8 @@ class References:
     """Ground truths by file and sensor frame, each read on first use."""
 
     def __init__(self) -> None:
-        self._bodies: dict[_File, Reference | InvalidInput] = {}
-        self._moved: dict[tuple[_File, Matrix4], Reference] = {}
+        self._bodies: dict[_File, TruthReference | InvalidInput] = {}
+        self._moved: dict[tuple[_File, Matrix4], TruthReference] = {}
 
     def preload(self, tasks: Iterable[EvaluationTask]) -> None:
         """Read all that ``tasks`` need. A malformed ground truth raises when its task asks for it."""
@@ -74,7 +74,7 @@ class References:
             with contextlib.suppress(InvalidInput):
                 self.of(task)
 
-    def of(self, task: EvaluationTask) -> Reference:
+    def of(self, task: EvaluationTask) -> TruthReference:
         """The ground truth of ``task`` in its estimate's frame; raises InvalidInput that says why there is none."""
         if task.reference is None:
             raise InvalidInput(NO_TRUTH)
@@ -88,7 +88,7 @@ class References:
             self._moved[key] = _moved(body, rigid_transform(T_body_sensor, "T_body_sensor"))
         return self._moved[key]
 
-    def _body(self, file: _File) -> Reference | InvalidInput:
+    def _body(self, file: _File) -> TruthReference | InvalidInput:
         if file not in self._bodies:
             try:
                 self._bodies[file] = _read(file)
@@ -108,19 +108,19 @@ class _File:
     duplicates: Duplicates
 
 
-def _read(file: _File) -> Reference:
+def _read(file: _File) -> TruthReference:
     """The ground truth of a file with eight columns, or four, which are positions."""
     data, name = read_bounded(file.path), f"ground truth {file.path.name}"
     trajectory, without = parse_ground_truth(data, name, file.duplicates)
-    return Reference(trajectory, rotations_known=not (file.positions_only or without))
+    return TruthReference(trajectory, rotations_known=not (file.positions_only or without))
 
 
-def _moved(body: Reference, T_body_sensor: FloatArray) -> Reference:
+def _moved(body: TruthReference, T_body_sensor: FloatArray) -> TruthReference:
     if not body.rotations_known:
         if not T_body_sensor[:3, 3].any():
-            return Reference(body.trajectory, False, T_body_estimate=T_body_sensor)
+            return TruthReference(body.trajectory, False, T_body_estimate=T_body_sensor)
         T_sensor_body: FloatArray = np.asarray(np.linalg.inv(T_body_sensor), dtype=np.float64)
-        return Reference(body.trajectory, False, T_sensor_body)
+        return TruthReference(body.trajectory, False, T_sensor_body)
     if np.array_equal(T_body_sensor, np.eye(4)):
         return body
-    return Reference(move_sensor(body.trajectory, T_body_sensor), T_body_estimate=T_body_sensor)
+    return TruthReference(move_sensor(body.trajectory, T_body_sensor), T_body_estimate=T_body_sensor)

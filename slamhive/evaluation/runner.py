@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from slamhive.errors import InvalidInput
-from slamhive.evaluation.batch import Batch, BatchMount, BatchStarter, LineCallback
+from slamhive.base.errors import InvalidInput
+from slamhive.base.files import write_aside
 from slamhive.evaluation.job import (
     RESULT_FILE,
     EvaluationResult,
@@ -19,8 +19,7 @@ from slamhive.evaluation.job import (
     job_to_json,
     result_from_json,
 )
-from slamhive.evaluation.process_starter import ProcessStarter
-from slamhive.files import write_aside
+from slamhive.evaluation.process import BatchMount, BatchStarter, EvaluationBatch, LineCallback, ProcessStarter
 
 __all__ = ["EvaluationRunner", "ProcessStarter", "ResultCallback"]
 
@@ -107,7 +106,7 @@ class EvaluationRunner:
         job_path = scratch / "job.json"
         inside, mounts = _place(tasks, job_path, isolated=self._starter.isolated)
         write_aside(job_path, job_to_json(inside))
-        batch = Batch(
+        batch = EvaluationBatch(
             job=mounts[0].target,
             mounts=mounts,
             scratch=scratch,

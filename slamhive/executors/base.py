@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
+import platform
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar, Protocol
 
-from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.domain.gpu import Gpu
-from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
-from slamhive.evaluation.batch import BatchStarter
-from slamhive.evaluation.process_starter import ProcessStarter
+from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.base.settings import ExecutorOption
+from slamhive.domain.algorithm import AlgorithmPackage, Gpu
+from slamhive.evaluation.process import BatchStarter, ProcessStarter
 from slamhive.executors.gpu import GpuUse
+from slamhive.executors.host import describe_host
 from slamhive.executors.host_counters import HostReading
-from slamhive.executors.spec import Limit, Limits, RunSpec
+from slamhive.executors.spec import Limit, ResourceLimits, RunSpec
 from slamhive.executors.status import RunHandle, RunStatus, UsageSource
-from slamhive.settings import ExecutorOption
-
-if TYPE_CHECKING:
-    from slamhive.executors.images import ImageTools
-    from slamhive.executors.nodes import Node
 
 ProgressCallback = Callable[[str], None]
 """Takes one line about what is going on, such as a build step."""
@@ -108,7 +104,7 @@ class Capabilities:
         """Return whether runs take cores of the controller's machine, so that slots share them."""
         return self.shares_files and not self.elsewhere
 
-    def refusal(self, name: str, limits: Limits) -> str | None:
+    def refusal(self, name: str, limits: ResourceLimits) -> str | None:
         """In words, which of ``limits`` the executor ``name`` does not enforce; None if it enforces all."""
         missing = sorted(limits.kinds() - self.limits)
         return f"the executor {name} does not limit {' and '.join(missing)}" if missing else None
@@ -157,7 +153,7 @@ class ExecutorContext:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class ProtectionFinding:
     """One result of :meth:`Executor.examine`. A ``remedy`` means that something could be better."""
 
     name: str
@@ -186,18 +182,16 @@ class Executor(ABC):
     def unavailable_because(self) -> str | None:
         """Why this executor cannot be used on this machine, with the remedy; None if it can."""
 
-    def examine(self) -> list[Finding]:
+    def examine(self) -> list[ProtectionFinding]:
         """Return the findings of ``slamhive doctor``, besides whether the executor can be used. Raises Unavailable."""
         return []
 
-    def examine_nodes(self) -> list[Finding]:
+    def examine_nodes(self) -> list[ProtectionFinding]:
         """Return the offer of each node, for ``slamhive doctor cluster``. Takes a while. Raises Unavailable."""
         raise Unavailable(f"the executor {self.name} uses no other machines", "set EXECUTOR to one that does")
 
     def nodes(self) -> list[Node]:
         """The machines that runs can be on, by name. Quick. An executor of this machine alone need not say it."""
-        from slamhive.executors.nodes import this_machine  # noqa: PLC0415 - few ask
-
         return [this_machine()]
 
     def drain(self, node: str, drained: bool) -> None:  # noqa: ARG002 - the signature of the seam
@@ -325,3 +319,98 @@ class Executor(ABC):
 
     def close(self) -> None:  # noqa: B027 - many keep no connection
         """Close connections; runs go on. The executor is not used afterwards."""
+
+
+# The machines that an executor runs on, as its engine knows them.
+
+
+@dataclass(frozen=True, slots=True)
+class CacheUse:
+    """The room that data of runs takes on a node, as of the last run there, and the most that it may take."""
+
+    used_bytes: int
+    limit_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """One machine.
+
+    Attributes:
+        name: What the engine calls it; unique in its cluster.
+        state: In the engine's words.
+        takes_runs: Whether a run could start there now or soon.
+        drained: Somebody has asked that no further run starts there.
+        cpu_count: Logical cores that runs can have together; None if unknown.
+        memory_bytes: The same for memory.
+        cpu_model: None if the engine does not know it.
+        cache: None if it keeps no data of runs, or no run was there.
+    """
+
+    name: str
+    state: str
+    takes_runs: bool
+    drained: bool
+    cpu_count: int | None
+    memory_bytes: int | None
+    cpu_model: str | None = None
+    cache: CacheUse | None = None
+
+
+def this_machine() -> Node:
+    """The machine of this process."""
+    host = describe_host()
+    return Node(platform.node(), "up", True, False, host.cpu_count, host.memory_bytes, host.cpu_model)
+
+
+# Tools of an executor with images for imports of packages that somebody else made.
+
+
+@dataclass(frozen=True, slots=True)
+class CompletedImage:
+    """An image that keeps the container contract.
+
+    Attributes:
+        digest: Its digest.
+        user: The user that it names; empty for root.
+        added: What had to be put on top, in words.
+        missing: Modules that the scripts import and the image lacks.
+    """
+
+    digest: str
+    user: str
+    added: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+class ImageTools(Protocol):
+    """Finds, loads, builds and completes images. All methods may raise EngineUnavailable and ImageMissing."""
+
+    def find(self, name: str) -> str | None:
+        """The digest of the image called ``name``; None if the engine does not have it."""
+
+    def pull(self, name: str, progress: ProgressCallback) -> str:
+        """Get an image from its registry; its digest."""
+
+    def load(self, chunks: Iterable[bytes]) -> str:
+        """Take the image of an archive; its digest. Names in the archive must have been removed."""
+
+    def build(self, folder: Path, name: str, progress: ProgressCallback) -> str:
+        """Build the Dockerfile of ``folder`` with that folder as its context; the digest."""
+
+    def complete(
+        self, digest: str, modules: Collection[str], progress: ProgressCallback, *, builds: bool = True
+    ) -> CompletedImage:
+        """Ensure that the image has python3 and PyYAML, or put them on top; look for ``modules`` too.
+
+        Without ``builds``, nothing is put on top: raises ImageMissing that says what the image lacks.
+        """
+
+    def copy_scripts(self, digest: str, target: Path) -> bool:
+        """Copy the plain files of ``/slamhive`` in the image to ``target``; False if it has none."""
+
+    def give_name(self, digest: str, name: str) -> None:
+        """Call the image ``name``."""
+
+    def remove(self, name: str) -> None:
+        """Take the name from an image, and remove the image unless something else uses it."""

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from slamhive.errors import Unavailable
+from slamhive.base.errors import Unavailable
 from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.host_counters import HostReading
-from slamhive.runs.host_columns import COLUMNS, NOT_MEASURED
-from slamhive.runs.log_line import printable
+from slamhive.run_folder.host_columns import COLUMNS, NOT_MEASURED
+from slamhive.run_folder.outcome import printable
 
 logger = logging.getLogger(__name__)
 

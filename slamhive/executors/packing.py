@@ -8,7 +8,7 @@ import tarfile
 from pathlib import Path
 from typing import IO, Collection, Optional
 
-from slamhive.tree import Entry, walk
+from slamhive.base.tree import FolderEntry, walk
 
 MOST_LIVE_BYTES = 100_000_000
 PLAIN_FILE, PLAIN_FOLDER = 0o644, 0o755
@@ -62,7 +62,9 @@ def add_folder(
             _add_file(archive, info, entry, bounds, only is not None)
 
 
-def _add_file(archive: tarfile.TarFile, info: tarfile.TarInfo, entry: Entry, bounds: Bounds, as_a_whole: bool) -> None:
+def _add_file(
+    archive: tarfile.TarFile, info: tarfile.TarInfo, entry: FolderEntry, bounds: Bounds, as_a_whole: bool
+) -> None:
     try:
         flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         descriptor = os.open(entry.name, flags, dir_fd=entry.folder)

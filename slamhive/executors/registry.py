@@ -11,11 +11,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.base.files import write_aside
+from slamhive.base.registry import Registry
+from slamhive.base.settings import SETTINGS, ExecutorOption
 from slamhive.executors.base import Executor, ExecutorContext
-from slamhive.files import write_aside
-from slamhive.registry import Registry
-from slamhive.settings import SETTINGS, ExecutorOption
 
 AUTO = "auto"
 _INSTALLATION_FILE = "installation"
@@ -69,9 +69,7 @@ EXECUTORS.register(
 )
 EXECUTORS.register(
     "kubernetes",
-    _LoadedLate(
-        "slamhive.executors.kubernetes.executor", "open_kubernetes", "slamhive.executors.kubernetes.cluster_options"
-    ),
+    _LoadedLate("slamhive.executors.kubernetes.executor", "open_kubernetes", "slamhive.executors.kubernetes.options"),
 )
 
 

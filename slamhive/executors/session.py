@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from slamhive.debian import as_root
+from slamhive.base.debian import as_root
 from slamhive.executors.cgroup import parse_memberships
 
 LINGERING = Path("/var/lib/systemd/linger")
@@ -20,7 +20,7 @@ LINGERING = Path("/var/lib/systemd/linger")
 _SYSTEMD_V1 = "name=systemd"
 
 
-class Place(StrEnum):
+class SessionPlace(StrEnum):
     """The kind of unit that a process belongs to."""
 
     SESSION = "login session"
@@ -47,31 +47,31 @@ def lifetime_here() -> Lifetime:
     return lifetime(place_of(groups), user, lingers=(LINGERING / user).exists())
 
 
-def place_of(groups: str) -> Place:
+def place_of(groups: str) -> SessionPlace:
     """The kind of unit in ``groups``, the text of ``/proc/PID/cgroup`` of a process."""
     memberships = parse_memberships(groups)
     parts = (memberships.get(_SYSTEMD_V1) or memberships.get("", "")).strip("/").split("/")
     if parts[0] == "user.slice":
         in_manager = any(part.startswith("user@") and part.endswith(".service") for part in parts)
-        return Place.USER if in_manager else Place.SESSION
-    return Place.SYSTEM if parts[0] == "system.slice" else Place.NONE
+        return SessionPlace.USER if in_manager else SessionPlace.SESSION
+    return SessionPlace.SYSTEM if parts[0] == "system.slice" else SessionPlace.NONE
 
 
-def lifetime(place: Place, user: str, *, lingers: bool) -> Lifetime:
+def lifetime(place: SessionPlace, user: str, *, lingers: bool) -> Lifetime:
     """The lifetime of programs that ``user`` starts at this place."""
-    if place is Place.NONE:
+    if place is SessionPlace.NONE:
         return Lifetime("systemd does not end what is started here")
-    if place is Place.SYSTEM:
+    if place is SessionPlace.SYSTEM:
         return Lifetime("a worker that is started here belongs to a service of the system: no logout ends it")
     enable = as_root("loginctl enable-linger $USER")
     if lingers:
         found = (
             f"user {user} lingers: services of the user, and scopes of systemd-run --user, go on after the last logout"
         )
-        if place is Place.SESSION:
+        if place is SessionPlace.SESSION:
             found += "; a worker that is started here ends when its terminal closes"
         return Lifetime(found)
-    if place is Place.USER:
+    if place is SessionPlace.USER:
         return Lifetime(
             f"a worker that is started here ends with the last session of user {user}, and its runs with it", enable
         )

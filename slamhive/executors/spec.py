@@ -98,7 +98,7 @@ class RunOutput:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ResourceLimits:
     """The most that a run may use; None means that it is not limited. ``cpuset`` holds core numbers.
 
     ``disk_bytes`` and ``files`` count everything that the run writes. The worker watches them while the run goes on.
@@ -123,10 +123,10 @@ class Limits:
             return None if self.cpuset is None else len(self.cpuset)
         return self.cpu_cores if self.cpuset is None else min(self.cpu_cores, len(self.cpuset))
 
-    def only(self, enforced: frozenset[Limit]) -> Limits:
+    def only(self, enforced: frozenset[Limit]) -> ResourceLimits:
         """The limits among these that an executor with the limits ``enforced`` can hold a run to."""
         cores, disk = Limit.CORES in enforced, Limit.DISK in enforced
-        return Limits(
+        return ResourceLimits(
             cpu_cores=self.cpu_cores if cores else None,
             memory_bytes=self.memory_bytes if Limit.MEMORY in enforced else None,
             pids=self.pids if Limit.PROCESSES in enforced else None,
@@ -207,7 +207,7 @@ class RunSpec:
     inputs: tuple[RunInput, ...]
     outputs: tuple[RunOutput, ...]
     environment: dict[str, str]
-    limits: Limits
+    limits: ResourceLimits
     timeout_s: float
     work: Path
     user: RunUser = RunUser.WORKER

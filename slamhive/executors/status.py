@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Protocol
 
-from slamhive.domain.gpu import GivenGpu
-from slamhive.domain.host import Host
+from slamhive.domain.algorithm import GivenGpu
+from slamhive.domain.run import Host
 
 BY_SIGNAL = (137, 143)
 """Exit codes of what SIGKILL or SIGTERM ended, as the shutdown of a machine does."""

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-from slamhive.files import write_aside
+from slamhive.base.files import write_aside
 from slamhive.runtime.config import RunConfig, load
 from slamhive.runtime.frames import Frame, FrameTimes, write_frames_csv
 from slamhive.runtime.paths import RunPaths, find_recording

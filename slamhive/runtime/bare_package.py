@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 
 def bare_package(name: str) -> ModuleType:

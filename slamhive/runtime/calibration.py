@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 RADTAN = ("pinhole", "pinhole-radtan")
 EQUIDISTANT = ("pinhole-equidistant", "fisheye-kb")

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from slamhive import strict_yaml
-from slamhive.errors import InvalidInput
+from slamhive.base import strict_yaml
+from slamhive.base.errors import InvalidInput
 
 CONTRACT_VERSION = 2
 

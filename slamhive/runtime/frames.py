@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from slamhive.files import write_aside
+from slamhive.base.files import write_aside
 from slamhive.runtime.messages import LaserScan, PointCloud
 
 Array = NDArray[Any]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from slamhive.files import write_aside
+from slamhive.base.files import write_aside
 
 LOCALISATION_FILE = "localisation.json"
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 Array = NDArray[Any]
 

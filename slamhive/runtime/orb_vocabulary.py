@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.paths import ORB_VOCABULARY_VARIABLE
 
 PREPARED_VARIABLE = "SLAMHIVE_PREPARED"

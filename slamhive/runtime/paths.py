@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 CONFIG_VARIABLE = "SLAMHIVE_CONFIG"
 DATASET_VARIABLE = "SLAMHIVE_DATASET"

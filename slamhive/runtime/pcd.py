@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from slamhive.files import write_aside
+from slamhive.base.files import write_aside
 
 MOST_POINTS = 2_000_000
 """The largest map that is written: 24 MB."""

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import slamhive
-from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame, FrameTimes
 from slamhive.runtime.player import NEXT, PlayerOptions

@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.runtime.frames import Frame, FrameTimes, Received, Synchroniser, imu_array, odometry_array
 from slamhive.runtime.messages import BETWEEN_FRAMES, IMU, ODOMETRY, convert, imu_row, odometry_row, stamp_ns
 from slamhive.runtime.recording import Incoming, Recording, forget_pages

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 if TYPE_CHECKING:
     from slamhive.runtime.messages import Array, PointCloud

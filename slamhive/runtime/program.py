@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 
-from slamhive.errors import SlamHiveError
+from slamhive.base.errors import SlamHiveError
 from slamhive.runtime.paths import RunPaths, run_paths
 
 _LOOK_EVERY_S = 0.01

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import IMU_COLUMNS, Array, Frame
 from slamhive.runtime.messages import PointCloud

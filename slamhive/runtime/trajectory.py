@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slamhive.errors import InvalidInput
-from slamhive.files import write_aside
+from slamhive.base.errors import InvalidInput
+from slamhive.base.files import write_aside
 from slamhive.runtime.paths import TRAJECTORY_FILES
 
 Array = NDArray[Any]

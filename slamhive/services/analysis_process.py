@@ -17,7 +17,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from slamhive.clock import monotonic_s
+from slamhive.base.clock import monotonic_s
 
 MAX_FILE_BYTES = 1_000_000_000
 PROGRESS_INTERVAL_S = 0.3
@@ -37,7 +37,7 @@ def main() -> int:
     except MemoryError:
         outcome = {"error": too_large}
     except Exception as error:
-        from slamhive.errors import SlamHiveError  # noqa: PLC0415 - the limits hold for what is imported, too
+        from slamhive.base.errors import SlamHiveError  # noqa: PLC0415 - the limits hold for what is imported, too
 
         if isinstance(error, SlamHiveError):
             outcome = {"error": str(error)}
@@ -76,24 +76,24 @@ def _memory_is_used_up(memory_bytes: int) -> bool:
 
 def _opened(asked: dict[str, Any]) -> tuple[Any, Any, Any]:
     """Settings, store, and what computes analyses."""
+    from slamhive.base.settings_sources import load_settings  # noqa: PLC0415
+    from slamhive.services.analysis import AnalysisService  # noqa: PLC0415
     from slamhive.services.datasets import Catalogue  # noqa: PLC0415
-    from slamhive.services.reports import Analyses  # noqa: PLC0415
     from slamhive.services.searches import Searches  # noqa: PLC0415
-    from slamhive.settings_sources import load_settings  # noqa: PLC0415
     from slamhive.store.store import open_store  # noqa: PLC0415
 
     settings = load_settings(Path(asked["project_root"]), environment={}, options=asked["settings"])
     store = open_store(settings.effective_database_url, settings.database_retry_s, upgrade=False)
     catalogue = Catalogue(settings, Path(asked["project_root"]))
-    return settings, store, Analyses(settings, store, catalogue, Searches(settings, store, catalogue))
+    return settings, store, AnalysisService(settings, store, catalogue, Searches(settings, store, catalogue))
 
 
 def _preview(asked: dict[str, Any], root: Path) -> str:
     """Small pictures of the first plots, over some of the runs that the viewer may see."""
-    from slamhive.domain.visibility import Viewer  # noqa: PLC0415
-    from slamhive.files import write_aside  # noqa: PLC0415
-    from slamhive.services.analyses import PREVIEWS, AnalysisFolder  # noqa: PLC0415
-    from slamhive.services.reports import AnalysisLimits, previews_of  # noqa: PLC0415
+    from slamhive.base.files import write_aside  # noqa: PLC0415
+    from slamhive.domain.accounts import Viewer  # noqa: PLC0415
+    from slamhive.services.analysis import AnalysisLimits, previews_of  # noqa: PLC0415
+    from slamhive.services.stored_analyses import PREVIEWS, AnalysisFolder  # noqa: PLC0415
 
     settings, store, analyses = _opened(asked)
     limits = AnalysisLimits(settings.analysis_max_runs, asked["time_limit_s"], sample=asked["preview_runs"])
@@ -104,10 +104,10 @@ def _preview(asked: dict[str, Any], root: Path) -> str:
 
 
 def _compute(asked: dict[str, Any], root: Path) -> str:
-    from slamhive.domain.visibility import viewer_of  # noqa: PLC0415
-    from slamhive.foreign.numbers import HERE  # noqa: PLC0415
-    from slamhive.services.analyses import FIGURES, PAGE, REPORT, AnalysisFolder  # noqa: PLC0415
-    from slamhive.services.reports import AnalysisLimits, figures_json, page_of  # noqa: PLC0415
+    from slamhive.domain.accounts import viewer_of  # noqa: PLC0415
+    from slamhive.packages.published.combination import HERE  # noqa: PLC0415
+    from slamhive.services.analysis import AnalysisLimits, figures_json, page_of  # noqa: PLC0415
+    from slamhive.services.stored_analyses import FIGURES, PAGE, REPORT, AnalysisFolder  # noqa: PLC0415
 
     folder = AnalysisFolder(root)
     settings, store, analyses = _opened(asked)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from slamhive.documents.catalogue import BoundResult
+from slamhive.documents.submission import Submission
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.bounds import Bound
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import ERROR, RELATION_ERROR, RELATION_ROTATION
-from slamhive.schema.catalogue import BoundResult
-from slamhive.schema.submission import Submission
 from slamhive.store import RunRecord
 
 TIME_LIMIT_S = 3600.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from slamhive.domain.algorithm import EXTERNAL_PACKAGE
 from slamhive.domain.bibliography import TOOLS, Reference, cited
-from slamhive.domain.external import EXTERNAL_PACKAGE
 from slamhive.services.datasets import Catalogue
 from slamhive.store import Store
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import stat
 from enum import StrEnum
 
-from slamhive.errors import InvalidInput, NotFound, Unavailable
-from slamhive.settings import Mode, Settings
+from slamhive.base.errors import InvalidInput, NotFound, Unavailable
+from slamhive.base.settings import Mode, Settings
 from slamhive.store import AbsentStore, Store, open_store
 
 REMEDY = "name another with --data or SLAMHIVE_DATA; slamhive demo, dataset room and dataset import make a new one"

@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
-from slamhive.executors.energy import read_packages
+from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.base.project import about_data_root, data_root_in_environment, move_command
+from slamhive.base.registry import PluginOrigin
 from slamhive.executors.gpu import list_gpus
-from slamhive.executors.host_counters import HostCounters, read_or_why, sources
+from slamhive.executors.host_counters import HostCounters, read_or_why, read_packages, sources
 from slamhive.executors.registry import open_all
 from slamhive.executors.session import lifetime_here
-from slamhive.project import about_data_root, data_root_in_environment, move_command
-from slamhive.registry import Origin
 from slamhive.services.data_root import REMEDY
 from slamhive.services.hive import Hive
 from slamhive.services.notices import channels_of
@@ -27,7 +26,7 @@ NOT_BUILT = "not built yet"
 _CPU = "load of others and steal"
 
 
-class Verdict(StrEnum):
+class DoctorVerdict(StrEnum):
     """The result of a check."""
 
     OK = "ok"
@@ -36,43 +35,48 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class DoctorCheck:
     """One check with its result, and the remedy if it failed."""
 
     name: str
-    verdict: Verdict
+    verdict: DoctorVerdict
     found: str
     remedy: str | None = None
 
 
-def examine(hive: Hive) -> list[Check]:
+def examine(hive: Hive) -> list[DoctorCheck]:
     """All checks, most important first."""
-    checks: list[Check] = []
+    checks: list[DoctorCheck] = []
     for examination in _EXAMINATIONS:
         try:
             checks.extend(examination(hive))
         except SlamHiveError as error:
             name = examination.__name__.removeprefix("_")
-            checks.append(Check(name, Verdict.FAILED, error.message, error.remedy))
+            checks.append(DoctorCheck(name, DoctorVerdict.FAILED, error.message, error.remedy))
     return checks
 
 
-def examine_cluster(hive: Hive) -> list[Check]:
+def examine_cluster(hive: Hive) -> list[DoctorCheck]:
     """What each machine offers that the executor of the settings uses. Raises Unavailable if it uses none."""
     executor = hive.executors.get(hive.executors.choose())
     return [
-        Check(finding.name, Verdict.OK if finding.remedy is None else Verdict.WARNING, finding.found, finding.remedy)
+        DoctorCheck(
+            finding.name,
+            DoctorVerdict.OK if finding.remedy is None else DoctorVerdict.WARNING,
+            finding.found,
+            finding.remedy,
+        )
         for finding in executor.examine_nodes()
     ]
 
 
-def plugin_checks(origins: Iterable[Origin]) -> list[Check]:
+def plugin_checks(origins: Iterable[PluginOrigin]) -> list[DoctorCheck]:
     """One check for each plug-in that is broken, or one for all that work."""
     plugins = [origin for origin in origins if origin.is_plugin]
     broken = [
-        Check(
+        DoctorCheck(
             f"plug-in {origin.package} {origin.version}",
-            Verdict.FAILED,
+            DoctorVerdict.FAILED,
             f"{origin.seam} {origin.name!r} ({origin.entry_point}) cannot be used: {origin.problem}",
             origin.remedy,
         )
@@ -82,78 +86,80 @@ def plugin_checks(origins: Iterable[Origin]) -> list[Check]:
     if broken:
         return broken
     packages = sorted({f"{origin.package} {origin.version}" for origin in plugins})
-    return [Check("plug-ins", Verdict.OK, ", ".join(packages) or "none installed")]
+    return [DoctorCheck("plug-ins", DoctorVerdict.OK, ", ".join(packages) or "none installed")]
 
 
-def _python(_: Hive) -> list[Check]:
-    return [Check("python", Verdict.OK, f"{platform.python_version()} at {sys.executable}")]
+def _python(_: Hive) -> list[DoctorCheck]:
+    return [DoctorCheck("python", DoctorVerdict.OK, f"{platform.python_version()} at {sys.executable}")]
 
 
-def _data_root(hive: Hive) -> list[Check]:
+def _data_root(hive: Hive) -> list[DoctorCheck]:
     data = hive.settings.data
     if not data.is_dir():
-        return [Check("data root", Verdict.WARNING, f"{data} does not exist", REMEDY)]
+        return [DoctorCheck("data root", DoctorVerdict.WARNING, f"{data} does not exist", REMEDY)]
     free_mb = shutil.disk_usage(data).free // 1_000_000
     enough = free_mb >= hive.settings.min_free_disk_mb
     remark = about_data_root(hive.project_root, data)
     found = f"{data}, {free_mb / 1000:.1f} GB free{f' ({remark})' if remark else ''}"
     if not enough:
-        return [Check("data root", Verdict.FAILED, found, "free some space, or lower MIN_FREE_DISK_MB")]
+        return [DoctorCheck("data root", DoctorVerdict.FAILED, found, "free some space, or lower MIN_FREE_DISK_MB")]
     if data_root_in_environment(hive.project_root, data):
         remedy = f"stop the worker, then {move_command(data)}"
-        return [Check("data root", Verdict.WARNING, found, remedy)]
-    return [Check("data root", Verdict.OK, found)]
+        return [DoctorCheck("data root", DoctorVerdict.WARNING, found, remedy)]
+    return [DoctorCheck("data root", DoctorVerdict.OK, found)]
 
 
-def _database(hive: Hive) -> list[Check]:
+def _database(hive: Hive) -> list[DoctorCheck]:
     try:
         counts = hive.runs.counts()
     except NotFound as error:
-        return [Check("database", Verdict.WARNING, error.message, error.remedy)]
+        return [DoctorCheck("database", DoctorVerdict.WARNING, error.message, error.remedy)]
     text = ", ".join(f"{count} {state}" for state, count in counts.items() if count) or "no runs yet"
-    return [Check("database", Verdict.OK, f"{hive.store.label}: {text}")]
+    return [DoctorCheck("database", DoctorVerdict.OK, f"{hive.store.label}: {text}")]
 
 
-def _executor(hive: Hive) -> list[Check]:
+def _executor(hive: Hive) -> list[DoctorCheck]:
     checks = []
     for executor in open_all(hive.executors.get):
         problem = executor.unavailable_because()
-        verdict = Verdict.OK if problem is None else Verdict.WARNING
-        checks.append(Check(f"executor {executor.name}", verdict, problem or "can be used"))
+        verdict = DoctorVerdict.OK if problem is None else DoctorVerdict.WARNING
+        checks.append(DoctorCheck(f"executor {executor.name}", verdict, problem or "can be used"))
     _, reason = hive.executors.default()
-    return [*checks, Check(IN_FORCE, Verdict.OK, reason)]
+    return [*checks, DoctorCheck(IN_FORCE, DoctorVerdict.OK, reason)]
 
 
-def _executor_findings(hive: Hive) -> list[Check]:
+def _executor_findings(hive: Hive) -> list[DoctorCheck]:
     """What each executor that can be used reports."""
     checks = []
     for executor in open_all(hive.executors.get):
         for finding in executor.examine() if executor.unavailable_because() is None else ():
-            verdict = Verdict.OK if finding.remedy is None else Verdict.WARNING
-            checks.append(Check(f"{finding.name} {executor.name}", verdict, finding.found, finding.remedy))
+            verdict = DoctorVerdict.OK if finding.remedy is None else DoctorVerdict.WARNING
+            checks.append(DoctorCheck(f"{finding.name} {executor.name}", verdict, finding.found, finding.remedy))
     return checks
 
 
-def _energy(_: Hive) -> list[Check]:
+def _energy(_: Hive) -> list[DoctorCheck]:
     try:
         found = f"measured for {len(read_packages())} processor packages"
     except Unavailable as error:
-        return [Check("energy", Verdict.OK, f"the energy of runs is not measured: {error.message}")]
-    return [Check("energy", Verdict.OK, found)]
+        return [DoctorCheck("energy", DoctorVerdict.OK, f"the energy of runs is not measured: {error.message}")]
+    return [DoctorCheck("energy", DoctorVerdict.OK, found)]
 
 
-def _gpus(_: Hive) -> list[Check]:
+def _gpus(_: Hive) -> list[DoctorCheck]:
     try:
         gpus = list_gpus()
     except Unavailable as error:
-        return [Check("GPU", Verdict.OK, error.message)]
+        return [DoctorCheck("GPU", DoctorVerdict.OK, error.message)]
     return [
-        Check("GPU", Verdict.OK, f"{gpu.model}, {gpu.memory_bytes / 1e9:.1f} GB, driver {gpu.driver}, {gpu.uuid}")
+        DoctorCheck(
+            "GPU", DoctorVerdict.OK, f"{gpu.model}, {gpu.memory_bytes / 1e9:.1f} GB, driver {gpu.driver}, {gpu.uuid}"
+        )
         for gpu in gpus
     ]
 
 
-def _disturbance(_: Hive) -> list[Check]:
+def _disturbance(_: Hive) -> list[DoctorCheck]:
     """What of a disturbed machine can be seen here."""
     counters = HostCounters()
     found = {what: read_or_why(source)[1] for what, source in {_CPU: counters.cpu, **sources(counters)}.items()}
@@ -162,65 +168,73 @@ def _disturbance(_: Hive) -> list[Check]:
     if missing:
         text += f"; not here: {', '.join(f'{what} ({why})' for what, why in missing.items())}"
     if _CPU in missing:
-        return [Check("disturbance", Verdict.WARNING, text, "mount /proc where the worker runs")]
+        return [DoctorCheck("disturbance", DoctorVerdict.WARNING, text, "mount /proc where the worker runs")]
     if "CPU pressure" in missing:
-        return [Check("disturbance", Verdict.OK, text, "pressure takes a kernel that is started with psi=1")]
-    return [Check("disturbance", Verdict.OK, text)]
+        return [
+            DoctorCheck("disturbance", DoctorVerdict.OK, text, "pressure takes a kernel that is started with psi=1")
+        ]
+    return [DoctorCheck("disturbance", DoctorVerdict.OK, text)]
 
 
-def _algorithms(hive: Hive) -> list[Check]:
+def _algorithms(hive: Hive) -> list[DoctorCheck]:
     executor = hive.executors.get(hive.executors.choose())
     checks = []
     for package in hive.catalogue.packages():
         try:
             identity = executor.identity(package)
         except SlamHiveError as error:
-            checks.append(Check(f"algorithm {package.name}", Verdict.WARNING, error.message, error.remedy))
+            checks.append(DoctorCheck(f"algorithm {package.name}", DoctorVerdict.WARNING, error.message, error.remedy))
             continue
         if identity is None:
             remedy = f"slamhive algorithm build {package.name} (or let the first run do it)"
-            checks.append(Check(f"algorithm {package.name}", Verdict.WARNING, NOT_BUILT, remedy))
+            checks.append(DoctorCheck(f"algorithm {package.name}", DoctorVerdict.WARNING, NOT_BUILT, remedy))
         else:
-            checks.append(Check(f"algorithm {package.name}", Verdict.OK, f"built, {identity[:19]}"))
+            checks.append(DoctorCheck(f"algorithm {package.name}", DoctorVerdict.OK, f"built, {identity[:19]}"))
     return checks
 
 
-def _broken_folders(hive: Hive) -> list[Check]:
-    return [Check(f"folder {entry.name}", Verdict.FAILED, entry.problem) for entry in hive.catalogue.broken()]
-
-
-def _datasets(hive: Hive) -> list[Check]:
-    names = [dataset.name for dataset in hive.catalogue.datasets()]
-    if names:
-        return [Check("datasets", Verdict.OK, ", ".join(names))]
-    return [Check("datasets", Verdict.WARNING, "none yet", "slamhive dataset room renders one")]
-
-
-def _worker(hive: Hive) -> list[Check]:
-    if hive.worker_alive():
-        return [Check("worker", Verdict.OK, "runs on this machine")]
-    return [Check("worker", Verdict.WARNING, "does not run", "slamhive worker, or slamhive serve, starts one")]
-
-
-def _session(_: Hive) -> list[Check]:
-    """The end of a worker that is started as this command was."""
-    found = lifetime_here()
-    verdict = Verdict.OK if found.remedy is None else Verdict.WARNING
-    return [Check("session", verdict, found.found, found.remedy)]
-
-
-def _notices(hive: Hive) -> list[Check]:
-    try:
-        channels = channels_of(hive.settings)
-    except InvalidInput as error:
-        return [Check("notifications", Verdict.FAILED, error.message, error.remedy)]
-    names = ", ".join(channel.name for channel in channels)
+def _broken_folders(hive: Hive) -> list[DoctorCheck]:
     return [
-        Check("notifications", Verdict.OK, names or "none set", "slamhive notify test tries them" if names else None)
+        DoctorCheck(f"folder {entry.name}", DoctorVerdict.FAILED, entry.problem) for entry in hive.catalogue.broken()
     ]
 
 
-_EXAMINATIONS: tuple[Callable[[Hive], list[Check]], ...] = (
+def _datasets(hive: Hive) -> list[DoctorCheck]:
+    names = [dataset.name for dataset in hive.catalogue.datasets()]
+    if names:
+        return [DoctorCheck("datasets", DoctorVerdict.OK, ", ".join(names))]
+    return [DoctorCheck("datasets", DoctorVerdict.WARNING, "none yet", "slamhive dataset room renders one")]
+
+
+def _worker(hive: Hive) -> list[DoctorCheck]:
+    if hive.worker_alive():
+        return [DoctorCheck("worker", DoctorVerdict.OK, "runs on this machine")]
+    return [
+        DoctorCheck("worker", DoctorVerdict.WARNING, "does not run", "slamhive worker, or slamhive serve, starts one")
+    ]
+
+
+def _session(_: Hive) -> list[DoctorCheck]:
+    """The end of a worker that is started as this command was."""
+    found = lifetime_here()
+    verdict = DoctorVerdict.OK if found.remedy is None else DoctorVerdict.WARNING
+    return [DoctorCheck("session", verdict, found.found, found.remedy)]
+
+
+def _notices(hive: Hive) -> list[DoctorCheck]:
+    try:
+        channels = channels_of(hive.settings)
+    except InvalidInput as error:
+        return [DoctorCheck("notifications", DoctorVerdict.FAILED, error.message, error.remedy)]
+    names = ", ".join(channel.name for channel in channels)
+    return [
+        DoctorCheck(
+            "notifications", DoctorVerdict.OK, names or "none set", "slamhive notify test tries them" if names else None
+        )
+    ]
+
+
+_EXAMINATIONS: tuple[Callable[[Hive], list[DoctorCheck]], ...] = (
     _python,
     _data_root,
     _database,

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from slamhive.base.settings import Settings
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.base import Executor, ExecutorContext
-from slamhive.executors.node_store.address import node_access
+from slamhive.executors.node_store.controller import node_access
 from slamhive.executors.registry import (
     AUTO,
     candidates,
@@ -16,7 +17,6 @@ from slamhive.executors.registry import (
     installation_id,
     open_executor,
 )
-from slamhive.settings import Settings
 
 NO_INSTALLATION = "none"
 """The identifier of a data root that does not exist yet: nothing was ever started for it."""

@@ -12,31 +12,25 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.errors import Conflict
-from slamhive.project import project_root
+from slamhive.base.errors import Conflict
+from slamhive.base.project import project_root
+from slamhive.base.settings import ExecutorOption, Mode, Settings
+from slamhive.base.settings_sources import load_settings
 from slamhive.services.data_root import DataRoot, open_data_root
-from slamhive.settings import ExecutorOption, Mode, Settings
-from slamhive.settings_sources import load_settings
 
 if TYPE_CHECKING:
-    from slamhive.foreign.numbers import Numbers
+    from slamhive.packages.published.combination import Numbers
     from slamhive.services.accounts import Accounts
     from slamhive.services.algorithms import AlgorithmImports
-    from slamhive.services.analyses import (
-        AnalysisComputer,
-        AnalysisFiles,
-        AnalysisJobs,
-        AnalysisPreviews,
-        StoredAnalyses,
-    )
-    from slamhive.services.challenges import ChallengeJudge, Challenges, ImageWork
+    from slamhive.services.analysis import AnalysisService
+    from slamhive.services.challenges import ChallengeJudge, ChallengeService, ImageWork
     from slamhive.services.citations import Citations
     from slamhive.services.clouds import Clouds
     from slamhive.services.configurations import Configurations
-    from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, Variants
-    from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, Protocols
+    from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, VariantService
+    from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, ProtocolService
     from slamhive.services.executors import Executors
-    from slamhive.services.experiments import Experiments
+    from slamhive.services.experiments import ExperimentService
     from slamhive.services.fetching import Fetching
     from slamhive.services.gates import Gates
     from slamhive.services.imports import Imports
@@ -44,14 +38,20 @@ if TYPE_CHECKING:
     from slamhive.services.ledger import Ledger
     from slamhive.services.nodes import Nodes
     from slamhive.services.replay import Replays
-    from slamhive.services.reports import Analyses
     from slamhive.services.run_comparison import RunComparisons
-    from slamhive.services.runs import MapViews, Notes, Runs, StoredRuns
+    from slamhive.services.runs import MapViews, Notes, RunService, StoredRuns
     from slamhive.services.search_actions import SearchActions
     from slamhive.services.searches import Searches
     from slamhive.services.sharing import Sharings
+    from slamhive.services.stored_analyses import (
+        AnalysisComputer,
+        AnalysisFiles,
+        AnalysisJobs,
+        AnalysisPreviews,
+        StoredAnalyses,
+    )
     from slamhive.services.trash import Trash
-    from slamhive.services.uploads import UploadImports, Uploads
+    from slamhive.services.uploads import UploadImports, UploadService
     from slamhive.services.versions import Versions
     from slamhive.services.worker import Worker
     from slamhive.store import Store
@@ -103,11 +103,11 @@ class Hive:
         return Executors(self.settings, self.project_root, self.worker_alive)
 
     @cached_property
-    def variants(self) -> Variants:
+    def variants(self) -> VariantService:
         """Variants of datasets."""
-        from slamhive.services.datasets import Variants
+        from slamhive.services.datasets import VariantService
 
-        return Variants(self.settings, self.store)
+        return VariantService(self.settings, self.store)
 
     @cached_property
     def dataset_views(self) -> DatasetViews:
@@ -159,11 +159,11 @@ class Hive:
         return StoredRuns(self.settings, self.store)
 
     @cached_property
-    def runs(self) -> Runs:
+    def runs(self) -> RunService:
         """Runs, to read and to change."""
-        from slamhive.services.runs import Runs
+        from slamhive.services.runs import RunService
 
-        return Runs(self.settings, self.store, self.configurations, self.executors)
+        return RunService(self.settings, self.store, self.configurations, self.executors)
 
     @cached_property
     def sharings(self) -> Sharings:
@@ -180,11 +180,11 @@ class Hive:
         return Notes(self.settings, self.store)
 
     @cached_property
-    def protocols(self) -> Protocols:
+    def protocols(self) -> ProtocolService:
         """Protocols that evaluations use."""
-        from slamhive.services.evaluations import Protocols
+        from slamhive.services.evaluations import ProtocolService
 
-        return Protocols(self.store)
+        return ProtocolService(self.store)
 
     @cached_property
     def evaluations(self) -> Evaluations:
@@ -215,11 +215,11 @@ class Hive:
         return Gates(self.settings, self.store, self.searches, self.catalogue, self.configurations, self.runs)
 
     @cached_property
-    def challenges(self) -> Challenges:
+    def challenges(self) -> ChallengeService:
         """Challenges with secret ground truth, to submit to and to look at."""
-        from slamhive.services.challenges import Challenges
+        from slamhive.services.challenges import ChallengeService
 
-        return Challenges(self.settings)
+        return ChallengeService(self.settings)
 
     @cached_property
     def challenge_judge(self) -> ChallengeJudge:
@@ -256,11 +256,13 @@ class Hive:
         return Comparisons(self.store, self.evaluations, self.settings.runs_folder)
 
     @cached_property
-    def experiments(self) -> Experiments:
+    def experiments(self) -> ExperimentService:
         """Experiments."""
-        from slamhive.services.experiments import ExperimentContext, Experiments
+        from slamhive.services.experiments import ExperimentContext, ExperimentService
 
-        return Experiments(ExperimentContext(self.settings, self.store, self.catalogue, self.variants, self.executors))
+        return ExperimentService(
+            ExperimentContext(self.settings, self.store, self.catalogue, self.variants, self.executors)
+        )
 
     @cached_property
     def algorithms(self) -> AlgorithmImports:
@@ -279,43 +281,43 @@ class Hive:
     @cached_property
     def stored_analyses(self) -> StoredAnalyses:
         """Stored analyses."""
-        from slamhive.services.analyses import StoredAnalyses
+        from slamhive.services.stored_analyses import StoredAnalyses
 
         return StoredAnalyses(self.settings, self.store, lambda text: self.analyses.check(text))  # noqa: PLW0108 - loads analyses late
 
     @cached_property
     def analysis_jobs(self) -> AnalysisJobs:
         """The queue of analyses."""
-        from slamhive.services.analyses import AnalysisJobs
+        from slamhive.services.stored_analyses import AnalysisJobs
 
         return AnalysisJobs(self.settings, self.store, self.project_root)
 
     @cached_property
     def analysis_files(self) -> AnalysisFiles:
         """The files of stored analyses."""
-        from slamhive.services.analyses import AnalysisFiles
+        from slamhive.services.stored_analyses import AnalysisFiles
 
         return AnalysisFiles(self.stored_analyses, self.project_root)
 
     def analysis_computer(self) -> AnalysisComputer:
         """A thread that computes analyses; the caller closes it."""
-        from slamhive.services.analyses import AnalysisComputer
+        from slamhive.services.stored_analyses import AnalysisComputer
 
         return AnalysisComputer(self.store, self.analysis_jobs)
 
     @cached_property
     def analysis_previews(self) -> AnalysisPreviews:
         """Previews of analyses that are being written."""
-        from slamhive.services.analyses import AnalysisPreviews
+        from slamhive.services.stored_analyses import AnalysisPreviews
 
         return AnalysisPreviews(self.settings, self.store, self.project_root, self.stored_analyses.check)
 
     @cached_property
-    def analyses(self) -> Analyses:
+    def analyses(self) -> AnalysisService:
         """Analysis files and reports; loaded on first use, because matplotlib, pandas and scipy take two seconds."""
-        from slamhive.services.reports import Analyses
+        from slamhive.services.analysis import AnalysisService
 
-        return Analyses(self.settings, self.store, self.catalogue, self.searches)
+        return AnalysisService(self.settings, self.store, self.catalogue, self.searches)
 
     @cached_property
     def citations(self) -> Citations:
@@ -360,11 +362,11 @@ class Hive:
         return KeptAnswers(self.settings.answers_folder)
 
     @cached_property
-    def uploads(self) -> Uploads:
+    def uploads(self) -> UploadService:
         """Files that programs send."""
-        from slamhive.services.uploads import Uploads
+        from slamhive.services.uploads import UploadService
 
-        return Uploads(self.settings)
+        return UploadService(self.settings)
 
     @cached_property
     def upload_imports(self) -> UploadImports:

@@ -7,16 +7,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Hashable
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from slamhive.clock import utc_now
-from slamhive.errors import Conflict, InvalidInput, Unavailable
-from slamhive.files import make_shared_folder, remedy_of, write_aside
-from slamhive.input_bounds import read_record
+from cachetools import LRUCache
+
+from slamhive.base.bounds import read_record
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, InvalidInput, Unavailable
+from slamhive.base.files import make_shared_folder, remedy_of, write_aside
 
 KEPT = timedelta(hours=24)
 MOST_KEPT = 10_000
@@ -24,7 +27,7 @@ LONGEST_KEY = 255
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class KeptAnswer:
     """What the first request was answered with: HTTP status and JSON text."""
 
     status: int
@@ -49,7 +52,7 @@ class KeptAnswers:
         """Those of one caller."""
         return KeptAnswers(self._folder, owner, self._clock)
 
-    def claim(self, key: str, asked: str) -> Answer | None:
+    def claim(self, key: str, asked: str) -> KeptAnswer | None:
         """Take a key for a change that begins now (None), or find the answer of the first request with this key.
 
         Args:
@@ -75,7 +78,7 @@ class KeptAnswers:
             raise Unavailable(f"{path} cannot be written: {error.strerror}", remedy_of(error)) from None
         return None
 
-    def keep(self, key: str, answer: Answer) -> None:
+    def keep(self, key: str, answer: KeptAnswer) -> None:
         """Store the answer to the request that claimed the key."""
         path = self._path(key)
         write_aside(path, json.dumps({**read_record(path), **asdict(answer)}))
@@ -103,7 +106,7 @@ class KeptAnswers:
                 path.unlink(missing_ok=True)
 
 
-def _known(path: Path, key: str, asked: str) -> Answer | None:
+def _known(path: Path, key: str, asked: str) -> KeptAnswer | None:
     shown = key[:40]
     try:
         content: dict[str, Any] = read_record(path)
@@ -116,4 +119,44 @@ def _known(path: Path, key: str, asked: str) -> Answer | None:
             f"a request with the key {shown!r} has not ended, or was cut off",
             "wait; if it was cut off, look what it has changed before you use another key",
         )
-    return Answer(int(content["status"]), str(content["body"]))
+    return KeptAnswer(int(content["status"]), str(content["body"]))
+
+
+# What takes long to read from a large file and is looked at again: kept in memory, within a bound.
+
+
+_Key = TypeVar("_Key", bound=Hashable)
+_View = TypeVar("_View")
+
+
+class KeptViews(Generic[_Key, _View]):
+    """Those used last, by a key that changes with the file. Several threads may ask at once.
+
+    Args:
+        most_bytes: What they may take in memory together.
+        size_bytes: What one takes.
+        at_once: How many are read at once; who asks for more waits, so that runs keep their CPU.
+    """
+
+    def __init__(self, most_bytes: int, size_bytes: Callable[[_View], int], at_once: int = 2) -> None:
+        self._kept: LRUCache[_Key, _View] = LRUCache(most_bytes, size_bytes)
+        self._lock = threading.Lock()
+        self.turns = threading.BoundedSemaphore(at_once)
+
+    def get(self, key: _Key, read: Callable[[], _View]) -> _View:
+        """The view with this key, which ``read`` reads unless it is kept."""
+        with self._lock:
+            known = self._kept.get(key)
+        if known is None:
+            with self.turns:
+                with self._lock:
+                    known = self._kept.get(key)
+                if known is None:
+                    known = read()
+                    self.put(key, known)
+        return known
+
+    def put(self, key: _Key, view: _View) -> None:
+        """Keep a view that was read with another."""
+        with self._lock:
+            self._kept[key] = view

@@ -6,9 +6,9 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from slamhive.domain.visibility import NOT_SHARED
-from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.runs.folder import RunFolder
+from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.domain.accounts import NOT_SHARED
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.experiments import Restored
 from slamhive.services.hive import Hive
 from slamhive.services.ledger import LedgerRestore

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING
 
-from slamhive.clock import utc_now
-from slamhive.domain.notes import NotesChange
-from slamhive.domain.numbers import plural
-from slamhive.domain.protocol_request import ProtocolRequest
-from slamhive.errors import Conflict, InvalidInput, NotFound
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, InvalidInput, NotFound
+from slamhive.domain.names import plural
+from slamhive.domain.protocol import ProtocolRequest
+from slamhive.domain.run import NotesChange
 from slamhive.store import Store
 
 if TYPE_CHECKING:
     from slamhive.services.evaluations import Evaluations
-    from slamhive.services.runs import Notes, Runs
+    from slamhive.services.runs import Notes, RunService
     from slamhive.services.sharing import SharingChange, Sharings
     from slamhive.services.trash import Trash
 
@@ -70,7 +70,7 @@ class SearchActions:
     """
 
     def __init__(
-        self, store: Store, runs: Runs, evaluations: Evaluations, notes: Notes, sharings: Sharings, trash: Trash
+        self, store: Store, runs: RunService, evaluations: Evaluations, notes: Notes, sharings: Sharings, trash: Trash
     ) -> None:
         self._store = store
         self._runs = runs

@@ -12,14 +12,14 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from slamhive.base.errors import InvalidInput, NotFound, Unavailable
+from slamhive.base.files import remedy_of, write_aside
+from slamhive.base.settings import Settings
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.domain.collection import FileKind, RemoteFile
-from slamhive.domain.weights import Weights
-from slamhive.errors import InvalidInput, NotFound, Unavailable
-from slamhive.fetch.download import Pace, Received, download
-from slamhive.files import remedy_of, write_aside
+from slamhive.domain.packages import Weights
+from slamhive.downloads.download import Pace, Received, download
 from slamhive.services.datasets import check_writable
-from slamhive.settings import Settings
 
 WEIGHTS = "weights"
 """Their folder in a data root."""

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive.lazy import lazy_names
+from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.store.account_records import Account, Act, AuditLine, Credentials, Key, KeyKind, NewKey
-    from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
-    from slamhive.store.configuration_records import (
+    from slamhive.store.accounts import Account, AccountCredentials, AuditAct, AuditLine, Key, KeyKind, NewKey
+    from slamhive.store.configuration_listing import (
         ConfigurationFilter,
         ConfigurationPage,
         ConfigurationRecord,
@@ -20,6 +19,8 @@ if TYPE_CHECKING:
     from slamhive.store.records import (
         AlgorithmRecord,
         AlgorithmVersion,
+        AnalysisRecord,
+        AnalysisState,
         Count,
         DatasetRecord,
         EvaluationRecord,
@@ -34,47 +35,10 @@ if TYPE_CHECKING:
         RunSort,
         VersionRecord,
     )
-    from slamhive.store.same_cpu import Machine
+    from slamhive.store.same_cpu import MeasuredMachine
     from slamhive.store.store import AbsentStore, Store, open_store
     from slamhive.store.transaction import Transaction
 
-__all__ = [
-    "AbsentStore",
-    "Account",
-    "Act",
-    "AlgorithmRecord",
-    "AlgorithmVersion",
-    "AnalysisRecord",
-    "AnalysisState",
-    "AuditLine",
-    "ConfigurationFilter",
-    "ConfigurationPage",
-    "ConfigurationRecord",
-    "Count",
-    "Credentials",
-    "DatasetRecord",
-    "EvaluationRecord",
-    "EvaluationState",
-    "Key",
-    "KeyKind",
-    "Lease",
-    "LeaseLost",
-    "Machine",
-    "NewKey",
-    "Page",
-    "ParameterCondition",
-    "ProtocolLabel",
-    "RunFields",
-    "RunRecord",
-    "RunRequest",
-    "RunSnapshot",
-    "RunSort",
-    "Store",
-    "StoredParameter",
-    "Transaction",
-    "VersionRecord",
-    "open_store",
-]
 
 if not TYPE_CHECKING:
     __getattr__ = lazy_names(__name__)

@@ -2,22 +2,174 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime
+from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import Row, Select, delete, select, update
+from sqlalchemy import ForeignKey, Index, Integer, Row, Select, String, delete, select, update
 
+from slamhive.base.errors import Conflict, NotFound, unknown
 from slamhive.domain.accounts import Identity, Role, Scope
-from slamhive.errors import Conflict, NotFound, unknown
-from slamhive.store import account_models as models
-from slamhive.store.account_records import Account, Credentials, Key, KeyKind, NewKey
-from slamhive.store.rows import Repository, get_or_insert
+from slamhive.store.changes import changes_of
+from slamhive.store.models import NAME_LENGTH
+from slamhive.store.rows import Repository, cut, get_or_insert
+from slamhive.store.tables import TABLE_OPTIONS, JsonText, TableBase, UtcDateTime, column, enum_column, optional
+
+# What the store says of accounts. Secrets go in as digests, and no secret comes out but the hash of a password.
+
+
+class KeyKind(StrEnum):
+    """What a key is for: the session of a browser, or a personal API token."""
+
+    SESSION = "session"
+    TOKEN = "token"  # noqa: S105 - a kind, not a secret
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """One account; ``disabled_at`` is when it was disabled, None while it can be used."""
+
+    id: int
+    name: str
+    role: Role
+    created_at: datetime
+    disabled_at: datetime | None
+
+
+@dataclass(frozen=True, slots=True)
+class AccountCredentials:
+    """An account with the hash of its password."""
+
+    account: Account
+    password_hash: str
+
+
+@dataclass(frozen=True, slots=True)
+class NewKey:
+    """A session or token to store. ``digest`` is that of its secret. Sessions have no name and no scopes."""
+
+    kind: KeyKind
+    digest: str
+    created_at: datetime
+    expires_at: datetime
+    name: str = ""
+    scopes: tuple[Scope, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """A stored session or token with its account; ``used_at`` is when it was last used, to the hour."""
+
+    id: int
+    account: Account
+    kind: KeyKind
+    name: str
+    digest: str
+    scopes: tuple[Scope, ...]
+    created_at: datetime
+    expires_at: datetime
+    used_at: datetime | None
+
+    @property
+    def owner(self) -> str:
+        """The name of its account."""
+        return self.account.name
+
+
+@dataclass(frozen=True, slots=True)
+class AuditAct:
+    """What somebody asked for. The first transaction that stores something for it stores a line of the audit log.
+
+    ``uid``: identifies the line if a transaction is tried again. ``account``: who. ``via``: page, token or
+    command line. ``address``: of the network, empty for the command line. ``action`` and ``subject``: what, on what.
+    """
+
+    uid: str
+    at: datetime
+    account: str
+    via: str
+    address: str
+    action: str
+    subject: str
+
+
+@dataclass(frozen=True, slots=True)
+class AuditLine:
+    """A line of the audit log; see :class:`Act`."""
+
+    id: int
+    at: datetime
+    account: str
+    via: str
+    address: str
+    action: str
+    subject: str
+
+
+# The tables of accounts. No run folder, ledger or archive holds what is in them.
+
+
+class AccountRow(TableBase):
+    """Somebody who can sign in. Rows are never removed."""
+
+    __tablename__ = "accounts"
+    id = column(Integer, primary_key=True)
+    name = column(String(NAME_LENGTH), unique=True)
+    role = column(enum_column(Role))
+    password_hash = column(String(190))
+    created_at = column(UtcDateTime)
+    disabled_at = optional(UtcDateTime)
+
+
+class AccountKeyRow(TableBase):
+    """What proves who somebody is: a connection or an API token. Only the SHA-256 digest of its secret is stored."""
+
+    __tablename__ = "account_keys"
+    id = column(Integer, primary_key=True)
+    account_id = column(Integer, ForeignKey("accounts.id"), index=True)
+    kind = column(enum_column(KeyKind))
+    name = column(String(NAME_LENGTH))
+    digest = column(String(64), unique=True)
+    scopes = column(JsonText)
+    created_at = column(UtcDateTime)
+    expires_at = column(UtcDateTime)
+    used_at = optional(UtcDateTime)
+
+
+class AccountIdentityRow(TableBase):
+    """Who somebody is at a provider of OpenID Connect; ``digest`` identifies issuer and subject together."""
+
+    __tablename__ = "account_identities"
+    id = column(Integer, primary_key=True)
+    account_id = column(Integer, ForeignKey("accounts.id"), index=True)
+    digest = column(String(64), unique=True)
+    issuer = column(String(500))
+    subject = column(String(255))
+    created_at = column(UtcDateTime)
+
+
+class AuditLineRow(TableBase):
+    """Who asked for what. The name of the account is text, so that the line needs no other row."""
+
+    __tablename__ = "audit_log"
+    __table_args__ = (Index("ix_audit_log_account", "account", "id"), TABLE_OPTIONS)
+    id = column(Integer, primary_key=True)
+    uid = column(String(32), unique=True)
+    at = column(UtcDateTime)
+    account = column(String(NAME_LENGTH))
+    via = column(String(100))
+    address = column(String(64))
+    action = column(String(64))
+    subject = column(String(500))
+
 
 MOST_SESSIONS = 20
 """Of one account; a further one ends the oldest."""
-_ACCOUNTS = models.Account.__table__
-_KEYS = models.AccountKey.__table__
-_IDENTITIES = models.AccountIdentity.__table__
+_ACCOUNTS = AccountRow.__table__
+_KEYS = AccountKeyRow.__table__
+_IDENTITIES = AccountIdentityRow.__table__
 
 
 class AccountRepository(Repository):
@@ -26,7 +178,7 @@ class AccountRepository(Repository):
     def add(self, name: str, role: Role, password_hash: str, now: datetime) -> Account:
         """Add an account; raises Conflict if the name is taken."""
         values = {"role": role, "password_hash": password_hash, "created_at": now}
-        get_or_insert(self._connection, models.Account, {"name": name}, values)
+        get_or_insert(self._connection, AccountRow, {"name": name}, values)
         credentials = self.credentials(name)
         if credentials.password_hash != password_hash:  # its salt is random: after a lost answer, this one is ours
             raise Conflict(f"there is an account {name!r} already", "choose another name, or change its password")
@@ -49,18 +201,18 @@ class AccountRepository(Repository):
         """The account of that name; raises NotFound."""
         return self.credentials(name).account
 
-    def credentials(self, name: str) -> Credentials:
+    def credentials(self, name: str) -> AccountCredentials:
         """The account of that name with the hash of its password; raises NotFound."""
         found = self.find(name)
         if found is None:
             raise unknown("account", name, [account.name for account in self.all()])
         return found
 
-    def find(self, name: str, *, locked: bool = False) -> Credentials | None:
+    def find(self, name: str, *, locked: bool = False) -> AccountCredentials | None:
         """As :meth:`credentials`, or None. ``locked``: nobody changes the account until the transaction ends."""
         query = select(_ACCOUNTS).where(_ACCOUNTS.c.name == name)
         row = self._connection.execute(query.with_for_update() if locked else query).one_or_none()
-        return None if row is None else Credentials(_account(row), row.password_hash)
+        return None if row is None else AccountCredentials(_account(row), row.password_hash)
 
     def set_password(self, name: str, password_hash: str) -> None:
         """Replace the hash of a password."""
@@ -79,11 +231,11 @@ class AccountRepository(Repository):
 
     # -- who somebody is elsewhere -----------------------------------------------------------------------------------
 
-    def known_as(self, identity: Identity) -> Credentials | None:
+    def known_as(self, identity: Identity) -> AccountCredentials | None:
         """The account that this identity belongs to."""
         query = select(_ACCOUNTS).join(_IDENTITIES, _IDENTITIES.c.account_id == _ACCOUNTS.c.id)
         row = self._connection.execute(query.where(_IDENTITIES.c.digest == identity.digest)).one_or_none()
-        return None if row is None else Credentials(_account(row), row.password_hash)
+        return None if row is None else AccountCredentials(_account(row), row.password_hash)
 
     def link(self, account_id: int, identity: Identity, now: datetime) -> None:
         """Let an identity belong to an account; raises Conflict if it belongs to another one."""
@@ -93,7 +245,7 @@ class AccountRepository(Repository):
             "subject": identity.subject,
             "created_at": now,
         }
-        get_or_insert(self._connection, models.AccountIdentity, {"digest": identity.digest}, values)
+        get_or_insert(self._connection, AccountIdentityRow, {"digest": identity.digest}, values)
         found = self.known_as(identity)
         if found is None or found.account.id != account_id:
             owner = "nobody" if found is None else found.account.name
@@ -117,7 +269,7 @@ class AccountRepository(Repository):
             "account_id": account_id,
             "scopes": list(key.scopes),
         }
-        key_id, _ = get_or_insert(self._connection, models.AccountKey, {"digest": key.digest}, values)
+        key_id, _ = get_or_insert(self._connection, AccountKeyRow, {"digest": key.digest}, values)
         if key.kind is KeyKind.SESSION:
             self._end_oldest_sessions(account_id)
         return self._key(_joined().where(_KEYS.c.id == key_id))
@@ -203,3 +355,53 @@ def _key(row: Row[Any]) -> Key:
         expires_at=row.key_expires_at,
         used_at=row.key_used_at,
     )
+
+
+# The audit log: who asked for what. A line is stored in the transaction of the change, so neither is there alone.
+
+
+SUBJECT_LENGTH = 500
+_AUDIT = AuditLineRow.__table__
+_FIELDS = ("id", "at", "account", "via", "address", "action", "subject")
+
+
+class AuditRepository(Repository):
+    """Lines are added and read; nothing changes or removes them."""
+
+    def add(self, act: AuditAct) -> None:
+        """Store the line of ``act``, with what the transaction has stored so far; twice does no harm."""
+        subject = "; ".join(part for part in (act.subject, *self._stored()) if part)
+        values = {
+            **{name: getattr(act, name) for name in ("at", "account", "via", "address", "action")},
+            "subject": cut(subject, SUBJECT_LENGTH),
+        }
+        get_or_insert(self._connection, AuditLineRow, {"uid": act.uid}, values)
+
+    def lines(self, limit: int, before: int | None = None, account: str | None = None) -> list[AuditLine]:
+        """The newest lines, of one account or of all; ``before`` continues after the line of that id."""
+        query = select(*(_AUDIT.c[name] for name in _FIELDS)).order_by(_AUDIT.c.id.desc()).limit(limit)
+        if before is not None:
+            query = query.where(_AUDIT.c.id < before)
+        if account is not None:
+            query = query.where(_AUDIT.c.account == account)
+        return [AuditLine(**row._mapping) for row in self._connection.execute(query)]
+
+    def _stored(self) -> Iterator[str]:
+        """The numbers of new runs and names of experiments: the request does not have them."""
+        changes = changes_of(self._connection)
+        runs = [row.id for row in changes.runs]
+        if runs:
+            yield f"queued {in_ranges(runs)}"
+        yield from sorted(changes.started)
+
+
+def in_ranges(numbers: Sequence[int]) -> str:
+    """Numbers of runs in words: ``runs 3, 5 to 8``."""
+    ranges: list[list[int]] = []
+    for number in sorted(numbers):
+        if ranges and number == ranges[-1][1] + 1:
+            ranges[-1][1] = number
+        else:
+            ranges.append([number, number])
+    words = [str(first) if first == last else f"{first} to {last}" for first, last in ranges]
+    return f"run{'s' if len(numbers) > 1 else ''} {', '.join(words)}"

@@ -8,17 +8,16 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Row, delete, func, insert, select, true, update
 
-from slamhive.errors import NotFound
-from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
+from slamhive.base.errors import NotFound
 from slamhive.store.changes import changes_of
 from slamhive.store.leases import NO_LEASE, Lease, LeaseQueue
-from slamhive.store.models import Analysis, Evaluation, Run
-from slamhive.store.records import LeaseLost
+from slamhive.store.models import AnalysisRow, EvaluationRow, RunRow
+from slamhive.store.records import AnalysisRecord, AnalysisState, LeaseLost
 from slamhive.store.rows import changed, chunks, cut
 from slamhive.store.sharing import sharing_columns
 
 REASON_LENGTH = 10_000
-_TABLE = Analysis.__table__
+_TABLE = AnalysisRow.__table__
 
 
 class AnalysisRepository(LeaseQueue[str]):
@@ -108,7 +107,7 @@ class AnalysisRepository(LeaseQueue[str]):
         The metrics of a run change only with its state and its evaluations: equal fingerprints mean equal metrics.
         """
         digest = hashlib.sha256()
-        runs, evaluations = Run.__table__, Evaluation.__table__
+        runs, evaluations = RunRow.__table__, EvaluationRow.__table__
         for part in chunks(sorted(run_ids)):
             facts = select(runs.c.id, runs.c.state, runs.c.reason, runs.c.current_protocol_id)
             for row in self._connection.execute(facts.where(runs.c.id.in_(part)).order_by(runs.c.id)):

@@ -12,11 +12,10 @@ from typing import Generic, TypeVar
 
 from sqlalchemy import Connection
 
+from slamhive.domain.accounts import NO_SHARING, Sharing
 from slamhive.domain.protocol import Protocol
-from slamhive.domain.visibility import NO_SHARING, Sharing
 from slamhive.evaluation.job import Artefacts
-from slamhive.store.experiment_records import NewCell, NewConfiguration
-from slamhive.store.records import RunRequest
+from slamhive.store.records import NewCell, NewConfiguration, RunRequest
 
 T = TypeVar("T")
 

@@ -9,24 +9,47 @@ from typing import Any
 from sqlalchemy import Row, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
+from slamhive.base.errors import NotFound
 from slamhive.domain import configuration as domain
+from slamhive.domain.configuration import Variant
 from slamhive.domain.parameters import Parameter as Definition
-from slamhive.domain.parameters import ParameterType, Value
-from slamhive.domain.variant import Variant
-from slamhive.errors import NotFound
+from slamhive.domain.parameters import ParameterType, Scalar, Value
 from slamhive.store.changes import NewRow, changes_of
-from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.models import (
     TEXT_VALUE_LENGTH,
-    Algorithm,
-    Configuration,
-    ConfigurationValue,
-    Dataset,
-    Parameter,
-    VariantOption,
+    AlgorithmRow,
+    ConfigurationRow,
+    ConfigurationValueRow,
+    DatasetRow,
+    ParameterRow,
+    VariantOptionRow,
 )
+from slamhive.store.records import NewConfiguration
 from slamhive.store.rows import Repository, chunks, from_json, get_or_insert, to_json
-from slamhive.store.variant_options import option_rows
+
+# Options of pre-processing steps, under the names that searches use.
+
+
+def option_rows(configuration_id: int, variant: Variant) -> list[dict[str, Any]]:
+    """Rows of ``variant_options``: ``KIND.OPTION`` and ``KIND.OPTION@SENSOR``, where all steps of the kind agree."""
+    found: dict[str, list[Scalar]] = {}
+    for step in variant:
+        for option, value in step.options.items():
+            name = f"{step.kind}.{option}"
+            for key in (name, *(f"{name}@{sensor}" for sensor in step.sensors)):
+                found.setdefault(key, []).append(value)
+    return [
+        {"configuration_id": configuration_id, "name": name, **_option_columns(values[0])}
+        for name, values in found.items()
+        if all(value == values[0] for value in values)
+    ]
+
+
+def _option_columns(value: Scalar) -> dict[str, Any]:
+    if isinstance(value, str):
+        return {"number_value": None, "text_value": value[:TEXT_VALUE_LENGTH]}
+    return {"number_value": float(value), "text_value": None}
+
 
 ROWS_OF_A_STATEMENT = 100
 """PyMySQL sends so few rows as one INSERT, which succeeds or fails as a whole if another transaction inserts the same.
@@ -75,7 +98,7 @@ class ConfigurationRepository(Repository):
         new = {n: entry for n, entry in entries.items() if known.setdefault(entry.content_hash, n) == n}
         if new:
             rows = [{**_row(entry), "id": number, "created_at": created_at[number]} for number, entry in new.items()]
-            self._connection.execute(insert(Configuration.__table__), rows)
+            self._connection.execute(insert(ConfigurationRow.__table__), rows)
             self._insert_values(new)
         return {number: known[entry.content_hash] for number, entry in entries.items()}
 
@@ -83,18 +106,18 @@ class ConfigurationRepository(Repository):
         """The configuration with this id; raises NotFound."""
         row = self._connection.execute(
             select(
-                Algorithm.name.label("algorithm"),
-                Dataset.name.label("dataset"),
-                Configuration.playback_mode,
-                Configuration.playback_rate,
-                Configuration.variant,
-                Configuration.sensors,
-                Configuration.version,
-                Configuration.map,
+                AlgorithmRow.name.label("algorithm"),
+                DatasetRow.name.label("dataset"),
+                ConfigurationRow.playback_mode,
+                ConfigurationRow.playback_rate,
+                ConfigurationRow.variant,
+                ConfigurationRow.sensors,
+                ConfigurationRow.version,
+                ConfigurationRow.map,
             )
-            .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
-            .join(Dataset, Dataset.id == Configuration.dataset_id)
-            .where(Configuration.id == configuration_id)
+            .join(AlgorithmRow, AlgorithmRow.id == ConfigurationRow.algorithm_id)
+            .join(DatasetRow, DatasetRow.id == ConfigurationRow.dataset_id)
+            .where(ConfigurationRow.id == configuration_id)
         ).one_or_none()
         if row is None:
             raise NotFound(f"unknown configuration {configuration_id}")
@@ -110,10 +133,10 @@ class ConfigurationRepository(Repository):
         found: dict[int, dict[str, Value]] = {configuration_id: {} for configuration_id in wanted}
         for part in chunks(wanted):
             rows = self._connection.execute(
-                select(ConfigurationValue.configuration_id, Parameter.key, ConfigurationValue.value)
-                .join(Parameter, Parameter.id == ConfigurationValue.parameter_id)
-                .where(ConfigurationValue.configuration_id.in_(part))
-                .order_by(ConfigurationValue.configuration_id, ConfigurationValue.parameter_id)
+                select(ConfigurationValueRow.configuration_id, ParameterRow.key, ConfigurationValueRow.value)
+                .join(ParameterRow, ParameterRow.id == ConfigurationValueRow.parameter_id)
+                .where(ConfigurationValueRow.configuration_id.in_(part))
+                .order_by(ConfigurationValueRow.configuration_id, ConfigurationValueRow.parameter_id)
             )
             for configuration_id, key, value in rows:
                 found[configuration_id][key] = tuple(value) if isinstance(value, list) else value
@@ -122,7 +145,9 @@ class ConfigurationRepository(Repository):
     def _ids_by_hash(self, hashes: Sequence[str]) -> dict[str, int]:
         found: dict[str, int] = {}
         for part in chunks(hashes):
-            query = select(Configuration.content_hash, Configuration.id).where(Configuration.content_hash.in_(part))
+            query = select(ConfigurationRow.content_hash, ConfigurationRow.id).where(
+                ConfigurationRow.content_hash.in_(part)
+            )
             found.update((row.content_hash, row.id) for row in self._connection.execute(query))
         return found
 
@@ -132,11 +157,11 @@ class ConfigurationRepository(Repository):
         for part in chunks(list(missing), ROWS_OF_A_STATEMENT):
             rows = [{**_row(missing[content_hash]), "created_at": now} for content_hash in part]
             try:
-                self._connection.execute(insert(Configuration.__table__), rows)
+                self._connection.execute(insert(ConfigurationRow.__table__), rows)
             except IntegrityError:
                 for row in rows:
                     keys = {"content_hash": row.pop("content_hash")}
-                    if get_or_insert(self._connection, Configuration, keys, row)[1]:
+                    if get_or_insert(self._connection, ConfigurationRow, keys, row)[1]:
                         inserted.add(keys["content_hash"])
             else:
                 inserted.update(part)
@@ -159,9 +184,9 @@ class ConfigurationRepository(Repository):
                 columns = {"configuration_id": configuration_id, "parameter_id": ids[signature][key]}
                 rows.append({**columns, **_columns(value)})
         if rows:
-            self._connection.execute(insert(ConfigurationValue.__table__), rows)
+            self._connection.execute(insert(ConfigurationValueRow.__table__), rows)
         if options:
-            self._connection.execute(insert(VariantOption.__table__), options)
+            self._connection.execute(insert(VariantOptionRow.__table__), options)
 
     def _parameter_ids(
         self, algorithm_id: int, values: Mapping[str, Value], definitions: Sequence[Definition]
@@ -170,8 +195,10 @@ class ConfigurationRepository(Repository):
 
         A general name is an alias: the rows of a key have the one that its newest definition gives it.
         """
-        scope = self._connection.execute(select(Algorithm.package).where(Algorithm.id == algorithm_id)).scalar_one()
-        table = Parameter.__table__
+        scope = self._connection.execute(
+            select(AlgorithmRow.package).where(AlgorithmRow.id == algorithm_id)
+        ).scalar_one()
+        table = ParameterRow.__table__
         rows = self._connection.execute(select(table).where(table.c.scope == scope))
         known = {(row.key, row.type, row.unit): row for row in rows}
         defined = {definition.key: definition for definition in definitions}
@@ -181,7 +208,7 @@ class ConfigurationRepository(Repository):
             row = known.get((key, kind, unit))
             if row is None:
                 keys = {"scope": scope, "key": key, "type": kind, "unit": unit}
-                ids[key], _ = get_or_insert(self._connection, Parameter, keys, {"general": general})
+                ids[key], _ = get_or_insert(self._connection, ParameterRow, keys, {"general": general})
             else:
                 ids[key] = row.id
         renamed = {

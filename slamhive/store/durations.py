@@ -12,28 +12,27 @@ from sqlalchemy import ColumnElement, Integer, and_, case, cast, func, select
 
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import RunState
-from slamhive.store.experiment_records import KnownConfiguration
 from slamhive.store.models import (
     MEASURED_PROTOCOL_ID,
-    Algorithm,
-    AlgorithmVersion,
-    Configuration,
-    Dataset,
-    Evaluation,
-    Host,
-    Metric,
-    MetricValue,
-    Run,
-    RunEvent,
+    AlgorithmRow,
+    AlgorithmVersionRow,
+    ConfigurationRow,
+    DatasetRow,
+    EvaluationRow,
+    HostRow,
+    MetricRow,
+    MetricValueRow,
+    RunEventRow,
+    RunRow,
 )
-from slamhive.store.records import EvaluationState
+from slamhive.store.records import EvaluationState, KnownConfiguration
 from slamhive.store.rows import Repository, chunks
 
 DURATION = "duration"
-_PAIRING = (Algorithm.name, Dataset.name, Configuration.playback_mode, Configuration.playback_rate)
+_PAIRING = (AlgorithmRow.name, DatasetRow.name, ConfigurationRow.playback_mode, ConfigurationRow.playback_rate)
 _ENDED = tuple(state for state in RunState if state.ended)
 _ACTIVE = tuple(state for state in RunState if state.active)
-_BUILT = select(AlgorithmVersion.package).where(AlgorithmVersion.removed_at.is_(None))
+_BUILT = select(AlgorithmVersionRow.package).where(AlgorithmVersionRow.removed_at.is_(None))
 _LEAST_BUILD = timedelta(seconds=5)
 """A shorter preparation built nothing."""
 _LATEST = 50
@@ -92,15 +91,15 @@ class DurationRepository(Repository):
         for part in chunks(content_hashes):
             query = (
                 select(
-                    Configuration.content_hash,
-                    func.count(Run.id).label("runs"),
-                    func.count(MetricValue.value).label("measured"),
-                    func.avg(MetricValue.value).label("duration_s"),
+                    ConfigurationRow.content_hash,
+                    func.count(RunRow.id).label("runs"),
+                    func.count(MetricValueRow.value).label("measured"),
+                    func.avg(MetricValueRow.value).label("duration_s"),
                 )
-                .outerjoin(Run, Run.configuration_id == Configuration.id)
-                .outerjoin(MetricValue, self._is_duration())
-                .where(Configuration.content_hash.in_(part))
-                .group_by(Configuration.content_hash)
+                .outerjoin(RunRow, RunRow.configuration_id == ConfigurationRow.id)
+                .outerjoin(MetricValueRow, self._is_duration())
+                .where(ConfigurationRow.content_hash.in_(part))
+                .group_by(ConfigurationRow.content_hash)
             )
             for row in self._connection.execute(query):
                 found[row.content_hash] = KnownConfiguration(row.runs, row.measured, row.duration_s)
@@ -108,16 +107,19 @@ class DurationRepository(Repository):
 
     def of_pairings(self, experiment_id: int | None = None) -> dict[Pairing, Measured]:
         """Of each algorithm on each dataset, of all runs or of those of an experiment."""
-        among = [] if experiment_id is None else [Run.experiment_id == experiment_id]
+        among = [] if experiment_id is None else [RunRow.experiment_id == experiment_id]
         query = (
             select(
-                *_PAIRING, func.count(), func.avg(MetricValue.value), func.avg(MetricValue.value * MetricValue.value)
+                *_PAIRING,
+                func.count(),
+                func.avg(MetricValueRow.value),
+                func.avg(MetricValueRow.value * MetricValueRow.value),
             )
-            .select_from(Run)
-            .join(MetricValue, self._is_duration())
-            .join(Configuration, Configuration.id == Run.configuration_id)
-            .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
-            .join(Dataset, Dataset.id == Configuration.dataset_id)
+            .select_from(RunRow)
+            .join(MetricValueRow, self._is_duration())
+            .join(ConfigurationRow, ConfigurationRow.id == RunRow.configuration_id)
+            .join(AlgorithmRow, AlgorithmRow.id == ConfigurationRow.algorithm_id)
+            .join(DatasetRow, DatasetRow.id == ConfigurationRow.dataset_id)
             .where(*among)
             .group_by(*_PAIRING)
         )
@@ -126,12 +128,12 @@ class DurationRepository(Repository):
     def unfinished(self, experiment_id: int) -> dict[Pairing, Unfinished]:
         """The runs of an experiment that have not ended, of each algorithm on each dataset."""
         query = (
-            select(*_PAIRING, func.count(), func.sum(cast(Run.evaluate, Integer)))
-            .select_from(Run)
-            .join(Configuration, Configuration.id == Run.configuration_id)
-            .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
-            .join(Dataset, Dataset.id == Configuration.dataset_id)
-            .where(Run.experiment_id == experiment_id, Run.state.not_in(_ENDED))
+            select(*_PAIRING, func.count(), func.sum(cast(RunRow.evaluate, Integer)))
+            .select_from(RunRow)
+            .join(ConfigurationRow, ConfigurationRow.id == RunRow.configuration_id)
+            .join(AlgorithmRow, AlgorithmRow.id == ConfigurationRow.algorithm_id)
+            .join(DatasetRow, DatasetRow.id == ConfigurationRow.dataset_id)
+            .where(RunRow.experiment_id == experiment_id, RunRow.state.not_in(_ENDED))
             .group_by(*_PAIRING)
         )
         return {
@@ -141,25 +143,29 @@ class DurationRepository(Repository):
     def active(self, experiment_id: int) -> list[ActiveRun]:
         """The runs of an experiment that workers have claimed; there are at most as many as slots."""
         query = (
-            select(RunEvent.run_id, func.max(RunEvent.at), Run.state, Algorithm.package)
-            .join(Run, Run.id == RunEvent.run_id)
-            .join(Configuration, Configuration.id == Run.configuration_id)
-            .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
-            .where(Run.experiment_id == experiment_id, Run.state.in_(_ACTIVE), RunEvent.to_state == RunState.PREPARING)
-            .group_by(RunEvent.run_id, Run.state, Algorithm.package)
+            select(RunEventRow.run_id, func.max(RunEventRow.at), RunRow.state, AlgorithmRow.package)
+            .join(RunRow, RunRow.id == RunEventRow.run_id)
+            .join(ConfigurationRow, ConfigurationRow.id == RunRow.configuration_id)
+            .join(AlgorithmRow, AlgorithmRow.id == ConfigurationRow.algorithm_id)
+            .where(
+                RunRow.experiment_id == experiment_id,
+                RunRow.state.in_(_ACTIVE),
+                RunEventRow.to_state == RunState.PREPARING,
+            )
+            .group_by(RunEventRow.run_id, RunRow.state, AlgorithmRow.package)
         )
         return [ActiveRun(*row) for row in self._connection.execute(query)]
 
     def unbuilt(self, experiment_id: int) -> list[str]:
         """The packages of runs that have not ended, of which no version was ever built here."""
         query = (
-            select(Algorithm.package)
+            select(AlgorithmRow.package)
             .distinct()
-            .select_from(Run)
-            .join(Configuration, Configuration.id == Run.configuration_id)
-            .join(Algorithm, Algorithm.id == Configuration.algorithm_id)
-            .where(Run.experiment_id == experiment_id, Run.state.not_in(_ENDED))
-            .where(Algorithm.package.not_in(_BUILT))
+            .select_from(RunRow)
+            .join(ConfigurationRow, ConfigurationRow.id == RunRow.configuration_id)
+            .join(AlgorithmRow, AlgorithmRow.id == ConfigurationRow.algorithm_id)
+            .where(RunRow.experiment_id == experiment_id, RunRow.state.not_in(_ENDED))
+            .where(AlgorithmRow.package.not_in(_BUILT))
         )
         return list(self._connection.scalars(query))
 
@@ -173,20 +179,20 @@ class DurationRepository(Repository):
         A version that was built before its first run says nothing about it.
         """
         firsts = (
-            select(func.min(Run.id).label("id"))
-            .where(Run.algorithm_version_id.is_not(None))
-            .group_by(Run.algorithm_version_id)
-            .order_by(func.min(Run.id).desc())
+            select(func.min(RunRow.id).label("id"))
+            .where(RunRow.algorithm_version_id.is_not(None))
+            .group_by(RunRow.algorithm_version_id)
+            .order_by(func.min(RunRow.id).desc())
             .limit(_LATEST)
             .subquery()
         )
         moves = (
-            select(RunEvent.run_id, RunEvent.to_state, RunEvent.at)
-            .join(firsts, firsts.c.id == RunEvent.run_id)
-            .where(RunEvent.to_state.in_((RunState.PREPARING, RunState.STARTING)))
+            select(RunEventRow.run_id, RunEventRow.to_state, RunEventRow.at)
+            .join(firsts, firsts.c.id == RunEventRow.run_id)
+            .where(RunEventRow.to_state.in_((RunState.PREPARING, RunState.STARTING)))
         )
         at: dict[RunState, dict[int, datetime]] = {RunState.PREPARING: {}, RunState.STARTING: {}}
-        for run_id, state, moved_at in self._connection.execute(moves.order_by(RunEvent.id)):
+        for run_id, state, moved_at in self._connection.execute(moves.order_by(RunEventRow.id)):
             at[state][run_id] = moved_at
         claimed, starting = at[RunState.PREPARING], at[RunState.STARTING]
         times = [starting[run_id] - claimed[run_id] for run_id in claimed.keys() & starting.keys()]
@@ -195,16 +201,16 @@ class DurationRepository(Repository):
     def overhead(self) -> Measured | None:
         """The time from claim to end that a run does not spend running: the median of the latest runs, None if none."""
         query = (
-            select(Run.id, Run.started_at, Run.ended_at)
-            .where(Run.state.in_(_ENDED), Run.started_at.is_not(None), Run.ended_at.is_not(None))
-            .order_by(Run.ended_at.desc())
+            select(RunRow.id, RunRow.started_at, RunRow.ended_at)
+            .where(RunRow.state.in_(_ENDED), RunRow.started_at.is_not(None), RunRow.ended_at.is_not(None))
+            .order_by(RunRow.ended_at.desc())
             .limit(_LATEST)
         )
         ran = {row.id: row.ended_at - row.started_at for row in self._connection.execute(query)}
-        moves = select(RunEvent.run_id, RunEvent.to_state, RunEvent.at).where(RunEvent.run_id.in_(ran))
+        moves = select(RunEventRow.run_id, RunEventRow.to_state, RunEventRow.at).where(RunEventRow.run_id.in_(ran))
         claimed: dict[int, datetime] = {}
         ended: dict[int, datetime] = {}
-        for run_id, state, at in self._connection.execute(moves.order_by(RunEvent.id)):
+        for run_id, state, at in self._connection.execute(moves.order_by(RunEventRow.id)):
             if state is RunState.PREPARING:
                 claimed[run_id] = at
             elif state.ended:
@@ -214,45 +220,47 @@ class DurationRepository(Repository):
 
     def open_evaluations(self, experiment_id: int) -> int:
         """How many evaluations of runs of an experiment wait or are under way."""
-        query = select(func.count()).select_from(Evaluation).join(Run, Run.id == Evaluation.run_id)
+        query = select(func.count()).select_from(EvaluationRow).join(RunRow, RunRow.id == EvaluationRow.run_id)
         states = (EvaluationState.QUEUED, EvaluationState.RUNNING)
-        found = self._connection.scalar(query.where(Run.experiment_id == experiment_id, Evaluation.state.in_(states)))
+        found = self._connection.scalar(
+            query.where(RunRow.experiment_id == experiment_id, EvaluationRow.state.in_(states))
+        )
         return found or 0
 
     def by_machine(self, since: datetime) -> list[MachineRuns]:
         """The runs that succeeded or failed after ``since``, by processor, the most used first."""
-        disturbed = func.sum(case((Run.disturbed_by > "", 1), else_=0))
+        disturbed = func.sum(case((RunRow.disturbed_by > "", 1), else_=0))
         query = (
-            select(Host.cpu_model, Host.cpu_count, func.count(), func.count(Run.disturbed_by), disturbed)
-            .select_from(Run)
-            .join(Host, Host.id == Run.host_id)
-            .where(Run.ended_at >= since, Run.state.in_((RunState.SUCCEEDED, RunState.FAILED)))
-            .group_by(Host.cpu_model, Host.cpu_count)
-            .order_by(func.count().desc(), Host.cpu_model, Host.cpu_count)
+            select(HostRow.cpu_model, HostRow.cpu_count, func.count(), func.count(RunRow.disturbed_by), disturbed)
+            .select_from(RunRow)
+            .join(HostRow, HostRow.id == RunRow.host_id)
+            .where(RunRow.ended_at >= since, RunRow.state.in_((RunState.SUCCEEDED, RunState.FAILED)))
+            .group_by(HostRow.cpu_model, HostRow.cpu_count)
+            .order_by(func.count().desc(), HostRow.cpu_model, HostRow.cpu_count)
         )
         return [MachineRuns(row[0], row[1], row[2], row[3], int(row[4])) for row in self._connection.execute(query)]
 
     def queued(self) -> dict[str, int]:
         """How many runs wait for each executor."""
-        query = select(Run.executor, func.count()).where(Run.state == RunState.QUEUED).group_by(Run.executor)
+        query = select(RunRow.executor, func.count()).where(RunRow.state == RunState.QUEUED).group_by(RunRow.executor)
         return {row[0]: row[1] for row in self._connection.execute(query)}
 
     def evaluation(self) -> Measured | None:
         """How long an evaluation takes: the median of the latest, None if none has ended well."""
         query = (
-            select(Evaluation.started_at, Evaluation.ended_at)
-            .where(Evaluation.state == EvaluationState.SUCCEEDED)
-            .order_by(Evaluation.id.desc())
+            select(EvaluationRow.started_at, EvaluationRow.ended_at)
+            .where(EvaluationRow.state == EvaluationState.SUCCEEDED)
+            .order_by(EvaluationRow.id.desc())
             .limit(_LATEST)
         )
         return _measured([ended - started for started, ended in self._connection.execute(query) if started and ended])
 
     def _is_duration(self) -> ColumnElement[bool]:
-        metric_id = select(Metric.id).where(Metric.key == DURATION).scalar_subquery()
+        metric_id = select(MetricRow.id).where(MetricRow.key == DURATION).scalar_subquery()
         return and_(
-            MetricValue.run_id == Run.id,
-            MetricValue.metric_id == metric_id,
-            MetricValue.protocol_id == MEASURED_PROTOCOL_ID,
+            MetricValueRow.run_id == RunRow.id,
+            MetricValueRow.metric_id == metric_id,
+            MetricValueRow.protocol_id == MEASURED_PROTOCOL_ID,
         )
 
 

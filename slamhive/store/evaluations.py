@@ -9,21 +9,20 @@ from typing import Any
 from sqlalchemy import ColumnElement, Row, Select, exists, false, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
+from slamhive.base.errors import Conflict, NotFound
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunState
-from slamhive.errors import Conflict, NotFound
 from slamhive.evaluation.job import Artefacts, EvaluationResult
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.changes import AskedEvaluations, changes_of
 from slamhive.store.leases import Lease, LeaseQueue
-from slamhive.store.metrics import MetricRepository
-from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, Protocol, Run
+from slamhive.store.metrics import MetricRepository, VerdictRepository
+from slamhive.store.models import MEASURED_PROTOCOL_ID, EvaluationRow, ProtocolRow, RunRow
 from slamhive.store.records import EvaluationRecord, EvaluationState, LeaseLost
 from slamhive.store.rows import changed, chunks, cut, get_or_insert
-from slamhive.store.verdicts import VerdictRepository
 
 REASON_LENGTH = 10_000
-_TABLE = Evaluation.__table__
+_TABLE = EvaluationRow.__table__
 _OPEN = (EvaluationState.QUEUED, EvaluationState.RUNNING)
 
 
@@ -57,7 +56,7 @@ class EvaluationRepository(LeaseQueue[int]):
                 ids.update(self._open_ids(part, protocol_id))
             except IntegrityError:  # another process queues the same at the same time
                 for run_id in part:
-                    ids[run_id] = get_or_insert(self._connection, Evaluation, {"run_id": run_id, **keys}, values)[0]
+                    ids[run_id] = get_or_insert(self._connection, EvaluationRow, {"run_id": run_id, **keys}, values)[0]
         changes_of(self._connection).asked_evaluations.append(AskedEvaluations(protocol, artefacts, now, list(ids)))
         return [ids[run_id] for run_id in wanted]
 
@@ -102,7 +101,7 @@ class EvaluationRepository(LeaseQueue[int]):
         Raises NotFound for an unknown protocol or run, Conflict for a run without metrics under it.
         """
         protocol_id = self._connection.execute(
-            select(Protocol.id).where(Protocol.fingerprint == fingerprint, Protocol.id != MEASURED_PROTOCOL_ID)
+            select(ProtocolRow.id).where(ProtocolRow.fingerprint == fingerprint, ProtocolRow.id != MEASURED_PROTOCOL_ID)
         ).scalar_one_or_none()
         if protocol_id is None:
             raise NotFound(f"unknown protocol {fingerprint!r}", "slamhive protocol list shows them")
@@ -117,7 +116,7 @@ class EvaluationRepository(LeaseQueue[int]):
             lacking = next((run_id for run_id in part if run_id not in found), None)
             if lacking is not None:
                 raise Conflict(f"run {lacking} has no metrics under protocol {fingerprint}", "evaluate it first")
-            runs = Run.__table__
+            runs = RunRow.__table__
             self._connection.execute(update(runs).where(runs.c.id.in_(part)).values(current_protocol_id=protocol_id))
             MetricRepository(self._connection).follow_protocols(part)
 
@@ -125,19 +124,19 @@ class EvaluationRepository(LeaseQueue[int]):
         """The protocols with metrics, and how many runs each has; the most used first."""
         count = func.count(_TABLE.c.run_id.distinct())
         query = (
-            select(Protocol.definition, count)
-            .join(_TABLE, _TABLE.c.protocol_id == Protocol.id)
+            select(ProtocolRow.definition, count)
+            .join(_TABLE, _TABLE.c.protocol_id == ProtocolRow.id)
             .where(_TABLE.c.state == EvaluationState.SUCCEEDED)
-            .group_by(Protocol.id)
-            .order_by(count.desc(), Protocol.id)
+            .group_by(ProtocolRow.id)
+            .order_by(count.desc(), ProtocolRow.id)
         )
         rows = self._connection.execute(query)
         return [(domain.protocol_from_content(definition), runs) for definition, runs in rows]
 
     def unevaluated_run_ids(self) -> list[int]:
         """Runs that succeeded and have no successful, queued or running evaluation; oldest first."""
-        settled = exists().where(_TABLE.c.run_id == Run.id, _TABLE.c.state.in_((*_OPEN, EvaluationState.SUCCEEDED)))
-        query = select(Run.id).where(Run.state == RunState.SUCCEEDED, ~settled).order_by(Run.id)
+        settled = exists().where(_TABLE.c.run_id == RunRow.id, _TABLE.c.state.in_((*_OPEN, EvaluationState.SUCCEEDED)))
+        query = select(RunRow.id).where(RunRow.state == RunState.SUCCEEDED, ~settled).order_by(RunRow.id)
         return self._column(query)
 
     def open(self) -> list[EvaluationRecord]:
@@ -199,9 +198,9 @@ class EvaluationRepository(LeaseQueue[int]):
     def _store_figures(self, run_id: int, protocol_id: int, result: EvaluationResult) -> bool:
         """Whether the protocol has become the run's current one: only where it had none, and for ``traj.txt`` alone."""
         MetricRepository(self._connection).replace(run_id, result.fingerprint, result.metrics)
-        runs = Run.__table__
+        runs = RunRow.__table__
         definition = self._connection.execute(
-            select(Protocol.definition).where(Protocol.id == protocol_id)
+            select(ProtocolRow.definition).where(ProtocolRow.id == protocol_id)
         ).scalar_one()
         first = update(runs).where(runs.c.id == run_id, runs.c.current_protocol_id.is_(None))
         if "trajectory" in definition:
@@ -213,7 +212,7 @@ class EvaluationRepository(LeaseQueue[int]):
     def _check_succeeded(self, run_ids: list[int]) -> None:
         states: dict[int, RunState] = {}
         for part in chunks(run_ids):
-            rows = self._connection.execute(select(Run.id, Run.state).where(Run.id.in_(part)))
+            rows = self._connection.execute(select(RunRow.id, RunRow.state).where(RunRow.id.in_(part)))
             states.update((row.id, row.state) for row in rows)
         for run_id in run_ids:
             if run_id not in states:
@@ -227,7 +226,7 @@ class EvaluationRepository(LeaseQueue[int]):
 
 
 def _query() -> Select[Any]:
-    return select(_TABLE, Protocol.definition).join(Protocol, Protocol.id == _TABLE.c.protocol_id)
+    return select(_TABLE, ProtocolRow.definition).join(ProtocolRow, ProtocolRow.id == _TABLE.c.protocol_id)
 
 
 def _record(row: Row[Any]) -> EvaluationRecord:

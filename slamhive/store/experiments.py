@@ -2,34 +2,162 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, and_, func, insert, or_, select, update
+from sqlalchemy import ColumnElement, ScalarSelect, and_, func, insert, or_, select, update
 
-from slamhive.domain.run import RunState
-from slamhive.domain.visibility import Sharing
-from slamhive.errors import Conflict, unknown
+from slamhive.base.errors import Conflict, unknown
+from slamhive.domain.accounts import Sharing
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.verdict import VerdictKind
 from slamhive.store.changes import changes_of
-from slamhive.store.experiment_counts import DISTURBED, REPLACEABLE
-from slamhive.store.experiment_records import (
-    CellRecord,
-    CellRun,
-    ExperimentRecord,
-    NewCell,
+from slamhive.store.metrics import CODES, VERDICT, MetricRepository, kind_of
+from slamhive.store.models import (
+    ConfigurationRow,
+    EvaluationRow,
+    ExperimentCellRow,
+    ExperimentRow,
+    MetricRow,
+    MetricValueRow,
+    ProtocolRow,
+    RunRow,
 )
-from slamhive.store.metrics import VERDICT, MetricRepository
-from slamhive.store.models import Configuration, Evaluation, Experiment, ExperimentCell, Protocol, Run
-from slamhive.store.models import RunEvent as EventRow
+from slamhive.store.models import RunEventRow as EventRow
+from slamhive.store.records import CellRecord, CellRun, ExperimentRecord, NewCell, ProtocolLabel, StateCount
 from slamhive.store.rows import Repository, chunks, get_or_insert
 from slamhive.store.sharing import sharing_columns
 from slamhive.store.sight import seeing_all
-from slamhive.store.verdicts import kind_of
 
-_EXPERIMENTS = Experiment.__table__
-_CELLS = ExperimentCell.__table__
-_RUNS = Run.__table__
+# How many runs of experiments are in which state, for which reason, and with which verdict.
+
+
+_RUNS = RunRow.__table__
+_FIGURES = MetricValueRow.__table__
+REPLACEABLE = (RunState.FAILED, RunState.CANCELLED)
+DISTURBED = and_(_RUNS.c.state == RunState.SUCCEEDED, func.coalesce(_RUNS.c.disturbed_by, "") > "")
+
+_Key = tuple[int, RunState, FailureReason | None, VerdictKind | None]
+"""Experiment or cell, and what its runs have in common."""
+
+
+class ExperimentCounts(Repository):
+    """Counts from indexes alone, except for the few runs that a verdict failed or that were tried again."""
+
+    def by_experiment(self, experiment_id: int | None = None) -> dict[int, list[StateCount]]:
+        """By experiment: of one, or of all."""
+        return self._parted(_RUNS.c.experiment_id, experiment_id)
+
+    def by_cell(self, experiment_id: int) -> dict[int, list[StateCount]]:
+        """By the cells of one experiment."""
+        return self._parted(_RUNS.c.cell, experiment_id)
+
+    def disturbed(self, experiment_id: int | None = None) -> dict[int, int]:
+        """How many runs of each experiment were measured on a disturbed machine and not repeated since."""
+        owner = _RUNS.c.experiment_id
+        query = select(owner, func.count()).where(_RUNS.c.disturbed_by > "", _of(experiment_id)).group_by(owner)
+        found = {number: count for number, count in self._connection.execute(query)}  # noqa: C416 - rows, not pairs
+        if not found:
+            return {}
+        repeated = Counter(row.experiment_id for row in self._all_retried(experiment_id) if row.disturbed_by)
+        return {number: count - repeated[number] for number, count in found.items()}
+
+    def last_ended(self, experiment_id: int, most: int) -> list[bool]:
+        """Whether the runs that ended last have failed, the latest first."""
+        query = (
+            select(_RUNS.c.id, _RUNS.c.state)
+            .where(_RUNS.c.experiment_id == experiment_id, _RUNS.c.ended_at.is_not(None))
+            .where(_RUNS.c.state != RunState.CANCELLED)
+            .order_by(_RUNS.c.ended_at.desc(), _RUNS.c.id.desc())
+            .limit(most)
+        )
+        rows = self._connection.execute(query).all()
+        kinds = self._kinds([row.id for row in rows if row.state is RunState.SUCCEEDED])
+        judged = {run_id: kind is not None and kind.failed for run_id, kind in kinds.items()}
+        return [row.state is RunState.FAILED or judged.get(row.id, False) for row in rows]
+
+    def _parted(self, place: ColumnElement[int], experiment_id: int | None) -> dict[int, list[StateCount]]:
+        """The counts of each place, with retried runs counted separately."""
+        counts = self._counts(place, experiment_id)
+        if not counts:
+            return {}
+        retried = self._all_retried(experiment_id)
+        kinds = self._kinds([row.id for row in retried if row.state is RunState.SUCCEEDED])
+        again: Counter[_Key] = Counter(
+            (getattr(row, place.key or ""), row.state, row.reason, kinds.get(row.id)) for row in retried
+        )
+        found: dict[int, list[StateCount]] = defaultdict(list)
+        for key, count in counts.items():
+            number, state, reason, judged = key
+            parts = ((False, count - again[key]), (True, again[key]))
+            found[number] += [StateCount(state, reason, part, many, judged) for part, many in parts if many]
+        return found
+
+    def _counts(self, place: ColumnElement[int], experiment_id: int | None) -> Counter[_Key]:
+        """Evaluated runs count as good, except for the few whose verdict says otherwise."""
+        evaluated = _RUNS.c.current_protocol_id.is_not(None)
+        keys = (place, _RUNS.c.state, _RUNS.c.reason, evaluated)
+        counts: Counter[_Key] = Counter()
+        for number, state, reason, is_evaluated, count in self._connection.execute(
+            select(*keys, func.count()).where(_of(experiment_id)).group_by(*keys)
+        ):
+            counts[number, state, reason, VerdictKind.GOOD if is_evaluated else None] += count
+        if not counts:  # no run belongs to an experiment, so that the verdicts of all runs need not be read
+            return counts
+        for number, judged, count in self._failed_by_verdict(place, experiment_id):
+            before = None if judged is VerdictKind.NOT_EVALUABLE else VerdictKind.GOOD
+            counts[number, RunState.SUCCEEDED, None, before] -= count
+            counts[number, RunState.SUCCEEDED, None, judged] += count
+        return counts
+
+    def _failed_by_verdict(
+        self, place: ColumnElement[int], experiment_id: int | None
+    ) -> list[tuple[int, VerdictKind | None, int]]:
+        verdict = select(MetricRow.id).where(MetricRow.key == VERDICT).scalar_subquery()
+        failed = _FIGURES.c.metric_id == verdict, _FIGURES.c.is_current == 1, _FIGURES.c.value > CODES[VerdictKind.GOOD]
+        query = (
+            select(place, _FIGURES.c.value, func.count())
+            .join_from(_FIGURES, _RUNS, _RUNS.c.id == _FIGURES.c.run_id + 0)
+            .where(*failed, _of(experiment_id, guarded=True))
+            .group_by(place, _FIGURES.c.value)
+        )
+        return [(number, kind_of(code), count) for number, code, count in self._connection.execute(query)]
+
+    def _kinds(self, run_ids: Sequence[int]) -> dict[int, VerdictKind | None]:
+        found = MetricRepository(self._connection).for_runs(run_ids, [], verdicts=True)
+        return {run_id: kind_of(values.get(VERDICT)) for run_id, values in found.items()}
+
+    def _all_retried(self, experiment_id: int | None) -> Sequence[Any]:
+        """The runs that another run has replaced, found through the few retries."""
+        later = _RUNS.alias("later")
+        columns = (_RUNS.c[name] for name in ("id", "experiment_id", "cell", "state", "reason", "disturbed_by"))
+        query = (
+            select(*columns)
+            .distinct()
+            .select_from(later.join(_RUNS, _RUNS.c.id == later.c.retry_of))
+            .where(_of(experiment_id, guarded=True), later.c.retry_of.is_not(None), _replaced_by(later))
+        )
+        return self._connection.execute(query).all()
+
+
+def _of(experiment_id: int | None, *, guarded: bool = False) -> ColumnElement[bool]:
+    """Whether a run belongs to this experiment, or to any; ``guarded`` keeps its index from being used."""
+    owner = _RUNS.c.experiment_id
+    if experiment_id is None:
+        return owner.is_not(None)
+    return (owner + 0 if guarded else owner) == experiment_id
+
+
+def _replaced_by(later: Any) -> ColumnElement[bool]:
+    """A failed or cancelled run is replaced by any later one, a good but disturbed one unless that was cancelled."""
+    return or_(_RUNS.c.state.in_(REPLACEABLE), and_(DISTURBED, later.c.state != RunState.CANCELLED))
+
+
+_EXPERIMENTS = ExperimentRow.__table__
+_CELLS = ExperimentCellRow.__table__
 _ENDED = tuple(state for state in RunState if state.ended)
 _RECORD = tuple(ExperimentRecord.__dataclass_fields__)
 
@@ -40,7 +168,7 @@ class ExperimentRepository(Repository):
     def get_or_create(self, uid: str, name: str, **values: Any) -> ExperimentRecord:
         """The experiment called ``name``; stored with ``uid`` and ``values`` (its other fields) if there is none."""
         values.update(sharing_columns(Sharing(values.get("owner"), values.get("visibility"))))
-        get_or_insert(self._connection, Experiment, {"name": name}, {"uid": uid, **values})
+        get_or_insert(self._connection, ExperimentRow, {"name": name}, {"uid": uid, **values})
         changes_of(self._connection).started.add(f"experiment {name}")
         return self.get(name)
 
@@ -106,8 +234,8 @@ class ExperimentRepository(Repository):
     def cell_hashes(self, experiment_id: int, first: int, last: int) -> dict[int, str]:
         """{number: content hash of the configuration} of the stored cells from ``first`` to ``last``."""
         query = (
-            select(_CELLS.c.number, Configuration.content_hash)
-            .join(Configuration, Configuration.id == _CELLS.c.configuration_id)
+            select(_CELLS.c.number, ConfigurationRow.content_hash)
+            .join(ConfigurationRow, ConfigurationRow.id == _CELLS.c.configuration_id)
             .where(*_between(_CELLS.c.number, experiment_id, first, last))
         )
         return {row.number: row.content_hash for row in self._connection.execute(query)}
@@ -136,9 +264,9 @@ class ExperimentRepository(Repository):
             select(
                 *(_RUNS.c[name] for name in ("id", "cell", "seed", "state", "reason", "retry_of", "disturbed_by")),
                 retried_runs(experiment_id).label("retried"),
-                Protocol.fingerprint,
+                ProtocolRow.fingerprint,
             )
-            .outerjoin(Protocol, Protocol.id == _RUNS.c.current_protocol_id)
+            .outerjoin(ProtocolRow, ProtocolRow.id == _RUNS.c.current_protocol_id)
             .where(*_between(_RUNS.c.cell, experiment_id, first, last))
             .order_by(_RUNS.c.cell, _RUNS.c.id)
         )
@@ -181,7 +309,7 @@ class ExperimentRepository(Repository):
     def unfinished(self, experiment_id: int) -> list[int]:
         """The ids of its runs that have not ended, or whose evaluation has not; in order."""
         mine = _RUNS.c.experiment_id == experiment_id
-        open_evaluations = select(Evaluation.run_id).where(Evaluation.open.is_not(None))
+        open_evaluations = select(EvaluationRow.run_id).where(EvaluationRow.open.is_not(None))
         to_evaluate = and_(_RUNS.c.state == RunState.SUCCEEDED, _RUNS.c.id.in_(open_evaluations))
         query = select(_RUNS.c.id).where(mine, or_(_RUNS.c.state.not_in(_ENDED), to_evaluate)).order_by(_RUNS.c.id)
         return self._column(query)
@@ -244,3 +372,72 @@ def _cell(row: Any) -> CellRecord:
 
 def _values(stored: Mapping[str, Any]) -> dict[str, Any]:
     return {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}
+
+
+# The values of a metric over the runs of an experiment, by configuration.
+
+
+_JUDGED = (RunState.SUCCEEDED, RunState.FAILED)
+
+
+@dataclass(frozen=True, slots=True)
+class CellSample:
+    """The good runs of a cell under one protocol: how many, and mean and sample variance of a metric in its unit."""
+
+    cell: int
+    protocol: ProtocolLabel
+    n: int
+    mean: float
+    variance: float
+
+
+class ExperimentValues(Repository):
+    """What configurations of an experiment are ranked by. Runs that another run has replaced do not count."""
+
+    def samples(self, experiment_id: int, metric: str) -> list[CellSample]:
+        """Of each cell, under the current protocols of its good runs."""
+        verdict = _FIGURES.alias("verdict")
+        is_verdict = and_(
+            verdict.c.run_id == _RUNS.c.id, verdict.c.metric_id == _id_of(VERDICT), verdict.c.is_current == 1
+        )
+        value = _FIGURES.c.value
+        query = (
+            select(
+                _RUNS.c.cell,
+                ProtocolRow.fingerprint,
+                ProtocolRow.label,
+                func.count(),
+                func.avg(value),
+                func.avg(value * value),
+            )
+            .join_from(_RUNS, _FIGURES, _FIGURES.c.run_id == _RUNS.c.id)
+            .join(ProtocolRow, ProtocolRow.id == _FIGURES.c.protocol_id)
+            .outerjoin(verdict, is_verdict)
+            .where(_RUNS.c.experiment_id == experiment_id, _RUNS.c.state == RunState.SUCCEEDED)
+            .where(_FIGURES.c.metric_id == _id_of(metric), _FIGURES.c.is_current == 1)
+            .where(or_(verdict.c.value.is_(None), verdict.c.value <= CODES[VerdictKind.GOOD]))
+            .where(~retried_runs(experiment_id))
+            .group_by(_RUNS.c.cell, ProtocolRow.fingerprint, ProtocolRow.label)
+        )
+        return [
+            CellSample(cell, ProtocolLabel(fingerprint, label), n, mean, max(0.0, square - mean**2) * n / max(1, n - 1))
+            for cell, fingerprint, label, n, mean, square in self._connection.execute(query)
+        ]
+
+    def judged_runs(self, experiment_id: int, cells: Sequence[int], most: int) -> dict[int, list[int]]:
+        """{cell: its latest runs that succeeded or failed, at most ``most``, in order}."""
+        found: dict[int, list[int]] = defaultdict(list)
+        for part in chunks(cells):
+            query = (
+                select(_RUNS.c.cell, _RUNS.c.id)
+                .where(_RUNS.c.experiment_id == experiment_id, _RUNS.c.cell.in_(part), _RUNS.c.state.in_(_JUDGED))
+                .where(~retried_runs(experiment_id))
+                .order_by(_RUNS.c.id)
+            )
+            for cell, run_id in self._connection.execute(query):
+                found[cell].append(run_id)
+        return {cell: runs[-most:] for cell, runs in found.items()}
+
+
+def _id_of(metric: str) -> ScalarSelect[int]:
+    return select(MetricRow.id).where(MetricRow.key == metric).scalar_subquery()

@@ -8,30 +8,30 @@ from datetime import datetime
 from itertools import groupby
 from typing import Any
 
-from sqlalchemy import bindparam, delete, insert, select, update
+from sqlalchemy import bindparam, delete, insert, or_, select, update
 
+from slamhive.base.errors import Conflict
 from slamhive.domain import protocol as domain
-from slamhive.domain.notes import NO_NOTES, RunNotes
-from slamhive.errors import Conflict
+from slamhive.domain.algorithm import IMPORTED
+from slamhive.domain.protocol import Protocol
+from slamhive.domain.run import NO_NOTES, RunNotes, RunState
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.evaluation.job import Artefacts
-from slamhive.store.catalogue import CatalogueRepository
+from slamhive.store.catalogue import CatalogueRepository, NoteRepository
 from slamhive.store.changes import changes_of
-from slamhive.store.deleted_runs import DeletedRunRepository
 from slamhive.store.evaluations import REASON_LENGTH
-from slamhive.store.metrics import MetricRepository
-from slamhive.store.models import MEASURED_PROTOCOL_ID, Evaluation, MetricValue, Run
-from slamhive.store.models import RunEvent as EventRow
-from slamhive.store.notes import NoteRepository
-from slamhive.store.records import EvaluationState, RunSnapshot
-from slamhive.store.rows import Repository, cut
-from slamhive.store.runs import event_row, snapshot_row
+from slamhive.store.metrics import MetricRepository, VerdictRepository
+from slamhive.store.models import MEASURED_PROTOCOL_ID, EvaluationRow, MetricValueRow, RunEventRow, RunRow
+from slamhive.store.models import RunEventRow as EventRow
+from slamhive.store.records import EvaluationState, RunRequest, RunSnapshot
+from slamhive.store.rows import Repository, chunks, cut
+from slamhive.store.runs import DeletedRunRepository, RunRepository, event_row, snapshot_row
 from slamhive.store.sharing import SharingRepository
-from slamhive.store.verdicts import VerdictRepository
 
-_RUNS = Run.__table__
+_RUNS = RunRow.__table__
 _EVENTS = EventRow.__table__
-_EVALUATIONS = Evaluation.__table__
-_FIGURES = MetricValue.__table__
+_EVALUATIONS = EvaluationRow.__table__
+_FIGURES = MetricValueRow.__table__
 _ENGINE_LENGTH = 190
 _SHARED = ("owner", "visibility", "audience")
 
@@ -222,3 +222,81 @@ def _evaluation_row(run_id: int, protocol_id: int, entry: EndedEvaluation) -> di
     values = {name: getattr(entry, name) for name in AS_FILED}
     shortened = {"reason": cut(entry.reason, REASON_LENGTH), "engine": cut(entry.engine, _ENGINE_LENGTH)}
     return {"run_id": run_id, "protocol_id": protocol_id, "open": None, **values, **shortened}
+
+
+# Imported runs: looked up by their uid, and filed as ended.
+
+
+_IMPORTS_EVENTS = RunEventRow.__table__
+_CHUNK = 100
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedRun:
+    """A run to file: ``uid`` identifies trial and trajectory, ``why`` says where it comes from.
+
+    ``protocol``: what it is evaluated under, None for the protocol chosen from its sensors.
+    """
+
+    uid: str
+    configuration_id: int
+    poses: int
+    why: str
+    dataset_checksum: str
+    protocol: Protocol | None = None
+    trajectory: TrajectoryKind | None = None
+
+
+class ImportRepository(Repository):
+    """Imported runs have ended when they are filed; no worker ever takes them."""
+
+    def known(self, beginnings: Collection[str]) -> dict[str, int]:
+        """{uid: id} of the imported runs whose uid begins with one of ``beginnings`` (hex digits)."""
+        found: dict[str, int] = {}
+        for part in chunks(sorted(set(beginnings)), _CHUNK):
+            spans = [_RUNS.c.uid.between(text, text + "g") for text in part]
+            rows = self._connection.execute(
+                select(_RUNS.c.uid, _RUNS.c.id).where(or_(*spans), _RUNS.c.executor == IMPORTED)
+            )
+            found.update((row.uid, row.id) for row in rows)
+        return found
+
+    def add(self, runs: Sequence[ImportedRun], now: datetime) -> list[int]:
+        """File runs as succeeded; their ids in order. A run whose ``uid`` is stored already is not filed again."""
+        requests = [
+            RunRequest(
+                uid=run.uid,
+                configuration_id=run.configuration_id,
+                executor=IMPORTED,
+                evaluate=True,
+                protocol=run.protocol,
+            )
+            for run in runs
+        ]
+        ids = RunRepository(self._connection).add_runs(requests, now)
+        if ids:
+            sealed = [
+                {
+                    "run": run_id,
+                    "to": RunState.SUCCEEDED,
+                    "count": run.poses,
+                    "text": run.why,
+                    "digest": run.dataset_checksum,
+                    "kind": run.trajectory,
+                }
+                for run_id, run in zip(ids, runs, strict=True)
+            ]
+            row = update(_RUNS).where(_RUNS.c.id == bindparam("run"))
+            self._connection.execute(
+                row.values(
+                    state=bindparam("to"),
+                    poses=bindparam("count"),
+                    detail=bindparam("text"),
+                    dataset_checksum=bindparam("digest"),
+                    trajectory=bindparam("kind"),
+                ),
+                sealed,
+            )
+            event = update(_IMPORTS_EVENTS).where(_IMPORTS_EVENTS.c.run_id == bindparam("run"))
+            self._connection.execute(event.values(to_state=bindparam("to"), why=bindparam("text")), sealed)
+        return ids

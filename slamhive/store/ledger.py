@@ -3,39 +3,44 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import func, insert, select, union, update
+from sqlalchemy import ColumnElement, func, insert, select, union, update
 
+from slamhive.documents.limits import StopWhen
 from slamhive.domain import protocol as domain
-from slamhive.domain.run import RunState
-from slamhive.schema.limits import StopWhen
-from slamhive.store.changes import AskedEvaluations, NewRow
-from slamhive.store.configuration_models import ConfigurationGroup, ConfigurationLabel
+from slamhive.domain.accounts import Sharing
+from slamhive.domain.run import RunEvent, RunState
+from slamhive.store.changes import AskedEvaluations, NewRow, changes_of
+from slamhive.store.configuration_listing import ConfigurationGroupRow, ConfigurationLabelRow
 from slamhive.store.configurations import ConfigurationRepository
-from slamhive.store.deleted_runs import DeletedRunRepository
-from slamhive.store.experiment_records import NewConfiguration
+from slamhive.store.experiments import ExperimentRepository
 from slamhive.store.filed_runs import AS_FILED, EndedEvaluation
 from slamhive.store.models import (
-    Configuration,
-    Evaluation,
-    Experiment,
-    ExperimentCell,
-    Protocol,
-    Run,
-    SavedSearch,
+    AlgorithmRow,
+    ConfigurationRow,
+    DatasetRow,
+    EvaluationRow,
+    ExperimentCellRow,
+    ExperimentRow,
+    ProtocolRow,
+    RunRow,
+    SavedSearchRow,
 )
-from slamhive.store.models import RunEvent as EventRow
-from slamhive.store.records import EvaluationState, RunRequest
-from slamhive.store.rows import Repository, chunks
-from slamhive.store.runs import RunRepository
+from slamhive.store.models import RunEventRow as EventRow
+from slamhive.store.records import EvaluationState, NewCell, NewConfiguration, RunRequest, SavedSearchRecord
+from slamhive.store.rows import Repository, chunks, get_or_insert
+from slamhive.store.runs import DeletedRunRepository, RunRepository
+from slamhive.store.searches import SearchRepository, saved_columns
+from slamhive.store.sharing import sharing_columns
 
-_RUNS = Run.__table__
-_CELLS = ExperimentCell.__table__
-_EVALUATIONS = Evaluation.__table__
-_CONFIGURATIONS = Configuration.__table__
+_RUNS = RunRow.__table__
+_CELLS = ExperimentCellRow.__table__
+_EVALUATIONS = EvaluationRow.__table__
+_CONFIGURATIONS = ConfigurationRow.__table__
 _EVENTS = EventRow.__table__
 _ACTIVE = tuple(state for state in RunState if state.active)
 _REQUEST = tuple(name for name in RunRequest.__dataclass_fields__ if name not in ("protocol", "stop_when"))
@@ -51,16 +56,16 @@ class LedgerRepository(Repository):
 
     def empty(self) -> bool:
         """Whether no configuration, experiment or saved search is stored."""
-        tables = (Configuration, Experiment, SavedSearch)
+        tables = (ConfigurationRow, ExperimentRow, SavedSearchRow)
         return not any(self._connection.execute(select(table.id).limit(1)).first() for table in tables)
 
     def experiments(self) -> dict[int, str]:
         """{number: uid}."""
-        return {row.id: row.uid for row in self._connection.execute(select(Experiment.id, Experiment.uid))}
+        return {row.id: row.uid for row in self._connection.execute(select(ExperimentRow.id, ExperimentRow.uid))}
 
     def sizes(self) -> dict[str, dict[str, Any]]:
         """The counts of cells and runs of each experiment, by its uid."""
-        columns = (Experiment.uid, Experiment.cells, Experiment.runs, Experiment.complete)
+        columns = (ExperimentRow.uid, ExperimentRow.cells, ExperimentRow.runs, ExperimentRow.complete)
         return {
             row.uid: {"cells": row.cells, "runs": row.runs, "complete": row.complete}
             for row in self._connection.execute(select(*columns))
@@ -68,8 +73,8 @@ class LedgerRepository(Repository):
 
     def stored_cells(self) -> dict[str, int]:
         """How many cells of each experiment are stored, by its uid."""
-        query = select(Experiment.uid, func.count()).join(_CELLS, _CELLS.c.experiment_id == Experiment.id)
-        return {row[0]: row[1] for row in self._connection.execute(query.group_by(Experiment.uid))}
+        query = select(ExperimentRow.uid, func.count()).join(_CELLS, _CELLS.c.experiment_id == ExperimentRow.id)
+        return {row[0]: row[1] for row in self._connection.execute(query.group_by(ExperimentRow.uid))}
 
     def configurations(self) -> set[int]:
         """The numbers of all configurations."""
@@ -77,7 +82,7 @@ class LedgerRepository(Repository):
 
     def described(self) -> list[int]:
         """The numbers of the configurations that have a name, a note or a group."""
-        tables = (ConfigurationLabel.__table__, ConfigurationGroup.__table__)
+        tables = (ConfigurationLabelRow.__table__, ConfigurationGroupRow.__table__)
         query = union(*(select(table.c.configuration_id) for table in tables))
         return sorted(self._connection.execute(query).scalars())
 
@@ -112,8 +117,8 @@ class LedgerRepository(Repository):
     ) -> list[tuple[int, int, EndedEvaluation]]:
         """Number, run and content of these ended evaluations, or of the next thousand after ``after``."""
         query = (
-            select(_EVALUATIONS, Protocol.definition)
-            .join(Protocol, Protocol.id == _EVALUATIONS.c.protocol_id)
+            select(_EVALUATIONS, ProtocolRow.definition)
+            .join(ProtocolRow, ProtocolRow.id == _EVALUATIONS.c.protocol_id)
             .where(_EVALUATIONS.c.open.is_(None), _EVALUATIONS.c.id > after)
             .order_by(_EVALUATIONS.c.id)
         )
@@ -128,8 +133,8 @@ class LedgerRepository(Repository):
     def open(self) -> list[AskedEvaluations]:
         """Evaluations that have not ended, grouped as they were requested."""
         query = (
-            select(_EVALUATIONS, Protocol.definition)
-            .join(Protocol, Protocol.id == _EVALUATIONS.c.protocol_id)
+            select(_EVALUATIONS, ProtocolRow.definition)
+            .join(ProtocolRow, ProtocolRow.id == _EVALUATIONS.c.protocol_id)
             .where(_EVALUATIONS.c.open == 1)
             .order_by(_EVALUATIONS.c.id)
         )
@@ -219,3 +224,130 @@ def _request(row: Any) -> RunRequest:
         protocol=None if override is None else domain.protocol_from_content(override),
         stop_when=StopWhen.of(row.stop_when),
     )
+
+
+# What archives read from the database and write to it, in bulk.
+
+
+_ENDED = tuple(state for state in RunState if state.ended)
+
+
+class ArchiveRepository(Repository):
+    """Rows by the identity that they have in every installation: the uid of a run, the name or content of the rest."""
+
+    # -- out -------------------------------------------------------------------------------------------------------
+
+    def ended(self) -> list[int]:
+        """The numbers of all runs that have ended, in order."""
+        query = select(_RUNS.c.id).where(_RUNS.c.state.in_(_ENDED)).order_by(_RUNS.c.id)
+        return self._column(query)
+
+    def ended_among(self, run_ids: Sequence[int]) -> list[int]:
+        """The numbers of those of these runs that have ended, in order."""
+        found: list[int] = []
+        for part in chunks(sorted(set(run_ids))):
+            query = select(_RUNS.c.id).where(_RUNS.c.id.in_(part), _RUNS.c.state.in_(_ENDED))
+            found += self._column(query.order_by(_RUNS.c.id))
+        return found
+
+    def uids(self, run_ids: Iterable[int]) -> dict[int, str]:
+        """{number: uid} of runs."""
+        found: dict[int, str] = {}
+        for part in chunks(sorted(set(run_ids))):
+            for row in self._connection.execute(select(_RUNS.c.id, _RUNS.c.uid).where(_RUNS.c.id.in_(part))):
+                found[row.id] = row.uid
+        return found
+
+    def configurations_of(self, run_ids: Iterable[int], experiment_ids: Collection[int]) -> list[int]:
+        """The numbers of the configurations of these runs and of the cells of these experiments, in order."""
+        found: set[int] = set()
+        for part in chunks(sorted(set(run_ids))):
+            found.update(self._column(select(_RUNS.c.configuration_id).where(_RUNS.c.id.in_(part)).distinct()))
+        cells = select(_CELLS.c.configuration_id).where(_CELLS.c.experiment_id.in_(experiment_ids)).distinct()
+        return sorted(found | set(self._column(cells)))
+
+    def all_configurations(self) -> list[int]:
+        """The numbers of all configurations, in order."""
+        return self._column(select(ConfigurationRow.id).order_by(ConfigurationRow.id))
+
+    def evaluations(self, run_ids: Collection[int]) -> dict[int, list[EndedEvaluation]]:
+        """The evaluations of these runs that have ended, oldest first."""
+        query = (
+            select(_EVALUATIONS, ProtocolRow.definition)
+            .join(ProtocolRow, ProtocolRow.id == _EVALUATIONS.c.protocol_id)
+            .where(_EVALUATIONS.c.run_id.in_(run_ids), _EVALUATIONS.c.ended_at.is_not(None))
+            .order_by(_EVALUATIONS.c.id)
+        )
+        found: dict[int, list[EndedEvaluation]] = defaultdict(list)
+        for row in self._connection.execute(query):
+            values = {name: getattr(row, name) for name in AS_FILED}
+            found[row.run_id].append(EndedEvaluation(domain.protocol_from_content(row.definition), **values))
+        return found
+
+    def events(self, run_ids: Collection[int]) -> dict[int, list[RunEvent]]:
+        """The moves of these runs, oldest first."""
+        query = select(_EVENTS).where(_EVENTS.c.run_id.in_(run_ids)).order_by(_EVENTS.c.id)
+        found: dict[int, list[RunEvent]] = defaultdict(list)
+        for row in self._connection.execute(query):
+            found[row.run_id].append(RunEvent(row.at, row.from_state, row.to_state, row.why))
+        return found
+
+    def saved_searches(self) -> list[tuple[SavedSearchRecord, datetime]]:
+        """All saved searches, and when each of them was saved."""
+        rows = self._connection.execute(select(SavedSearchRow.name, SavedSearchRow.created_at))
+        from_name = {row.name: row.created_at for row in rows}
+        return [(record, from_name[record.name]) for record in SearchRepository(self._connection).saved()]
+
+    # -- in --------------------------------------------------------------------------------------------------------
+
+    def taken(self, run_ids: Sequence[int]) -> set[int]:
+        """Those of these numbers that belong to a run."""
+        return set(self._column(select(_RUNS.c.id).where(_RUNS.c.id.in_(run_ids))))
+
+    def dataset_if_absent(self, name: str, values: Mapping[str, Any]) -> int:
+        """The id of the dataset of this name; stored with ``values`` if there is none."""
+        return get_or_insert(self._connection, DatasetRow, {"name": name}, values)[0]
+
+    def algorithm_if_absent(self, name: str, package: str, mode: str) -> int:
+        """The id of the algorithm of this name; stored if there is none."""
+        return get_or_insert(self._connection, AlgorithmRow, {"name": name}, {"package": package, "mode": mode})[0]
+
+    def put_configurations(
+        self, entries: Sequence[NewConfiguration], created_at: Sequence[datetime]
+    ) -> list[tuple[int, bool]]:
+        """The number of each configuration, and whether it is new. New ones keep their original time of creation."""
+        found = ConfigurationRepository(self._connection).get_or_create_many(entries, max(created_at))
+        times = {number: at for (number, new), at in zip(found, created_at, strict=True) if new}
+        table = ConfigurationRow.__table__
+        for number, at in times.items():
+            self._connection.execute(update(table).where(table.c.id == number).values(created_at=at))
+        changes = changes_of(self._connection)
+        changes.configurations = [replace(row, at=times.get(row.id, row.at)) for row in changes.configurations]
+        return found
+
+    def experiment(self, uid: str) -> str | None:
+        """The name of the experiment with this uid; None if there is none."""
+        return self._connection.execute(select(ExperimentRow.name).where(ExperimentRow.uid == uid)).scalar_one_or_none()
+
+    def put_experiment(self, uid: str, name: str, values: Mapping[str, Any]) -> int:
+        """The id of the experiment with this uid, stored if there is none; the caller chooses a free ``name``."""
+        shared = sharing_columns(Sharing(values.get("owner"), values.get("visibility")))
+        return get_or_insert(self._connection, ExperimentRow, {"uid": uid}, {"name": name, **values, **shared})[0]
+
+    def add_cells(self, experiment_id: int, cells: Sequence[NewCell]) -> None:
+        """Store the cells that are not stored yet."""
+        if cells:
+            wanted = [cell.number for cell in cells]
+            numbers = _CELLS.c.number.between(min(wanted), max(wanted))
+            here = self._numbers(_CELLS.c.number, _CELLS.c.experiment_id == experiment_id, numbers)
+            missing = [cell for cell in cells if cell.number not in here]
+            ExperimentRepository(self._connection).add_cells(experiment_id, missing)
+
+    def saved_search_if_absent(self, record: SavedSearchRecord, created_at: datetime) -> None:
+        """Save a search unless its name is taken."""
+        values = saved_columns(record) | {"created_at": created_at}
+        get_or_insert(self._connection, SavedSearchRow, {"name": record.name}, values)
+        changes_of(self._connection).searches = True
+
+    def _numbers(self, column: ColumnElement[int], *conditions: ColumnElement[bool]) -> set[int]:
+        return set(self._column(select(column).where(*conditions)))

@@ -14,8 +14,14 @@ from typing import TYPE_CHECKING
 
 from sqlalchemy import Connection, Engine, inspect, text
 
-from slamhive.errors import Unavailable
+from slamhive.base.errors import Unavailable
+from slamhive.store import (
+    accounts,  # noqa: F401 - each adds its tables
+    configuration_listing,  # noqa: F401 - each adds its tables
+    models,  # noqa: F401 - each adds its tables
+)
 from slamhive.store.engine import database_label, sqlite_file, writing
+from slamhive.store.tables import TableBase
 
 if TYPE_CHECKING:
     from alembic.config import Config
@@ -153,3 +159,9 @@ def _locked_sqlite(engine: Engine) -> Iterator[Connection]:
                 yield connection
         finally:
             driver.execute("PRAGMA foreign_keys=ON")
+
+
+# All tables of this version. Importing the store itself loads only the tables that are read.
+
+
+METADATA = TableBase.metadata

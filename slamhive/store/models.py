@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from sqlalchemy import BigInteger, Boolean, ForeignKey, Index, Integer, SmallInteger, String, UniqueConstraint, text
 
+from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trajectory_kind import TrajectoryKind
-from slamhive.domain.visibility import Visibility
 from slamhive.evaluation.job import Artefacts
-from slamhive.store.analysis_records import AnalysisState
-from slamhive.store.experiment_records import ExperimentState
-from slamhive.store.records import EvaluationState
-from slamhive.store.tables import TABLE_OPTIONS, Base, column, optional
-from slamhive.store.types import JsonText, LongText, Number, UtcDateTime, enum_column
+from slamhive.store.records import AnalysisState, EvaluationState, ExperimentState
+from slamhive.store.tables import (
+    TABLE_OPTIONS,
+    JsonText,
+    LongText,
+    Number,
+    TableBase,
+    UtcDateTime,
+    column,
+    enum_column,
+    optional,
+)
 
 MEASURED_PROTOCOL_ID = 1
 """The row of ``protocols`` for metrics that need no protocol (CPU, memory, poses)."""
@@ -24,7 +31,7 @@ TEXT_VALUE_LENGTH = 190
 WHY_LENGTH = 500
 
 
-class Algorithm(Base):
+class AlgorithmRow(TableBase):
     """One mode of one package."""
 
     __tablename__ = "algorithms"
@@ -34,7 +41,7 @@ class Algorithm(Base):
     mode = column(String(NAME_LENGTH))
 
 
-class AlgorithmVersion(Base):
+class AlgorithmVersionRow(TableBase):
     """One version of a package: the image digest (or environment hash) and the hash of the package folder.
 
     ``number`` counts the versions of a package from 1 and is never used twice: a version that was removed from the
@@ -57,7 +64,7 @@ class AlgorithmVersion(Base):
     removed_at = optional(UtcDateTime)
 
 
-class Dataset(Base):
+class DatasetRow(TableBase):
     """A registered dataset."""
 
     __tablename__ = "datasets"
@@ -71,7 +78,7 @@ class Dataset(Base):
     registered_at = column(UtcDateTime)
 
 
-class Parameter(Base):
+class ParameterRow(TableBase):
     """A parameter of a package (``scope``), under its own key and the name shared across packages (``general``).
 
     Type and unit say what the stored values mean. If they are edited, the parameter gets another row.
@@ -87,7 +94,7 @@ class Parameter(Base):
     general = optional(String(NAME_LENGTH), index=True)
 
 
-class Configuration(Base):
+class ConfigurationRow(TableBase):
     """What a run runs; equal content is one row. ``variant`` is NULL where the dataset is used unchanged.
 
     ``sensors`` is NULL where the rule assigns them.
@@ -108,7 +115,7 @@ class Configuration(Base):
     created_at = column(UtcDateTime)
 
 
-class ConfigurationValue(Base):
+class ConfigurationValueRow(TableBase):
     """The value of one parameter: exactly (``value``), and in the two columns that searches read."""
 
     __tablename__ = "configuration_values"
@@ -124,7 +131,7 @@ class ConfigurationValue(Base):
     text_value = optional(String(TEXT_VALUE_LENGTH))
 
 
-class Host(Base):
+class HostRow(TableBase):
     """A machine that measured runs."""
 
     __tablename__ = "hosts"
@@ -137,7 +144,7 @@ class Host(Base):
     os = column(String(190))
 
 
-class Protocol(Base):
+class ProtocolRow(TableBase):
     """An evaluation protocol, and one row for measured metrics."""
 
     __tablename__ = "protocols"
@@ -147,7 +154,7 @@ class Protocol(Base):
     definition = column(JsonText)
 
 
-class Experiment(Base):
+class ExperimentRow(TableBase):
     """An experiment as its file describes it. Until it is ``complete``, its cells and runs are still being stored.
 
     ``repeats`` may have grown since. ``cells`` and ``runs`` are counts, or upper bounds until it is complete.
@@ -173,10 +180,10 @@ class Experiment(Base):
     owner = optional(String(NAME_LENGTH))
     visibility = optional(enum_column(Visibility))
     audience = column(String(AUDIENCE_LENGTH), server_default=text("'team'"), index=True)
-    """See :meth:`slamhive.domain.visibility.Sharing.audience`."""
+    """See :meth:`slamhive.domain.accounts.Sharing.audience`."""
 
 
-class ExperimentCell(Base):
+class ExperimentCellRow(TableBase):
     """One configuration of an experiment, with its value on each axis that applies to it."""
 
     __tablename__ = "experiment_cells"
@@ -188,7 +195,7 @@ class ExperimentCell(Base):
     axis_values = column(JsonText)
 
 
-class Run(Base):
+class RunRow(TableBase):
     """A run: request, place in the queue, and outcome. Folders are named after ids, so no id is used twice."""
 
     __tablename__ = "runs"
@@ -242,10 +249,10 @@ class Run(Base):
     owner = optional(String(NAME_LENGTH), index=True)
     visibility = optional(enum_column(Visibility))
     audience = column(String(AUDIENCE_LENGTH), server_default=text("'team'"))
-    """See :meth:`slamhive.domain.visibility.Sharing.audience`."""
+    """See :meth:`slamhive.domain.accounts.Sharing.audience`."""
 
 
-class RunNote(Base):
+class RunNoteRow(TableBase):
     """What somebody wrote about a run; the file in its folder is the truth."""
 
     __tablename__ = "run_notes"
@@ -253,7 +260,7 @@ class RunNote(Base):
     note = column(LongText)
 
 
-class RunTag(Base):
+class RunTagRow(TableBase):
     """One tag of a run."""
 
     __tablename__ = "run_tags"
@@ -265,7 +272,7 @@ class RunTag(Base):
     tag = column(String(NAME_LENGTH), primary_key=True)
 
 
-class DeletedRun(Base):
+class DeletedRunRow(TableBase):
     """A run that was deleted, so that an experiment or the ledger does not queue it again."""
 
     __tablename__ = "deleted_runs"
@@ -274,7 +281,7 @@ class DeletedRun(Base):
     deleted_at = column(UtcDateTime)
 
 
-class RunEvent(Base):
+class RunEventRow(TableBase):
     """One move of a run."""
 
     __tablename__ = "run_events"
@@ -286,7 +293,7 @@ class RunEvent(Base):
     why = column(String(WHY_LENGTH))
 
 
-class Evaluation(Base):
+class EvaluationRow(TableBase):
     """One evaluation of one run. ``open`` is 1 until it ends, then NULL: at most one is open."""
 
     __tablename__ = "evaluations"
@@ -311,7 +318,7 @@ class Evaluation(Base):
     lease_expires_at = optional(UtcDateTime)
 
 
-class Metric(Base):
+class MetricRow(TableBase):
     """A metric key and its number; rows appear when a metric is first stored."""
 
     __tablename__ = "metrics"
@@ -319,7 +326,7 @@ class Metric(Base):
     key = column(String(NAME_LENGTH), unique=True)
 
 
-class MetricValue(Base):
+class MetricValueRow(TableBase):
     """One metric of one run under one protocol, ordered by metric: searches read few metrics of many runs.
 
     ``is_current`` is 1 for measured metrics and for those of the run's current protocol, else 0; the second key serves
@@ -339,7 +346,7 @@ class MetricValue(Base):
     is_current = column(SmallInteger)
 
 
-class VariantOption(Base):
+class VariantOptionRow(TableBase):
     """An option of the pre-processing steps of a configuration, where all its steps of a kind agree on it.
 
     ``name`` is ``KIND.OPTION``, and ``KIND.OPTION@SENSOR`` for each sensor.
@@ -357,7 +364,7 @@ class VariantOption(Base):
     text_value = optional(String(TEXT_VALUE_LENGTH))
 
 
-class SavedSearch(Base):
+class SavedSearchRow(TableBase):
     """A search with a name: filter, columns and order of the page of runs."""
 
     __tablename__ = "saved_searches"
@@ -374,7 +381,7 @@ class SavedSearch(Base):
     created_at = column(UtcDateTime)
 
 
-class Analysis(Base):
+class AnalysisRow(TableBase):
     """An analysis in the list and the queue; its folder ``analyses/<token>`` is the truth."""
 
     __tablename__ = "analyses"
@@ -396,4 +403,4 @@ class Analysis(Base):
     owner = optional(String(NAME_LENGTH))
     visibility = optional(enum_column(Visibility))
     audience = column(String(AUDIENCE_LENGTH), server_default=text("'team'"), index=True)
-    """See :meth:`slamhive.domain.visibility.Sharing.audience`."""
+    """See :meth:`slamhive.domain.accounts.Sharing.audience`."""

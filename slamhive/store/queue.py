@@ -7,18 +7,18 @@ from collections.abc import Collection, Iterable
 
 from sqlalchemy import ColumnElement, and_, false, func, insert, or_, select, union_all
 
-from slamhive.domain.affinity import same_data
+from slamhive.domain.placement import same_data
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.store.leases import Lease, LeaseQueue
-from slamhive.store.models import Evaluation, Run
-from slamhive.store.models import RunEvent as EventRow
+from slamhive.store.models import EvaluationRow, RunRow
+from slamhive.store.models import RunEventRow as EventRow
 from slamhive.store.records import RunRecord
 from slamhive.store.runs import RunRepository
-from slamhive.store.same_cpu import Machine, SameCpu
+from slamhive.store.same_cpu import MeasuredMachine, SameCpu
 
 logger = logging.getLogger(__name__)
 
-_RUNS = Run.__table__
+_RUNS = RunRow.__table__
 ACTIVE = tuple(state for state in RunState if state.active)
 
 
@@ -35,7 +35,7 @@ class RunQueue(LeaseQueue[int]):
         only: Collection[int] | None = None,
         near: str = "",
         away: Collection[str] = (),
-        machine: Machine | None = None,
+        machine: MeasuredMachine | None = None,
     ) -> RunRecord | None:
         """The next run to work on: an orphan if there is one, else the first of the queue; None if there is none.
 
@@ -54,7 +54,7 @@ class RunQueue(LeaseQueue[int]):
         only: Collection[int] | None = None,
         near: str = "",
         away: Collection[str] = (),
-        machine: Machine | None = None,
+        machine: MeasuredMachine | None = None,
     ) -> RunRecord | None:
         """Take a queued run that is not held back, and move it to ``preparing``.
 
@@ -77,7 +77,7 @@ class RunQueue(LeaseQueue[int]):
         return None
 
     def adopt(
-        self, lease: Lease, only: Collection[int] | None = None, machine: Machine | None = None
+        self, lease: Lease, only: Collection[int] | None = None, machine: MeasuredMachine | None = None
     ) -> RunRecord | None:
         """Take over an active run whose worker gave it back or went silent, in the state it is in.
 
@@ -105,7 +105,7 @@ class RunQueue(LeaseQueue[int]):
         """Active runs, and up to ``limit`` each of those that ended or were evaluated last."""
         each = [select(_RUNS.c.id).where(_RUNS.c.state == state) for state in ACTIVE]
         ended = select(_RUNS.c.id).where(_RUNS.c.ended_at.is_not(None)).order_by(_RUNS.c.ended_at.desc()).limit(limit)
-        evaluated = select(Evaluation.run_id).order_by(Evaluation.id.desc()).limit(limit)
+        evaluated = select(EvaluationRow.run_id).order_by(EvaluationRow.id.desc()).limit(limit)
         found: set[int] = set()
         for query in (*each, ended, evaluated):
             found.update(self._column(query))
@@ -126,7 +126,7 @@ class RunQueue(LeaseQueue[int]):
         )
         return self._number(failed)
 
-    def _allowed(self, machine: Machine | None) -> list[ColumnElement[bool]]:
+    def _allowed(self, machine: MeasuredMachine | None) -> list[ColumnElement[bool]]:
         """Excludes the experiments that do not let the machine measure their runs; empty if there is none."""
         barred = [] if machine is None else SameCpu(self._connection).barred(machine)
         return _not_of([entry.experiment_id for entry in barred])

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from typing import Any, NamedTuple, TypedDict
 
-from slamhive.domain.configuration import InputMap, Playback, PlaybackMode
-from slamhive.domain.disturbance import Disturbance
-from slamhive.domain.external import IMPORTED
-from slamhive.domain.host import Host
-from slamhive.domain.notes import NO_NOTES, RunNotes
-from slamhive.domain.parameters import Value
+from slamhive.base.errors import Conflict
+from slamhive.documents.limits import NEVER, Limits, StopWhen
+from slamhive.domain.accounts import TEAM_SEES, Sharing, Visibility, visibility_of
+from slamhive.domain.algorithm import IMPORTED
+from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode, Variant
+from slamhive.domain.packages import version_label
+from slamhive.domain.parameters import Parameter, Value
 from slamhive.domain.protocol import Protocol
-from slamhive.domain.run import FailureReason, RunEvent, RunState
-from slamhive.domain.sensor_choice import Chosen
+from slamhive.domain.roles import Chosen
+from slamhive.domain.run import NO_NOTES, FailureReason, Host, RunEvent, RunNotes, RunState
 from slamhive.domain.trajectory_kind import TrajectoryKind
-from slamhive.domain.trust import Trust, judge_trust
-from slamhive.domain.variant import Variant
+from slamhive.domain.trust import Disturbance, Trust, judge_trust
 from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, not_evaluable
-from slamhive.domain.versions import version_label
-from slamhive.domain.visibility import TEAM_SEES, Visibility, visibility_of
-from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
-from slamhive.schema.limits import NEVER, Limits, StopWhen
 
 
 class LeaseLost(Conflict):
@@ -104,8 +101,8 @@ class RunRequest:
     ``cpu_cores``, ``memory_mb``, ``timeout_s``: limits asked for, None for the installation's. ``priority``: higher
     goes first. ``evaluate``: evaluate it when it has succeeded, under ``protocol`` or the default of its sensors.
     ``cell``: number of the configuration in the experiment ``experiment_id``, the same for its repeats and retries.
-    ``owner`` and ``visibility``: see :class:`slamhive.domain.visibility.Sharing`; who stores it fills them in.
-    ``held``: queued, but no worker may claim it. ``affinity``: see :mod:`slamhive.domain.affinity`.
+    ``owner`` and ``visibility``: see :class:`slamhive.domain.accounts.Sharing`; who stores it fills them in.
+    ``held``: queued, but no worker may claim it. ``affinity``: see :mod:`slamhive.domain.placement`.
     ``repeat_disturbed``: how often it is repeated at most if the machine was disturbed.
     """
 
@@ -289,7 +286,7 @@ class RunSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class RunSort:
-    """The order of a list: one of :data:`slamhive.store.run_order.SORT_KEYS`, a metric or a parameter.
+    """The order of a list: one of :data:`slamhive.store.run_listing.SORT_KEYS`, a metric or a parameter.
 
     Runs without a value come last in both directions; equal values are ordered by id.
     """
@@ -396,3 +393,184 @@ class EvaluationRecord:
     ended_at: datetime | None
     attempt: int
     lease_owner: str | None
+
+
+# What the store knows about analyses: frozen values, never rows.
+
+
+class AnalysisState(StrEnum):
+    """Where an analysis is in its life."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+
+    @property
+    def ended(self) -> bool:
+        """Whether it stays in this state unless somebody computes it again."""
+        return self in (AnalysisState.DONE, AnalysisState.FAILED)
+
+
+@dataclass(frozen=True, slots=True)
+class AnalysisRecord:
+    """A stored analysis. Its folder is the truth; this is its place in lists and in the queue.
+
+    ``token`` (32 hex digits) is its permanent address and cannot be guessed. A ``visitor`` made it in view-only mode.
+    ``content_hash`` identifies what it shows (the text of its file, its runs and their metrics); None until that is
+    known. ``reason``: why it failed. ``size_bytes``: the stored report, None while there is none.
+    ``owner`` and ``visibility``: see :class:`slamhive.domain.accounts.Sharing`.
+    """
+
+    token: str
+    name: str
+    state: AnalysisState
+    listed: bool
+    visitor: bool
+    created_at: datetime
+    content_hash: str | None = None
+    reason: str | None = None
+    size_bytes: int | None = None
+    ended_at: datetime | None = None
+    attempt: int = 0
+    lease_owner: str | None = None
+    owner: str | None = None
+    visibility: Visibility | None = None
+
+    @property
+    def sharing(self) -> Sharing:
+        """Owner and visibility."""
+        return Sharing(self.owner, self.visibility)
+
+    @property
+    def seen_by(self) -> Visibility:
+        """Who sees the analysis besides admins."""
+        return self.sharing.seen_by
+
+
+# What the store knows about experiments: frozen values, never rows.
+
+
+class ExperimentState(StrEnum):
+    """What the user last wanted. Whether it has finished follows from its runs."""
+
+    ACTIVE = "active"
+    PAUSED = "paused"
+    CANCELLED = "cancelled"
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentRecord:
+    """An experiment. ``source`` is the file as the user gave it, ``content_hash`` identifies its content.
+
+    The uids of its runs follow from ``uid`` (32 hex digits). ``repeats`` is for each seed and may have grown since.
+    ``cells`` and ``runs`` (without retries) are upper bounds until all are stored, that is, until it is ``complete``.
+    ``cpu_model``: that of all its runs, empty while none has been measured, None if any will do.
+    ``owner`` and ``visibility``: see :class:`slamhive.domain.accounts.Sharing`; they are those of its runs, too.
+    """
+
+    id: int
+    uid: str
+    name: str
+    description: str
+    content_hash: str
+    source: str
+    state: ExperimentState
+    executor: str
+    priority: int
+    repeats: int
+    cells: int
+    runs: int
+    complete: bool
+    created_at: datetime
+    cpu_model: str | None = None
+    owner: str | None = None
+    visibility: Visibility | None = None
+
+    @property
+    def sharing(self) -> Sharing:
+        """Owner and visibility."""
+        return Sharing(self.owner, self.visibility)
+
+    @property
+    def seen_by(self) -> Visibility:
+        """Who sees the experiment besides admins."""
+        return self.sharing.seen_by
+
+
+@dataclass(frozen=True, slots=True)
+class NewCell:
+    """A cell to store: its configuration, and its value on each axis that applies to it."""
+
+    number: int
+    name: str
+    configuration_id: int
+    values: Mapping[str, Value]
+
+
+@dataclass(frozen=True, slots=True)
+class CellRecord:
+    """A stored cell."""
+
+    number: int
+    name: str
+    configuration_id: int
+    values: dict[str, Value]
+
+
+@dataclass(frozen=True, slots=True)
+class CellRun:
+    """A run of a cell, for tables of cells. ``retried``: a later run replaced it; ``retry_of``: the one it replaced.
+
+    ``disturbed``: it was measured on a disturbed machine; None if that is not known. ``judged``: the stored verdict,
+    None if nobody has evaluated it.
+    """
+
+    id: int
+    cell: int
+    seed: int
+    state: RunState
+    reason: FailureReason | None
+    retried: bool
+    retry_of: int | None = None
+    disturbed: bool | None = None
+    protocol: str | None = None
+    metrics: dict[str, float] = field(default_factory=dict)
+    judged: VerdictKind | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StateCount:
+    """How many runs are in a state for a reason; ``retried`` runs, which another run replaced, count separately.
+
+    ``judged``: their stored verdict, None where nobody has evaluated them.
+    """
+
+    state: RunState
+    reason: FailureReason | None
+    retried: bool
+    count: int
+    judged: VerdictKind | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NewConfiguration:
+    """A configuration to store; its algorithm and dataset are stored already.
+
+    ``definitions``: the algorithm's parameters; a key without one is filed under its value's own type.
+    """
+
+    configuration: Configuration
+    content_hash: str
+    algorithm_id: int
+    dataset_id: int
+    definitions: Sequence[Parameter] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class KnownConfiguration:
+    """How many runs a stored configuration has, and their mean duration; None if no duration is known."""
+
+    runs: int
+    measured_runs: int
+    duration_s: float | None

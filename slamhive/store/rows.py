@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
+from enum import StrEnum
 from typing import Any, TypeVar, cast
 
-from sqlalchemy import Connection, CursorResult, Executable, insert, select
+from sqlalchemy import ColumnElement, Connection, CursorResult, Executable, and_, insert, or_, select
 from sqlalchemy.exc import IntegrityError
 
-from slamhive.store.tables import Base
+from slamhive.base.bounds import parse_json
+from slamhive.base.errors import InvalidInput
+from slamhive.store.tables import TableBase
 
 T = TypeVar("T")
 CHUNK = 500
@@ -41,7 +48,7 @@ def changed(connection: Connection, statement: Executable) -> int:
 
 
 def get_or_insert(
-    connection: Connection, table: type[Base], keys: Mapping[str, Any], values: Mapping[str, Any]
+    connection: Connection, table: type[TableBase], keys: Mapping[str, Any], values: Mapping[str, Any]
 ) -> tuple[int, bool]:
     """The id of the row with ``keys``, inserted with ``values`` if there is none; and whether it was inserted.
 
@@ -72,13 +79,79 @@ def to_json(kind: Any, value: Any) -> Any:
     """A value of ``kind`` as JSON for a column; None for an absent or empty one."""
     if not value:
         return None
-    from slamhive.schema.model import dump  # noqa: PLC0415 - most rows have none, and pydantic takes long to load
+    from slamhive.documents.model import dump  # noqa: PLC0415 - most rows have none, and pydantic takes long to load
 
     return dump(kind, value)
 
 
 def from_json(kind: type[T], content: Any) -> T:
     """The value that :func:`to_json` wrote as ``content``."""
-    from slamhive.schema.model import load  # noqa: PLC0415 - see above
+    from slamhive.documents.model import load  # noqa: PLC0415 - see above
 
     return load(kind, content)
+
+
+# Keys in addresses that say where a page of a list ended, and the rows after it.
+
+
+_LARGEST: dict[type, float] = {int: 2.0**63, float: math.inf}
+
+
+def encode(values: Sequence[Any]) -> str:
+    """The key of a row: the values that the list is sorted by."""
+    plain = [value.isoformat() if isinstance(value, datetime) else value for value in values]
+    return base64.urlsafe_b64encode(json.dumps(plain).encode()).decode().rstrip("=")
+
+
+def decode(key: str, kinds: Sequence[type]) -> list[Any]:
+    """The values of a key; the first may be None. Raises InvalidInput for a key of another kind of list."""
+    try:
+        values = parse_json(base64.urlsafe_b64decode(key + "=" * (-len(key) % 4)), "the page key")
+    except (ValueError, InvalidInput):
+        raise not_ours(key) from None
+    if not isinstance(values, list) or len(values) != len(kinds):
+        raise not_ours(key)
+    return [
+        None if value is None and place == 0 and len(values) > 1 else _checked(value, kind, key)
+        for place, (value, kind) in enumerate(zip(values, kinds, strict=True))
+    ]
+
+
+def behind(columns: Sequence[ColumnElement[Any]], values: Sequence[Any], *, descending: bool) -> ColumnElement[bool]:
+    """The rows after the one with ``values``; NULLs of the first column are last in both directions."""
+    first, rest = columns[0], columns[1:]
+    if not rest:
+        return _further(first, values[0], descending=descending)
+    inner = behind(rest, values[1:], descending=descending)
+    if values[0] is None:
+        return and_(first.is_(None), inner)
+    return or_(_further(first, values[0], descending=descending), and_(first == values[0], inner), first.is_(None))
+
+
+def ordered(columns: Sequence[ColumnElement[Any]], *, descending: bool) -> list[ColumnElement[Any]]:
+    """The order of ``columns`` in one direction."""
+    return [column.desc() if descending else column.asc() for column in columns]
+
+
+def not_ours(key: str) -> InvalidInput:
+    """The refusal of a key."""
+    return InvalidInput(f"page key {key[:60]!r} is not one of ours", "start at the first page")
+
+
+def _further(column: ColumnElement[Any], value: Any, *, descending: bool) -> ColumnElement[bool]:
+    found: ColumnElement[bool] = column < value if descending else column > value
+    return found
+
+
+def _checked(value: Any, kind: type, key: str) -> Any:
+    if kind is datetime and isinstance(value, str):
+        try:
+            return datetime.fromisoformat(value)
+        except ValueError:
+            raise not_ours(key) from None
+    if issubclass(kind, StrEnum) and value in list(kind):
+        return kind(value)
+    number = type(value) in {int, float} and math.isfinite(value) and abs(value) < _LARGEST[kind]
+    if not (number if kind in _LARGEST else type(value) is kind) or (kind is int and type(value) is not int):
+        raise not_ours(key)
+    return value

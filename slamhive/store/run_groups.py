@@ -12,22 +12,15 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, FromClause, Select, and_, case, func, not_, select
 
+from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.errors import InvalidInput, unknown
-from slamhive.search.binding import Search
+from slamhive.filters.binding import Search
 from slamhive.store.configurations import ConfigurationRepository
-from slamhive.store.models import (
-    MEASURED_PROTOCOL_ID,
-    Algorithm,
-    Configuration,
-    Dataset,
-    Protocol,
-)
-from slamhive.store.page_keys import behind, decode, encode, ordered
+from slamhive.store.models import MEASURED_PROTOCOL_ID, AlgorithmRow, ConfigurationRow, DatasetRow, ProtocolRow
 from slamhive.store.records import GroupPage, GroupRecord, ProtocolLabel, Repeats, RunSort, Spread
+from slamhive.store.rows import behind, decode, encode, ordered
 from slamhive.store.run_listing import LARGEST_PAGE, Matches, among
-from slamhive.store.search_names import Names, look_up
-from slamhive.store.search_sql import FIGURES, RUNS, Sql
+from slamhive.store.search_sql import FIGURES, RUNS, Names, Sql, look_up
 
 SORT_KEYS = ("configuration", "runs", "failed", "algorithm", "dataset")
 """What groups can be sorted by, besides the mean of every metric."""
@@ -79,7 +72,7 @@ class _Groups:
     def _many(self, key: list[Any] | None, limit: int) -> Select[Any]:
         runs = RUNS.alias()
         if self.sort.key == "configuration":
-            table = Configuration.__table__.alias()
+            table = ConfigurationRow.__table__.alias()
             matching = select(runs.c.id).where(
                 runs.c.configuration_id == table.c.id, self.sql.test(self.search.tree, runs)
             )
@@ -105,8 +98,8 @@ class _Groups:
         if self.sort.key == "failed":
             return func.count(case((self.sql.failed(runs), 1)))
         if self.sort.key in {"algorithm", "dataset"}:
-            table = (Algorithm if self.sort.key == "algorithm" else Dataset).__table__.alias()
-            rows = Configuration.__table__.alias()
+            table = (AlgorithmRow if self.sort.key == "algorithm" else DatasetRow).__table__.alias()
+            rows = ConfigurationRow.__table__.alias()
             named = select(table.c.name).where(
                 rows.c.id == runs.c.configuration_id, table.c.id == rows.c[f"{self.sort.key}_id"]
             )
@@ -148,7 +141,7 @@ class _Groups:
         return query.order_by(*by_value, *ordered(columns, descending=descending)).limit(limit)
 
     def _records(self, ids: Sequence[int], metrics: Sequence[str]) -> tuple[GroupRecord, ...]:
-        runs, table = RUNS.alias(), Configuration.__table__
+        runs, table = RUNS.alias(), ConfigurationRow.__table__
         matching = [runs.c.configuration_id.in_(ids), self.sql.test(self.search.tree, runs)]
         failed = func.count(case((self.sql.failed(runs), 1)))
         disturbed = func.count(case((runs.c.disturbed_by > "", 1)))
@@ -156,9 +149,9 @@ class _Groups:
         counted = counted.group_by(runs.c.configuration_id)
         numbers = {row[0]: (int(row[1]), int(row[2]), int(row[3])) for row in self.connection.execute(counted)}
         rows = self.connection.execute(
-            select(table.c.id, Algorithm.name, Dataset.name)
-            .join(Algorithm, Algorithm.id == table.c.algorithm_id)
-            .join(Dataset, Dataset.id == table.c.dataset_id)
+            select(table.c.id, AlgorithmRow.name, DatasetRow.name)
+            .join(AlgorithmRow, AlgorithmRow.id == table.c.algorithm_id)
+            .join(DatasetRow, DatasetRow.id == table.c.dataset_id)
             .where(table.c.id.in_(ids))
         ).all()
         described = {row[0]: row for row in rows}
@@ -242,5 +235,5 @@ class _Groups:
 
 
 def _protocols() -> Select[Any]:
-    table = Protocol.__table__
+    table = ProtocolRow.__table__
     return select(table.c.id, table.c.fingerprint, table.c.label)

@@ -4,22 +4,416 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
+from functools import lru_cache
 from itertools import islice
 from random import Random
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, FromClause, Select, bindparam, case, func, select
+from sqlalchemy import (
+    Column,
+    ColumnElement,
+    Connection,
+    FromClause,
+    Integer,
+    Row,
+    Select,
+    Table,
+    and_,
+    bindparam,
+    case,
+    func,
+    literal,
+    select,
+)
 
-from slamhive.errors import InvalidInput
-from slamhive.search.binding import Condition, Search
-from slamhive.store.models import Run
-from slamhive.store.page_keys import behind, decode, encode, ordered
-from slamhive.store.records import Count, Page, RunSort
-from slamhive.store.run_order import Order, names_in_order, sorted_parameter
-from slamhive.store.run_rows import run_query, to_records
-from slamhive.store.search_names import look_up
-from slamhive.store.search_sql import RUNS, Sql
-from slamhive.store.search_starts import Start, starts
+from slamhive.base.errors import InvalidInput, unknown
+from slamhive.documents.limits import StopWhen
+from slamhive.domain.configuration import InputMap, Playback, Variant
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.parameters import Value
+from slamhive.domain.protocol import protocol_from_content
+from slamhive.domain.run import NO_NOTES, FailureReason, RunNotes, RunState
+from slamhive.domain.run import Host as HostRecord
+from slamhive.domain.trajectory_kind import with_trajectory
+from slamhive.domain.trust import Disturbance
+from slamhive.domain.verdict import VerdictKind
+from slamhive.filters.binding import Bound, Condition, Search
+from slamhive.filters.fields import PARAMETER_PREFIX, FieldKind, Source
+from slamhive.filters.syntax import PRESENCE, Junction
+from slamhive.store.catalogue import NoteRepository
+from slamhive.store.configurations import ConfigurationRepository
+from slamhive.store.metrics import VERDICT, MetricRepository, kind_of
+from slamhive.store.models import (
+    AlgorithmRow,
+    AlgorithmVersionRow,
+    ConfigurationRow,
+    DatasetRow,
+    ExperimentRow,
+    HostRow,
+    ProtocolRow,
+    RunRow,
+)
+from slamhive.store.records import AlgorithmVersion as VersionRecord
+from slamhive.store.records import Count, Page, ProtocolLabel, RunRecord, RunSort
+from slamhive.store.rows import behind, decode, encode, from_json, ordered
+from slamhive.store.search_sql import NULLABLE, RUNS, Sql, Start, look_up, starts, stored_parameters
+
+# The order of a list of runs, by a column, a metric or a parameter; and queries that walk along it.
+
+
+_RUNS: Table = RunRow.__table__
+COLUMNS: dict[str, Column[Any]] = {
+    "id": _RUNS.c.id,
+    "configuration": _RUNS.c.configuration_id,
+    "executor": _RUNS.c.executor,
+    "owner": _RUNS.c.owner,
+    "state": _RUNS.c.state,
+    "reason": _RUNS.c.reason,
+    "seed": _RUNS.c.seed,
+    "priority": _RUNS.c.priority,
+    "created_at": _RUNS.c.created_at,
+    "started_at": _RUNS.c.started_at,
+    "ended_at": _RUNS.c.ended_at,
+}
+NAMED = ("algorithm", "dataset", "experiment")
+"""Columns that hold an id but sort by the name of its row."""
+
+_KINDS: dict[str, type] = {
+    **dict.fromkeys(("configuration", "seed", "priority"), int),
+    **dict.fromkeys(("created_at", "started_at", "ended_at"), datetime),
+    "state": RunState,
+    "reason": FailureReason,
+}
+_TABLES: dict[str, Table] = {
+    "algorithm": AlgorithmRow.__table__,
+    "dataset": DatasetRow.__table__,
+    "experiment": ExperimentRow.__table__,
+}
+SORT_KEYS = (*COLUMNS, *NAMED)
+"""Sort keys, besides every metric of the catalogue and every parameter."""
+
+
+def names_in_order(connection: Connection, sort: RunSort) -> tuple[tuple[int, str], ...]:
+    """Id and name of the algorithms, datasets or experiments, in order, if runs are sorted by them."""
+    if sort.key not in NAMED:
+        return ()
+    rows = connection.execute(select(_TABLES[sort.key].c.id, _TABLES[sort.key].c.name))
+    found = [(int(row.id), str(row.name)) for row in rows]
+    return tuple(sorted(found, key=lambda entry: entry[1], reverse=sort.descending))
+
+
+def sorted_parameter(connection: Connection, key: str) -> tuple[str, ...]:
+    """The parameter that ``key`` names; empty for another sort key. Raises NotFound for an unknown key."""
+    if key in SORT_KEYS or key in CATALOGUE:
+        return ()
+    name = key.removeprefix(PARAMETER_PREFIX)
+    known = {entry.name for entry in stored_parameters(connection)}
+    if name not in known:
+        raise unknown("sort key", key, [*SORT_KEYS, *CATALOGUE, *known])
+    return (name,)
+
+
+@dataclass(frozen=True)
+class Order:
+    """One order. Runs without a value come last in both directions; ties are ordered by id.
+
+    Repeats share the parameters of their configuration, so these ties are ordered by configuration first, as the index
+    is. ``names``: see :func:`names_in_order`.
+    """
+
+    sort: RunSort
+    sql: Sql
+    names: tuple[tuple[int, str], ...] = ()
+
+    @property
+    def kinds(self) -> tuple[type, ...]:
+        """The types of a page key."""
+        if self.sort.key == "id":
+            return (int,)
+        if self._parameter is not None:
+            return (float, int, int)
+        if self.sort.key in CATALOGUE:
+            return (float, int)
+        return (_KINDS.get(self.sort.key, str), int)
+
+    def columns(self, runs: FromClause) -> list[ColumnElement[Any]]:
+        """What rows of ``runs`` are sorted by, the run's id last."""
+        if self.sort.key == "id":
+            return [runs.c.id]
+        ties = [runs.c.configuration_id] if self._parameter is not None else []
+        return [self._value(runs), *ties, runs.c.id]
+
+    def walk(self, tree: Bound | None, after: list[Any] | None, limit: int) -> list[Select[Any]]:
+        """Queries whose rows, one after the other, are the list from ``after`` on: those with a value, then the others.
+
+        Each reads along an index and stops after ``limit``, so it is fast where many runs match.
+        """
+        missing = [] if self._own(tree) else [self._without_value(tree, after, limit)]
+        if after is not None and len(after) > 1 and after[0] is None:
+            return missing
+        if self.sort.key in CATALOGUE:
+            return [self._by_metric(tree, after, limit), *missing]
+        if self._parameter is not None:
+            return [self._by_parameter(self._parameter, tree, after, limit), *missing]
+        if self.sort.key in NAMED:
+            named = [self._of_one_name(tree, number, name, after, limit) for number, name in self.names]
+            return [*(query for query in named if query is not None), *missing]
+        runs = RUNS.alias()
+        columns = self.columns(runs)
+        nullable = self._column in NULLABLE
+        there = [columns[0].is_not(None)] if nullable else []
+        query = select(*_labelled(columns)).where(self.sql.test(tree, runs), *there, *self._from(columns, after))
+        query = query.order_by(*ordered(columns, descending=self.sort.descending)).limit(limit)
+        return [query, *missing] if nullable else [query]
+
+    @property
+    def _column(self) -> str:
+        return str(COLUMNS[self.sort.key].key)
+
+    @property
+    def _parameter(self) -> str | None:
+        if self.sort.key in SORT_KEYS or self.sort.key in CATALOGUE:
+            return None
+        return self.sort.key.removeprefix(PARAMETER_PREFIX)
+
+    def _own(self, tree: Bound | None) -> list[Condition]:
+        """The comparisons, joined by ``and``, of the value that sorts the list. Every run that matches has a value."""
+        parts = tree.parts if isinstance(tree, Junction) and tree.word == "and" else (tree,)
+        parameter = self._parameter
+        name = self.sort.key if parameter is None else parameter
+        return [
+            part
+            for part in parts
+            if isinstance(part, Condition)
+            and part.field.name == name
+            and part.sign not in PRESENCE
+            and (part.field.source is Source.PARAMETER) == (parameter is not None)
+            and (parameter is None or part.field.kind in {FieldKind.NUMBER, FieldKind.FLAG})
+        ]
+
+    def _value(self, runs: FromClause) -> ColumnElement[Any]:
+        if self.sort.key in CATALOGUE:
+            return self.sql.figure_of(self.sort.key, runs)
+        if self._parameter is not None:
+            return self.sql.parameter_of(self._parameter, runs)
+        if self.sort.key in NAMED:
+            return _name_of(self.sort.key, runs)
+        return runs.c[self._column]
+
+    def _from(self, columns: Sequence[ColumnElement[Any]], after: list[Any] | None) -> list[ColumnElement[bool]]:
+        """The rows after ``after``. The first condition alone lets the database find the place in an index."""
+        if after is None:
+            return []
+        if len(columns) == 1:
+            return [behind(columns, after, descending=self.sort.descending)]
+        near = columns[0] <= after[0] if self.sort.descending else columns[0] >= after[0]
+        return [near, behind(columns, after, descending=self.sort.descending)]
+
+    def _without_value(self, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
+        runs = RUNS.alias()
+        columns = self.columns(runs)
+        rest = columns[1:]
+        conditions = [self.sql.test(tree, runs), columns[0].is_(None)]
+        if after is not None and after[0] is None and rest:
+            conditions.append(behind(rest, after[1:], descending=self.sort.descending))
+        query = select(*_labelled(columns)).where(*conditions)
+        return query.order_by(*ordered(rest or columns, descending=self.sort.descending)).limit(limit)
+
+    def _of_one_name(
+        self, tree: Bound | None, number: int, name: str, after: list[Any] | None, limit: int
+    ) -> Select[Any] | None:
+        """The runs of one algorithm, dataset or experiment, by id; None if an earlier page has shown them all."""
+        runs = RUNS.alias()
+        conditions = [_is_named(self.sort.key, number, runs), self.sql.test(tree, runs)]
+        if after is not None:
+            if (name > after[0]) if self.sort.descending else (name < after[0]):
+                return None
+            if name == after[0]:
+                conditions.append(behind([runs.c.id], after[1:], descending=self.sort.descending))
+        query = select(*_labelled([literal(name), runs.c.id])).where(*conditions)
+        return query.order_by(*ordered([runs.c.id], descending=self.sort.descending)).limit(limit)
+
+    def _by_metric(self, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
+        runs = RUNS.alias()
+        found = self.sql.figures(self.sort.key, by_value=True)
+        if found is None:
+            return select(*_labelled(self.columns(runs))).where(runs.c.id < 0)
+        figures, query = found
+        columns = [figures.c.value, figures.c.run_id]
+        query = query.where(*(self.sql.compare(figures.c.value, leaf) for leaf in self._own(tree)))
+        pairs: Select[Any] = query.with_only_columns(*_labelled(columns)).select_from(figures, runs)
+        pairs = pairs.where(runs.c.id == figures.c.run_id + 0, self.sql.test(tree, runs), *self._from(columns, after))
+        return pairs.order_by(*ordered(columns, descending=self.sort.descending)).limit(limit)
+
+    def _by_parameter(self, name: str, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
+        """First the configurations with a matching run, in order; then their runs."""
+        values, among = self.sql.parameter_rows(name)
+        inner, runs = RUNS.alias(), RUNS.alias()
+        descending = self.sort.descending
+        matching = select(inner.c.id).where(
+            inner.c.configuration_id == values.c.configuration_id, self.sql.test(tree, inner)
+        )
+        columns = [values.c.number_value, values.c.configuration_id]
+        chosen = select(*columns).where(
+            among,
+            values.c.number_value.is_not(None),
+            *(self.sql.compare(values.c.number_value, leaf) for leaf in self._own(tree)),
+            matching.limit(1).scalar_subquery().is_not(None),
+        )
+        if after is not None:
+            chosen = chosen.where(
+                *self._from(columns, after[:2])[:1],
+                behind([*columns], [*after[:2]], descending=descending)
+                | and_(values.c.number_value == after[0], values.c.configuration_id == after[1]),
+            )
+        # One more than ``limit``: the configuration that ended the last page may have no runs left.
+        first = chosen.order_by(*ordered(columns, descending=descending)).limit(limit + 1).subquery()
+        shown = [first.c.number_value, first.c.configuration_id, runs.c.id]
+        query = select(*_labelled(shown)).select_from(first, runs)
+        query = query.where(runs.c.configuration_id == first.c.configuration_id + 0, self.sql.test(tree, runs))
+        query = query.where(*([] if after is None else [behind(shown, after, descending=descending)]))
+        return query.order_by(*ordered(shown, descending=descending)).limit(limit)
+
+
+def _labelled(columns: Sequence[ColumnElement[Any]]) -> list[ColumnElement[Any]]:
+    """The columns of a page key, named for outer queries."""
+    return [column.label(f"key_{place}") for place, column in enumerate(columns)]
+
+
+def _is_named(key: str, number: int, runs: FromClause) -> ColumnElement[bool]:
+    if key == "experiment":
+        return runs.c.experiment_id == number
+    rows = ConfigurationRow.__table__.alias()
+    query = select(literal(1)).where(rows.c.id == runs.c.configuration_id, rows.c[f"{key}_id"] + 0 == number)
+    return query.limit(1).scalar_subquery() == 1
+
+
+def _name_of(key: str, runs: FromClause) -> ColumnElement[Any]:
+    table = _TABLES[key].alias()
+    if key == "experiment":
+        return select(table.c.name).where(table.c.id == runs.c.experiment_id).scalar_subquery()
+    rows = ConfigurationRow.__table__.alias()
+    query = select(table.c.name).where(rows.c.id == runs.c.configuration_id, table.c.id == rows.c[f"{key}_id"])
+    return query.scalar_subquery()
+
+
+# Makes :class:`RunRecord` from rows: one query for the runs, one for parameters, one for metrics.
+
+
+_CONVERTED = {"protocol_override", "stop_when", "disturbance"}
+_AS_STORED = sorted(set(RunRecord.__dataclass_fields__) & set(RunRow.__table__.c.keys()) - _CONVERTED)
+"""The fields of a record that are columns of ``runs`` as they are."""
+
+
+@lru_cache(maxsize=64)
+def run_query(protocol_id: int | None = None) -> Select[Any]:
+    """All columns that a record needs; the caller adds conditions and order.
+
+    ``protocol_id``: the protocol whose metrics are shown, None for each run's current one. The statement is kept:
+    making it takes longer than executing it for one run.
+    """
+    shown = func.coalesce(literal(protocol_id, Integer), RunRow.current_protocol_id)
+    return (
+        select(
+            RunRow.__table__,
+            AlgorithmRow.name.label("algorithm"),
+            AlgorithmRow.package.label("package"),
+            DatasetRow.name.label("dataset"),
+            ConfigurationRow.playback_mode,
+            ConfigurationRow.playback_rate,
+            ConfigurationRow.variant,
+            ConfigurationRow.sensors,
+            ConfigurationRow.version.label("asked_version"),
+            ConfigurationRow.map.label("input_map"),
+            ProtocolRow.fingerprint.label("protocol_fingerprint"),
+            ProtocolRow.label.label("protocol_label"),
+            AlgorithmVersionRow.identity,
+            AlgorithmVersionRow.package_hash,
+            AlgorithmVersionRow.version,
+            AlgorithmVersionRow.number.label("version_number"),
+            HostRow.cpu_model,
+            HostRow.cpu_count,
+            HostRow.memory_bytes,
+            HostRow.kernel,
+            HostRow.os,
+            ExperimentRow.name.label("experiment"),
+        )
+        .join(ConfigurationRow, ConfigurationRow.id == RunRow.configuration_id)
+        .join(AlgorithmRow, AlgorithmRow.id == ConfigurationRow.algorithm_id)
+        .join(DatasetRow, DatasetRow.id == ConfigurationRow.dataset_id)
+        .outerjoin(ProtocolRow, ProtocolRow.id == shown)
+        .outerjoin(AlgorithmVersionRow, AlgorithmVersionRow.id == RunRow.algorithm_version_id)
+        .outerjoin(HostRow, HostRow.id == RunRow.host_id)
+        .outerjoin(ExperimentRow, ExperimentRow.id == RunRow.experiment_id)
+    )
+
+
+def to_records(
+    connection: Connection, rows: Sequence[Row[Any]], *, with_metrics: bool = False, protocol_id: int | None = None
+) -> tuple[RunRecord, ...]:
+    """The rows of :func:`run_query` as records, in the same order, with metrics of the same protocol."""
+    parameters = ConfigurationRepository(connection).parameters_of_all(row.configuration_id for row in rows)
+    run_ids = [row.id for row in rows]
+    notes = NoteRepository(connection).for_runs(run_ids)
+    if not with_metrics:
+        return tuple(_record(row, parameters[row.configuration_id], notes=notes.get(row.id, NO_NOTES)) for row in rows)
+    metrics = MetricRepository(connection).for_runs(run_ids, protocol_id=protocol_id, verdicts=True)
+    kinds = {run_id: kind_of(values.pop(VERDICT, None)) for run_id, values in metrics.items()}
+    return tuple(
+        _record(
+            row,
+            parameters[row.configuration_id],
+            metrics[row.id],
+            kinds[row.id],
+            notes=notes.get(row.id, NO_NOTES),
+        )
+        for row in rows
+    )
+
+
+def _record(
+    row: Row[Any],
+    parameters: dict[str, Value],
+    metrics: dict[str, float] | None = None,
+    judged: VerdictKind | None = None,
+    *,
+    notes: RunNotes,
+) -> RunRecord:
+    override, fingerprint = row.protocol_override, row.protocol_fingerprint
+    return RunRecord(
+        **{name: getattr(row, name) for name in _AS_STORED},
+        algorithm=row.algorithm,
+        package=row.package,
+        dataset=row.dataset,
+        parameters=parameters,
+        playback=Playback(row.playback_mode, row.playback_rate),
+        variant=from_json(Variant, row.variant) if row.variant else (),
+        sensors=row.sensors or {},
+        asked_version=row.asked_version,
+        input_map=None if row.input_map is None else from_json(InputMap, row.input_map),
+        protocol_override=None if override is None else protocol_from_content(override),
+        protocol=None
+        if fingerprint is None
+        else ProtocolLabel(fingerprint, with_trajectory(row.protocol_label, row.trajectory)),
+        version=_version(row),
+        host=None
+        if row.cpu_model is None
+        else HostRecord(row.cpu_model, row.cpu_count, row.memory_bytes, row.kernel, row.os),
+        experiment=row.experiment,
+        stop_when=StopWhen.of(row.stop_when),
+        disturbance=None if row.disturbance is None else Disturbance.of(row.disturbance),
+        metrics=metrics,
+        judged=judged,
+        notes=notes,
+    )
+
+
+def _version(row: Row[Any]) -> VersionRecord | None:
+    if row.identity is None:
+        return None
+    return VersionRecord(row.identity, row.package_hash, row.version, row.version_number)
+
 
 LARGEST_PAGE = 1000
 COUNTED = 1_000
@@ -47,7 +441,7 @@ def list_page(
         record.id: record
         for record in to_records(
             connection,
-            connection.execute(run_query(names.protocol_id).where(Run.id.in_(shown))).all(),
+            connection.execute(run_query(names.protocol_id).where(RunRow.id.in_(shown))).all(),
             with_metrics=with_metrics,
             protocol_id=names.protocol_id,
         )

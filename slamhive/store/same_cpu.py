@@ -8,18 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import exists, func, select, update
 
 from slamhive.domain.run import RunState
-from slamhive.store.models import Experiment, Host, Run
+from slamhive.store.durations import DURATION
+from slamhive.store.models import (
+    MEASURED_PROTOCOL_ID,
+    DatasetRow,
+    ExperimentRow,
+    HostRow,
+    MetricRow,
+    MetricValueRow,
+    RunRow,
+)
 from slamhive.store.rows import Repository
 
 NOT_KNOWN = ""
 """The CPU model of an experiment of which no run has been measured."""
-_EXPERIMENTS = Experiment.__table__
-_RUNS = Run.__table__
+_EXPERIMENTS = ExperimentRow.__table__
+_RUNS = RunRow.__table__
 _ACTIVE = tuple(state for state in RunState if state.active)
 
 
@@ -28,7 +38,7 @@ def _never(_executor: str) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Machine:
+class MeasuredMachine:
     """The machine of a worker.
 
     Attributes:
@@ -52,7 +62,7 @@ class Barred:
 class SameCpu(Repository):
     """Asked by the queue before it gives a run away."""
 
-    def barred(self, machine: Machine) -> list[Barred]:
+    def barred(self, machine: MeasuredMachine) -> list[Barred]:
         """The experiments with queued runs that stay on another CPU model."""
         of = _EXPERIMENTS.c
         waits = exists().where(_RUNS.c.experiment_id == of.id, _RUNS.c.state == RunState.QUEUED)
@@ -65,7 +75,7 @@ class SameCpu(Repository):
             if not machine.elsewhere(row.executor)
         ]
 
-    def admits(self, run_id: int, machine: Machine) -> int | None:
+    def admits(self, run_id: int, machine: MeasuredMachine) -> int | None:
         """None if the machine may take the run; otherwise the experiment that does not let it.
 
         The first machine that takes a run of an experiment decides its CPU model. Where an engine chooses the machine,
@@ -101,10 +111,10 @@ class SameCpu(Repository):
     def _measured(self, experiment_id: int) -> str | None:
         """The CPU model of the run that started first."""
         query = (
-            select(Host.cpu_model)
-            .join(Run, Run.host_id == Host.id)
-            .where(Run.experiment_id == experiment_id, Run.started_at.is_not(None))
-            .order_by(Run.started_at, Run.id)
+            select(HostRow.cpu_model)
+            .join(RunRow, RunRow.host_id == HostRow.id)
+            .where(RunRow.experiment_id == experiment_id, RunRow.started_at.is_not(None))
+            .order_by(RunRow.started_at, RunRow.id)
             .limit(1)
         )
         return self._connection.scalar(query)
@@ -117,3 +127,75 @@ class SameCpu(Repository):
     def _has_active_runs(self, experiment_id: int) -> bool:
         query = select(func.count()).where(_RUNS.c.experiment_id == experiment_id, _RUNS.c.state.in_(_ACTIVE))
         return self._number(query) > 0
+
+
+# What earlier runs tell about the nodes of a cluster, and about how long a run takes.
+
+
+NODE = "node"
+"""Where executors on several machines note the node of a run, in its handle."""
+_LATEST = 1000
+"""So many of the latest runs of an executor are looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSeen:
+    """A run that was on a node: the CPU model there, and the affinity of the run."""
+
+    node: str
+    cpu_model: str
+    affinity: str
+
+
+class PlacingRepository(Repository):
+    """Read before a run is handed to the engine of a cluster."""
+
+    def seen(self, executor: str) -> list[NodeSeen]:
+        """The nodes of the latest runs of an executor, the newest first."""
+        query = (
+            select(RunRow.handle, HostRow.cpu_model, RunRow.affinity)
+            .join(HostRow, HostRow.id == RunRow.host_id)
+            .where(RunRow.executor == executor, RunRow.started_at.is_not(None))
+            .order_by(RunRow.id.desc())
+            .limit(_LATEST)
+        )
+        found = []
+        for handle, cpu_model, affinity in self._connection.execute(query):
+            node = ((handle or {}).get("data") or {}).get(NODE)
+            if node:
+                found.append(NodeSeen(str(node), cpu_model, affinity))
+        return found
+
+    def ended_on(self, since: datetime) -> dict[tuple[str, str | None], int]:
+        """{(executor, node): runs that succeeded or failed after ``since``}; the node is None where none is noted."""
+        node = func.json_extract(RunRow.handle, f"$.data.{NODE}")
+        query = (
+            select(RunRow.executor, node, func.count())
+            .where(
+                RunRow.ended_at >= since,
+                RunRow.state.in_((RunState.SUCCEEDED, RunState.FAILED)),
+                RunRow.handle.is_not(None),
+            )
+            .group_by(RunRow.executor, node)
+        )
+        # MySQL gives the JSON of a text, SQLite the text.
+        return {
+            (row[0], None if row[1] is None else row[1].strip('"')): row[2] for row in self._connection.execute(query)
+        }
+
+    def measured_s(self, configuration_id: int) -> float | None:
+        """The mean duration of the runs of a configuration; None if none was measured."""
+        metric_id = select(MetricRow.id).where(MetricRow.key == DURATION).scalar_subquery()
+        query = (
+            select(func.avg(MetricValueRow.value))
+            .join(RunRow, RunRow.id == MetricValueRow.run_id)
+            .where(RunRow.configuration_id == configuration_id)
+            .where(MetricValueRow.metric_id == metric_id, MetricValueRow.protocol_id == MEASURED_PROTOCOL_ID)
+        )
+        return self._connection.scalar(query)
+
+    def recording_s(self, dataset: str) -> float:
+        """The duration of a dataset's recording."""
+        return float(
+            self._connection.execute(select(DatasetRow.duration_s).where(DatasetRow.name == dataset)).scalar_one()
+        )

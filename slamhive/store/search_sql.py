@@ -6,12 +6,13 @@ keeps its plan even if the statistics of the tables are old.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import (
     ColumnElement,
+    Connection,
     FromClause,
     Select,
     TableClause,
@@ -26,32 +27,210 @@ from sqlalchemy import (
     select,
     table,
     true,
+    union,
 )
 
+from slamhive.base.errors import unknown
+from slamhive.domain.accounts import Visibility
+from slamhive.domain.algorithm import IMPORTED
+from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.parameters import ParameterType
 from slamhive.domain.run import RunState
-from slamhive.domain.visibility import Visibility
-from slamhive.search.binding import Bound, Condition, Value, members_of
-from slamhive.search.fields import VARIANT_PREFIX, Kind, Source
-from slamhive.search.grammar import Junction
-from slamhive.search.syntax import PRESENCE, Sign
-from slamhive.store.metrics import VERDICT
+from slamhive.domain.trust import DROPPED_FRAMES, LIMITS, TrustLevel
+from slamhive.domain.verdict import VerdictKind
+from slamhive.filters.binding import Bound, Condition, Search, Value, members_of
+from slamhive.filters.fields import BUILT_IN, VARIANT_PREFIX, Field, FieldKind, ParameterKind, Source, metric_field
+from slamhive.filters.syntax import PRESENCE, Junction, Sign, join, leaves
+from slamhive.store.metrics import CODES, VERDICT
 from slamhive.store.models import (
-    Algorithm,
-    AlgorithmVersion,
-    Configuration,
-    ConfigurationValue,
-    Dataset,
-    Experiment,
-    MetricValue,
-    Run,
-    VariantOption,
+    MEASURED_PROTOCOL_ID,
+    AlgorithmRow,
+    AlgorithmVersionRow,
+    ConfigurationRow,
+    ConfigurationValueRow,
+    DatasetRow,
+    ExperimentRow,
+    MetricRow,
+    MetricValueRow,
+    ParameterRow,
+    ProtocolRow,
+    RunNoteRow,
+    RunRow,
+    RunTagRow,
+    VariantOptionRow,
 )
-from slamhive.store.search_names import Names
-from slamhive.store.search_notes import OPPOSITE, noted
-from slamhive.store.search_trust import trust_tree
-from slamhive.store.search_verdicts import STORED_FAILURE, verdict_tree
-from slamhive.store.tables import Base
+from slamhive.store.tables import TableBase
+
+# Comparisons with the note and the tags of runs, as the rows behind them.
+
+
+OPPOSITE = {Sign.NOT_EQUAL: Sign.EQUAL, Sign.NOT_IN: Sign.IN, Sign.UNLIKE: Sign.LIKE}
+"""The comparisons that a run fulfils if it does not fulfil the other one: a run may have several tags."""
+
+
+def noted(leaf: Condition, compare: Callable[[Any, Condition], ColumnElement[bool]]) -> tuple[FromClause, Select[Any]]:
+    """The rows of notes or tags that fulfil a comparison; ``compare`` makes it a condition on a column."""
+    rows = (RunTagRow if leaf.field.name == "tag" else RunNoteRow).__table__.alias()
+    query = select(literal(1)).select_from(rows)
+    return rows, query if leaf.sign in PRESENCE else query.where(compare(rows.c[leaf.field.name], leaf))
+
+
+# Comparisons of the trust in a run as comparisons of what was measured, by the limits of the one rule.
+
+
+def trust_tree(leaf: Condition) -> Bound:
+    """The condition behind ``leaf``, which names levels of trust."""
+    levels = list(TrustLevel) if leaf.sign is Sign.HAS else [TrustLevel(str(value)) for value in leaf.values]
+    trees = {TrustLevel.HIGH: _high(), TrustLevel.LIMITED: _limited(), TrustLevel.LOW: _low()}
+    ended = (RunState.SUCCEEDED.value, RunState.FAILED.value) if levels else ()
+    parts: list[Bound] = [
+        Condition(BUILT_IN["state"], Sign.IN, ended),
+        Condition(BUILT_IN["executor"], Sign.NOT_EQUAL, (IMPORTED,)),
+    ]
+    if levels:
+        parts.append(join("or", [trees[level] for level in levels]))
+    return join("and", parts)
+
+
+def _low() -> Bound:
+    return _above({limit.metric: limit.low_above for limit in LIMITS})
+
+
+def _limited() -> Bound:
+    return join("and", [_doubtful(), Junction("not", (_low(),))])
+
+
+def _high() -> Bound:
+    counted = join("or", [_playback(PlaybackMode.SEQUENTIAL), Condition(metric_field(DROPPED_FRAMES), Sign.HAS)])
+    return join("and", [_disturbed(yes=False), counted, Junction("not", (_doubtful(),))])
+
+
+def _doubtful() -> Bound:
+    return join("or", [_above({limit.metric: limit.limited_above for limit in LIMITS}), _disturbed(yes=True)])
+
+
+def _above(values: dict[str, float | None]) -> Bound:
+    """Whether one of these metrics exceeds its value. Some count in real time only."""
+    parts: list[Bound] = []
+    for limit in LIMITS:
+        value = values[limit.metric]
+        if value is not None:
+            above = Condition(metric_field(limit.metric), Sign.MORE, (value,))
+            parts.append(join("and", [above, _playback(PlaybackMode.REALTIME)]) if limit.realtime_only else above)
+    return join("or", parts)
+
+
+def _playback(mode: PlaybackMode) -> Condition:
+    return Condition(BUILT_IN["playback"], Sign.EQUAL, (mode.value,))
+
+
+def _disturbed(*, yes: bool) -> Condition:
+    return Condition(BUILT_IN["disturbed"], Sign.EQUAL, (yes,))
+
+
+# Comparisons of the verdict as comparisons of the state of a run and of the stored verdict.
+
+
+_STORED = Field(VERDICT, "stored verdict", FieldKind.NUMBER, Source.METRIC)
+STORED_FAILURE = Condition(_STORED, Sign.MORE, (CODES[VerdictKind.GOOD],))
+"""Runs that succeeded and failed by their verdict."""
+
+
+def verdict_tree(leaf: Condition) -> Bound:
+    """The condition behind ``leaf``, which names kinds of verdicts."""
+    kinds = list(VerdictKind) if leaf.sign is Sign.HAS else [VerdictKind(str(value)) for value in leaf.values]
+    codes = tuple(CODES[kind] for kind in kinds if kind in CODES)
+    parts: list[Bound] = [Condition(_STORED, Sign.IN, codes)] if codes else []
+    if VerdictKind.ENDED_BADLY in kinds:
+        parts.append(Condition(BUILT_IN["state"], Sign.EQUAL, (RunState.FAILED.value,)))
+    return join("or", parts) if parts else Condition(_STORED, Sign.IN, ())
+
+
+# The ids behind the names of a search: metrics, parameters and protocols.
+
+
+_KINDS = {
+    ParameterType.INT: FieldKind.NUMBER,
+    ParameterType.FLOAT: FieldKind.NUMBER,
+    ParameterType.BOOL: FieldKind.FLAG,
+    ParameterType.STRING: FieldKind.TEXT,
+    ParameterType.ENUM: FieldKind.TEXT,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """The ids behind the names of a search and of the order of its list.
+
+    ``parameters``: {key or general name: ids}. ``protocol_id``: the chosen protocol, None for each run's current one.
+    ``glob``: whether the database has GLOB, else LIKE with a binary collation.
+    """
+
+    metrics: dict[str, int]
+    parameters: dict[str, tuple[int, ...]]
+    protocol_id: int | None
+    glob: bool
+
+
+def look_up(connection: Connection, search: Search, parameters: Iterable[str] = ()) -> Names:
+    """The ids behind ``search`` and further ``parameters``; raises NotFound for an unknown protocol."""
+    wanted = set(parameters)
+    if search.tree is not None:
+        wanted |= {leaf.field.name for leaf in leaves(search.tree) if leaf.field.source is Source.PARAMETER}
+    return Names(
+        metrics={row.key: row.id for row in connection.execute(select(MetricRow.key, MetricRow.id))},
+        parameters=_parameter_ids(connection, wanted),
+        protocol_id=None if search.protocol is None else _protocol_id(connection, search.protocol),
+        glob=connection.dialect.name == "sqlite",
+    )
+
+
+def stored_parameters(connection: Connection) -> list[ParameterKind]:
+    """Every parameter of any configuration, by key and by general name, and every option of variants.
+
+    For matrices only ``has`` is useful: they are text that nothing equals.
+    """
+    found = []
+    for key, general, kind, unit in connection.execute(
+        select(ParameterRow.key, ParameterRow.general, ParameterRow.type, ParameterRow.unit).order_by(ParameterRow.id)
+    ):
+        meaning = _KINDS.get(ParameterType(kind), FieldKind.TEXT)
+        found += [ParameterKind(name, meaning, unit) for name in dict.fromkeys((key, general)) if name is not None]
+    options = select(
+        VariantOptionRow.name, func.count(VariantOptionRow.number_value), func.count(VariantOptionRow.text_value)
+    )
+    for name, numbers, texts in connection.execute(options.group_by(VariantOptionRow.name)):
+        kinds = [FieldKind.NUMBER] * bool(numbers) + [FieldKind.TEXT] * bool(texts)
+        found += [ParameterKind(VARIANT_PREFIX + name, kind) for kind in kinds]
+    return found
+
+
+def stored_protocols(connection: Connection) -> dict[str, str]:
+    """{fingerprint: label} of all protocols."""
+    query = select(ProtocolRow.fingerprint, ProtocolRow.label).where(ProtocolRow.id != MEASURED_PROTOCOL_ID)
+    return {row.fingerprint: row.label for row in connection.execute(query)}
+
+
+def _parameter_ids(connection: Connection, names: set[str]) -> dict[str, tuple[int, ...]]:
+    if not names:
+        return {}
+    table = ParameterRow.__table__
+    found: dict[str, list[int]] = {name: [] for name in names}
+    named = or_(table.c.key.in_(names), table.c.general.in_(names))
+    for row in connection.execute(select(table.c.id, table.c.key, table.c.general).where(named)):
+        for name in {row.key, row.general} & names:
+            found[name].append(row.id)
+    return {name: tuple(ids) for name, ids in found.items()}
+
+
+def _protocol_id(connection: Connection, fingerprint: str) -> int:
+    table = ProtocolRow.__table__
+    known = {row.fingerprint: row.id for row in connection.execute(select(table.c.fingerprint, table.c.id))}
+    if fingerprint not in known:
+        raise unknown("protocol", fingerprint, list(known))
+    return int(known[fingerprint])
+
 
 _RUN_COLUMNS = {
     "configuration": "configuration_id",
@@ -68,15 +247,15 @@ SEARCHED = (
 )
 
 
-def _plain(model: type[Base], *names: str) -> TableClause:
+def _plain(model: type[TableBase], *names: str) -> TableClause:
     """The columns that searches need: an alias of the whole model takes longer to make than many queries take."""
     return table(model.__tablename__, *(column(name, model.__table__.c[name].type) for name in names))
 
 
-RUNS = _plain(Run, *SEARCHED)
-FIGURES = _plain(MetricValue, "metric_id", "run_id", "protocol_id", "value", "is_current")
-NULLABLE = frozenset(name for name in SEARCHED if Run.__table__.c[name].nullable)
-_NAMED = {"experiment": Experiment.__table__.c.name, "version": AlgorithmVersion.__table__.c.number}
+RUNS = _plain(RunRow, *SEARCHED)
+FIGURES = _plain(MetricValueRow, "metric_id", "run_id", "protocol_id", "value", "is_current")
+NULLABLE = frozenset(name for name in SEARCHED if RunRow.__table__.c[name].nullable)
+_NAMED = {"experiment": ExperimentRow.__table__.c.name, "version": AlgorithmVersionRow.__table__.c.number}
 """Columns of runs that hold an id; what is compared is in its row."""
 
 _GUARDED = NULLABLE | {"state"}
@@ -217,9 +396,9 @@ class Sql:
     def parameter_rows(self, name: str) -> tuple[FromClause, ColumnElement[bool]]:
         """The table with the values of a parameter or variant option, and the condition for its rows."""
         if name.startswith(VARIANT_PREFIX):
-            options = VariantOption.__table__.alias()
+            options = VariantOptionRow.__table__.alias()
             return options, options.c.name == name.removeprefix(VARIANT_PREFIX)
-        rows = ConfigurationValue.__table__.alias()
+        rows = ConfigurationValueRow.__table__.alias()
         return rows, rows.c.parameter_id.in_(self._names.parameters[name])
 
     def figures_where(self, leaf: Condition, *, by_value: bool) -> tuple[FromClause, Select[Any]] | None:
@@ -247,18 +426,18 @@ class Sql:
         if leaf.sign in PRESENCE:
             return rows, query
         value: ColumnElement[Any] = rows.c.text_value
-        if leaf.field.kind not in {Kind.TEXT, Kind.CHOICE}:
+        if leaf.field.kind not in {FieldKind.TEXT, FieldKind.CHOICE}:
             value = rows.c.number_value if by_value else rows.c.number_value + 0
         return rows, query.where(self.compare(value, leaf))
 
     def _configurations(self, leaf: Condition) -> tuple[FromClause, Select[Any]]:
-        rows = Configuration.__table__.alias()
+        rows = ConfigurationRow.__table__.alias()
         query = select(literal(1)).select_from(rows)
         return rows, query.where(self._on_configuration(leaf, rows))
 
     def _on_configuration(self, leaf: Condition, rows: FromClause) -> ColumnElement[bool]:
         name = leaf.field.name
-        algorithms, datasets = Algorithm.__table__.alias(), Dataset.__table__.alias()
+        algorithms, datasets = AlgorithmRow.__table__.alias(), DatasetRow.__table__.alias()
         if leaf.field.source in {Source.SETUP, Source.ATTRIBUTE}:
             owners, key = (
                 (algorithms, "algorithm_id") if leaf.field.source is Source.SETUP else (datasets, "dataset_id")
@@ -320,3 +499,128 @@ def _disturbed_by(column: ColumnElement[Any], leaf: Condition) -> ColumnElement[
 def _any(query: Select[Any]) -> ColumnElement[bool]:
     """Whether ``query`` has a row, tested run by run. A database may turn EXISTS into a join over all runs."""
     return func.coalesce(query.limit(1).scalar_subquery(), 0) == 1
+
+
+# Where a search can start: lists of runs that an index yields and that contain every match.
+
+
+_INDEXED = frozenset(
+    {
+        "id",
+        "state",
+        "reason",
+        "executor",
+        "owner",
+        "configuration",
+        "experiment",
+        "created_at",
+        "ended_at",
+        "disturbed",
+        "version",
+    }
+)
+_OF_CONFIGURATIONS = frozenset({Source.CONFIGURATION, Source.SETUP, Source.ATTRIBUTE, Source.PARAMETER})
+_LOOK_UP = 3
+"""Reading the row of a run costs about this many times what testing a metric does."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """A list to start with, each run once.
+
+    Attributes:
+        part: What its runs fulfil: a comparison, or an ``or`` of comparisons that an index serves.
+        rest: What is still to be tested of its runs; None is nothing.
+        also: What its configurations fulfil besides ``part``, tested before their runs are read; None is nothing.
+    """
+
+    part: Bound
+    rest: Bound | None = None
+    also: Bound | None = None
+
+    @property
+    def cost(self) -> int:
+        """What it costs to test one run, compared with other starts."""
+        return _LOOK_UP if self._needs_run else 1
+
+    def ids(self, sql: Sql) -> Select[Any]:
+        """The runs of the list, as ``id``."""
+        rows = self._rows(sql)
+        return rows.with_only_columns(rows.selected_columns.id)
+
+    def matches(self, sql: Sql) -> Select[Any]:
+        """The ids of the runs that match. The row of a run is only looked up if a test needs it."""
+        rows = self._rows(sql)
+        runs = rows.subquery()
+        if self._needs_run and len(rows.selected_columns) == 1:
+            found, own = runs, RUNS.alias()
+            others = [column for column in own.c if column.key != "id"]
+            runs = select(found.c.id, *others).where(own.c.id == found.c.id + 0).subquery()
+        return select(runs.c.id).where(sql.test(self.rest, runs))
+
+    @property
+    def _needs_run(self) -> bool:
+        return self.rest is not None and any(leaf.field.source is not Source.METRIC for leaf in leaves(self.rest))
+
+    def _rows(self, sql: Sql) -> Select[Any]:
+        """The list: with all columns of ``RUNS`` where they come for free, otherwise with ``id`` alone."""
+        leaf, runs = self.part, RUNS.alias()
+        if isinstance(leaf, Junction):
+            return select(union(*(next(starts(part)).ids(sql) for part in leaf.parts)).subquery())
+        if leaf.field.source is Source.METRIC:
+            found = sql.figures_where(leaf, by_value=True)
+            if found is None:
+                return select(runs.c.id).where(NEVER)
+            return found[1].with_only_columns(found[0].c.run_id.label("id"))
+        if leaf.field.source is Source.NOTE:
+            rows, query = noted(leaf, sql.compare)
+            return query.with_only_columns(rows.c.run_id.label("id")).distinct()
+        query = select(*runs.c)
+        if leaf.field.source is Source.RUN:
+            return query.where(sql.on_run(leaf, runs, guarded=False))
+        fitting = sql.configurations_where(leaf).subquery()
+        chosen = select(fitting.c.configuration_id).where(sql.test(self.also, fitting)).subquery()
+        return query.where(runs.c.configuration_id == chosen.c.configuration_id + 0)
+
+
+def starts(tree: Bound | None) -> Iterator[Start]:
+    """The lists that a search can start with. One part of an ``and`` is enough; an ``or`` needs all its parts."""
+    if isinstance(tree, Condition):
+        derived = DERIVED.get(tree.field.source)
+        if derived is not None and tree.sign is not Sign.MISSING:
+            yield from starts(derived(tree))
+        elif _has_index(tree):
+            yield Start(tree)
+    elif tree is not None and tree.word == "and":
+        for place, part in enumerate(tree.parts):
+            yield from _starts_of_part(part, [*tree.parts[:place], *tree.parts[place + 1 :]])
+    elif tree is not None and tree.word == "or":
+        firsts = [next(starts(part), None) for part in tree.parts]
+        if None not in firsts:
+            exact = all(start is not None and start.rest is None for start in firsts)
+            yield Start(tree, rest=None if exact else tree)
+
+
+def _starts_of_part(part: Bound, others: Sequence[Bound]) -> Iterator[Start]:
+    """The lists that one part of an ``and`` yields, with what the ``others`` leave to be tested."""
+    shared = [other for other in others if _of_configuration(other)] if _of_configuration(part) else []
+    rest = [other for other in others if other not in shared]
+    for start in starts(part):
+        yield Start(start.part, _all_of([start.rest, *rest]), _all_of([start.also, *shared]))
+
+
+def _of_configuration(part: Bound) -> bool:
+    return isinstance(part, Condition) and part.field.source in _OF_CONFIGURATIONS
+
+
+def _has_index(leaf: Condition) -> bool:
+    if leaf.field.source is Source.METRIC:
+        return leaf.sign is not Sign.MISSING
+    if leaf.sign in COMPLEMENTS:
+        return False
+    return leaf.field.source is not Source.RUN or (leaf.field.name in _INDEXED and leaf.sign is not Sign.HAS)
+
+
+def _all_of(parts: Sequence[Bound | None]) -> Bound | None:
+    there = [part for part in parts if part is not None]
+    return join("and", there) if there else None

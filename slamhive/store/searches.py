@@ -8,21 +8,20 @@ from typing import Any
 
 from sqlalchemy import Row, delete, func, insert, literal, select, update
 
+from slamhive.base.errors import unknown
 from slamhive.domain.run import RunState
-from slamhive.errors import unknown
-from slamhive.search.binding import Search
-from slamhive.search.fields import ParameterKind
+from slamhive.filters.binding import Search
+from slamhive.filters.fields import ParameterKind
 from slamhive.store.changes import changes_of
 from slamhive.store.metrics import VERDICT
-from slamhive.store.models import Algorithm, Dataset, Evaluation, Metric, Run, SavedSearch
+from slamhive.store.models import AlgorithmRow, DatasetRow, EvaluationRow, MetricRow, RunRow, SavedSearchRow
 from slamhive.store.records import Count, GroupPage, Repeats, RunSort, SavedSearchRecord
 from slamhive.store.rows import Repository, changed
 from slamhive.store.run_groups import group_page, group_repeats
 from slamhive.store.run_listing import Matches
-from slamhive.store.search_names import look_up, stored_parameters, stored_protocols
-from slamhive.store.search_sql import Sql
+from slamhive.store.search_sql import Sql, look_up, stored_parameters, stored_protocols
 
-_SAVED = SavedSearch.__table__
+_SAVED = SavedSearchRow.__table__
 
 
 class SearchRepository(Repository):
@@ -38,7 +37,7 @@ class SearchRepository(Repository):
 
     def unevaluated(self) -> int:
         """How many runs succeeded and have neither metrics of a protocol nor a queued or running evaluation."""
-        runs, evaluations = Run.__table__, Evaluation.__table__
+        runs, evaluations = RunRow.__table__, EvaluationRow.__table__
         waiting = select(literal(1)).where(evaluations.c.run_id == runs.c.id, evaluations.c.open == 1)
         query = select(func.count()).where(
             runs.c.current_protocol_id.is_(None), runs.c.state == RunState.SUCCEEDED, ~waiting.exists()
@@ -47,13 +46,15 @@ class SearchRepository(Repository):
 
     def names(self) -> tuple[list[str], list[str]]:
         """The names of the stored algorithms and datasets."""
-        found = [select(table.__table__.c.name).order_by(table.__table__.c.name) for table in (Algorithm, Dataset)]
+        found = [
+            select(table.__table__.c.name).order_by(table.__table__.c.name) for table in (AlgorithmRow, DatasetRow)
+        ]
         algorithms, datasets = (self._column(query) for query in found)
         return algorithms, datasets
 
     def metrics(self) -> list[str]:
         """The keys of the metrics that any run has."""
-        query = select(Metric.key).where(Metric.key != VERDICT).order_by(Metric.id)
+        query = select(MetricRow.key).where(MetricRow.key != VERDICT).order_by(MetricRow.id)
         return self._column(query)
 
     def exact_count(self, search: Search) -> int:
@@ -70,7 +71,7 @@ class SearchRepository(Repository):
 
     def total(self) -> int:
         """How many runs there are."""
-        return self._number(select(func.count()).select_from(Run.__table__))
+        return self._number(select(func.count()).select_from(RunRow.__table__))
 
     def with_metrics(self, search: Search) -> dict[str, int]:
         """{metric: number of runs that have it} for the metrics that ``search`` compares."""

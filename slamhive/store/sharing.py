@@ -8,15 +8,15 @@ from typing import Any
 
 from sqlalchemy import Table, select, update
 
-from slamhive.domain.visibility import Sharing, Visibility
+from slamhive.domain.accounts import Sharing, Visibility
 from slamhive.store.changes import changes_of, maker_of
-from slamhive.store.models import Analysis, Experiment, Run
+from slamhive.store.models import AnalysisRow, ExperimentRow, RunRow
 from slamhive.store.records import RunRequest
 from slamhive.store.rows import Repository, chunks
 
-_RUNS = Run.__table__
-_EXPERIMENTS = Experiment.__table__
-_ANALYSES = Analysis.__table__
+_RUNS = RunRow.__table__
+_EXPERIMENTS = ExperimentRow.__table__
+_ANALYSES = AnalysisRow.__table__
 
 
 def sharing_columns(sharing: Sharing, within: Visibility | None = None) -> dict[str, Any]:

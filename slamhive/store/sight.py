@@ -34,10 +34,10 @@ from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.functions import count
 from sqlalchemy.util import LRUCache
 
-from slamhive.domain.visibility import ANYBODY, Viewer
-from slamhive.store.models import Analysis, Experiment, Run
+from slamhive.domain.accounts import ANYBODY, Viewer
+from slamhive.store.models import AnalysisRow, ExperimentRow, RunRow
 
-SEEN = {"runs": Run.__table__, "experiments": Experiment.__table__, "analyses": Analysis.__table__}
+SEEN = {"runs": RunRow.__table__, "experiments": ExperimentRow.__table__, "analyses": AnalysisRow.__table__}
 """The tables whose rows have an audience."""
 OF_RUNS = ("metric_values", "run_notes", "run_tags", "run_events", "evaluations")
 """Tables whose rows belong to a run, their ``run_id``."""
@@ -171,7 +171,7 @@ def _audiences(*, signed_in: bool) -> list[ColumnElement[str]]:
     def value(place: int) -> Callable[[], str]:
         return lambda: _viewer().audiences[place]
 
-    kind = Run.__table__.c.audience.type
+    kind = RunRow.__table__.c.audience.type
     return [bindparam(None, callable_=value(place), type_=kind) for place in range(3 if signed_in else 1)]
 
 

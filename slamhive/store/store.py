@@ -11,16 +11,15 @@ from typing import TypeVar
 from sqlalchemy import Engine, create_engine
 from sqlalchemy.exc import DBAPIError
 
-from slamhive.clock import SYSTEM_CLOCK, Clock
-from slamhive.domain.visibility import NO_SHARING, Sharing, Viewer, Visibility
-from slamhive.errors import NotFound, SlamHiveError
-from slamhive.store import migrate, statistics
-from slamhive.store.account_records import Act
+from slamhive.base.clock import SYSTEM_CLOCK, Clock
+from slamhive.base.errors import NotFound, SlamHiveError
+from slamhive.domain.accounts import NO_SHARING, Sharing, Viewer, Visibility
+from slamhive.store import engine, migrate
+from slamhive.store.accounts import AuditAct
 from slamhive.store.changes import CHANGES_KEY, MAKER_KEY, Changes, Listener
 from slamhive.store.engine import database_label, make_engine, writing
-from slamhive.store.failures import explained, gave_up, is_transient, short
 from slamhive.store.sight import restrict
-from slamhive.store.transaction import Snapshot, Transaction
+from slamhive.store.transaction import Snapshot, Transaction, explained, gave_up, is_transient, short
 
 T = TypeVar("T")
 logger = logging.getLogger(__name__)
@@ -28,7 +27,7 @@ logger = logging.getLogger(__name__)
 FIRST_PAUSE_S = 0.05
 LONGEST_PAUSE_S = 2.0
 WRITES_BETWEEN_LOOKS = 500
-"""A writer checks after so many transactions whether the tables have grown, see :mod:`slamhive.store.statistics`."""
+"""A writer checks after so many transactions whether the tables have grown, see :mod:`slamhive.store.engine`."""
 
 
 class Store:
@@ -107,7 +106,7 @@ class Store:
         return result
 
     @contextmanager
-    def acting(self, act: Act, visibility: Visibility | None = None) -> Iterator[None]:
+    def acting(self, act: AuditAct, visibility: Visibility | None = None) -> Iterator[None]:
         """The first transaction of this thread in the block also stores the line of ``act`` in the audit log.
 
         What any of its transactions stores belongs to the account of ``act``, with this ``visibility``.
@@ -152,7 +151,7 @@ class Store:
             self.write(lambda _transaction: None)
 
     @property
-    def _act(self) -> Act | None:
+    def _act(self) -> AuditAct | None:
         return getattr(self._of_thread, "act", None)
 
     def _audited(self, work: Callable[[Transaction], T]) -> Callable[[Transaction], T]:
@@ -184,7 +183,7 @@ class Store:
 
     def refresh_statistics(self) -> None:
         """Renew the statistics of the tables after many rows were written."""
-        self.retried(lambda: statistics.refresh(self.engine))
+        self.retried(lambda: engine.refresh(self.engine))
 
     def close(self) -> None:
         """Close all connections. The store opens new ones if it is used again; a child process begins with this."""
@@ -196,7 +195,7 @@ class Store:
     def refresh_if_grown(self) -> None:
         """Renew the statistics if the tables have grown much. A failure is none of what was written."""
         try:
-            statistics.refresh_if_grown(self.engine)
+            engine.refresh_if_grown(self.engine)
         except DBAPIError as error:
             logger.info("database %s: statistics stay as they are: %s", self.label, short(error))
 

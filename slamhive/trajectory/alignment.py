@@ -8,8 +8,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Alignment
-from slamhive.errors import InvalidInput
 from slamhive.trajectory.model import FloatArray, Poses, Trajectory
 from slamhive.trajectory.transforms import multiply_quats, quats_from_rotations, rotations_from_quats
 

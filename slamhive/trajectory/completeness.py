@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.trajectory.model import FloatArray, Poses
 
 BoolArray = npt.NDArray[np.bool_]

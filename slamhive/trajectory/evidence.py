@@ -22,7 +22,7 @@ _Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
 
 
 @dataclass(frozen=True, slots=True)
-class Finding(Generic[_Choice]):
+class Conclusion(Generic[_Choice]):
     """A value with its evidence, or None with the reason for the doubt."""
 
     value: _Choice | None
@@ -40,8 +40,8 @@ MOST_OVERLAP, LITTLE_OVERLAP = 0.3, 0.03
 
 
 def find_unit(
-    times: FloatArray, stated: Finding[TimeUnit] | None, truth: Span | None, what: str = "the ground truth"
-) -> Finding[TimeUnit]:
+    times: FloatArray, stated: Conclusion[TimeUnit] | None, truth: Span | None, what: str = "the ground truth"
+) -> Conclusion[TimeUnit]:
     """The unit of ``times``.
 
     Args:
@@ -54,13 +54,13 @@ def find_unit(
     return _with_stated(stated, by_numbers)
 
 
-def _with_stated(stated: Finding[_Choice] | None, by_numbers: Finding[_Choice]) -> Finding[_Choice]:
+def _with_stated(stated: Conclusion[_Choice] | None, by_numbers: Conclusion[_Choice]) -> Conclusion[_Choice]:
     """The statement of the file; no value if the numbers contradict it."""
     if stated is None:
         return by_numbers
     if by_numbers.value in (None, stated.value):
         return stated
-    return Finding(None, f"{stated.value} {stated.because}, but {by_numbers.because}")
+    return Conclusion(None, f"{stated.value} {stated.because}, but {by_numbers.because}")
 
 
 def span_of(times: FloatArray, unit: TimeUnit) -> Span:
@@ -75,19 +75,19 @@ def overlap(first: Span, second: Span) -> float:
     return max(0.0, common_s / together_s) if together_s > 0 else 0.0
 
 
-def _unit_by_overlap(times: FloatArray, truth: Span, what: str) -> Finding[TimeUnit] | None:
+def _unit_by_overlap(times: FloatArray, truth: Span, what: str) -> Conclusion[TimeUnit] | None:
     """The only unit in which the file covers the time of the ground truth, or None."""
     shares = sorted(((overlap(span_of(times, unit), truth), unit) for unit in TimeUnit), reverse=True)
     (most, unit), (next_most, _) = shares[0], shares[1]
     if most > 0 and next_most == 0 and unit in _likely_units(times):
-        return Finding(unit, f"only as {unit} do the timestamps fall into the time of {what}")
+        return Conclusion(unit, f"only as {unit} do the timestamps fall into the time of {what}")
     if most >= MOST_OVERLAP and next_most <= LITTLE_OVERLAP:
         words = f"as {unit} the timestamps share {most:.0%} of their time with {what}, otherwise"
-        return Finding(unit, f"{words} {next_most:.2g} of it at most")
+        return Conclusion(unit, f"{words} {next_most:.2g} of it at most")
     return None
 
 
-def _unit_by_itself(times: FloatArray) -> Finding[TimeUnit]:
+def _unit_by_itself(times: FloatArray) -> Conclusion[TimeUnit]:
     """The unit by the time between poses, and by the date."""
     step, fitting = _step(times), _likely_units(times)
     dates = {unit: float(times[0]) / unit.per_second for unit in fitting}
@@ -95,12 +95,12 @@ def _unit_by_itself(times: FloatArray) -> Finding[TimeUnit]:
     if len(dated) == 1:
         year = datetime.fromtimestamp(dates[dated[0]], UTC).year
         apart = _duration(step / dated[0].per_second)
-        return Finding(dated[0], f"as {dated[0]} the timestamps lie in {year} and the poses {apart} apart")
+        return Conclusion(dated[0], f"as {dated[0]} the timestamps lie in {year} and the poses {apart} apart")
     if len(fitting) == 1:
         apart = _duration(step / fitting[0].per_second)
-        return Finding(fitting[0], f"only as {fitting[0]} are the poses a likely time apart, {apart}")
+        return Conclusion(fitting[0], f"only as {fitting[0]} are the poses a likely time apart, {apart}")
     shown = ", ".join(f"{_duration(step / unit.per_second)} if they are {unit}" for unit in fitting or TimeUnit)
-    return Finding(None, f"the timestamps are {step:g} apart, which is {shown}")
+    return Conclusion(None, f"the timestamps are {step:g} apart, which is {shown}")
 
 
 def _likely_units(times: FloatArray) -> list[TimeUnit]:
@@ -158,15 +158,15 @@ DECISIVE_RATIO, DECISIVE_DEG, AGREEING_DEG = 0.5, 2.0, 15.0
 
 
 def find_order(
-    quats: FloatArray, stated: Finding[QuaternionOrder] | None, spreads_deg: Mapping[QuaternionOrder, float]
-) -> Finding[QuaternionOrder]:
+    quats: FloatArray, stated: Conclusion[QuaternionOrder] | None, spreads_deg: Mapping[QuaternionOrder, float]
+) -> Conclusion[QuaternionOrder]:
     """The order of quaternions.
 
     Args:
         quats: As in the file, shape (n, 4).
         stated: What the file or its format says, None if nothing.
         spreads_deg: How far the orientations are from turning as those of the ground truth do, read in each order (see
-            :func:`slamhive.trajectory.agreement.orientation_spread_deg`); empty where nothing can be compared.
+            :func:`slamhive.trajectory.association.orientation_spread_deg`); empty where nothing can be compared.
     """
     by_truth = _order_by_truth(spreads_deg)
     if stated is None and by_truth.value is None:
@@ -174,9 +174,9 @@ def find_order(
     return _with_stated(stated, by_truth)
 
 
-def _order_by_truth(spreads_deg: Mapping[QuaternionOrder, float]) -> Finding[QuaternionOrder]:
+def _order_by_truth(spreads_deg: Mapping[QuaternionOrder, float]) -> Conclusion[QuaternionOrder]:
     if len(spreads_deg) < len(QuaternionOrder):
-        return Finding(None, "nothing shows the order of the quaternions")
+        return Conclusion(None, "nothing shows the order of the quaternions")
     (best_deg, best), (other_deg, other) = sorted((spread, order) for order, spread in spreads_deg.items())
     words = (
         f"the orientations agree with the ground truth to {best_deg:.1f} deg read as {best}, "
@@ -184,17 +184,17 @@ def _order_by_truth(spreads_deg: Mapping[QuaternionOrder, float]) -> Finding[Qua
     )
     clearly_better = best_deg <= DECISIVE_RATIO * other_deg and other_deg - best_deg >= DECISIVE_DEG
     if clearly_better and best_deg <= AGREEING_DEG:
-        return Finding(best, words)
-    return Finding(None, words)
+        return Conclusion(best, words)
+    return Conclusion(None, words)
 
 
 _IDENTITY = 1 - 1e-6
 
 
-def _order_by_start(quats: FloatArray) -> Finding[QuaternionOrder] | None:
+def _order_by_start(quats: FloatArray) -> Conclusion[QuaternionOrder] | None:
     """Most estimates begin without rotation, which shows the place of w."""
     first = np.abs(quats[0])
     for place, order in ((3, QuaternionOrder.XYZW), (0, QuaternionOrder.WXYZ)):
         if first[place] >= _IDENTITY:
-            return Finding(order, f"the first pose is not rotated, read as {order}")
+            return Conclusion(order, f"the first pose is not rotated, read as {order}")
     return None

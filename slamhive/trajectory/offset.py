@@ -7,12 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Alignment
-from slamhive.errors import InvalidInput
 from slamhive.trajectory.alignment import align
-from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import FloatArray, Trajectory
-from slamhive.trajectory.transforms import rotation_angles_rad
+from slamhive.trajectory.transforms import interpolate, rotation_angles_rad
 
 PRECISION_S = 1e-5
 """The search ends when the offset is known to this: a fiftieth of the shortest frame time of a camera or less."""

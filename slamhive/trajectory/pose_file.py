@@ -8,28 +8,124 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
+from slamhive.base.errors import InvalidInput
+from slamhive.base.files import write_aside
 from slamhive.domain.protocol import Duplicates
-from slamhive.errors import InvalidInput
-from slamhive.trajectory.columns import (
-    Columns,
-    find_columns,
-    parse_columns,
-    stated_columns,
-    with_header_as_comment,
-)
-from slamhive.trajectory.evidence import Finding, Span, find_order, find_unit
-from slamhive.trajectory.kitti import read_kitti_rows
+from slamhive.trajectory.evidence import Conclusion, Span, find_order, find_unit
 from slamhive.trajectory.layout import (
     UNKNOWN,
+    Columns,
     Convention,
     QuaternionOrder,
     RawPoses,
     TimeUnit,
+    find_columns,
+    parse_columns,
     parse_position_rows,
     parse_rows,
+    stated_columns,
+    stated_in,
+    with_header_as_comment,
 )
-from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.table import count_columns, read_bounded
+from slamhive.trajectory.model import FloatArray, Trajectory
+from slamhive.trajectory.table import NumberTable, count_columns, parse_table, read_bounded
+from slamhive.trajectory.transforms import quats_from_rotations, rotations_from_quats
+
+# KITTI odometry poses: the upper 3x4 of T_world_camera, 12 numbers row by row, one pose a line; timestamps apart.
+#
+# Format: Geiger et al., "Are we ready for autonomous driving?", CVPR 2012.
+
+
+LAYOUT = "12 numbers: r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz"
+_ORTHOGONAL_TOLERANCE = 1e-2
+
+
+def read_kitti(poses_path: Path, times_path: Path) -> Trajectory:
+    """Read poses and their timestamps (one number a line, s).
+
+    Raises:
+        NotFound: One of the files does not exist.
+        InvalidInput: One of them is malformed, or they differ in their number of lines; the message names file, line
+            and value.
+    """
+    return read_kitti_rows(poses_path, times_path).trajectory(TimeUnit.S, QuaternionOrder.XYZW)
+
+
+def read_kitti_rows(poses_path: Path, times_path: Path) -> RawPoses:
+    """As :func:`read_kitti`, before it is known in which unit the timestamps are."""
+    poses, matrices = _parse_poses(read_bounded(poses_path), str(poses_path))
+    data = read_bounded(times_path)
+    times = parse_table(data, str(times_path), 1, "timestamp")
+    if poses.places[-1] != times.places[-1]:
+        raise InvalidInput(
+            f"{poses_path} has {_counted(poses, 'poses')}, {times_path} has {_counted(times, 'timestamps')}",
+            "both need one line per frame",
+        )
+    shared, of_poses, of_times = np.intersect1d(poses.places, times.places, return_indices=True)
+    if not len(shared):
+        raise InvalidInput(f"{poses_path} and {times_path} have no line in common", "both need one line per frame")
+    matrices, times = matrices[of_poses], times.take(of_times)
+    stamps = times.values[:, 0]
+    stated = Convention(stated_in(data).time_unit, QuaternionOrder.XYZW)
+    return RawPoses(times, stamps, matrices[:, :, 3], quats_from_rotations(matrices[:, :, :3]), stated=stated)
+
+
+def read_kitti_matrices(path: Path) -> FloatArray:
+    """The poses as the file has them, shape (n, 4, 4): not made orthonormal. Raises as :func:`read_kitti`."""
+    return parse_kitti_matrices(read_bounded(path), str(path))
+
+
+def parse_kitti_matrices(data: bytes, name: str) -> FloatArray:
+    """The poses in the bytes of a KITTI file that messages call ``name``, shape (n, 4, 4); raises InvalidInput."""
+    table, rows = _parse_poses(data, name)
+    blank = np.flatnonzero(table.places != np.arange(len(rows)))
+    if len(blank):
+        row = int(blank[0])
+        raise InvalidInput(
+            f"{name}: a line before line {table.line_number(row)} is blank",
+            "each line is a frame and has no timestamp: write the pose of every frame",
+        )
+    matrices = np.tile(np.eye(4), (len(rows), 1, 1))
+    matrices[:, :3] = rows
+    return matrices
+
+
+def _counted(table: NumberTable, rows: str) -> str:
+    blank = int(table.places[-1]) + 1 - len(table.values)
+    return f"{len(table.values)} {rows}" + (f" and {blank} blank lines" if blank else "")
+
+
+def _parse_poses(data: bytes, name: str) -> tuple[NumberTable, FloatArray]:
+    """The rows of the file, and the upper 3x4 of every pose, shape (n, 3, 4)."""
+    table = parse_table(data, name, 12, LAYOUT)
+    finite = np.isfinite(table.values).all(axis=1)
+    if not finite.all():
+        raise table.error(int((~finite).argmax()), "a number is not finite", "leave out frames that are not known")
+    matrices = table.values.reshape(-1, 3, 4)
+    rotations = matrices[:, :, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        errors = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        wrong = ~(errors < _ORTHOGONAL_TOLERANCE) | (np.linalg.det(rotations) < 0)
+    if wrong.any():
+        raise table.error(
+            int(wrong.argmax()), "the 3x3 part is not a rotation", "write orthonormal matrices of determinant 1"
+        )
+    return table, matrices
+
+
+def format_kitti(positions_m: FloatArray, quats_xyzw: FloatArray) -> str:
+    """The text of a KITTI pose file; shapes (n, 3) and (n, 4)."""
+    matrices = np.concatenate((rotations_from_quats(quats_xyzw), positions_m[:, :, None]), axis=2)
+    row = " ".join(["%.12e"] * 12) + "\n"
+    return (row * len(matrices)) % tuple(matrices.ravel().tolist())
+
+
+def write_kitti(path: Path, trajectory: Trajectory) -> None:
+    """Write the poses of ``trajectory``, without its timestamps, in one step. Raises Unavailable."""
+    write_aside(path, format_kitti(trajectory.positions_m, trajectory.quats_xyzw))
+
 
 _POSITION_COLUMNS, _TUM_COLUMNS, _KITTI_COLUMNS, _EUROC_COLUMNS = 4, 8, 12, 17
 _FIRST_NANOSECONDS = 1e11
@@ -77,38 +173,38 @@ class PoseFile:
         """Whether the file has quaternions: files of positions or matrices have none."""
         return self.raw.orientations and self.format is not TrajectoryFormat.KITTI
 
-    def unit(self, told: Convention, other: Span | None, what: str = "the ground truth") -> Finding[TimeUnit]:
+    def unit(self, told: Convention, other: Span | None, what: str = "the ground truth") -> Conclusion[TimeUnit]:
         """The unit of its times: as specified, stated or found.
 
         ``other`` is the time in s that it should share, and ``what`` has that time.
         """
         if told.time_unit is not None:
-            return Finding(told.time_unit, _TOLD)
+            return Conclusion(told.time_unit, _TOLD)
         stated = None
         if self.named and self.format in _UNITS:
-            stated = Finding(_UNITS[self.format], f"by --format {self.format}")
+            stated = Conclusion(_UNITS[self.format], f"by --format {self.format}")
         elif self.raw.stated.time_unit is not None:
-            stated = Finding(self.raw.stated.time_unit, _HEADER)
+            stated = Conclusion(self.raw.stated.time_unit, _HEADER)
         return find_unit(self.raw.times, stated, other, what)
 
     def order(
         self, told: Convention, unit: TimeUnit, spreads_deg: Mapping[QuaternionOrder, float]
-    ) -> Finding[QuaternionOrder]:
+    ) -> Conclusion[QuaternionOrder]:
         """The order of its quaternions: as specified, stated or found; see :func:`.evidence.find_order`."""
         if told.quaternion_order is not None:
-            return Finding(told.quaternion_order, _TOLD)
+            return Conclusion(told.quaternion_order, _TOLD)
         return find_order(self.raw.quats, self.stated_order(unit), spreads_deg)
 
-    def stated_order(self, unit: TimeUnit) -> Finding[QuaternionOrder] | None:
+    def stated_order(self, unit: TimeUnit) -> Conclusion[QuaternionOrder] | None:
         """The quaternion order as specified by the user, the header, or a format that has only one."""
         if self.named:
-            return Finding(_ORDERS[self.format], f"by --format {self.format}")
+            return Conclusion(_ORDERS[self.format], f"by --format {self.format}")
         if self.raw.stated.quaternion_order is not None:
-            return Finding(self.raw.stated.quaternion_order, _HEADER)
+            return Conclusion(self.raw.stated.quaternion_order, _HEADER)
         if self.format is TrajectoryFormat.EUROC:
-            return Finding(QuaternionOrder.WXYZ, "as in EuRoC's own files")
+            return Conclusion(QuaternionOrder.WXYZ, "as in EuRoC's own files")
         # Eight columns with seconds are a TUM file; with another unit they could be anything.
-        return Finding(QuaternionOrder.XYZW, "as in TUM files") if unit is TimeUnit.S else None
+        return Conclusion(QuaternionOrder.XYZW, "as in TUM files") if unit is TimeUnit.S else None
 
 
 def read_pose_file(
@@ -153,7 +249,7 @@ def read_ground_truth(path: Path, recorded: Span) -> tuple[Trajectory, bool]:
     return file.raw.trajectory(unit, order, Duplicates.FIRST), file.raw.orientations
 
 
-def decided(finding: Finding[_Choice], what: str, remedy: str) -> _Choice:
+def decided(finding: Conclusion[_Choice], what: str, remedy: str) -> _Choice:
     """The value of a finding; raises InvalidInput with its evidence if it is in doubt."""
     if finding.value is None:
         raise InvalidInput(f"{what} is in doubt: {finding.because}", remedy)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.trajectory.model import FloatArray
 
 IntArray = npt.NDArray[np.int64]

@@ -12,36 +12,31 @@ from flask_wtf.csrf import CSRFProtect
 from markupsafe import Markup
 
 from slamhive import __version__
-from slamhive.analysis.colours import on_dark
-from slamhive.budget import Budget, Lent
-from slamhive.clock import utc_now
-from slamhive.domain.accounts import Action, Caller, Role
+from slamhive.analysis.chart import on_dark
+from slamhive.base.budget import Budget, Lent
+from slamhive.base.clock import utc_now
+from slamhive.base.settings import Mode, Settings
+from slamhive.base.shown_paths import relative_paths
+from slamhive.domain.accounts import VISIBILITY_LABELS, Action, Caller, Role
 from slamhive.domain.run import RunState
-from slamhive.domain.visibility import VISIBILITY_LABELS
-from slamhive.services.analyses import AnalysisComputer, may_analyse
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
-from slamhive.settings import Mode, Settings
-from slamhive.shown_paths import relative_paths
+from slamhive.services.stored_analyses import AnalysisComputer, may_analyse
 from slamhive.store import Store
 from slamhive.web import api, assets, context, formatting
-from slamhive.web.caching import PageCache, add_caching, keep_pages
+from slamhive.web.caching import PageCache, add_caching, add_compression, keep_pages
 from slamhive.web.challenge_files import MOST_SENT_BYTES
-from slamhive.web.columns import Kind
-from slamhive.web.compression import add_compression
-from slamhive.web.dataset_work import DatasetChecker, VariantMaker
+from slamhive.web.columns import ColumnKind
 from slamhive.web.errors import handle_errors, hide_paths
+from slamhive.web.limits import SignInLimits, visitor_limits
 from slamhive.web.live import LiveHub
+from slamhive.web.long_work import DatasetChecker, UploadWork, VariantMaker
 from slamhive.web.oidc import find_provider
 from slamhive.web.pages import register_pages
 from slamhive.web.presenters import catalogue as catalogue_presenter
-from slamhive.web.rates import visitor_limits
 from slamhive.web.security import protect, secret_key
-from slamhive.web.sign_in_limits import SignInLimits
-from slamhive.web.upload_work import UploadWork
 from slamhive.web.views import (
     accounts,
-    administration,
     algorithms,
     analyses,
     api_docs,
@@ -50,15 +45,12 @@ from slamhive.web.views import (
     configurations,
     dashboard,
     datasets,
-    experiment_builder,
     experiments,
-    finding,
     nodes,
     run_plots,
     runs,
-    scenes,
+    search,
     search_actions,
-    searches,
     selected_runs,
     start,
     trash,
@@ -73,7 +65,7 @@ BODY_LIMITS = {
 """{endpoint: the most bytes of its body}, where that is more than :data:`MOST_UPLOAD_BYTES`."""
 MOST_STREAMS = 8
 MB = 1_000_000
-_ACCOUNT_BLUEPRINTS = (accounts.blueprint, administration.blueprint)
+_ACCOUNT_BLUEPRINTS = (accounts.blueprint, accounts.administration_blueprint)
 _BLUEPRINTS = (
     dashboard.blueprint,
     algorithms.blueprint,
@@ -83,7 +75,7 @@ _BLUEPRINTS = (
     start.blueprint,
     runs.blueprint,
     run_plots.blueprint,
-    scenes.blueprint,
+    run_plots.scenes_blueprint,
     search_actions.blueprint,
     selected_runs.blueprint,
     trash.blueprint,
@@ -91,9 +83,9 @@ _BLUEPRINTS = (
     challenges.blueprint,
     compare.blueprint,
     experiments.blueprint,
-    experiment_builder.blueprint,
-    searches.blueprint,
-    finding.blueprint,
+    experiments.experiment_builder_blueprint,
+    search.blueprint,
+    search.finding_blueprint,
     analyses.blueprint,
     help_pages.blueprint,
     api.blueprint,
@@ -245,7 +237,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         value_text=formatting.value_text,
     )
     app.jinja_env.globals.update(
-        Kind=Kind,
+        Kind=ColumnKind,
         RunState=RunState,
         asset=assets.asset_url,
         has_challenges=lambda: bool(hive.challenges.names()),

@@ -12,7 +12,7 @@ import plotly
 from flask import Blueprint, Response, current_app, send_file, url_for
 from plotly.offline import get_plotlyjs_version
 
-from slamhive.errors import NotFound
+from slamhive.base.errors import NotFound
 
 blueprint = Blueprint("assets", __name__)
 

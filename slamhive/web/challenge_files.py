@@ -10,13 +10,12 @@ from typing import IO
 from flask import request
 from werkzeug.datastructures import FileStorage
 
-from slamhive.budget import Lent, Share
+from slamhive.base.budget import BudgetShare, Lent
+from slamhive.base.errors import InvalidInput
+from slamhive.base.files import temporary_folder
+from slamhive.documents.challenge import ChallengeSubmission, ImageEntry
 from slamhive.domain.accounts import Action
 from slamhive.domain.names import check_name
-from slamhive.errors import InvalidInput
-from slamhive.files import temporary_folder
-from slamhive.schema.challenge import ChallengeSubmission
-from slamhive.schema.challenge_requests import ImageEntry
 from slamhive.services.challenges import Entrant, opened_files
 from slamhive.web.context import budget, caller, hive
 
@@ -50,13 +49,13 @@ def send_body(name: str, team: str, phase: str, body: IO[bytes]) -> ChallengeSub
         return _send(name, team, phase, [_received(body, folder / "submission.zip", share)], share)
 
 
-def _working(name: str, kind: Lent) -> AbstractContextManager[Share]:
+def _working(name: str, kind: Lent) -> AbstractContextManager[BudgetShare]:
     known = name if name in hive().challenges.names() else ""
     what = "an image" if kind is Lent.IMAGES else "a submission"
     return budget().share(f"{what} to challenge {known}", kind, _WAIT_S)
 
 
-def _received(body: IO[bytes], path: Path, share: Share) -> Path:
+def _received(body: IO[bytes], path: Path, share: BudgetShare) -> Path:
     """Write what was sent to ``path``, a piece at a time."""
     with path.open("wb") as stream:
         while piece := body.read(_PIECE_BYTES):
@@ -65,7 +64,7 @@ def _received(body: IO[bytes], path: Path, share: Share) -> Path:
     return path
 
 
-def _send(name: str, team: str, phase: str, paths: Sequence[Path], share: Share) -> ChallengeSubmission:
+def _send(name: str, team: str, phase: str, paths: Sequence[Path], share: BudgetShare) -> ChallengeSubmission:
     entrant = Entrant(team or caller().account, caller().account)
     with opened_files(paths, share) as files:
         made = hive().challenges.submit(name, entrant, files, phase or None, share)

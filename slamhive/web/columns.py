@@ -7,17 +7,21 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from types import MappingProxyType
+from typing import Any
 
+from werkzeug.datastructures import MultiDict
+
+from slamhive.base.bounds import whole_number
+from slamhive.base.errors import InvalidInput, unknown
+from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.domain.verdict import DEFAULT_RULE
-from slamhive.errors import unknown
-from slamhive.search.fields import PARAMETER_PREFIX, Vocabulary
-from slamhive.search.fields import Kind as FieldKind
-from slamhive.store.records import RunRecord
-from slamhive.web.formatting import DASH, Cell, display_unit, exact_time, metric_cell, value_text
+from slamhive.filters.fields import PARAMETER_PREFIX, FieldKind, Vocabulary
+from slamhive.store.records import RunRecord, SavedSearchRecord
+from slamhive.web.formatting import DASH, TableCell, display_unit, exact_time, metric_cell, value_text
 
 
-class Kind(StrEnum):
+class ColumnKind(StrEnum):
     """How the template draws a cell. All kinds but TEXT and NUMBER have their own markup."""
 
     TEXT = "text"
@@ -34,13 +38,13 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class ListColumn:
     """One column: heading, unit, sort key (None if not sortable), and the function that makes its cell for a run."""
 
     key: str
     title: str
-    kind: Kind
-    cell: Callable[[RunRecord], Cell]
+    kind: ColumnKind
+    cell: Callable[[RunRecord], TableCell]
     unit: str = ""
     sort: str | None = None
     help: str = ""
@@ -48,7 +52,7 @@ class Column:
     @property
     def numeric(self) -> bool:
         """Whether cells are right-aligned with tabular digits."""
-        return self.kind in (Kind.NUMBER, Kind.RUN)
+        return self.kind in (ColumnKind.NUMBER, ColumnKind.RUN)
 
 
 DEFAULT_COLUMNS = (
@@ -69,62 +73,81 @@ DEFAULT_COLUMNS = (
 
 
 @cache
-def all_columns() -> Mapping[str, Column]:
+def all_columns() -> Mapping[str, ListColumn]:
     """Every column by key, in display order."""
     own = (
-        Column("id", "Run", Kind.RUN, lambda run: Cell(str(run.id)), sort="id"),
-        Column("algorithm", "Algorithm", Kind.ALGORITHM, lambda run: Cell(run.algorithm), sort="algorithm"),
-        Column("version", "Version", Kind.TEXT, _version, help="version of the package that ran"),
-        Column("dataset", "Dataset", Kind.DATASET, lambda run: Cell(run.dataset), sort="dataset"),
-        Column("variant", "Pre-processing", Kind.TEXT, variant_cell, help="steps applied to the dataset"),
-        Column(
+        ListColumn("id", "Run", ColumnKind.RUN, lambda run: TableCell(str(run.id)), sort="id"),
+        ListColumn(
+            "algorithm", "Algorithm", ColumnKind.ALGORITHM, lambda run: TableCell(run.algorithm), sort="algorithm"
+        ),
+        ListColumn("version", "Version", ColumnKind.TEXT, _version, help="version of the package that ran"),
+        ListColumn("dataset", "Dataset", ColumnKind.DATASET, lambda run: TableCell(run.dataset), sort="dataset"),
+        ListColumn("variant", "Pre-processing", ColumnKind.TEXT, variant_cell, help="steps applied to the dataset"),
+        ListColumn(
             "trajectory",
             "Trajectory",
-            Kind.TEXT,
-            lambda run: Cell(run.trajectory) if run.trajectory else Cell(DASH, "not stated", missing=True),
+            ColumnKind.TEXT,
+            lambda run: TableCell(run.trajectory) if run.trajectory else TableCell(DASH, "not stated", missing=True),
             help="live, final or keyframes",
         ),
-        Column(
-            "parameters", "Parameters", Kind.PARAMETERS, _parameters, help="only values that differ from the default"
+        ListColumn(
+            "parameters",
+            "Parameters",
+            ColumnKind.PARAMETERS,
+            _parameters,
+            help="only values that differ from the default",
         ),
-        Column(
+        ListColumn(
             "configuration",
             "Configuration",
-            Kind.NUMBER,
-            lambda run: Cell(str(run.configuration_id)),
+            ColumnKind.NUMBER,
+            lambda run: TableCell(str(run.configuration_id)),
             sort="configuration",
         ),
-        Column(
-            "experiment", "Experiment", Kind.EXPERIMENT, _experiment, sort="experiment", help="experiment of the run"
+        ListColumn(
+            "experiment",
+            "Experiment",
+            ColumnKind.EXPERIMENT,
+            _experiment,
+            sort="experiment",
+            help="experiment of the run",
         ),
-        Column("executor", "Executor", Kind.TEXT, lambda run: Cell(run.executor), sort="executor"),
-        Column(
+        ListColumn("executor", "Executor", ColumnKind.TEXT, lambda run: TableCell(run.executor), sort="executor"),
+        ListColumn(
             "owner",
             "Owner",
-            Kind.TEXT,
+            ColumnKind.TEXT,
             lambda run: _text(run.owner or ""),
             sort="owner",
             help="account that it belongs to",
         ),
-        Column("visibility", "Visibility", Kind.TEXT, lambda run: Cell(run.seen_by.value), help="who may see it"),
-        Column("playback", "Playback", Kind.TEXT, _playback),
-        Column("seed", "Seed", Kind.NUMBER, lambda run: Cell(str(run.seed)), sort="seed"),
-        Column("state", "State", Kind.STATE, lambda run: Cell(run.state.value), sort="state"),
-        Column("reason", "Reason", Kind.TEXT, _reason, sort="reason", help="why the run failed"),
-        Column("verdict", "Verdict", Kind.VERDICT, _verdict, help=DEFAULT_RULE.words),
-        Column("trust", "Trust", Kind.TEXT, _trust, help="how far the measurements can be trusted, and why"),
-        Column("disturbed", "Disturbed", Kind.TEXT, _disturbed, help="whether other load disturbed the run, and which"),
-        Column("tags", "Tags", Kind.EDITED, lambda run: _text(", ".join(run.tags)), help="given by somebody"),
-        Column("note", "Note", Kind.EDITED, lambda run: _text(run.note or ""), help="written by somebody"),
+        ListColumn(
+            "visibility", "Visibility", ColumnKind.TEXT, lambda run: TableCell(run.seen_by.value), help="who may see it"
+        ),
+        ListColumn("playback", "Playback", ColumnKind.TEXT, _playback),
+        ListColumn("seed", "Seed", ColumnKind.NUMBER, lambda run: TableCell(str(run.seed)), sort="seed"),
+        ListColumn("state", "State", ColumnKind.STATE, lambda run: TableCell(run.state.value), sort="state"),
+        ListColumn("reason", "Reason", ColumnKind.TEXT, _reason, sort="reason", help="why the run failed"),
+        ListColumn("verdict", "Verdict", ColumnKind.VERDICT, _verdict, help=DEFAULT_RULE.words),
+        ListColumn("trust", "Trust", ColumnKind.TEXT, _trust, help="how far the measurements can be trusted, and why"),
+        ListColumn(
+            "disturbed",
+            "Disturbed",
+            ColumnKind.TEXT,
+            _disturbed,
+            help="whether other load disturbed the run, and which",
+        ),
+        ListColumn("tags", "Tags", ColumnKind.EDITED, lambda run: _text(", ".join(run.tags)), help="given by somebody"),
+        ListColumn("note", "Note", ColumnKind.EDITED, lambda run: _text(run.note or ""), help="written by somebody"),
         _time_column("created_at", "Created"),
         _time_column("started_at", "Started"),
         _time_column("ended_at", "Ended"),
-        Column("protocol", "Protocol", Kind.TEXT, _protocol, help="protocol of the errors shown"),
+        ListColumn("protocol", "Protocol", ColumnKind.TEXT, _protocol, help="protocol of the errors shown"),
     )
     return MappingProxyType({column.key: column for column in (*own, *map(_metric_column, CATALOGUE.values()))})
 
 
-def column(key: str, vocabulary: Vocabulary | None = None) -> Column:
+def column(key: str, vocabulary: Vocabulary | None = None) -> ListColumn:
     """The column ``key``, which may be a parameter; raises NotFound with similar names."""
     columns = all_columns()
     if key in columns:
@@ -136,29 +159,29 @@ def column(key: str, vocabulary: Vocabulary | None = None) -> Column:
     return _parameter_column(key, name, vocabulary)
 
 
-def _parameter_column(key: str, name: str, vocabulary: Vocabulary) -> Column:
+def _parameter_column(key: str, name: str, vocabulary: Vocabulary) -> ListColumn:
     """A parameter column, by key or by a general name that several algorithms share."""
     own_keys = vocabulary.own_keys.get(name, (name,))
     first = vocabulary.parameters[name][0]
 
-    def cell(run: RunRecord) -> Cell:
+    def cell(run: RunRecord) -> TableCell:
         value = next((run.parameters[own] for own in own_keys if own in run.parameters), None)
-        return Cell(DASH, f"no {name}", missing=True) if value is None else Cell(value_text(value))
+        return TableCell(DASH, f"no {name}", missing=True) if value is None else TableCell(value_text(value))
 
-    kind = Kind.NUMBER if first.kind is FieldKind.NUMBER else Kind.TEXT
+    kind = ColumnKind.NUMBER if first.kind is FieldKind.NUMBER else ColumnKind.TEXT
     sort = key if first.kind is FieldKind.NUMBER else None
-    return Column(key, name, kind, cell, first.unit, sort, "parameter of the algorithm")
+    return ListColumn(key, name, kind, cell, first.unit, sort, "parameter of the algorithm")
 
 
-def _time_column(key: str, title: str) -> Column:
-    return Column(key, title, Kind.TIME, lambda run: Cell(exact_time(getattr(run, key))), sort=key)
+def _time_column(key: str, title: str) -> ListColumn:
+    return ListColumn(key, title, ColumnKind.TIME, lambda run: TableCell(exact_time(getattr(run, key))), sort=key)
 
 
-def _metric_column(metric: Metric) -> Column:
-    return Column(
+def _metric_column(metric: Metric) -> ListColumn:
+    return ListColumn(
         key=metric.key,
         title=metric.label,
-        kind=Kind.NUMBER,
+        kind=ColumnKind.NUMBER,
         cell=lambda run: metric_cell(metric, (run.metrics or {}).get(metric.key)),
         unit=display_unit(metric).unit,
         sort=metric.key,
@@ -166,65 +189,108 @@ def _metric_column(metric: Metric) -> Column:
     )
 
 
-def variant_cell(run: RunRecord) -> Cell:
+def variant_cell(run: RunRecord) -> TableCell:
     """The steps in short, with their sensors on hover; a dash for the original dataset."""
     text = "; ".join(step.brief for step in run.variant)
-    return Cell(text, "; ".join(map(str, run.variant))) if text else Cell(DASH, "original dataset", missing=True)
+    return (
+        TableCell(text, "; ".join(map(str, run.variant))) if text else TableCell(DASH, "original dataset", missing=True)
+    )
 
 
-def _parameters(run: RunRecord) -> Cell:
+def _parameters(run: RunRecord) -> TableCell:
     text = ", ".join(f"{key}={value_text(value)}" for key, value in run.parameters.items())
-    return Cell(text or DASH, text)
+    return TableCell(text or DASH, text)
 
 
-def _experiment(run: RunRecord) -> Cell:
-    return Cell(DASH, missing=True) if run.experiment is None else Cell(run.experiment)
+def _experiment(run: RunRecord) -> TableCell:
+    return TableCell(DASH, missing=True) if run.experiment is None else TableCell(run.experiment)
 
 
-def _version(run: RunRecord) -> Cell:
+def _version(run: RunRecord) -> TableCell:
     if run.version is None:
-        return Cell(DASH, "not started", missing=True)
-    return Cell(run.version_label or DASH, f"{run.version.version}, {run.version.identity}")
+        return TableCell(DASH, "not started", missing=True)
+    return TableCell(run.version_label or DASH, f"{run.version.version}, {run.version.identity}")
 
 
-def _playback(run: RunRecord) -> Cell:
-    return Cell(f"{run.playback.mode.value} × {run.playback.rate:g}")
+def _playback(run: RunRecord) -> TableCell:
+    return TableCell(f"{run.playback.mode.value} × {run.playback.rate:g}")
 
 
-def _reason(run: RunRecord) -> Cell:
+def _reason(run: RunRecord) -> TableCell:
     if run.reason is None:
-        return Cell(DASH, missing=True)
-    return Cell(run.reason.value.replace("_", " "), run.detail or "")
+        return TableCell(DASH, missing=True)
+    return TableCell(run.reason.value.replace("_", " "), run.detail or "")
 
 
-def _text(text: str) -> Cell:
-    return Cell(" ".join(text.split()), text) if text else Cell(DASH, missing=True)
+def _text(text: str) -> TableCell:
+    return TableCell(" ".join(text.split()), text) if text else TableCell(DASH, missing=True)
 
 
-def _verdict(run: RunRecord) -> Cell:
+def _verdict(run: RunRecord) -> TableCell:
     verdict = run.verdict
     if verdict is None:
-        return Cell(DASH, "not judged: cancelled, unfinished or not evaluated", missing=True)
-    return Cell(verdict.kind.label, verdict.words)
+        return TableCell(DASH, "not judged: cancelled, unfinished or not evaluated", missing=True)
+    return TableCell(verdict.kind.label, verdict.words)
 
 
-def _trust(run: RunRecord) -> Cell:
+def _trust(run: RunRecord) -> TableCell:
     found = run.trust
     if found is None or found.level is None:
-        return Cell(DASH, "not measured" if found is None else found.words, missing=True)
-    return Cell(found.level.value, found.words)
+        return TableCell(DASH, "not measured" if found is None else found.words, missing=True)
+    return TableCell(found.level.value, found.words)
 
 
-def _disturbed(run: RunRecord) -> Cell:
+def _disturbed(run: RunRecord) -> TableCell:
     found = run.disturbance
     if found is None or found.disturbed is None:
-        return Cell(DASH, "not recorded", missing=True)
+        return TableCell(DASH, "not recorded", missing=True)
     if not found.disturbed:
-        return Cell("no")
-    return Cell(", ".join(reason.kind.label for reason in found.reasons), found.words)
+        return TableCell("no")
+    return TableCell(", ".join(reason.kind.label for reason in found.reasons), found.words)
 
 
-def _protocol(run: RunRecord) -> Cell:
+def _protocol(run: RunRecord) -> TableCell:
     if run.protocol is None:
-        return Cell(DASH, "not evaluated", missing=True)
-    return Cell(run.protocol.label, f"fingerprint {run.protocol.fingerprint}")
+        return TableCell(DASH, "not evaluated", missing=True)
+    return TableCell(run.protocol.label, f"fingerprint {run.protocol.fingerprint}")
+
+
+# How the list of runs is drawn, apart from what it lists: pinned columns, colours by value, sparklines.
+
+
+@dataclass(frozen=True, slots=True)
+class ListLook:
+    """The first ``pinned`` columns stay in view when the table is scrolled sideways.
+
+    ``colours`` gives metrics a background by their value. ``sparks`` shows the error of each run over time, or the
+    repeats of each configuration.
+    """
+
+    pinned: int = 0
+    colours: bool = False
+    sparks: bool = False
+
+    @classmethod
+    def from_args(cls, args: MultiDict[str, str]) -> ListLook:
+        """Read an address; raises InvalidInput naming the invalid value."""
+        text = args.get("pinned", "").strip()
+        pinned = whole_number(text, "pinned", 0, MOST_PINNED) if text else 0
+        return cls(pinned, _chosen(args, "colours"), _chosen(args, "sparks"))
+
+    @classmethod
+    def of(cls, saved: SavedSearchRecord) -> ListLook:
+        """The look of a saved search."""
+        return cls(saved.pinned, saved.colours, saved.sparks)
+
+    def args(self) -> dict[str, Any]:
+        """The arguments of an address, without defaults."""
+        pinned = {"pinned": [str(self.pinned)]} if self.pinned else {}
+        chosen = {"colours": self.colours, "sparks": self.sparks}
+        return pinned | {name: ["yes"] for name, value in chosen.items() if value}
+
+
+def _chosen(args: MultiDict[str, str], name: str) -> bool:
+    text = args.get(name, "").strip()
+    if text not in {"", "yes", "no"}:
+        raise InvalidInput(f"{name}={text[:40]!r} is not known", "use yes or no")
+    return text == "yes"

@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING, cast
 from flask import current_app, g
 
 if TYPE_CHECKING:
-    from slamhive.budget import Budget
+    from slamhive.base.budget import Budget
     from slamhive.domain.accounts import Caller
-    from slamhive.services.analyses import AnalysisComputer
     from slamhive.services.hive import Hive
-    from slamhive.web.callers import Callers
-    from slamhive.web.dataset_work import DatasetChecker, VariantMaker
+    from slamhive.services.stored_analyses import AnalysisComputer
+    from slamhive.web.access import Callers
+    from slamhive.web.limits import RateLimit, SignInLimits
     from slamhive.web.live import LiveHub
-    from slamhive.web.oidc import Provider
-    from slamhive.web.rates import RateLimit
-    from slamhive.web.sign_in_limits import SignInLimits
-    from slamhive.web.upload_work import UploadWork
+    from slamhive.web.long_work import DatasetChecker, UploadWork, VariantMaker
+    from slamhive.web.oidc import IdentityProvider
 
 EXTENSION = "slamhive"
 BUDGET_EXTENSION = "slamhive-budget"
@@ -82,9 +80,9 @@ def caller() -> Caller:
     return cast("Caller", g.get("caller") or callers().unknown)
 
 
-def provider() -> Provider | None:
+def provider() -> IdentityProvider | None:
     """The provider of OpenID Connect; None if the settings name none."""
-    return cast("Provider | None", current_app.extensions[PROVIDER_EXTENSION])
+    return cast("IdentityProvider | None", current_app.extensions[PROVIDER_EXTENSION])
 
 
 def sign_in_limits() -> SignInLimits:

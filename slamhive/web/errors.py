@@ -11,9 +11,9 @@ from http import HTTPStatus
 from flask import Flask, Response, current_app, g, make_response, render_template, request
 from werkzeug.exceptions import BadRequest, HTTPException
 
-from slamhive.errors import SlamHiveError, Unavailable, changed_text
-from slamhive.schema.api_answers import OldError, Problem
-from slamhive.schema.problems import STATUS
+from slamhive.base.errors import SlamHiveError, Unavailable, changed_text
+from slamhive.documents.api_answers import OldError, ProblemDocument
+from slamhive.documents.validation import STATUS
 
 logger = logging.getLogger(__name__)
 
@@ -102,7 +102,7 @@ def _answer(status: int, message: str, remedy: str | None) -> Response:
 
 def _problem(status: int, message: str, remedy: str | None) -> Response:
     """Problem details (RFC 9457)."""
-    found = Problem(
+    found = ProblemDocument(
         title=HTTPStatus(status).phrase,
         status=status,
         detail=message,

@@ -10,11 +10,11 @@ from typing import Any
 
 from werkzeug.datastructures import MultiDict
 
-from slamhive import strict_yaml
-from slamhive.errors import InvalidInput
-from slamhive.schema.limits import RULES, Limits
-from slamhive.schema.options import options_of
-from slamhive.sweep.values import as_scalar, parse_values
+from slamhive.base import strict_yaml
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.limits import RULES, Limits
+from slamhive.documents.options import options_of
+from slamhive.experiments.values import as_scalar, parse_values
 from slamhive.web.formatting import value_text
 
 KeyPath = tuple[str | int, ...]

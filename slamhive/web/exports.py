@@ -7,27 +7,27 @@ from collections.abc import Iterator, Sequence
 from flask import Response, send_file
 from werkzeug.datastructures import MultiDict
 
+from slamhive.base.files import temporary_folder
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.files import temporary_folder
-from slamhive.services.exports import Format, GroupExport, Page, Record, RunExport, TableExport
+from slamhive.services.exports import ExportFormat, GroupExport, Page, Record, RunExport, TableExport
 from slamhive.services.hive import Hive
 from slamhive.store.records import GroupRecord, RunRecord
 from slamhive.web.context import hive
-from slamhive.web.run_query import EXPORT_LIMIT, RunQuery
+from slamhive.web.queries import EXPORT_LIMIT, RunListQuery
 
 
-def export_file(kind: Format, args: MultiDict[str, str]) -> Response:
+def export_file(kind: ExportFormat, args: MultiDict[str, str]) -> Response:
     """The file that the arguments of the runs page ask for; raises InvalidInput or NotFound."""
     services = hive()
     vocabulary = services.searches.vocabulary()
-    query = RunQuery.from_args(args, vocabulary)
+    query = RunListQuery.from_args(args, vocabulary)
     if query.grouped:
         metrics = [key for key in query.columns if key in CATALOGUE]
         return _file("configurations", kind, GroupExport(metrics), _group_pages(services, query, metrics))
     return _file("runs", kind, RunExport(query.columns, vocabulary), _run_pages(services, query))
 
 
-def _run_pages(services: Hive, query: RunQuery) -> Page[RunRecord]:
+def _run_pages(services: Hive, query: RunListQuery) -> Page[RunRecord]:
     def page(after: str | None) -> tuple[Sequence[RunRecord], str | None]:
         found = services.runs.page(query.search, query.sort, after, EXPORT_LIMIT)
         return found.records, found.next_key
@@ -35,7 +35,7 @@ def _run_pages(services: Hive, query: RunQuery) -> Page[RunRecord]:
     return page
 
 
-def _group_pages(services: Hive, query: RunQuery, metrics: Sequence[str]) -> Page[GroupRecord]:
+def _group_pages(services: Hive, query: RunListQuery, metrics: Sequence[str]) -> Page[GroupRecord]:
     def page(after: str | None) -> tuple[Sequence[GroupRecord], str | None]:
         found = services.searches.groups(query.search, query.sort, after, EXPORT_LIMIT, metrics)
         return found.records, found.next_key
@@ -43,13 +43,13 @@ def _group_pages(services: Hive, query: RunQuery, metrics: Sequence[str]) -> Pag
     return page
 
 
-def _file(name: str, kind: Format, content: TableExport[Record], pages: Page[Record]) -> Response:
+def _file(name: str, kind: ExportFormat, content: TableExport[Record], pages: Page[Record]) -> Response:
     first = pages(None)  # raises errors before the response starts
 
     def page(after: str | None) -> tuple[Sequence[Record], str | None]:
         return first if after is None else pages(after)
 
-    if kind is Format.PARQUET:
+    if kind is ExportFormat.PARQUET:
         response = _parquet(content, page)
     else:
         response = Response(_pieces(content, kind, page), mimetype=kind.media_type)
@@ -57,10 +57,10 @@ def _file(name: str, kind: Format, content: TableExport[Record], pages: Page[Rec
     return response
 
 
-def _pieces(content: TableExport[Record], kind: Format, page: Page[Record]) -> Iterator[str]:
-    if kind is Format.CSV:
+def _pieces(content: TableExport[Record], kind: ExportFormat, page: Page[Record]) -> Iterator[str]:
+    if kind is ExportFormat.CSV:
         return content.csv(page)
-    return content.ndjson(page) if kind is Format.NDJSON else content.json(page)
+    return content.ndjson(page) if kind is ExportFormat.NDJSON else content.json(page)
 
 
 def _parquet(content: TableExport[Record], page: Page[Record]) -> Response:
@@ -69,6 +69,6 @@ def _parquet(content: TableExport[Record], page: Page[Record]) -> Response:
         path = folder / "table.parquet"
         content.parquet(page, path)
         stream = path.open("rb")  # stays readable after the folder is removed
-    response = send_file(stream, mimetype=Format.PARQUET.media_type)
+    response = send_file(stream, mimetype=ExportFormat.PARQUET.media_type)
     response.call_on_close(stream.close)
     return response

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from slamhive.analysis.plotly_values import THEMED, numbers, with_dark_colours
-from slamhive.bags.views import SweepView
-from slamhive.errors import NotFound
-from slamhive.services.runs import Array, Places, RunSeries, Samples, Track, samples_of
-from slamhive.trajectory.motion import Motion
+from slamhive.analysis.plotly_chart import THEMED, numbers, with_dark_colours
+from slamhive.base.errors import NotFound
+from slamhive.recordings.views import SweepView
+from slamhive.services.runs import Array, PathSeries, Places, RunSeries, Samples, samples_of
+from slamhive.trajectory.transforms import Motion
 from slamhive.web.formatting import plural, significant
 
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
@@ -23,7 +23,7 @@ Figure = dict[str, Any]
 Values = Array | list[float]
 
 
-def best_plane(track: Track) -> str:
+def best_plane(track: PathSeries) -> str:
     """The plane spanned by the two largest extents of the path."""
     extents = np.ptp(track.positions_m, axis=0)
     dropped = int(np.argmin(extents))
@@ -99,7 +99,7 @@ def timeline(series: RunSeries) -> dict[str, Any] | None:
     return {"origins": origins, "from_s": from_s, "until_s": until_s}
 
 
-def path_figures(groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> dict[str, Figure]:
+def path_figures(groundtruth: PathSeries | None, estimate: tuple[str, PathSeries, str] | None) -> dict[str, Figure]:
     """The path in its three planes and in 3D, ground truth dashed, equal aspect, start and end marked.
 
     Args:
@@ -208,11 +208,11 @@ def figure_table(series: RunSeries, figure: str) -> tuple[list[str], list[Sequen
     return ["time_s", unit], pairs
 
 
-def _named_tracks(series: RunSeries) -> tuple[tuple[str, Track | None], ...]:
+def _named_tracks(series: RunSeries) -> tuple[tuple[str, PathSeries | None], ...]:
     return ("groundtruth", series.groundtruth), ("estimate", series.estimate)
 
 
-def _plane_figure(plane: str, groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> Figure:
+def _plane_figure(plane: str, groundtruth: PathSeries | None, estimate: tuple[str, PathSeries, str] | None) -> Figure:
     first, second = PLANES[plane]
     traces: list[Figure] = []
     if estimate is not None:
@@ -240,7 +240,9 @@ def _plane_line(plane: str, points: np.ndarray[Any, Any], **look: Any) -> Figure
     return _trace(x, y, mode="lines", hovertemplate=_plane_hover(plane), **look)
 
 
-def _plane_ends(plane: str, groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> list[Figure]:
+def _plane_ends(
+    plane: str, groundtruth: PathSeries | None, estimate: tuple[str, PathSeries, str] | None
+) -> list[Figure]:
     """Markers for start (circle) and end (square) of the estimate, or of the ground truth without an estimate."""
     first, second = PLANES[plane]
     track, colour = _marked(groundtruth, estimate)
@@ -259,7 +261,7 @@ def _plane_ends(plane: str, groundtruth: Track | None, estimate: tuple[str, Trac
     ]
 
 
-def _space_figure(groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> Figure:
+def _space_figure(groundtruth: PathSeries | None, estimate: tuple[str, PathSeries, str] | None) -> Figure:
     traces: list[Figure] = []
     hover = "x %{x:.4g} m<br>y %{y:.4g} m<br>z %{z:.4g} m"
     if estimate is not None:
@@ -284,7 +286,7 @@ def _space_figure(groundtruth: Track | None, estimate: tuple[str, Track, str] | 
     return _figure(traces, {"scene": _equal_scene(tracks), "legend": _LEGEND})
 
 
-def _equal_scene(tracks: Sequence[Track | SweepView]) -> dict[str, Any]:
+def _equal_scene(tracks: Sequence[PathSeries | SweepView]) -> dict[str, Any]:
     """Equal-scale axes with a box that always fits the view. Plotly's own equal aspect clips long, flat paths."""
     positions_m = np.concatenate([track.positions_m for track in tracks])
     low, high = positions_m.min(axis=0), positions_m.max(axis=0)
@@ -304,7 +306,9 @@ def _equal_scene(tracks: Sequence[Track | SweepView]) -> dict[str, Any]:
     return scene | {"aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": eye}}
 
 
-def _marked(groundtruth: Track | None, estimate: tuple[str, Track, str] | None) -> tuple[Track, str | None]:
+def _marked(
+    groundtruth: PathSeries | None, estimate: tuple[str, PathSeries, str] | None
+) -> tuple[PathSeries, str | None]:
     if estimate is not None:
         return estimate[1], estimate[2]
     if groundtruth is None:

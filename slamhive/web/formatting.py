@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from slamhive.domain.metrics import Metric
-from slamhive.domain.numbers import plural as plural  # noqa: PLC0414 - re-exported
+from slamhive.domain.names import plural
 
 DASH = "–"
 PERCENT_METRICS = frozenset(
@@ -35,7 +35,7 @@ PERCENT_METRICS = frozenset(
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class TableCell:
     """A table cell: ``text`` with a smaller ``note`` after it, and ``exact`` on hover.
 
     ``heat`` is the level of its background, from 0 (best) to 6 (worst); None without one.
@@ -65,12 +65,12 @@ def display_unit(metric: Metric) -> DisplayUnit:
     return DisplayUnit(metric.unit)
 
 
-def metric_cell(metric: Metric, value: float | None) -> Cell:
+def metric_cell(metric: Metric, value: float | None) -> TableCell:
     """A value with four significant digits; the stored value and its unit on hover."""
     if value is None:
-        return Cell(DASH, f"no {metric.label} known", missing=True)
+        return TableCell(DASH, f"no {metric.label} known", missing=True)
     shown = display_unit(metric)
-    return Cell(significant(value * shown.factor), f"{value!r} {metric.unit}".strip())
+    return TableCell(significant(value * shown.factor), f"{value!r} {metric.unit}".strip())
 
 
 def mean_text(mean: float, std: float | None) -> str:

@@ -10,11 +10,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from slamhive.clock import monotonic_s
-from slamhive.domain.visibility import Viewer
-from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.base.clock import monotonic_s
+from slamhive.base.errors import SlamHiveError, Unavailable
+from slamhive.domain.accounts import Viewer
 from slamhive.services.hive import Hive
-from slamhive.web.presenters.live import snapshot
+from slamhive.web.presenters.experiments import snapshot
 
 logger = logging.getLogger(__name__)
 

@@ -9,9 +9,9 @@ from typing import Any, cast
 import requests
 from flask import Flask, Response
 
+from slamhive.base.errors import InvalidInput, Unauthenticated, Unavailable
+from slamhive.base.settings import Settings
 from slamhive.domain.accounts import Identity, is_provider_address
-from slamhive.errors import InvalidInput, Unauthenticated, Unavailable
-from slamhive.settings import Settings
 
 _NAME = "oidc"
 _DISCOVERY = "/.well-known/openid-configuration"
@@ -21,7 +21,7 @@ _NAMES = ("preferred_username", "email", "name")
 """Claims that say what to call somebody, the best one first."""
 
 
-class Provider:
+class IdentityProvider:
     """The provider of the settings. Nothing is asked of it before somebody wants to sign in.
 
     Args:
@@ -80,7 +80,7 @@ class Provider:
             ) from None
 
 
-def find_provider(app: Flask, settings: Settings) -> Provider | None:
+def find_provider(app: Flask, settings: Settings) -> IdentityProvider | None:
     """The provider of the settings; None if they name none.
 
     Raises InvalidInput for settings that cannot be used, and Unavailable if Authlib is not installed.
@@ -108,4 +108,4 @@ def find_provider(app: Flask, settings: Settings) -> Provider | None:
             "token_endpoint_auth_method": "client_secret_basic" if settings.oidc_client_secret else "none",
         },
     )
-    return Provider(client, issuer, settings.oidc_client_id)
+    return IdentityProvider(client, issuer, settings.oidc_client_id)

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 from flask import Blueprint, Flask
 
-from slamhive.errors import Conflict, InvalidInput
-from slamhive.registry import Registry, instances_of
+from slamhive.base.errors import Conflict, InvalidInput
+from slamhive.base.registry import Registry, instances_of
 from slamhive.web.access import PLUGIN_PAGES
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
+class PluginPage:
     """A group of pages with one entry in the menu.
 
     Attributes:
@@ -28,7 +28,7 @@ class Page:
     blueprint: Blueprint
 
 
-PAGES: Registry[Page] = Registry("web page", "slamhive.pages", instances_of(Page))
+PAGES: Registry[PluginPage] = Registry("web page", "slamhive.pages", instances_of(PluginPage))
 
 
 def register_pages(app: Flask) -> None:

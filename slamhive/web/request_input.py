@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
-from flask import Flask, request
+from flask import Flask, Response, jsonify, make_response, request
 from werkzeug.datastructures import MultiDict
 
-from slamhive.errors import InvalidInput
-from slamhive.input_bounds import check_text, decode, parse_json_object, too_large
+from slamhive.base.bounds import check_text, decode, parse_json_object, too_large
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.model import parse
 
 MOST_ADDRESS_BYTES = 64_000
 """Length of a query string. The longest that pages produce lists a thousand runs."""
@@ -92,3 +93,19 @@ def _split(address: str) -> Any:
         return urlsplit(address)
     except ValueError:
         return None
+
+
+# JSON requests and responses of the web API.
+
+
+Body = TypeVar("Body")
+
+
+def read_body(kind: type[Body]) -> Body:
+    """The request body as ``kind``; raises InvalidInput naming the invalid field."""
+    return parse(kind, body_object())
+
+
+def answer(content: dict[str, Any], status: int = 200) -> Response:
+    """A JSON response."""
+    return make_response(jsonify(content), status)

@@ -6,17 +6,16 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.base.settings import Settings
+from slamhive.documents.options import Option
+from slamhive.documents.submission import CONTENT, OPTIONS, Submission, nested
 from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.configuration import PlaybackMode, Variant, parse_step, step_text
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.matching import Match, match_of
 from slamhive.domain.parameters import ParameterType, Value
-from slamhive.domain.variant import Variant, parse_step, step_text
-from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.schema.options import Option
-from slamhive.schema.submission import CONTENT, OPTIONS, Submission, nested
 from slamhive.services.hive import Hive
-from slamhive.settings import Settings
 from slamhive.web.formatting import duration, plural, value_text
 
 PARAMETER_PREFIX = "parameter."

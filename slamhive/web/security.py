@@ -11,15 +11,14 @@ from pathlib import Path
 from flask import Flask, Response, g, request
 from flask.sessions import SecureCookieSessionInterface
 
-from slamhive.domain.visibility import Viewer
-from slamhive.errors import Forbidden, InvalidInput, Unavailable
+from slamhive.base.errors import Forbidden, InvalidInput, Unavailable
+from slamhive.base.settings import Mode, Settings
+from slamhive.domain.accounts import Viewer
 from slamhive.services.accounts import LOOPBACK_HOSTS, accounts_needed
 from slamhive.services.hive import Hive
-from slamhive.settings import Mode, Settings
 from slamhive.store import Store
-from slamhive.web import acts, context
-from slamhive.web.access import SAFE_METHODS, action_of, refusal
-from slamhive.web.callers import Callers
+from slamhive.web import access, context
+from slamhive.web.access import SAFE_METHODS, Callers, action_of, refusal
 from slamhive.web.request_input import bound_requests, host_name, origin_host
 
 API_HEADER = "X-SLAM-Hive"
@@ -84,7 +83,7 @@ def protect(app: Flask, hive: Hive, host: str) -> Callers:
             _refuse_foreign_origin()
         if refused is None and caller.account and request.method not in SAFE_METHODS:
             g.act = ExitStack()
-            g.act.enter_context(acts.acting(hive.store, caller, settings.new_runs))
+            g.act.enter_context(access.acting(hive.store, caller, settings.new_runs))
         return refused
 
     @app.teardown_request

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any, cast
 
-from slamhive.budget import Budget
-from slamhive.http_server import HttpServer, Limits, listen
-from slamhive.services.analyses import AnalysisComputer
+from slamhive.base.budget import Budget
+from slamhive.base.http_server import HttpServer, ServerLimits, listen
 from slamhive.services.hive import Hive
+from slamhive.services.stored_analyses import AnalysisComputer
 from slamhive.web.app import BODY_LIMITS, MOST_STREAMS, MOST_UPLOAD_BYTES, create_app
 from slamhive.web.context import BUDGET_EXTENSION, COMPUTER_EXTENSION, LIVE_EXTENSION
 from slamhive.web.live import LiveHub
@@ -45,7 +45,7 @@ class WebServer:
         self._server = HttpServer(
             app,
             listener,
-            Limits(
+            ServerLimits(
                 MOST_CONNECTIONS,
                 hive.settings.connections_per_address,
                 hive.settings.trusted_proxy,

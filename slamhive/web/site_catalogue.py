@@ -12,18 +12,17 @@ from typing import Any
 
 from jinja2 import Environment
 
+from slamhive.base.errors import NotFound, SlamHiveError
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.names import check_name
-from slamhive.errors import NotFound, SlamHiveError
+from slamhive.services.analysis import script_json
 from slamhive.services.experiments import ExperimentStatus
 from slamhive.services.hive import Hive
-from slamhive.services.reports import script_json
 from slamhive.web.formatting import display_unit, significant
 from slamhive.web.presenters import catalogue, rankings
-from slamhive.web.presenters.ground_truths import ground_truth_figures
-from slamhive.web.site_runs import path_once
-from slamhive.web.site_scenes import SiteScenes, scene_name
+from slamhive.web.presenters.catalogue import ground_truth_figures
+from slamhive.web.site_runs import SiteScenes, path_once, scene_name
 
 FOLDERS = {"experiment": "experiments", "algorithm": "algorithms", "dataset": "datasets"}
 """Where the pages lie, by the column of the list that names them."""

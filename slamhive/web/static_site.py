@@ -13,38 +13,41 @@ from typing import Any
 from jinja2 import Environment, Template
 
 from slamhive import __version__
-from slamhive.analysis.colours import RUN_COLOURS, colour_of, on_dark
+from slamhive.analysis.chart import RUN_COLOURS, colour_of, on_dark
 from slamhive.analysis.report import Report
-from slamhive.clock import utc_now
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, InvalidInput, Unavailable
+from slamhive.documents.catalogue import MatchDocument
 from slamhive.domain.algorithm import Algorithm
-from slamhive.errors import Conflict, InvalidInput, Unavailable
-from slamhive.runs.folder import RunFolder
-from slamhive.schema.matching import Match
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.accounts import published
-from slamhive.services.analyses import REPORT, AnalysisFolder
+from slamhive.services.analysis import report_content, report_environment, script_json
 from slamhive.services.hive import Hive
-from slamhive.services.reports import report_content, report_environment, script_json
 from slamhive.services.run_comparison import MOST_RUNS
 from slamhive.services.runs import run_series
-from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
-from slamhive.store.records import RunRecord
+from slamhive.services.stored_analyses import REPORT, AnalysisFolder
+from slamhive.store.records import AnalysisRecord, AnalysisState, RunRecord
 from slamhive.web.assets import PLOTLY_FILE
 from slamhive.web.formatting import duration, exact_time, plural, significant, size, thousands, value_text
-from slamhive.web.presenters.matching import match_of_configuration, match_of_run
+from slamhive.web.presenters.catalogue import match_of_configuration, match_of_run
 from slamhive.web.presenters.runs import metric_rows, outcome, parameter_rows, wall_time_s
 from slamhive.web.presenters.scenes import dataset_of, reference_of
 from slamhive.web.site_catalogue import FOLDERS, CataloguePages
-from slamhive.web.site_kept import KeptPages, digest_of, stamps
 from slamhive.web.site_runs import (
     FIGURES,
+    KeptPages,
+    SiteScenes,
+    digest_of,
     drawing,
     metric_definitions,
+    module_script,
     run_script,
+    scene_name,
+    stamps,
     table_row,
     table_script,
     thinned,
 )
-from slamhive.web.site_scenes import SiteScenes, module_script, scene_name
 
 BATCH = 100
 _MOST_ANALYSES = 1000
@@ -98,7 +101,7 @@ class StaticSite:
         self._hive = hive
         self._request = request
         self._algorithms = {algorithm.name: algorithm for algorithm in hive.catalogue.algorithms()}
-        self._matches: dict[int, Match | None] = {}
+        self._matches: dict[int, MatchDocument | None] = {}
         self._root = hive.catalogue.project_root
         self._scenes = SiteScenes(hive, list(self._algorithms))
         self._pages = KeptPages(request.folder.absolute() / "runs", afresh=request.afresh)
@@ -247,7 +250,7 @@ class StaticSite:
         """The end of the log of a run."""
         return self._hive.runs.log(run.id, LOG_BYTES)
 
-    def _match(self, run: RunRecord, record: dict[str, Any]) -> Match | None:
+    def _match(self, run: RunRecord, record: dict[str, Any]) -> MatchDocument | None:
         """As :func:`match_of_run`, but asks only once for each configuration."""
         if "match" in record:
             return match_of_run(self._hive, record, run.configuration_id)

@@ -9,12 +9,12 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-from slamhive.catalogue.run_config import build_run_config
+from slamhive.base.project import project_root
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import parse_settings
-from slamhive.project import project_root
+from slamhive.packages.run_config import build_run_config
 from slamhive.runtime.config import to_yaml
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from slamhive.base.project import project_root
+from slamhive.base.settings_sources import load_settings
 from slamhive.executors.registry import declared_settings
-from slamhive.project import project_root
-from slamhive.settings_sources import load_settings
 
 NEEDS_SOURCES = pytest.mark.skipif(
     not load_settings(project_root(), further=declared_settings).source_archives,

@@ -6,22 +6,20 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.bags.importers import plan_import
-from slamhive.bags.importing import ImportOptions
-from slamhive.bags.room.description import sensors_of
-from slamhive.bags.room.options import RoomOptions
-from slamhive.bags.room.rig import make_rig
-from slamhive.bags.variants.rules import RegisteredSteps, on_all_sensors
-from slamhive.catalogue.algorithm_file import load_algorithms
-from slamhive.catalogue.run_config import build_run_config
-from slamhive.domain.configuration import Configuration
+from slamhive.base.project import project_root
+from slamhive.domain.configuration import Configuration, parse_step
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import parse_settings
 from slamhive.domain.sensors import Sensor
-from slamhive.domain.variant import parse_step
-from slamhive.project import project_root
+from slamhive.experiments.binding import resolve_variant, seen_dataset
+from slamhive.packages.algorithm_file import load_algorithms
+from slamhive.packages.run_config import build_run_config
+from slamhive.recordings.importers.registry import plan_import
+from slamhive.recordings.importing import ImportOptions
+from slamhive.recordings.room.dataset import RoomOptions, sensors_of
+from slamhive.recordings.room.sensors import make_rig
+from slamhive.recordings.variants.rules import RegisteredSteps, on_all_sensors
 from slamhive.runtime.config import RunConfig, from_yaml, to_yaml
-from slamhive.sweep.variants import resolve_variant, seen_dataset
 
 SHARED = project_root().parent / "shared" / "data"
 SHARED_DATA = [

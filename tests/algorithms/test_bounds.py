@@ -9,17 +9,17 @@ from typing import Any
 
 import pytest
 
-from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.base.project import project_root
+from slamhive.documents.submission import Submission
 from slamhive.domain.algorithm import Base
-from slamhive.domain.protocol_choices import Alignment
+from slamhive.domain.protocol import Alignment
 from slamhive.domain.sensors import SensorKind
-from slamhive.project import project_root
-from slamhive.schema.submission import Submission
+from slamhive.packages.algorithm_file import load_algorithms
 from slamhive.services.bounds import BoundTest, bound_tests
 from slamhive.services.hive import Hive
+from slamhive.trajectory.layout import read_tum
 from slamhive.trajectory.offset import position_misfit
 from slamhive.trajectory.transforms import move_sensor, rigid_transform
-from slamhive.trajectory.tum import read_tum
 from tests.algorithms.from_sources import NEEDS_SOURCES
 from tests.real_datasets import dataset
 from tests.sharing import one_at_a_time

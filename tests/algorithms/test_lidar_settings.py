@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.ros1.system import PoseKind, PoseTopic
 from tests.algorithms.algorithm_runs import load_module

@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from slamhive.bags.room import RoomOptions
-from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.base.project import project_root
+from slamhive.documents.submission import Submission
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import RunState
-from slamhive.project import project_root
-from slamhive.schema.submission import Submission
+from slamhive.packages.algorithm_file import load_algorithms
+from slamhive.recordings.room import RoomOptions
 from slamhive.services.hive import Hive, open_hive
 from slamhive.store import RunRecord
 

@@ -13,8 +13,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from slamhive.errors import InvalidInput
-from slamhive.project import project_root
+from slamhive.base.errors import InvalidInput
+from slamhive.base.project import project_root
 
 LIMIT_S = 0.3
 

@@ -7,11 +7,11 @@ import re
 
 import pytest
 
-from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.base.project import project_root
 from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.pose_time import PoseTime
 from slamhive.domain.sensors import SensorKind
-from slamhive.project import project_root
+from slamhive.domain.trajectory_kind import PoseTime
+from slamhive.packages.algorithm_file import load_algorithms
 from tests.algorithms.algorithm_runs import load_module
 from tests.algorithms.recorded_configs import config_of
 

@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import pytest
 
-from slamhive.bags.exporters import export_dataset, plan_export
-from slamhive.bags.room import RoomOptions
-from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml, load_dataset
-from slamhive.domain.configuration import PlaybackMode
+from slamhive.documents.submission import Submission
+from slamhive.domain.configuration import PlaybackMode, VariantStep
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.run import RunState
-from slamhive.domain.variant import VariantStep
-from slamhive.schema.submission import Submission
+from slamhive.packages.dataset_file import DATASET_FILE, dataset_to_yaml, load_dataset
+from slamhive.recordings.exporters import export_dataset, plan_export
+from slamhive.recordings.room import RoomOptions
 from slamhive.services.hive import Hive, open_hive
 
 pytestmark = pytest.mark.integration

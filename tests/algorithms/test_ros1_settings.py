@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slamhive.runtime.ros1.sweep import NAMESPACE
-from slamhive.runtime.ros1.system import Ros1System
+from slamhive.runtime.ros1.system import NAMESPACE, Ros1System
 from tests.algorithms.algorithm_runs import load_module
 from tests.algorithms.recorded_configs import SHARED, SHARED_DATA, config_of, sensors_of_dataset
 

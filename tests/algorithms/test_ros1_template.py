@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.bags.room import RoomOptions
-from slamhive.catalogue.algorithm_folders import ALGORITHM_FOLDERS
+from slamhive.base.errors import InvalidInput
+from slamhive.base.project import project_root
+from slamhive.documents.submission import Submission
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import RunState
-from slamhive.errors import InvalidInput
-from slamhive.project import project_root
-from slamhive.schema.submission import Submission
+from slamhive.packages.folders import ALGORITHM_FOLDERS
+from slamhive.recordings.room import RoomOptions
 from slamhive.services.hive import Hive, open_hive
 
 pytestmark = [pytest.mark.integration, pytest.mark.docker, pytest.mark.classical]

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slamhive.project import project_root
+from slamhive.base.project import project_root
 from tests.algorithms.recorded_configs import SHARED_DATA, config_of
 
 pytestmark = pytest.mark.quick

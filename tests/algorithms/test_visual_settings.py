@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from slamhive.errors import InvalidInput
-from slamhive.project import project_root
+from slamhive.base.errors import InvalidInput
+from slamhive.base.project import project_root
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.vins import estimator_settings
 from tests.algorithms.algorithm_runs import load_module

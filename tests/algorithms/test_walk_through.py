@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamhive.bags.room import RoomOptions, render_room
-from slamhive.catalogue.algorithm_file import load_algorithms
-from slamhive.catalogue.image_context import stage_context
-from slamhive.project import project_root
-from slamhive.trajectory.tum import read_tum
+from slamhive.base.project import project_root
+from slamhive.packages.algorithm_file import load_algorithms
+from slamhive.packages.image_context import stage_context
+from slamhive.recordings.room import RoomOptions, render_room
+from slamhive.trajectory.layout import read_tum
 from tests.algorithms.algorithm_runs import run_mapping
 
 pytestmark = pytest.mark.integration

@@ -12,7 +12,7 @@ from slamhive.analysis.density import thinned
 from slamhive.analysis.plot_types import PLOT_TYPES
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import print_chart
-from slamhive.analysis.result import PlotResult
+from slamhive.analysis.report import PlotResult
 from slamhive.analysis.table import UNDISTURBED, RunTable
 from tests.analysis.analysis_world import data_of, sweep_table
 

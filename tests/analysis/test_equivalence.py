@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from slamhive.analysis.equivalence import failure_equivalence, median_interval, rank_equivalence
-from slamhive.analysis.regression import FailureCounts, Sample, rank_evidence
+from slamhive.analysis.regression import (
+    FailureCounts,
+    Sample,
+    failure_equivalence,
+    median_interval,
+    rank_equivalence,
+    rank_evidence,
+)
 from slamhive.analysis.statistics import Interval
 from slamhive.domain.gate import SIGNIFICANCE, Margin
 

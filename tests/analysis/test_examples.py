@@ -6,7 +6,7 @@ import pytest
 
 from slamhive.analysis.analysis_file import parse_analysis
 from slamhive.analysis.plot_types import PLOT_TYPES
-from slamhive.project import project_root
+from slamhive.base.project import project_root
 
 pytestmark = pytest.mark.integration  # the forms load pandas and scipy
 

@@ -7,9 +7,9 @@ import pytest
 
 from slamhive.analysis.chart import Bars, Boxes
 from slamhive.analysis.plot_types import PLOT_TYPES, PlotData
-from slamhive.analysis.result import PlotResult
+from slamhive.analysis.report import PlotResult
 from slamhive.analysis.table import NOT_STATED, RunTable, make_table
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.base.errors import InvalidInput, NotFound
 from tests.analysis.analysis_world import NoFiles
 
 pytestmark = pytest.mark.quick

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.plot_types import PLOT_TYPES
-from slamhive.analysis.plot_types.metric_grid import _Entry, ranks
-from slamhive.analysis.plot_types.values import mean_and_std
-from slamhive.analysis.result import PlotResult
+from slamhive.analysis.plot_types.base import mean_and_std
+from slamhive.analysis.plot_types.metric_table import _Entry, ranks
+from slamhive.analysis.report import PlotResult
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import Direction
-from slamhive.errors import InvalidInput
-from slamhive.services.markdown_table import table_markdown
-from slamhive.services.reports.tables import table_latex
+from slamhive.services.analysis.bundle import table_latex
+from slamhive.services.markdown import table_markdown
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, data_of, sweep_table
 
 pytestmark = pytest.mark.integration  # plotting and statistics take seconds to load

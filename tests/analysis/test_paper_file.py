@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from slamhive.analysis.analysis_file import parse_analysis
-from slamhive.analysis.paper_keys import our_key
-from slamhive.errors import InvalidInput
-from slamhive.foreign.numbers import HERE, Numbers
+from slamhive.analysis.paper_file import our_key
+from slamhive.base.errors import InvalidInput
+from slamhive.packages.published.combination import HERE, Numbers
 
 pytestmark = pytest.mark.quick
 

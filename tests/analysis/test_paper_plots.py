@@ -8,11 +8,22 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from slamhive.analysis.chart import PAPER_FORMATS, Axis, Cells, Chart, Line
-from slamhive.analysis.colours import MARKERS, RUN_COLOURS, algorithm_colours, colour_of, contrast, marker_of, on_dark
+from slamhive.analysis.chart import (
+    MARKERS,
+    PAPER_FORMATS,
+    RUN_COLOURS,
+    Axis,
+    Cells,
+    Chart,
+    Line,
+    algorithm_colours,
+    colour_of,
+    contrast,
+    marker_of,
+    on_dark,
+)
 from slamhive.analysis.plotly_chart import plotly_figure
-from slamhive.analysis.print_chart import print_chart
-from slamhive.analysis.print_marks import draw_mark
+from slamhive.analysis.print_chart import draw_mark, print_chart
 
 pytestmark = pytest.mark.integration  # matplotlib takes a second to load
 INSTALLED = [f"slam{place:02}" for place in range(40)]

@@ -11,19 +11,18 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.analysis_file import parse_analysis
-from slamhive.analysis.chart import PRINT_FORMATS, Bars, Cells, FailedRuns, Line, Points
-from slamhive.analysis.colours import PALETTE, algorithm_colours
+from slamhive.analysis.chart import PALETTE, PRINT_FORMATS, Bars, Cells, FailedRuns, Line, Points, algorithm_colours
 from slamhive.analysis.plot_types import RunTrack
 from slamhive.analysis.plot_types.pareto import pareto_front
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import print_chart
-from slamhive.analysis.result import PlotResult, ResultTable, TableColumn
+from slamhive.analysis.report import PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED as FAILED_COLUMN
 from slamhive.analysis.table import Column, ColumnKind
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.domain.verdict import FailureRule
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.services.markdown_table import table_markdown
-from slamhive.services.reports.tables import table_csv, table_latex, table_parquet
+from slamhive.services.analysis.bundle import table_csv, table_latex, table_parquet
+from slamhive.services.markdown import table_markdown
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, REPEATS, SCALES, NoFiles, data_of, sweep_table
 
 pytestmark = pytest.mark.integration

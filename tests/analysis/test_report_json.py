@@ -24,9 +24,9 @@ from slamhive.analysis.chart import (
     Points,
     Segments,
 )
-from slamhive.analysis.result import Exclusion, PlotResult, ResultTable, TableColumn
-from slamhive.errors import InvalidInput
-from slamhive.schema.model import dump, load
+from slamhive.analysis.report import Exclusion, PlotResult, ResultTable, TableColumn
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.model import dump, load
 
 NUMBERS, RUNS = np.array([0.5, np.nan]), np.array([1, 2])
 AXIS = Axis("x", "m", categories=("a", "b"))

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamhive.analysis.chart import Line
-from slamhive.analysis.colours import RUN_COLOURS
+from slamhive.analysis.chart import RUN_COLOURS, Line
 from slamhive.analysis.plot_types import PlotData, RunLatency, RunUsage
-from slamhive.analysis.plot_types.latency import Latency
 from slamhive.analysis.plot_types.looks import Curve, LineOptions, fold, lines_of, looks_of
-from slamhive.analysis.plot_types.usage import Usage
+from slamhive.analysis.plot_types.over_time import Latency, Usage
 from slamhive.analysis.table import RunTable, make_table
-from slamhive.runs.played_frames import RecordingClock
+from slamhive.run_folder.played_frames import RecordingClock
 from tests.analysis.analysis_world import NoFiles, data_of
 
 pytestmark = pytest.mark.integration  # pandas and scipy take seconds to load

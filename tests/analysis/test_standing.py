@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamhive.analysis.standing import separated, standings
-from slamhive.analysis.statistics import bootstrap_mean
+from slamhive.analysis.statistics import bootstrap_mean, separated, standings
 
 pytestmark = pytest.mark.integration  # scipy takes a second to load
 

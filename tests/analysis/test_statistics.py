@@ -6,7 +6,7 @@ import scikit_posthocs
 from scipy import stats
 
 from slamhive.analysis.statistics import bootstrap_mean, compare_means, holm, means_differ, rank_test, summarise
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 pytestmark = pytest.mark.integration  # scipy takes a second to load
 

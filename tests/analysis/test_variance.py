@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from slamhive.analysis.variance import Effects, explain_variance
+from slamhive.analysis.statistics import Effects, explain_variance
 
 pytestmark = pytest.mark.integration  # scipy takes a second to load
 

@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from slamhive.budget import Budget, Lent, unbounded
-from slamhive.errors import InvalidInput, Unavailable
+from slamhive.base.budget import Budget, Lent, unbounded
+from slamhive.base.errors import InvalidInput, Unavailable
 
 
 class Clock:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.debian import as_root, find_program, install_command
+from slamhive.base.debian import as_root, find_program, install_command
 
 ROOT = Path(__file__).resolve().parents[2]
 INSTALLS = re.compile(r"\bapt(-get)?\b.* install\b")
@@ -36,7 +36,7 @@ def test_messages_take_the_command_from_one_place():
     for folder in ("slamhive", "tools", "algorithms", "docker"):
         for path in (ROOT / folder).rglob("*.py"):
             name = str(path.relative_to(ROOT))
-            if name in RUNS_AS_ROOT or name == "slamhive/debian.py":
+            if name in RUNS_AS_ROOT or name == "slamhive/base/debian.py":
                 continue
             text = path.read_text(encoding="utf-8")
             if "install" not in text or "apt" not in text:

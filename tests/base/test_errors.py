@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from slamhive.errors import nearest
+from slamhive.base.errors import nearest
 
 
 def test_the_nearest_name_is_suggested():

@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 
-from slamhive.http_server import HttpServer, Limits, client_of, listen
+from slamhive.base.http_server import HttpServer, ServerLimits, client_of, listen
 from tests.waiting import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.integration
 
-ROOM = Limits(connections=20, per_client=10, health_path="/health")
-QUICK = Limits(20, 20, health_path="/health", idle_s=0.4, head_s=0.4, transfer_s=1.5)
+ROOM = ServerLimits(connections=20, per_client=10, health_path="/health")
+QUICK = ServerLimits(20, 20, health_path="/health", idle_s=0.4, head_s=0.4, transfer_s=1.5)
 GET = b"GET %s HTTP/1.1\r\nHost: here\r\n\r\n"
 ANSWER = b"HTTP/1.1 200 OK"
 LARGE_BYTES = 40_000_000
@@ -51,7 +51,7 @@ class App:
 
 
 @contextmanager
-def serving(limits: Limits, threads: int = 4) -> Iterator[tuple[App, int]]:
+def serving(limits: ServerLimits, threads: int = 4) -> Iterator[tuple[App, int]]:
     app = App()
     server = HttpServer(app, listen("127.0.0.1", 0), limits, threads=threads)
     thread = threading.Thread(target=server.run)
@@ -117,7 +117,7 @@ def test_many_clients_that_fill_the_server_make_room_for_another():
 
 @pytest.mark.parametrize("health_path", ["/health", ""], ids=["in the reserve", "turned away"])
 def test_no_request_at_work_is_given_up_for_another_and_the_newcomer_is_told(health_path: str):
-    limits = Limits(connections=20, per_client=10, health_path=health_path)
+    limits = ServerLimits(connections=20, per_client=10, health_path=health_path)
     with serving(limits, threads=2) as (app, port), ExitStack() as open_ones:
         working = [open_ones.enter_context(connected(port, GET % b"/slow")) for _ in range(10)]
         eventually(lambda: app.at_work == 2)
@@ -143,7 +143,7 @@ def test_health_is_answered_here_while_all_connections_and_threads_are_at_work()
 
 
 def test_the_proxy_may_hold_as_many_as_its_clients_need():
-    limits = Limits(connections=20, per_client=3, exempt="127.0.0.1")
+    limits = ServerLimits(connections=20, per_client=3, exempt="127.0.0.1")
     with serving(limits) as (_, port), ExitStack() as open_ones:
         proxied = [open_ones.enter_context(connected(port)) for _ in range(15)]
         direct = [open_ones.enter_context(connected(port, address="127.0.0.2")) for _ in range(5)]

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.input_bounds import (
+from slamhive.base.bounds import (
     check_text,
     check_value,
     decode,
@@ -16,6 +15,7 @@ from slamhive.input_bounds import (
     read_text,
     whole_number,
 )
+from slamhive.base.errors import InvalidInput, NotFound
 
 
 @pytest.mark.parametrize("text", ["", "plain", "tab\tline\nend\r\n", "é 😀 ١٢٣", "\x85"])

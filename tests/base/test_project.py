@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import InvalidInput, Unavailable
-from slamhive.project import about_data_root, project_root
-from slamhive.settings_sources import load_settings
+from slamhive.base.errors import InvalidInput, Unavailable
+from slamhive.base.project import about_data_root, project_root
+from slamhive.base.settings_sources import load_settings
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 

@@ -8,8 +8,8 @@ from typing import Protocol, runtime_checkable
 
 import pytest
 
-from slamhive.errors import Conflict, NotFound
-from slamhive.registry import Registry, instances_of
+from slamhive.base.errors import Conflict, NotFound
+from slamhive.base.registry import Registry, instances_of
 
 
 @runtime_checkable

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.base.settings import ExecutorOption, Mode
+from slamhive.base.settings_sources import describe, load_settings, settings_in_force
 from slamhive.executors.registry import declared_settings
-from slamhive.settings import ExecutorOption, Mode
-from slamhive.settings_sources import describe, load_settings, settings_in_force
 
 
 def test_defaults_are_those_of_a_workstation(tmp_path):

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from slamhive import strict_yaml
-from slamhive.errors import InvalidInput
+from slamhive.base import strict_yaml
+from slamhive.base.errors import InvalidInput
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_only_one_document_is_read():
 def test_images_without_the_c_parser_read_the_same():
     code = (
         "import sys; sys.modules['_ruamel_yaml'] = None\n"
-        "from slamhive import strict_yaml\n"
+        "from slamhive.base import strict_yaml\n"
         "print(strict_yaml.parse_with_lines('a: 012\\nb:\\n  - \"no\"\\n  - {c: no}\\n', 'x'))\n"
         "try: strict_yaml.parse('a: 1\\na: [&x 1]\\n', 'x')\n"
         "except Exception as error: print(error)\n"

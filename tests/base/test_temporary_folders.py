@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.files import sweep_temporary, temporary_folder
+from slamhive.base.files import sweep_temporary, temporary_folder
 
 pytestmark = pytest.mark.quick
 

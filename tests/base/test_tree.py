@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.tree import DEEPEST_FOLDERS, folder_bytes, remove_tree, walk
+from slamhive.base.tree import DEEPEST_FOLDERS, folder_bytes, remove_tree, walk
 
 DEEP = 3 * DEEPEST_FOLDERS
 

@@ -10,17 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from slamhive.bags.reader import decode, messages, open_bag
-from slamhive.bags.room import RoomOptions, render_room
-from slamhive.bags.room.lidar import POINT_TYPE
-from slamhive.catalogue.dataset_file import load_dataset
-from slamhive.checks.collect import collect
-from slamhive.checks.run import judge
-from slamhive.domain.checks import CheckReport
-from slamhive.domain.dataset import Dataset
+from slamhive.domain.dataset import CheckReport, Dataset
 from slamhive.domain.sensors import Sensor
-from slamhive.trajectory.tum import read_tum
-from tests.bags.variant_bags import write_bag
+from slamhive.packages.dataset_file import load_dataset
+from slamhive.recordings.checks.collect import collect
+from slamhive.recordings.checks.registry import judge
+from slamhive.recordings.reader import decode, messages, open_bag
+from slamhive.recordings.room import RoomOptions, render_room
+from slamhive.recordings.room.sensors import POINT_TYPE
+from slamhive.trajectory.layout import read_tum
+from tests.recordings.variant_bags import write_bag
 
 Message = tuple[str, int, Any]
 """Topic, receive time in ns, content."""

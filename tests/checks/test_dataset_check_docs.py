@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from slamhive.checks.registry import EXPLAINS, NAMES
-from slamhive.project import project_root
+from slamhive.base.project import project_root
+from slamhive.recordings.checks.registry import EXPLAINS, NAMES
 
 
 def test_every_check_is_documented():

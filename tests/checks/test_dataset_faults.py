@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from slamhive.bags.geometry import rotation_xyz
-from slamhive.domain.checks import CheckReport, Severity
+from slamhive.domain.dataset import CheckReport, Severity
+from slamhive.recordings.geometry import rotation_xyz
 from tests.checks.faulty_rooms import (
     CAM1,
     DEPTH,

@@ -7,15 +7,13 @@ from typing import Any
 
 import pytest
 
-from slamhive.bags.importers import IMPORTERS
-from slamhive.bags.importing import ImportOptions, perform
-from slamhive.checks.evidence import Evidence
-from slamhive.checks.run import check_dataset
-from slamhive.checks.truth import ground_truth
-from slamhive.checks.truth_file import read_truth
-from slamhive.domain.checks import Finding, Severity
-from slamhive.domain.dataset import Dataset, GroundTruth
-from slamhive.project import project_root
+from slamhive.base.project import project_root
+from slamhive.domain.dataset import Dataset, Finding, GroundTruth, Severity
+from slamhive.recordings.checks.evidence import DatasetEvidence
+from slamhive.recordings.checks.registry import check_dataset
+from slamhive.recordings.checks.truth import ground_truth, read_truth
+from slamhive.recordings.importers.registry import IMPORTERS
+from slamhive.recordings.importing import ImportOptions, perform
 
 SHARED = project_root().parent / "shared" / "data"
 
@@ -38,7 +36,7 @@ def truth_findings(path: Path) -> list[Finding]:
     truth, problem = read_truth(dataset)
     assert truth is not None, problem
     start_ns, end_ns = (int(time_s * 1e9) for time_s in truth.times_s[[0, -1]])
-    found: list[Any] = list(ground_truth(Evidence(dataset, start_ns, end_ns, truth=truth)))
+    found: list[Any] = list(ground_truth(DatasetEvidence(dataset, start_ns, end_ns, truth=truth)))
     return [entry for entry in found if isinstance(entry, Finding)]
 
 

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
+from slamhive.base.project import project_root
 from slamhive.cli import main
-from slamhive.project import project_root
-from slamhive.schema.challenge import Challenge, ChallengeRanking, ChallengeSubmission
+from slamhive.documents.challenge import Challenge, ChallengeRanking, ChallengeSubmission
 from slamhive.services.challenges.definition import load_definition
 from slamhive.services.evaluations import Evaluations
 from tests.services.challenge_world import InThisProcess, entry_of, rooms, write_challenge

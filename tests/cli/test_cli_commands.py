@@ -13,8 +13,7 @@ from click.testing import CliRunner
 
 from slamhive import cli
 from slamhive.cli import main
-from slamhive.cli.groups import LazyGroup
-from slamhive.cli.main import MODULES, SECTIONS
+from slamhive.cli.main import MODULES, SECTIONS, LazyGroup
 
 
 def test_every_command_of_every_module_is_found():

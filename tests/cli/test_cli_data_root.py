@@ -12,9 +12,9 @@ import pytest
 from click.testing import CliRunner, Result
 from sqlalchemy import event
 
-from slamhive.cli.data_root import EXPECTED, LISTS
+from slamhive.base.errors import NotFound, SlamHiveError
+from slamhive.cli.acting import EXPECTED, LISTS
 from slamhive.cli.main import main
-from slamhive.errors import NotFound, SlamHiveError
 from slamhive.services.data_root import DataRoot
 from slamhive.services.hive import open_hive
 from slamhive.store import AbsentStore, Store

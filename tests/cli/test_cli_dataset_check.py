@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from slamhive.catalogue.dataset_file import load_dataset
+from slamhive.packages.dataset_file import load_dataset
 from tests.cli.test_cli_datasets import slamhive
 from tests.services.recorded_track import make_recorded_track
 

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from slamhive.cli import main
-from tests.bags.test_kitti_odometry import sequence
+from tests.recordings.test_kitti_odometry import sequence
 from tests.services.tiny_project import environment, make_dataset, make_project
 
 pytestmark = pytest.mark.integration

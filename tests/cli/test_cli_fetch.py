@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from slamhive.base.project import project_root
 from slamhive.cli import main
-from slamhive.project import project_root
-from tests.bags.test_kitti_odometry import sequence
-from tests.fetch.file_server import FileServer, serving
+from tests.downloads.file_server import FileServer, serving
+from tests.recordings.test_kitti_odometry import sequence
 from tests.services.tiny_project import environment, make_project
 
 pytestmark = pytest.mark.integration

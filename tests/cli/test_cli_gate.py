@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from slamhive.cli import main
-from slamhive.schema.gate import Baseline, GateAnswer
+from slamhive.documents.gate import Baseline, GateAnswer
 from slamhive.services.markdown import markdown_html
 from tests.services.gate_world import add_good, errors_m
 from tests.web import web_world as world

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from slamhive.cli import main
-from tests.bags.format_world import EUROC_START_NS, FORMATS, HEIGHT, WIDTH, draw, with_calibration, write
+from tests.recordings.format_world import EUROC_START_NS, FORMATS, HEIGHT, WIDTH, draw, with_calibration, write
 from tests.services.tiny_project import ALGORITHM, environment, make_project
 
 pytestmark = pytest.mark.integration

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from slamhive.cli import main
-from tests.bags.storages import convert_to
+from tests.recordings.storages import convert_to
 from tests.services.recorded_track import POINTS, SCANS, make_recorded_track
 from tests.services.tiny_project import environment, make_project
 
@@ -99,7 +99,7 @@ def test_two_commands_give_an_ate(world, monkeypatch, name):
 
 SLOW_IMPORT = """
 import sys, time
-from slamhive.bags import importing
+from slamhive.recordings import importing
 from slamhive.cli import main
 def wait(*_, **__):
     print("copied", flush=True)

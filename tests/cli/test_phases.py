@@ -6,16 +6,20 @@ import itertools
 
 import pytest
 
+from slamhive.cli.demo import DemoPhase, Phases
 from slamhive.cli.output import counting_bar
-from slamhive.cli.phases import Phase, Phases
 
-BUILDS = [Phase("building a", 60.0, "build"), Phase("building b", 60.0, "build"), Phase("runs", 30.0, "run")]
+BUILDS = [
+    DemoPhase("building a", 60.0, "build"),
+    DemoPhase("building b", 60.0, "build"),
+    DemoPhase("runs", 30.0, "run"),
+]
 DEMO = [
-    Phase("building kiss-icp", 60.0, "build"),
-    Phase("building rko-lio", 1.0, "build"),
-    Phase("building the evaluation", 60.0, "build"),
-    Phase("rendering room", 15.0, "render"),
-    Phase("runs", 66.0, "run", 45.0),
+    DemoPhase("building kiss-icp", 60.0, "build"),
+    DemoPhase("building rko-lio", 1.0, "build"),
+    DemoPhase("building the evaluation", 60.0, "build"),
+    DemoPhase("rendering room", 15.0, "render"),
+    DemoPhase("runs", 66.0, "run", 45.0),
 ]
 """The demo where one environment is there already: what it expects on the reference machine."""
 RECORDED_S = {
@@ -38,7 +42,7 @@ def phases(now_s: list[float]) -> Phases:
     return Phases(BUILDS, lambda: now_s[0])
 
 
-def replayed(expected: list[Phase], took_s: list[float], slowness: float = 1.0) -> tuple[list[float], list[bool]]:
+def replayed(expected: list[DemoPhase], took_s: list[float], slowness: float = 1.0) -> tuple[list[float], list[bool]]:
     """Each second of a demo: how long it would take in all, and whether the interval held what was left."""
     now_s, totals_s, held = [0.0], [], []
     phases = Phases(expected, lambda: now_s[0], slowness)
@@ -85,7 +89,7 @@ def test_the_speed_of_the_machine_is_known_before_the_first_phase(capsys: pytest
 
 
 def test_what_is_played_takes_no_longer_on_a_slow_machine() -> None:
-    recording = [Phase("runs", 50.0, "run", 45.0)]
+    recording = [DemoPhase("runs", 50.0, "run", 45.0)]
     assert Phases(recording, slowness=10.0).after().seconds == pytest.approx(45 + 50)
 
 
@@ -106,7 +110,7 @@ def test_what_a_phase_took_corrects_those_of_its_kind_most(
 
 def test_another_kind_is_corrected_less(now_s: list[float]) -> None:
     def after_twice_as_long(kind: str) -> float:
-        phases = Phases([BUILDS[0], Phase("next", 60.0, kind)], lambda: now_s[0])
+        phases = Phases([BUILDS[0], DemoPhase("next", 60.0, kind)], lambda: now_s[0])
         with phases.next():
             now_s[0] += 120
         return phases.after().seconds

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamhive.base.errors import Forbidden, InvalidInput, NotFound
 from slamhive.client import Hive
-from slamhive.errors import Forbidden, InvalidInput, NotFound
 from slamhive.services.hive import open_hive
 from tests.web.web_world import RUNS, loop_path
 

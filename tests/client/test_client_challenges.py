@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.client import Hive
-from slamhive.errors import InvalidInput, NotFound
 from slamhive.services.hive import open_hive
 from tests.services.image_world import image_challenge
 from tests.services.tiny_project import environment, make_dataset, make_project

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from slamhive.base.errors import Forbidden, InvalidInput, NotFound, Unavailable
 from slamhive.client import AsyncHive, Hive, requests
 from slamhive.client.http import connection_options
 from slamhive.client.requests import EXACT_BELOW, cursor
-from slamhive.errors import Forbidden, InvalidInput, NotFound, Unavailable
 from slamhive.store.run_listing import COUNTED
 from tests.web.web_world import RUNS
 

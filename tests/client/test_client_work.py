@@ -16,15 +16,15 @@ from typing import Any
 
 import pytest
 
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, Unavailable
 from slamhive.client import Hive
+from slamhive.client.http import send_file
 from slamhive.client.requests import Request
-from slamhive.client.uploading import send_file
-from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
-from slamhive.schema.uploads import Upload as UploadDocument
-from slamhive.schema.uploads import UploadRequest
+from slamhive.documents.imports import Upload as UploadDocument
+from slamhive.documents.imports import UploadRequest
 from slamhive.services.hive import Hive as ServedHive
 from slamhive.services.hive import open_hive
-from tests.bags.format_world import make_euroc
+from tests.recordings.format_world import make_euroc
 from tests.services.imports.world import trajectory, write
 from tests.services.tiny_project import environment, make_dataset, make_project
 from tests.serving import serving

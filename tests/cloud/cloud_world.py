@@ -5,8 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from slamhive.clock import Clock
-from slamhive.cloud.cloud_file import CloudFile, load_cloud_file
+from slamhive.base.clock import Clock
+from slamhive.cloud.plan import CloudFile, load_cloud_file
 
 ENDPOINT = "http://cloud.test:8000"
 KEYS = {

@@ -14,13 +14,12 @@ import requests
 import urllib3
 from werkzeug.test import Client
 
-from slamhive.cloud.cloud_file import CloudFile
-from slamhive.cloud.cluster_records import CloudRecords
+from slamhive.base.errors import SlamHiveError
 from slamhive.cloud.lifecycle import Hands, Rising, remove_all, take_down
-from slamhive.cloud.plan import Work, make_plan
+from slamhive.cloud.plan import CloudFile, Work, make_plan
 from slamhive.cloud.providers import open_provider
-from slamhive.errors import SlamHiveError
-from slamhive.schema.cloud import CloudPlan, CloudRecord, CloudState
+from slamhive.cloud.resources import CloudRecords
+from slamhive.documents.machines import CloudPlanDocument, CloudRecord, CloudState
 from tests.cloud.cloud_world import ENDPOINT, KEYS, FakeTime
 
 
@@ -62,7 +61,7 @@ def new_record(order: CloudFile, now: datetime) -> CloudRecord:
         made_at=now,
         ends_at=plan.ends_at(now),
         order="",
-        plan=CloudPlan.of(plan),
+        plan=CloudPlanDocument.of(plan),
     )
 
 

@@ -9,11 +9,10 @@ from datetime import timedelta
 
 import pytest
 
-from slamhive.cloud.cloud_file import load_cloud_file
-from slamhive.cloud.plan import BOOT_H, IMAGE_H, Work, make_plan
-from slamhive.cloud.user_data import MOST_BYTES, PREPARED, NodeOrders, user_data
-from slamhive.errors import InvalidInput
-from slamhive.project import project_root
+from slamhive.base.errors import InvalidInput
+from slamhive.base.project import project_root
+from slamhive.cloud.machines import MOST_BYTES, PREPARED, NodeOrders, user_data
+from slamhive.cloud.plan import BOOT_H, IMAGE_H, Work, load_cloud_file, make_plan
 from tests.cloud.cloud_world import NOW, cloud_order, cloud_text
 
 MACHINE_H = 0.5 + 0.1 * 40 / 730

@@ -5,15 +5,15 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
+from slamhive.cloud.lifecycle import Act, Wanted, deletable, next_step
 from slamhive.cloud.plan import FIREWALL, IMAGE, machine_role, planned_roles
-from slamhive.cloud.resources import ROLE_TAG, Kind, Resource, State
-from slamhive.cloud.steps import Act, Wanted, deletable, next_step
+from slamhive.cloud.resources import ROLE_TAG, Resource, ResourceKind, State
 
-KINDS = {FIREWALL: Kind.FIREWALL, IMAGE: Kind.IMAGE}
+KINDS = {FIREWALL: ResourceKind.FIREWALL, IMAGE: ResourceKind.IMAGE}
 
 
 def resource(role: str, state: State = State.READY, parts: tuple[str, ...] = ()) -> Resource:
-    return Resource(KINDS.get(role, Kind.MACHINE), role, state, {ROLE_TAG: role}, parts=parts)
+    return Resource(KINDS.get(role, ResourceKind.MACHINE), role, state, {ROLE_TAG: role}, parts=parts)
 
 
 def wanted(nodes: int, *, opened: bool = True, prepared: bool = True) -> Wanted:
@@ -77,7 +77,7 @@ def test_a_failed_image_ends_the_start() -> None:
 
 
 def test_machines_are_deleted_before_what_they_use() -> None:
-    disk = Resource(Kind.DISK, "d", State.READY, {})
+    disk = Resource(ResourceKind.DISK, "d", State.READY, {})
     found = [resource(FIREWALL), disk, resource(machine_role(0)), resource(machine_role(1), State.ENDING)]
     assert [entry.id for entry in deletable(found)] == ["machine-0"]
     assert [entry.id for entry in deletable([resource(FIREWALL), disk])] == ["d", "firewall"]

@@ -10,10 +10,10 @@ from urllib.parse import parse_qs
 
 import pytest
 
-from slamhive.cloud.cloud_file import CloudFile
+from slamhive.base.errors import Forbidden, InvalidInput, NotFound
+from slamhive.cloud.plan import CloudFile
 from slamhive.cloud.providers import open_provider
-from slamhive.cloud.resources import ROLE_TAG, UID_TAG, Kind
-from slamhive.errors import Forbidden, InvalidInput, NotFound
+from slamhive.cloud.resources import ROLE_TAG, UID_TAG, ResourceKind
 from tests.cloud.cloud_world import ENDPOINT, KEYS, cloud_order
 from tests.cloud.rental import Rental, answered_by
 
@@ -129,7 +129,7 @@ def test_a_cluster_is_one_prepared_machine_its_image_and_the_others(
     assert tuple(moto.changes) == CHANGES
     assert roles(rental) == WHOLE
     assert len(prepared) == 1
-    found = {entry.role: entry for entry in rental.provider.found() if entry.kind is not Kind.DISK}
+    found = {entry.role: entry for entry in rental.provider.found() if entry.kind is not ResourceKind.DISK}
     assert {entry.tags[UID_TAG] for entry in found.values()} == {record.uid}
     first, second = (backend().get_instance(found[f"machine-{number}"].id) for number in (0, 1))
     assert (first.image_id, second.image_id) == (order.image, found["image"].id)

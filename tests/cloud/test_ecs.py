@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.cloud.resources import CLUSTER_TAG, ROLE_TAG, UID_TAG, Kind
-from slamhive.errors import Forbidden, InvalidInput, Unavailable
-from slamhive.schema.cloud import CloudState
+from slamhive.base.errors import Forbidden, InvalidInput, Unavailable
+from slamhive.cloud.resources import CLUSTER_TAG, ROLE_TAG, UID_TAG, ResourceKind
+from slamhive.documents.machines import CloudState
 from tests.cloud.cloud_world import ENDPOINT, KEYS, NOW, cloud_order
 from tests.cloud.ecs_server import EcsServer, Refused
 from tests.cloud.rental import Rental, answered_by
@@ -103,7 +103,7 @@ def test_down_leaves_nothing_and_may_be_repeated(server: EcsServer, rental: Rent
 def test_lists_of_several_pages_are_read_to_their_end(server: EcsServer, rental: Rental) -> None:
     rental.up()
     found = rental.provider.found()
-    assert sum(entry.kind is Kind.MACHINE for entry in found) == 3  # two fit on a page
+    assert sum(entry.kind is ResourceKind.MACHINE for entry in found) == 3  # two fit on a page
     assert any(params.get("PageNumber") == "2" for params in server.params)
 
 

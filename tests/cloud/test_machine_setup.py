@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.cloud.cloud_file import load_cloud_file
-from slamhive.cloud.cluster_records import CloudRecords
-from slamhive.cloud.machine_setup import Preparer, read_public_key
-from slamhive.errors import InvalidInput, Unavailable
+from slamhive.base.errors import InvalidInput, Unavailable
+from slamhive.cloud.machines import Preparer, read_public_key
+from slamhive.cloud.plan import load_cloud_file
+from slamhive.cloud.resources import CloudRecords
 from tests.cloud.cloud_world import FakeTime, cloud_text
 from tests.cloud.rental import new_record
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import click
 import pytest
 
+from slamhive.base.debian import find_program
+from slamhive.base.settings_sources import describe
 from slamhive.cli import main
-from slamhive.debian import find_program
 from slamhive.executors.process.cgroup_home import LEAF
 from slamhive.executors.registry import declared_settings
-from slamhive.settings_sources import describe
 
 ROOT = Path(__file__).resolve().parents[2]
 UNITS = ROOT / "deploy" / "systemd"

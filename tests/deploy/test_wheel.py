@@ -97,7 +97,7 @@ def call(installed, tmp_path):
 
 
 def test_installed_copy_finds_its_folders(installed, tmp_path):
-    code = "from slamhive.project import project_root; print(project_root())"
+    code = "from slamhive.base.project import project_root; print(project_root())"
     found = subprocess.run([installed / "python", "-c", code], check=True, capture_output=True, text=True, cwd=tmp_path)
     assert Path(found.stdout.strip()) == installed.parent / "share" / "slamhive"
 

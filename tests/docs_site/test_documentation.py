@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from slamhive.base.settings_sources import describe
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.executors.registry import declared_settings
-from slamhive.settings_sources import describe
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.accounts import (
     EVERYTHING,
     MAY,
@@ -15,7 +16,6 @@ from slamhive.domain.accounts import (
     check_password,
     token_may,
 )
-from slamhive.errors import InvalidInput
 
 
 def test_each_role_may_more_than_the_one_before() -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from slamhive.domain.bounds import Bound
 from slamhive.domain.configuration import Playback
-from slamhive.domain.protocol_choices import Alignment
+from slamhive.domain.protocol import Alignment
 
 BOUND = Bound("room", 149, 0.03, Alignment.SE3, Playback(), {})
 

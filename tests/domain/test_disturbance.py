@@ -5,15 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from slamhive.domain.disturbance import (
-    Disturbance,
-    DisturbanceKind,
-    DisturbanceLimits,
-    HostInterval,
-    HostLoad,
-    judge,
-)
-from slamhive.settings import Settings
+from slamhive.base.settings import Settings
+from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceLimits, HostInterval, HostLoad, judge
 
 LIMITS = DisturbanceLimits(
     time_fraction=0.1,

@@ -2,13 +2,13 @@ from __future__ import annotations
 
 import pytest
 
+from slamhive.base.errors import Conflict, InvalidInput, NotFound
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.metrics import CATALOGUE, Direction, Group, metric
 from slamhive.domain.names import check_name
 from slamhive.domain.protocol import Alignment, Protocol, default_alignment
 from slamhive.domain.run import LEGAL_MOVES, RunState, check_move
 from slamhive.domain.sensors import SensorSetup
-from slamhive.errors import Conflict, InvalidInput, NotFound
 
 
 @pytest.mark.parametrize(

@@ -4,16 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.domain.gate import (
-    DEFAULT_MARGINS,
-    FAILURES,
-    Answer,
-    Budget,
-    Margin,
-    chosen_margins,
-    read_budget,
-)
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.domain.gate import DEFAULT_MARGINS, FAILURES, Answer, GateBudget, Margin, chosen_margins, read_budget
 
 MEASURED = frozenset({"ate.rmse", "tracked.path", "cpu.per_data_second", "cpu.mean", "ram.max", "latency.p95"})
 
@@ -69,13 +61,13 @@ def test_an_unknown_metric_names_the_nearest():
 @pytest.mark.parametrize(
     ("text", "budget"),
     [
-        ("20 runs", Budget(runs=20)),
-        ("1run", Budget(runs=1)),
-        ("30 min", Budget(time_s=1800.0)),
-        ("1.5h", Budget(time_s=5400.0)),
+        ("20 runs", GateBudget(runs=20)),
+        ("1run", GateBudget(runs=1)),
+        ("30 min", GateBudget(time_s=1800.0)),
+        ("1.5h", GateBudget(time_s=5400.0)),
     ],
 )
-def test_a_budget_is_a_number_of_runs_or_a_time(text: str, budget: Budget):
+def test_a_budget_is_a_number_of_runs_or_a_time(text: str, budget: GateBudget):
     assert read_budget(text) == budget
 
 
@@ -86,10 +78,10 @@ def test_another_budget_is_refused(text: str):
 
 
 def test_a_budget_says_how_many_runs_are_left():
-    assert Budget(runs=20).runs_left(15, 999.0) == 5
-    assert Budget(runs=20).runs_left(25, 999.0) == 0
-    assert Budget(time_s=60.0).runs_left(10, 40.0) == 5  # 4 s each
-    assert Budget(time_s=60.0).runs_left(10, 70.0) == 0
+    assert GateBudget(runs=20).runs_left(15, 999.0) == 5
+    assert GateBudget(runs=20).runs_left(25, 999.0) == 0
+    assert GateBudget(time_s=60.0).runs_left(10, 40.0) == 5  # 4 s each
+    assert GateBudget(time_s=60.0).runs_left(10, 70.0) == 0
 
 
 @pytest.mark.parametrize(

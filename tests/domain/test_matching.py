@@ -8,17 +8,15 @@ from typing import Any
 
 import pytest
 
-from slamhive.catalogue.run_config import build_run_config
-from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input
+from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Input, Requirement
 from slamhive.domain.calibration import CameraModel
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.matching import Origin, check_known, match_of
-from slamhive.domain.parameters import Parameter, ParameterType, check_stored, parse_settings
-from slamhive.domain.requirement import Requirement
-from slamhive.domain.sensor_property import SensorProperty
+from slamhive.domain.parameters import Parameter, ParameterType, SensorProperty, check_stored, parse_settings
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, SensorSetup
-from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.packages.run_config import build_run_config
 
 CAMERA, IMU, LIDAR = SensorKind.CAMERA, SensorKind.IMU, SensorKind.LIDAR
 FLOAT, INT, MATRIX, STRING = ParameterType.FLOAT, ParameterType.INT, ParameterType.MATRIX, ParameterType.STRING

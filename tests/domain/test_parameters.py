@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.domain.parameters import Parameter, ParameterType, Value, check_stored, find_parameter, parse_settings
-from slamhive.errors import InvalidInput, NotFound
 
 FEATURES = Parameter("nFeatures", ParameterType.INT, 1200, "How many.", unit="features", minimum=100, maximum=10000)
 SCALE = Parameter("scaleFactor", ParameterType.FLOAT, 1.2, "Pyramid.", minimum=1.01, maximum=2.0)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.catalogue.algorithm_file import load_algorithms
-from slamhive.catalogue.image_context import dockerfile_of
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.domain.pinned_image import PinnedImage
-from slamhive.errors import InvalidInput
+from slamhive.domain.packages import PinnedImage
+from slamhive.packages.algorithm_file import load_algorithms
+from slamhive.packages.image_context import dockerfile_of
 from tests.services.tiny_project import ALGORITHM
 
 DIGEST = "sha256:" + "0a" * 32

@@ -5,18 +5,19 @@ from dataclasses import fields
 
 import pytest
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import (
     Alignment,
     Association,
     Duplicates,
     Protocol,
+    ProtocolRequest,
     RpePairs,
     SegmentRule,
+    exactly,
     protocol_from_content,
 )
-from slamhive.domain.protocol_request import ProtocolRequest, exactly
 from slamhive.domain.sensors import IDENTITY4
-from slamhive.errors import InvalidInput
 
 EVERYTHING = Protocol(
     alignment=Alignment.SIM3,

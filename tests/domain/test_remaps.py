@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from slamhive.catalogue.algorithm_file import load_algorithms
-from slamhive.catalogue.run_config import build_run_config
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.submission import Submission
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.matching import match_of
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.errors import InvalidInput
-from slamhive.schema.submission import Submission
+from slamhive.packages.algorithm_file import load_algorithms
+from slamhive.packages.run_config import build_run_config
 
 HEAD = """
 format: 1

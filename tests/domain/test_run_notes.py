@@ -2,8 +2,8 @@
 
 import pytest
 
-from slamhive.domain.notes import MOST_TAGS, NO_NOTES, NotesChange, RunNotes, split_tags
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
+from slamhive.domain.run import MOST_TAGS, NO_NOTES, NotesChange, RunNotes, split_tags
 
 
 def test_a_change_keeps_what_it_does_not_name():

@@ -2,9 +2,19 @@
 
 import pytest
 
-from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.domain.trust import CPU_LIMIT_USED, DISTURBED, DROPPED_FRAMES, LIMITS, PLAYER_LAG, TrustLevel, judge_trust
+from slamhive.domain.trust import (
+    CPU_LIMIT_USED,
+    DISTURBED,
+    DROPPED_FRAMES,
+    LIMITS,
+    PLAYER_LAG,
+    Disturbance,
+    DisturbanceKind,
+    DisturbanceReason,
+    TrustLevel,
+    judge_trust,
+)
 
 QUIET = Disturbance(known=True)
 BUSY = Disturbance(known=True, reasons=(DisturbanceReason(DisturbanceKind.OTHERS, "others were busy"),))

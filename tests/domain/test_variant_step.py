@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.domain.configuration import Configuration
-from slamhive.domain.variant import VariantStep
+from slamhive.domain.configuration import Configuration, VariantStep
 
 HALF = VariantStep("resolution", ("cam0",), {"scale": 0.5})
 SLOW = VariantStep("rate", ("cam0",), {"hz": 10.0})

@@ -18,11 +18,10 @@ from shutil import copy
 import pytest
 
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.services.archive.checking import check_archive
 from slamhive.services.archive.exporting import ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport
-from slamhive.services.archive.reading import open_archive
-from slamhive.services.archive.run_files import ODD_NAMES
+from slamhive.services.archive.layout import ODD_NAMES
+from slamhive.services.archive.reading import check_archive, open_archive
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.store.records import EvaluationState

@@ -7,8 +7,8 @@ from unittest import mock
 
 import pytest
 
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import RunState
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from tests.real_datasets import dataset

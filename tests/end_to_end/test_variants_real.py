@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from slamhive.catalogue.dataset_file import dataset_to_yaml
-from slamhive.domain.configuration import PlaybackMode
+from slamhive.documents.submission import Submission
+from slamhive.domain.configuration import PlaybackMode, Variant, VariantStep, parse_step
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.run import RunState
-from slamhive.domain.variant import Variant, VariantStep, parse_step
+from slamhive.packages.dataset_file import dataset_to_yaml
 from slamhive.runtime import config as run_config
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from tests.real_datasets import dataset, silent

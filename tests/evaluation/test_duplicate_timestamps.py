@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamhive.base.project import project_root
 from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol
-from slamhive.evaluation.artefacts import FILES, run_task
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask
 from slamhive.evaluation.references import References
 from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
-from slamhive.project import project_root
+from slamhive.evaluation.work import FILES, run_task
 
 RUNS = project_root().parent / "shared" / "data" / "euroc_vio_runs"
 ESTIMATE, TRUTH = RUNS / "vislam_rp" / "V1_02" / "0.txt", RUNS / "V1_02" / "groundtruth.txt"

@@ -12,15 +12,15 @@ import pytest
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.verdict import FROM_REPEATS
-from slamhive.evaluation.artefacts import FILES, run_task
 from slamhive.evaluation.evaluators.base import MetricValues
 from slamhive.evaluation.evaluators.consistency import Consistency
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask, result_from_json
 from slamhive.evaluation.references import References
+from slamhive.evaluation.work import FILES, run_task
 from slamhive.runtime.pcd import write_pcd
+from slamhive.trajectory.layout import write_tum
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import move_sensor, rotations_from_quats
-from slamhive.trajectory.tum import write_tum
 
 pytestmark = pytest.mark.quick
 

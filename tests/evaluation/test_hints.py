@@ -8,19 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamhive.domain.hint import Hint
+from slamhive.base.errors import InvalidInput
+from slamhive.base.project import project_root
 from slamhive.domain.protocol import Alignment, Association, Protocol
-from slamhive.errors import InvalidInput
+from slamhive.domain.verdict import Hint
 from slamhive.evaluation.evaluators.base import Paired
-from slamhive.evaluation.hints import find_hints
-from slamhive.evaluation.mistakes import rms_m
+from slamhive.evaluation.hints import find_hints, rms_m
 from slamhive.evaluation.pairing import pair
-from slamhive.evaluation.references import Reference
-from slamhive.project import project_root
-from slamhive.trajectory.kitti import read_kitti
+from slamhive.evaluation.references import TruthReference
+from slamhive.trajectory.layout import read_tum as read_tum_file
 from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.pose_file import read_kitti
 from slamhive.trajectory.transforms import inverse_quats, multiply_quats, rotations_from_quats
-from slamhive.trajectory.tum import read_tum as read_tum_file
 
 DATA = project_root().parent / "shared" / "data"
 RUNS, EVO, ROAD = DATA / "euroc_vio_runs", DATA / "evo_trajectories", DATA / "kitti06_stereo_51"
@@ -39,7 +38,7 @@ read_tum = functools.cache(read_tum_file)
 
 
 def hints(truth: Trajectory, estimate: Trajectory, protocol: Protocol, *, rotations: bool = True) -> dict[str, Hint]:
-    paired = pair(Reference(truth, rotations), estimate, protocol)
+    paired = pair(TruthReference(truth, rotations), estimate, protocol)
     found = find_hints(paired, {"ate.rmse": error_m(paired)})
     assert len({hint.key for hint in found}) == len(found)
     return {hint.key: hint for hint in found}
@@ -116,7 +115,7 @@ def later(delay_s: float) -> Change:
 @functools.cache
 def is_poor(truth: Trajectory, estimate: Trajectory) -> bool:
     """Its error is a tenth of the path's size: a mistake makes it worse, but not by much."""
-    paired = pair(Reference(truth), estimate, SIM3)
+    paired = pair(TruthReference(truth), estimate, SIM3)
     size_m = np.sqrt(
         np.mean(np.sum((paired.matched_reference.positions_m - truth.positions_m.mean(axis=0)) ** 2, axis=1))
     )
@@ -246,7 +245,7 @@ def test_a_nearly_straight_road_is_told_with_how_much_it_leaves_open() -> None:
     assert set(found) == {"straight_path"}
     told_deg = re.search(r"about that line by up to about (\d+) deg", found["straight_path"].sentence)
     assert told_deg is not None
-    R = pair(Reference(truth), estimate, SE3).transform.rotation
+    R = pair(TruthReference(truth), estimate, SE3).transform.rotation
     rolled_deg = np.rad2deg(abs(np.arctan2(R[2, 1], R[2, 2])))
     assert 10 < rolled_deg < 1.2 * int(told_deg[1]), "it was turned so far, and is said to be turned further at most"
     assert hints(truth, estimate, YAW) == {}
@@ -270,10 +269,10 @@ def test_no_overlap_suggests_the_unit_that_would_fit(unit: str, factor: float) -
     _, truth, estimate = next(iter(flights("0")))
     wrong = Trajectory(estimate.stamps_s * factor, estimate.positions_m, estimate.quats_xyzw)
     with pytest.raises(InvalidInput, match=f"of the estimate look like {unit}, not seconds.*--time-unit {unit}"):
-        pair(Reference(truth), wrong, SE3)
+        pair(TruthReference(truth), wrong, SE3)
     other = Trajectory(truth.stamps_s * factor, truth.positions_m, truth.quats_xyzw)
     with pytest.raises(InvalidInput, match=f"of the ground truth look like {unit}.*--groundtruth-time-unit {unit}"):
-        pair(Reference(other), estimate, SE3)
+        pair(TruthReference(other), estimate, SE3)
 
 
 def test_a_unit_that_makes_times_overlap_a_little_is_told() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import Unavailable
+from slamhive.base.errors import Unavailable
 from slamhive.evaluation.image_context import EvaluationContext
 
 ROOT = Path(__file__).resolve().parent.parent.parent

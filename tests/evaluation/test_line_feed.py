@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 
-from slamhive.evaluation.line_feed import LineFeed
+from slamhive.evaluation.process import LineFeed
 
 
 def silent_after(lines: list[str], ends: threading.Event) -> Iterator[str]:

@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Alignment, Association, Protocol
 from slamhive.domain.sensors import IDENTITY4
-from slamhive.errors import InvalidInput
-from slamhive.evaluation.artefacts import run_task
 from slamhive.evaluation.engine import all_metrics
 from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask
 from slamhive.evaluation.pairing import pair
-from slamhive.evaluation.references import Reference, References
+from slamhive.evaluation.references import References, TruthReference
+from slamhive.evaluation.work import run_task
+from slamhive.trajectory.layout import write_tum
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import move_sensor, multiply_quats, rotations_from_quats
-from slamhive.trajectory.tum import write_tum
 
 pytestmark = pytest.mark.quick
 
@@ -55,7 +55,7 @@ def figures(paired: Paired) -> dict[str, float]:
     return dict(all_metrics(paired).values)
 
 
-TRUTH = Reference(flight(TRUTH_S))
+TRUTH = TruthReference(flight(TRUTH_S))
 ESTIMATE = flight(ESTIMATE_S)
 
 
@@ -90,7 +90,7 @@ def test_a_shift_of_the_stamps_is_found(alignment: Alignment, delay_s: float, ro
     world = ESTIMATE if alignment is Alignment.NONE else elsewhere(ESTIMATE)
     shifted = later(world, delay_s)
     protocol = Protocol(alignment, offset_search_s=1.0)
-    found = pair(Reference(TRUTH.trajectory, rotations_known), shifted, protocol)
+    found = pair(TruthReference(TRUTH.trajectory, rotations_known), shifted, protocol)
     assert found.time_offset_s == pytest.approx(-delay_s, abs=2e-4)
     assert figures(found)["ate.rmse"] < 1e-3
     assert figures(found)["alignment.time_offset"] == found.time_offset_s
@@ -117,7 +117,10 @@ def test_an_offset_that_cannot_be_found_is_an_error(estimate: Trajectory, messag
     reference = TRUTH
     if message is None:
         still = np.tile(TRUTH.trajectory.quats_xyzw[0], (len(TRUTH_S), 1))
-        reference, message = Reference(Trajectory(TRUTH_S, 0 * TRUTH.trajectory.positions_m, still)), "they hardly move"
+        reference, message = (
+            TruthReference(Trajectory(TRUTH_S, 0 * TRUTH.trajectory.positions_m, still)),
+            "they hardly move",
+        )
     with pytest.raises(InvalidInput, match=message):
         pair(reference, estimate, Protocol(Alignment.NONE, offset_search_s=1.0))
 

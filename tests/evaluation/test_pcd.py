@@ -4,8 +4,8 @@ import struct
 import numpy as np
 import pytest
 
-from slamhive.errors import InvalidInput
-from slamhive.evaluation.pcd import MAX_POINTS, read_pcd, unpack_lzf
+from slamhive.base.errors import InvalidInput
+from slamhive.evaluation.evaluators.map_quality import MAX_POINTS, read_pcd, unpack_lzf
 from slamhive.runtime.pcd import format_pcd, write_pcd
 
 POINTS_M = np.array([[1.0, 2.0, 3.0], [-4.5, 0.25, 8.0], [0.0, -1.0, 1e3]])

@@ -2,15 +2,15 @@
 
 import pytest
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.errors import InvalidInput
 from slamhive.evaluation.engine import all_metrics
 from slamhive.evaluation.evaluators.base import MetricValues
 from slamhive.evaluation.pairing import pair
 from slamhive.evaluation.presets import PRESETS
-from slamhive.evaluation.references import Reference
+from slamhive.evaluation.references import TruthReference
+from slamhive.trajectory.layout import read_tum
 from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.tum import read_tum
 from tests.evaluation.tool_inputs import EVO, RUNS, kitti
 
 pytestmark = [
@@ -21,7 +21,7 @@ pytestmark = [
 
 
 def evaluated(name: str, reference: Trajectory, estimate: Trajectory) -> tuple[MetricValues, int]:
-    paired = pair(Reference(reference), estimate, PRESETS.get(name).protocol)
+    paired = pair(TruthReference(reference), estimate, PRESETS.get(name).protocol)
     return all_metrics(paired), len(paired.aligned)
 
 

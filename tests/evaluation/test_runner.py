@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.evaluation.batch import Batch
 from slamhive.evaluation.job import EvaluationResult, EvaluationTask, job_from_json, result_to_json
+from slamhive.evaluation.process import EvaluationBatch
 from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
 
 pytestmark = pytest.mark.integration
@@ -41,13 +41,15 @@ class Scripted:
 
     def __init__(self, done: int, ending: str | None, *, isolated: bool = False, written: int = 0) -> None:
         self.isolated, self.done, self.ending, self.written = isolated, done, ending, written
-        self.batch: Batch | None = None
+        self.batch: EvaluationBatch | None = None
         self.tasks: tuple[EvaluationTask, ...] = ()
 
     def prepare(self, progress: Callable[[str], None]) -> None:
         progress("nothing to prepare")
 
-    def run_batch(self, batch: Batch, on_line: Callable[[str], None], stopping: threading.Event) -> str | None:
+    def run_batch(
+        self, batch: EvaluationBatch, on_line: Callable[[str], None], stopping: threading.Event
+    ) -> str | None:
         self.batch = batch
         self.tasks = job_from_json(batch.mounts[0].source.read_text())
         on_line("something a library printed\n")
@@ -157,7 +159,7 @@ def test_the_real_process_keeps_to_its_cores(tmp_path: Path) -> None:
     starter = ProcessStarter(tmp_path)
     said: list[str] = []
     for cores in ((usable[-1],), None):
-        starter.run_batch(Batch("job.json", (), tmp_path, 30.0, cores), said.append, threading.Event())
+        starter.run_batch(EvaluationBatch("job.json", (), tmp_path, 30.0, cores), said.append, threading.Event())
     assert said == [f"[{usable[-1]}]\n", f"{usable}\n"]
     assert sorted(os.sched_getaffinity(0)) == usable
 

@@ -23,12 +23,11 @@ from typing import Any
 
 import pytest
 
-from slamhive.domain.protocol import Protocol
-from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.domain.protocol import Protocol, ProtocolRequest
 from slamhive.evaluation.engine import all_metrics
 from slamhive.evaluation.pairing import pair
 from slamhive.evaluation.presets import PRESETS
-from slamhive.evaluation.references import Reference
+from slamhive.evaluation.references import TruthReference
 from slamhive.trajectory.model import Trajectory
 from tests.evaluation.tool_inputs import RECORDED, RUNS, recorded, synthetic
 
@@ -53,7 +52,7 @@ def trajectories(name: str) -> tuple[Trajectory, Trajectory]:
 
 def figures(name: str, protocol: Protocol) -> dict[str, float]:
     truth, estimate = trajectories(name)
-    paired = pair(Reference(truth), estimate, protocol)
+    paired = pair(TruthReference(truth), estimate, protocol)
     return {**all_metrics(paired).values, "matched": float(len(paired.aligned))}
 
 
@@ -95,6 +94,6 @@ def test_the_made_up_flight_has_what_the_tools_stumble_over() -> None:
     ):
         protocol = PRESETS.get(preset).protocol
         asked = ProtocolRequest(plain).on(protocol) if None not in plain.values() else replace(protocol, **plain)
-        found = all_metrics(pair(Reference(truth), estimate, asked)).values
+        found = all_metrics(pair(TruthReference(truth), estimate, asked)).values
         tool = TOOLS["synthetic"][preset]
         assert any(abs(found.get(key, 0.0) / value - 1) > 1e-3 for key, value in tool.items() if value), (preset, plain)

@@ -5,15 +5,15 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from slamhive.base.project import project_root
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.verdict import Verdict, VerdictKind, compare_repeats, judge, tracked_enough
-from slamhive.evaluation.evaluators.absolute import RelativeSize
-from slamhive.evaluation.evaluators.completeness import Coverage
+from slamhive.evaluation.evaluators.completeness import TrackingCoverage
+from slamhive.evaluation.evaluators.evo_errors import RelativeSize
 from slamhive.evaluation.pairing import pair
-from slamhive.evaluation.references import Reference
-from slamhive.project import project_root
+from slamhive.evaluation.references import TruthReference
+from slamhive.trajectory.layout import read_tum
 from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.tum import read_tum
 
 SHARED = project_root().parent / "shared" / "data"
 RUNS, EVO = SHARED / "euroc_vio_runs", SHARED / "evo_trajectories"
@@ -26,10 +26,12 @@ pytestmark = [
 ]
 
 
-def evidence(truth: Reference, estimate: Trajectory, alignment: Alignment = Alignment.YAW_POSITION) -> dict[str, float]:
+def evidence(
+    truth: TruthReference, estimate: Trajectory, alignment: Alignment = Alignment.YAW_POSITION
+) -> dict[str, float]:
     paired = pair(truth, estimate, Protocol(alignment))
     errors_m = np.linalg.norm(paired.aligned.positions_m - paired.matched_reference.positions_m, axis=1)
-    found = {**Coverage().evaluate(paired).values, **RelativeSize().evaluate(paired).values}
+    found = {**TrackingCoverage().evaluate(paired).values, **RelativeSize().evaluate(paired).values}
     return {**found, "ate.rmse": float(np.sqrt(np.mean(errors_m**2)))}
 
 
@@ -40,7 +42,7 @@ def part(trajectory: Trajectory, kept: np.ndarray) -> Trajectory:
 
 @pytest.fixture(scope="module")
 def truths():
-    return {path.parent.name: Reference(read_tum(path)) for path in RUNS.glob("*/groundtruth.txt")}
+    return {path.parent.name: TruthReference(read_tum(path)) for path in RUNS.glob("*/groundtruth.txt")}
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +118,7 @@ def test_repeats_that_diverge_by_1_4_m_fail_and_the_others_stay_good(measured):
 
 def test_other_published_trajectories():
     """RGBDSLAM on freiburg1_xyz is good; the ORB keyframes begin after 11 of its 30 s of motion."""
-    truth = Reference(read_tum(EVO / "freiburg1_xyz-groundtruth.txt"))
+    truth = TruthReference(read_tum(EVO / "freiburg1_xyz-groundtruth.txt"))
     found = {
         name: judge(evidence(truth, read_tum(EVO / f"freiburg1_xyz-{name}.txt"), alignment)).kind
         for name, alignment in (("rgbdslam", Alignment.SE3), ("ORB_kf_mono", Alignment.SIM3))

@@ -12,9 +12,9 @@ import pytest
 
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation import work
-from slamhive.evaluation.artefacts import run_task
 from slamhive.evaluation.job import EvaluationResult, EvaluationTask, job_to_json
 from slamhive.evaluation.references import References
+from slamhive.evaluation.work import run_task
 from tests.waiting import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.integration

@@ -16,16 +16,16 @@ import pytest
 
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import EngineUnavailable, Executor, ExecutorContext, NodeAccess, PackageNeed
-from slamhive.executors.kubernetes import pod_watch, run_jobs
+from slamhive.executors.kubernetes import run_jobs
 from slamhive.executors.kubernetes.executor import KubernetesExecutor
 from slamhive.executors.node_store.server import NodeServer
 from slamhive.executors.process.containment import KINDS, choose_containment
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold
 from slamhive.executors.process.executor import ProcessExecutor
 from slamhive.executors.registry import ExecutorFactory, open_executor
-from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import ResourceLimits, RunInput, RunOutput, RunSpec
 from slamhive.executors.status import Exited, RunHandle, Running
-from slamhive.runs.folder import RunFolder
+from slamhive.run_folder.folder import RunFolder
 from tests.executors.api_server import ApiServer
 from tests.executors.kubernetes_cluster import KubernetesCluster, why_no_kubernetes
 from tests.executors.node_stores import serving
@@ -83,7 +83,7 @@ class Bench:
     containment: str = ""
     handles: list[RunHandle] = field(default_factory=list)
 
-    def spec(self, script: str, limits: Limits | None = None, key: str | None = None) -> RunSpec:
+    def spec(self, script: str, limits: ResourceLimits | None = None, key: str | None = None) -> RunSpec:
         key = key or f"test-{uuid.uuid4().hex[:12]}"
         folder = RunFolder(self.root / key)
         folder.create()
@@ -113,7 +113,7 @@ class Bench:
             work=folder.work,
         )
 
-    def start(self, script: str, limits: Limits | None = None) -> tuple[RunSpec, RunHandle]:
+    def start(self, script: str, limits: ResourceLimits | None = None) -> tuple[RunSpec, RunHandle]:
         spec = self.spec(script, limits)
         handle = self.start_spec(spec)
         self.handles.append(handle)
@@ -144,9 +144,9 @@ class Bench:
         return status
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> ResourceLimits:
         """Limits that every run of these tests has where they are promised."""
-        return Limits().only(self.executor.capabilities.limits)
+        return ResourceLimits().only(self.executor.capabilities.limits)
 
     def result(self, spec: RunSpec) -> Path:
         return spec.output("result").destination
@@ -349,7 +349,7 @@ def make_kubernetes(server: ApiServer, tmp_path: Path, monkeypatch: pytest.Monke
     """Makes executors that ask this API server, as workers that follow each other have them."""
     monkeypatch.setattr(run_jobs, "START_WAIT_S", 0.15)
     monkeypatch.setattr(run_jobs, "_LOOK_EVERY_S", 0.02)
-    monkeypatch.setattr(pod_watch, "_SHORTEST_PAUSE_S", 0.02)
+    monkeypatch.setattr(run_jobs, "_SHORTEST_PAUSE_S", 0.02)
     made: list[KubernetesExecutor] = []
 
     def make(options: str = "", installation: str = "home", nodes: NodeAccess | None = None) -> KubernetesExecutor:

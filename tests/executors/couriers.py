@@ -17,7 +17,7 @@ from slamhive.executors.kubernetes import courier
 programs, folders = Path(sys.argv[1]), courier.PodFolders(Path(sys.argv[2]))
 ticket = courier.Ticket.loads((programs / "ticket.json").read_text())
 courier.fetch(ticket, programs, folders)
-courier.Report(ticket, folders).run()
+courier.CourierReport(ticket, folders).run()
 """
 
 

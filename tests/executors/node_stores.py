@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from slamhive.executors.node_store.offers import Offers
+from slamhive.executors.node_store.exchange import Offers
 from slamhive.executors.node_store.on_node.connection import Connection
 from slamhive.executors.node_store.registrations import Offered, Registration, Registrations
 from slamhive.executors.node_store.server import NodeServer

@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.executors.energy import EnergyLog
-from slamhive.executors.host_counters import HostCounters, HostReader
+from slamhive.executors.host_counters import EnergyLog, HostCounters, HostReader
 from slamhive.executors.host_log import HostLog
 from slamhive.executors.sampler import MachineLogs, Sampler
-from slamhive.runs.folder import RunFolder
-from slamhive.runs.host_columns import COLUMNS
-from slamhive.runs.host_load import read_host_load
-from slamhive.runs.untrusted import read_numeric_columns
+from slamhive.run_folder.folder import RunFolder
+from slamhive.run_folder.host_columns import COLUMNS
+from slamhive.run_folder.profiling import read_host_load
+from slamhive.run_folder.untrusted import read_numeric_columns
 from tests.burning import busy_machine
 from tests.executors.conftest import Bench, wait_for_end
 from tests.waiting import eventually

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.executors.process import containment, scope, survey
-from slamhive.executors.process.cgroup_home import LEAF, Home, find_home, manager_of_user, settle
+from slamhive.executors.process import cgroup_home, containment, survey
+from slamhive.executors.process.cgroup_home import LEAF, CgroupHome, find_home, manager_of_user, settle
 from slamhive.executors.process.containment import choose_containment
 from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold
 from slamhive.executors.process.run_cgroup import RunCgroup
@@ -189,7 +189,7 @@ def test_a_home_that_never_gets_empty_is_given_up(root, delegated):
 
 
 def test_a_settled_home_is_used_as_it_is(root):
-    home = Home(2, {"pids": root / SERVICE})
+    home = CgroupHome(2, {"pids": root / SERVICE})
     assert settle(home) is home
 
 
@@ -215,14 +215,14 @@ def test_a_scope_is_wanted_only_where_systemd_can_give_one(root, delegated, monk
     systemd = tmp_path / "systemd"
     membership = own(root, SERVICE)
     unit = group(root / SERVICE)
-    monkeypatch.setattr(scope, "find_home", lambda place: find_home(place, membership))
-    assert not scope.scope_wanted(root, systemd), "systemd does not run this machine"
+    monkeypatch.setattr(cgroup_home, "find_home", lambda place: find_home(place, membership))
+    assert not cgroup_home.scope_wanted(root, systemd), "systemd does not run this machine"
     systemd.mkdir()
-    assert scope.scope_wanted(root, systemd)
+    assert cgroup_home.scope_wanted(root, systemd)
     delegated(unit)
-    assert not scope.scope_wanted(root, systemd)
+    assert not cgroup_home.scope_wanted(root, systemd)
     (root / "cgroup.controllers").unlink()
-    assert not scope.scope_wanted(root, systemd), "version 1"
+    assert not cgroup_home.scope_wanted(root, systemd), "version 1"
 
 
 def test_the_manager_of_the_user_is_found_without_variables():
@@ -247,11 +247,11 @@ def test_without_a_scope_it_is_said_why(tmp_path, monkeypatch, script, reason):
         (tmp_path / "systemd-run").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
     with (tmp_path / "output").open("w+b") as output:
-        assert reason in str(scope.run_in_scope(["true"], {}, output.fileno()))
+        assert reason in str(cgroup_home.run_in_scope(["true"], {}, output.fileno()))
 
 
 def test_a_run_without_a_scope_records_both_reasons(monkeypatch):
-    def refuse(**_words: bool) -> Home:
+    def refuse(**_words: bool) -> CgroupHome:
         raise DoesNotHold("systemd has not delegated app.service (Delegate=yes)")
 
     monkeypatch.setattr(containment, "find_home", refuse)

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from slamhive.domain.disturbance import DisturbanceKind
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import RunState
-from slamhive.executors.energy import NOT_MEASURED
-from slamhive.runs.host_load import read_host_load
-from slamhive.schema.submission import Submission
+from slamhive.domain.trust import DisturbanceKind
+from slamhive.executors.host_counters import NOT_MEASURED
+from slamhive.run_folder.profiling import read_host_load
 from tests.burning import busy_machine
 from tests.executors.pod_installation import pod_installation
 from tests.services.installation import Installation, installation

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from slamhive.domain.gpu import GivenGpu
-from slamhive.errors import InvalidInput, Unavailable
+from slamhive.base.errors import InvalidInput, Unavailable
+from slamhive.domain.algorithm import GivenGpu
 from slamhive.executors.base import EngineUnavailable, StartFailed
 from slamhive.executors.kubernetes import run_jobs
 from slamhive.executors.registry import open_executor

@@ -18,9 +18,9 @@ from slamhive.executors.process.shim import IDENTITY_FILE, main
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.survey import survey
 from slamhive.executors.process.table import all_processes, living, processes_of_user
-from slamhive.executors.process.tree_usage import ProcessTreeSource
+from slamhive.executors.process.tree_limit import ProcessTreeSource
 from slamhive.executors.process.user_limit import FIRST_UID, USERS
-from slamhive.executors.spec import Limits
+from slamhive.executors.spec import ResourceLimits
 from slamhive.executors.status import Gone, Running
 from tests.executors.conftest import EVERYWHERE, HOLDING, REFUSING, open_to_other_users, wait_for_end
 from tests.executors.processes import processes_of
@@ -49,14 +49,14 @@ LINGERING = RESULT + (
 
 @pytest.mark.parametrize("maker", REFUSING, indirect=True)
 def test_a_run_that_only_touches_its_limit_goes_on(bench):
-    _, handle = bench.start(TOUCH, Limits(pids=16))
+    _, handle = bench.start(TOUCH, ResourceLimits(pids=16))
     status = wait_for_end(bench.executor, handle)
     assert (status.exit_code, status.process_limit, status.refused_processes) == (0, False, True)
 
 
 @pytest.mark.parametrize("maker", REFUSING, indirect=True)
 def test_a_run_that_fails_after_a_refusal_was_refused(bench):
-    _, handle = bench.start(TOUCH + "sys.exit(3)\n", Limits(pids=16))
+    _, handle = bench.start(TOUCH + "sys.exit(3)\n", ResourceLimits(pids=16))
     status = wait_for_end(bench.executor, handle)
     assert (status.exit_code, status.process_limit, status.refused_processes) == (3, False, True)
 
@@ -68,7 +68,7 @@ def test_a_run_with_as_many_threads_as_it_may_have_is_left_alone(bench):
         "import threading\nthreads = [threading.Thread(target=time.sleep, args=(4,)) for _ in range(14)]\n"
         "for thread in threads: thread.start()\nfor thread in threads: thread.join()\n"
     )
-    _, handle = bench.start(script, Limits(pids=16))
+    _, handle = bench.start(script, ResourceLimits(pids=16))
     status = wait_for_end(bench.executor, handle)
     assert (status.exit_code, status.process_limit, status.refused_processes) == (0, False, False)
 
@@ -78,7 +78,7 @@ def test_a_run_with_as_many_threads_as_it_may_have_is_left_alone(bench):
 def test_memory_limit(bench, of):
     grow = "x = []\nimport time\nwhile True:\n    x.append(bytearray(b'1' * 4_000_000))\n    time.sleep(0.01)\n"
     child = f"import subprocess, sys, time\nsubprocess.run([sys.executable, '-c', {grow!r}])\ntime.sleep(60)\n"
-    _, handle = bench.start(grow if of == "itself" else child, Limits(memory_bytes=80_000_000))
+    _, handle = bench.start(grow if of == "itself" else child, ResourceLimits(memory_bytes=80_000_000))
     status = wait_for_end(bench.executor, handle)
     assert (status.exit_code, status.out_of_memory, status.process_limit) == (137, True, False)
 
@@ -90,7 +90,7 @@ def test_cpu_limit(bench):
         "while time.monotonic() < end_s: pass\n"
         "(result / 'used').write_text(f'{time.process_time()} {len(os.sched_getaffinity(0))}')\n"
     )
-    spec, handle = bench.start(script, Limits(cpu_cores=0.5))
+    spec, handle = bench.start(script, ResourceLimits(cpu_cores=0.5))
     assert wait_for_end(bench.executor, handle).exit_code == 0
     used_s, cores = (float(word) for word in (bench.result(spec) / "used").read_text().split())
     if kernel_holds_cpu(handle):

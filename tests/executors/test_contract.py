@@ -16,7 +16,7 @@ import pytest
 
 from slamhive.executors.base import EvaluationPlace, ImageMissing, StartFailed
 from slamhive.executors.sampler import Sampler
-from slamhive.executors.spec import Limit, Limits, RunInput
+from slamhive.executors.spec import Limit, ResourceLimits, RunInput
 from slamhive.executors.status import Exited, Gone, Running
 from tests.executors.conftest import Bench, wait_for_end
 from tests.waiting import eventually
@@ -90,7 +90,7 @@ def test_failing_exit_codes(bench, script, code):
     assert wait_for_end(bench.executor, handle).exit_code == code
 
 
-def promised(bench: Bench, limits: Limits) -> bool:
+def promised(bench: Bench, limits: ResourceLimits) -> bool:
     """Whether the executor promises to hold a run to ``limits``; one that does not must refuse them in words."""
     missing = limits.kinds() - bench.executor.capabilities.limits
     if missing:
@@ -183,7 +183,7 @@ def test_files_are_shared_or_travel(bench):
 
 def test_what_is_no_plain_file_does_not_reach_the_controller_by_an_archive(bench):
     if bench.executor.capabilities.shares_files:
-        return  # the worker removes it from the result, see tests/runs/test_leftovers.py
+        return  # the worker removes it from the result, see tests/run_folder/test_leftovers.py
     script = (
         RESULT + "(result / 'link').symlink_to('/etc/passwd')\nos.mkfifo(result / 'pipe')\n(result / 'a').touch()\n"
     )

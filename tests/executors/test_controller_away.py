@@ -11,8 +11,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import RunState
-from slamhive.schema.submission import Submission
 from tests.executors.pod_installation import pod_installation
 from tests.executors.random_kills import check_accounts
 from tests.executors.slurm_installation import slurm_installation

@@ -12,19 +12,21 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.documents.model import dump
 from slamhive.executors.base import NodeAccess
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.archive import courier_archive
 from slamhive.executors.kubernetes.courier import PodFolders, copy_own, main
-from slamhive.executors.kubernetes.courier_manifest import (
+from slamhive.executors.kubernetes.manifest import (
     COURIER_BYTES,
+    Who,
+    job_name,
     node_job_manifest,
     run_mounts,
     secret_manifest,
     secret_name,
     with_courier,
 )
-from slamhive.executors.kubernetes.manifest import Who, job_name
 from slamhive.executors.kubernetes.node_runs import HandedOut, NodeRunFiles, hand_out
 from slamhive.executors.kubernetes.options import Options
 from slamhive.executors.kubernetes.pod_files import (
@@ -42,7 +44,6 @@ from slamhive.executors.node_store.registrations import Registration, Registrati
 from slamhive.executors.process.exit_file import reserve, write_exit
 from slamhive.executors.spec import RunInput, RunOutput, RunSpec, VariantOrder
 from slamhive.executors.status import Exited
-from slamhive.schema.model import dump
 from tests.executors.couriers import start_courier
 from tests.executors.node_stores import serving
 from tests.executors.test_kubernetes_manifest import SPEC, container_of, pod_of

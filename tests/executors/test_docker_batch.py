@@ -11,8 +11,8 @@ from pathlib import Path
 import docker
 import pytest
 
-from slamhive.errors import Unavailable
-from slamhive.evaluation.batch import Batch, BatchMount
+from slamhive.base.errors import Unavailable
+from slamhive.evaluation.process import BatchMount, EvaluationBatch
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.docker.batch import DockerStarter
 from slamhive.executors.docker.engine import INSTALLATION_LABEL
@@ -42,7 +42,7 @@ def run(base_image, tmp_path: Path) -> Run:
         path.chmod(0o755)
         mounts = (BatchMount(path, job, read_only=True),)
         said: list[str] = []
-        batch = Batch(job, mounts, tmp_path, timeout_s, cores)
+        batch = EvaluationBatch(job, mounts, tmp_path, timeout_s, cores)
         ended = starter.run_batch(batch, said.append, threading.Event())
         client = docker.from_env()
         label = f"{INSTALLATION_LABEL}={context.installation}"

@@ -19,13 +19,18 @@ import pytest
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import ExecutorContext, ImageMissing
 from slamhive.executors.cgroup import cgroup_of
-from slamhive.executors.docker import build as docker_build
-from slamhive.executors.docker.build import choose_base, follow_build, packed_context
+from slamhive.executors.docker import images as docker_build
 from slamhive.executors.docker.engine import closing_chunks
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.docker.foreign_images import DockerImages
-from slamhive.executors.docker.image import find_image, make_image
-from slamhive.executors.docker.kept_images import kept_name
+from slamhive.executors.docker.images import (
+    choose_base,
+    find_image,
+    follow_build,
+    kept_name,
+    make_image,
+    packed_context,
+)
 
 pytestmark = pytest.mark.quick
 

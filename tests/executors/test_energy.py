@@ -2,8 +2,8 @@
 
 import pytest
 
-from slamhive.errors import Unavailable
-from slamhive.executors.energy import HEADER, EnergyLog, PackageEnergy, read_packages
+from slamhive.base.errors import Unavailable
+from slamhive.executors.host_counters import HEADER, EnergyLog, PackageEnergy, read_packages
 
 
 def counter(powercap, folder, name, energy_uj, range_uj=262143328850):

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from slamhive.domain.gpu import GivenGpu, Gpu
-from slamhive.errors import InvalidInput, Unavailable
+from slamhive.base.errors import InvalidInput, Unavailable
+from slamhive.domain.algorithm import GivenGpu, Gpu
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.manifest import resources
 from slamhive.executors.kubernetes.options import Options, read_options
-from slamhive.executors.slurm.command import Node, parse_nodes
-from slamhive.executors.slurm.gres import given_gpus, offers, read_gpu, with_gpu
-from slamhive.executors.slurm.job import job_request
+from slamhive.executors.slurm.command import SlurmNode, parse_nodes
+from slamhive.executors.slurm.gpus import given_gpus, offers, read_gpu, with_gpu
+from slamhive.executors.slurm.jobs import job_request
 from slamhive.executors.slurm.runtimes import ContainerOrders, apptainer, charliecloud, podman
 from slamhive.web.presenters.runs import gpu as gpu_cell
 from tests.executors.test_slurm_units import SPEC
@@ -59,7 +59,7 @@ def test_which_nodes_have_it(gres, gpu, has_it):
 
 def test_nodes_with_and_without_resources():
     nodes = parse_nodes("one idle 8 4000 gpu:fake:1(S:0)\ntwo idle 8 4000 (null)\n")
-    assert nodes[0] == Node("one", "idle", 8, 4000, "gpu:fake:1(S:0)")
+    assert nodes[0] == SlurmNode("one", "idle", 8, 4000, "gpu:fake:1(S:0)")
     assert [offers(node.gres, "gpu:1") for node in nodes] == [True, False]
 
 

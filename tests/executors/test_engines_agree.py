@@ -16,11 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamhive.analysis.equivalence import rank_equivalence
-from slamhive.analysis.regression import Sample
-from slamhive.bags.room import RoomOptions
-from slamhive.domain.replay import DEFAULT_MARGINS
+from slamhive.analysis.regression import Sample, rank_equivalence
+from slamhive.domain.gate import REPLAY_MARGINS
 from slamhive.domain.run import RunState
+from slamhive.recordings.room import RoomOptions
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from tests.executors.kubernetes_cluster import KubernetesCluster
@@ -90,7 +89,7 @@ def take_turn(hive: Hive, engine: str, name: str, table: Table) -> None:
 
 def agree(first: list[float], second: list[float]) -> bool:
     """Whether both are shown to be within the margin of a replay, by its tests."""
-    evidence = rank_equivalence(Sample(np.array(first), np.array(second)), DEFAULT_MARGINS["ate.rmse"])
+    evidence = rank_equivalence(Sample(np.array(first), np.array(second)), REPLAY_MARGINS["ate.rmse"])
     return evidence.within < SIGNIFICANCE
 
 

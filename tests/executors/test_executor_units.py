@@ -10,19 +10,19 @@ from typing import Any
 import pytest
 import requests
 
+from slamhive.base.errors import NotFound, Unavailable
 from slamhive.domain.algorithm import AlgorithmPackage, RunUser
-from slamhive.errors import NotFound, Unavailable
 from slamhive.executors.base import Capabilities, EngineUnavailable, ExecutorContext, ImageMissing, StartFailed
-from slamhive.executors.docker.build import follow_build
-from slamhive.executors.docker.container import container_options
+from slamhive.executors.docker.containers import container_options
 from slamhive.executors.docker.engine import EngineTraits, connect, container_name, engine_errors, lifetime, traits_of
+from slamhive.executors.docker.executor import parse_stats
+from slamhive.executors.docker.images import follow_build
 from slamhive.executors.docker.run_user import in_words, is_foreign
-from slamhive.executors.docker.stats import parse_stats
-from slamhive.executors.process.capped_log import CappedLog, assemble
 from slamhive.executors.process.environment import Environments
+from slamhive.executors.process.exit_file import CappedLog, assemble
 from slamhive.executors.registry import EXECUTORS, choose_executor, installation_id, open_executor
 from slamhive.executors.sampler import HEADER, Sampler
-from slamhive.executors.spec import Limit, Limits, RunOutput, RunSpec
+from slamhive.executors.spec import Limit, ResourceLimits, RunOutput, RunSpec
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def package(folder: Path, **changes) -> AlgorithmPackage:
     return AlgorithmPackage("demo", folder, "Demo", "1", "", "", "", **changes)
 
 
-def spec(tmp_path: Path, limits: Limits) -> RunSpec:
+def spec(tmp_path: Path, limits: ResourceLimits) -> RunSpec:
     outputs = (RunOutput("result", tmp_path, "/slamhive/result"),)
     return RunSpec(
         "key", 7, "demo", tmp_path, "image:tag", "sha256:abc", ("python3", "/slamhive/mapping.py"),
@@ -99,10 +99,12 @@ def test_named_executor():
 
 def test_limits_that_are_not_enforced_are_refused_in_words():
     some = Capabilities(limits=frozenset({Limit.CORES}))
-    assert some.refusal("plain", Limits(cpu_cores=1.0, pids=None)) is None
-    refusal = some.refusal("plain", Limits(memory_bytes=1, pids=5))
+    assert some.refusal("plain", ResourceLimits(cpu_cores=1.0, pids=None)) is None
+    refusal = some.refusal("plain", ResourceLimits(memory_bytes=1, pids=5))
     assert refusal == "the executor plain does not limit memory and processes"
-    assert Limits(1.0, 1, 5, (0,), 1, 1).only(some.limits) == Limits(cpu_cores=1.0, pids=None, cpuset=(0,))
+    assert ResourceLimits(1.0, 1, 5, (0,), 1, 1).only(some.limits) == ResourceLimits(
+        cpu_cores=1.0, pids=None, cpuset=(0,)
+    )
 
 
 def test_unknown_executor_lists_the_choices(context):
@@ -123,7 +125,7 @@ def test_container_names():
 
 
 def test_container_options_are_hardened(tmp_path, context):
-    options = container_options(spec(tmp_path, Limits(1.5, 2_000_000_000, 64, (0, 2))), context)
+    options = container_options(spec(tmp_path, ResourceLimits(1.5, 2_000_000_000, 64, (0, 2))), context)
     assert options["cap_drop"] == ["ALL"]
     assert options["security_opt"] == ["no-new-privileges"]
     assert options["network_mode"] == "none"
@@ -142,7 +144,7 @@ def test_container_options_are_hardened(tmp_path, context):
 
 def test_root_of_a_rootless_engine_is_the_worker(tmp_path, context):
     """Any other number in its containers owns nothing here, so the run could not write its result."""
-    limits = Limits(1.5, 2_000_000_000, 64, (0, 2))
+    limits = ResourceLimits(1.5, 2_000_000_000, 64, (0, 2))
     options = container_options(spec(tmp_path, limits), context, EngineTraits(rootless=True, limits_cpu=False))
     assert options["user"] == "0:0"
     assert options["environment"]["HOME"] == "/tmp"
@@ -174,7 +176,9 @@ def test_what_an_engine_says_of_itself(info, traits):
 
 
 def test_no_limit_means_no_option(tmp_path, context):
-    assert {"mem_limit", "nano_cpus", "cpuset_cpus"}.isdisjoint(container_options(spec(tmp_path, Limits()), context))
+    assert {"mem_limit", "nano_cpus", "cpuset_cpus"}.isdisjoint(
+        container_options(spec(tmp_path, ResourceLimits()), context)
+    )
 
 
 def test_failed_build_names_step_and_last_lines():

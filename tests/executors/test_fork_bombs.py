@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from slamhive.executors.spec import Limits
+from slamhive.executors.spec import ResourceLimits
 from slamhive.executors.status import Exited, Running
 from tests.executors.conftest import EVERYWHERE, wait_for_end
 from tests.executors.fork_bombs import BOMBS, FORKS, MOST_PROCESSES, started_by
@@ -41,7 +41,7 @@ def end_of(executor, handle) -> tuple[Exited, bool, float]:
 @pytest.mark.parametrize("maker", EVERYWHERE, indirect=True)
 @pytest.mark.parametrize(("bomb", "limit"), [*((bomb, 64) for bomb in BOMBS), ("forks", 200)])
 def test_fork_bomb(bench, bomb, limit):
-    spec, handle = bench.start(BOMBS[bomb], Limits(pids=limit))
+    spec, handle = bench.start(BOMBS[bomb], ResourceLimits(pids=limit))
     forks = bench.result(spec) / "forks"
     eventually(lambda: forks.exists() and forks.stat().st_size >= limit - 2, "the limit")
     reached_s = time.monotonic()
@@ -72,9 +72,9 @@ def test_a_fork_bomb_beside_another_run_ends_alone(bench):
         "for thread in threads: thread.start()\n"
         "for thread in threads: thread.join()\n"
     )
-    other, other_handle = bench.start(busy, Limits(pids=64))
+    other, other_handle = bench.start(busy, ResourceLimits(pids=64))
     eventually((bench.result(other) / "ready").exists, "the start of the other run")
-    _, bomb = bench.start(FORKS, Limits(pids=64))
+    _, bomb = bench.start(FORKS, ResourceLimits(pids=64))
     _, at_limit, _ = end_of(bench.executor, bomb)
     assert at_limit
     (bench.result(other) / "go").touch()

@@ -16,27 +16,24 @@ from pathlib import Path
 import psutil
 import pytest
 
-from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.domain.gpu import GivenGpu, Gpu, GpuNeed
-from slamhive.errors import InvalidInput, Unavailable
+from slamhive.base.errors import InvalidInput, Unavailable
+from slamhive.domain.algorithm import AlgorithmPackage, GivenGpu, Gpu, GpuNeed
 from slamhive.executors.base import ExecutorContext
-from slamhive.executors.docker.container import container_options
+from slamhive.executors.docker.containers import container_options
 from slamhive.executors.docker.engine import GPU_LABEL, KEY_LABEL, connect
 from slamhive.executors.docker.executor import DockerExecutor
-from slamhive.executors.gpu import HEADER, MACHINE_NAMESPACE, GpuLog, GpuUse, below, in_container
-from slamhive.executors.gpu_lease import lease_gpu
+from slamhive.executors.gpu import HEADER, MACHINE_NAMESPACE, GpuLog, GpuUse, below, in_container, lease_gpu
 from slamhive.executors.host import describe_host
-from slamhive.executors.process.executor import ProcessExecutor
+from slamhive.executors.process.executor import ProcessExecutor, launch
 from slamhive.executors.process.shim_spec import ShimSpec
-from slamhive.executors.process.supervisors import launch
-from slamhive.executors.slurm import gpu_readings
+from slamhive.executors.slurm import gpus
 from slamhive.executors.slurm.executor import SlurmExecutor
-from slamhive.executors.slurm.gpu_readings import GpuReadings, use_of
-from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE, Place
-from slamhive.executors.spec import Limits, RunOutput, RunSpec
+from slamhive.executors.slurm.gpus import GpuReadings, use_of
+from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE, JobPlace
+from slamhive.executors.spec import ResourceLimits, RunOutput, RunSpec
 from slamhive.executors.status import RunHandle
-from slamhive.runs.folder import RunFolder
-from slamhive.runs.profiling import _gpu_metrics
+from slamhive.run_folder.folder import RunFolder
+from slamhive.run_folder.profiling import _gpu_metrics
 from slamhive.services.runs import check_gpu
 from tests.waiting import eventually
 
@@ -46,7 +43,7 @@ FIRST, SECOND = (Gpu(f"GPU-{name}", "model", "driver", 8) for name in ("first", 
 ASK = """
 import dataclasses, json, sys
 from slamhive.executors.gpu import gpu_use, list_gpus
-from slamhive.errors import Unavailable
+from slamhive.base.errors import Unavailable
 gpus = [dataclasses.asdict(gpu) for gpu in list_gpus()]
 use = dataclasses.asdict(gpu_use(gpus[1]["uuid"], lambda pid: pid in (11, 12)))
 other = dataclasses.asdict(gpu_use(gpus[1]["uuid"], lambda pid: pid == 14))
@@ -183,8 +180,8 @@ def test_a_gpu_of_a_container_that_outlived_its_worker_is_not_leased(tmp_path):
 @pytest.mark.integration
 def test_the_lease_of_a_killed_worker_is_free(tmp_path):
     code = (
-        "import sys, time\nfrom pathlib import Path\nfrom slamhive.domain.gpu import Gpu\n"
-        "from slamhive.executors.gpu_lease import lease_gpu\n"
+        "import sys, time\nfrom pathlib import Path\nfrom slamhive.domain.algorithm import Gpu\n"
+        "from slamhive.executors.gpu import lease_gpu\n"
         f"with lease_gpu([Gpu('GPU-first', 'm', 'd', 8)], set, sys.exit, Path({str(tmp_path)!r})):\n"
         "    print('held', flush=True)\n    time.sleep(60)\n"
     )
@@ -217,7 +214,7 @@ def test_the_engine_takes_the_request_for_one_gpu_and_the_size_of_shared_memory(
     outputs = (RunOutput("result", tmp_path, "/slamhive/result"),)
     spec = RunSpec(
         uuid.uuid4().hex, 7, "deep", tmp_path, base_image, base_image, ("true",),
-        (), outputs, {}, Limits(), 10.0, tmp_path / "work", gpu=FIRST.uuid, shm_bytes=2_000_000_000,
+        (), outputs, {}, ResourceLimits(), 10.0, tmp_path / "work", gpu=FIRST.uuid, shm_bytes=2_000_000_000,
     )  # fmt: skip
     (tmp_path / "work" / "tmp").mkdir(parents=True)
     context = ExecutorContext(tmp_path, tmp_path, "installation")
@@ -274,7 +271,7 @@ def test_descendants_of_a_process_are_recognised():
 
 def test_a_node_reads_its_gpu_twice_a_second_and_gives_up_with_the_reason(monkeypatch):
     now_s = iter([0.0, 0.0, 0.1, 0.6, 0.6, 1.2, 1.2])
-    monkeypatch.setattr(gpu_readings, "monotonic_s", lambda: next(now_s))
+    monkeypatch.setattr(gpus, "monotonic_s", lambda: next(now_s))
     uses = iter([GpuUse(100, 0.5), GpuUse(None, 0.7)])
 
     def read() -> GpuUse:
@@ -310,7 +307,7 @@ def test_a_job_of_slurm_passes_on_what_its_run_uses_of_the_gpu(library, tmp_path
     own = [f"{process.pid} 700" for process in supervisor.children(recursive=True)][-1:]
     answers.write_text("\n".join([*own, f"{os.getpid()} 9000", "busy 25", ""]))
     gpu = GivenGpu("one", "1", "GPU-11111111-aaaa-bbbb-cccc-111111111111")
-    (work / PLACE_FILE).write_text(json.dumps(dataclasses.asdict(Place("one", "7", "", describe_host(), gpu))))
+    (work / PLACE_FILE).write_text(json.dumps(dataclasses.asdict(JobPlace("one", "7", "", describe_host(), gpu))))
     environment = {**os.environ, "LD_LIBRARY_PATH": str(library), "FAKE_NVML": str(answers)}
     command = [sys.executable, "-m", "slamhive.executors.slurm.node", "measure", str(work)]
     measuring = subprocess.Popen(command, env=environment)

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.domain.disturbance import HostInterval
-from slamhive.errors import Unavailable
+from slamhive.base.errors import Unavailable
+from slamhive.domain.trust import HostInterval
 from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.host_counters import CpuTimes, HostCounters, HostReader, HostReading
 from slamhive.executors.host_log import HostLog, handed_over
-from slamhive.runs.host_columns import COLUMNS
-from slamhive.runs.host_load import host_metrics, read_host_load
+from slamhive.run_folder.host_columns import COLUMNS
+from slamhive.run_folder.profiling import host_metrics, read_host_load
 
 
 class Machine:

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from slamhive.executors import identity
-from slamhive.executors.identity import owner_is_dead, worker_identity
+from slamhive.executors import host
+from slamhive.executors.host import owner_is_dead, worker_identity
 from slamhive.executors.process.table import process_birth
 
 
@@ -49,7 +49,7 @@ def test_an_unreadable_owner_is_not_dead(owner):
 def test_a_process_that_proc_does_not_show_is_not_dead(monkeypatch):
     process, owner = other_process()
     births = {os.getpid(): process_birth(os.getpid())}
-    monkeypatch.setattr(identity, "process_birth", births.get)
+    monkeypatch.setattr(host, "process_birth", births.get)
 
     def refuse(pid, number):
         raise PermissionError

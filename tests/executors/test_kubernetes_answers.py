@@ -9,15 +9,14 @@ from datetime import UTC, datetime
 
 import pytest
 
-from slamhive.executors.base import EngineUnavailable
+from slamhive.executors.base import EngineUnavailable, Node
 from slamhive.executors.host import describe_host
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.answers import Right
 from slamhive.executors.kubernetes.cluster import Expired, _events
 from slamhive.executors.kubernetes.pod_counters import about_node, used_cpu_s
-from slamhive.executors.kubernetes.pod_watch import RELIST_S, TRUSTED_S, PodBook, PodWatch
-from slamhive.executors.kubernetes.run_files import RunFiles, parse_usage
-from slamhive.executors.nodes import Node
+from slamhive.executors.kubernetes.run_files import PodRunFiles, parse_usage
+from slamhive.executors.kubernetes.run_jobs import RELIST_S, TRUSTED_S, PodBook, PodWatch
 from slamhive.executors.spec import RunOutput
 from slamhive.executors.status import Exited, Gone
 
@@ -339,7 +338,7 @@ RECORD = {
 
 @pytest.fixture
 def files(tmp_path):
-    found = RunFiles(tmp_path)
+    found = PodRunFiles(tmp_path)
     found.folder.mkdir()
     return found
 
@@ -400,7 +399,7 @@ def test_who_comes_second_does_not_start(files):
 
 
 def test_an_output_is_handed_over_once_and_nothing_stays(tmp_path):
-    files = RunFiles(tmp_path / "work")
+    files = PodRunFiles(tmp_path / "work")
     output = RunOutput("result", tmp_path / "result", "/slamhive/result", live=("progress",))
     source = files.outputs / "result"
     source.mkdir(parents=True)

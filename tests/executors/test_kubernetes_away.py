@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.executors.base import EngineUnavailable
-from slamhive.executors.kubernetes import cluster, pod_watch
+from slamhive.executors.kubernetes import cluster, run_jobs
 from slamhive.executors.kubernetes.executor import KubernetesExecutor
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Gone, Running
@@ -55,7 +55,7 @@ def test_a_run_is_never_lost_for_want_of_an_answer(kubernetes, server, spec, mon
     server.stop()
     assert isinstance(kubernetes.poll(handle), Running), "that was confirmed a moment ago"
     with monkeypatch.context() as later:
-        later.setattr(pod_watch, "TRUSTED_S", 0.0)
+        later.setattr(run_jobs, "TRUSTED_S", 0.0)
         with pytest.raises(EngineUnavailable):
             kubernetes.poll(handle)
     with pytest.raises(EngineUnavailable, match="the API server does not answer"):
@@ -90,7 +90,7 @@ def test_a_watch_whose_version_has_expired_begins_with_a_list(kubernetes, server
     server.expires_by_event = by_event
     pauses = Pauses()
     monkeypatch.setattr(kubernetes._watch, "_stopping", pauses)
-    monkeypatch.setattr(pod_watch, "WATCH_S", 0.2)
+    monkeypatch.setattr(run_jobs, "WATCH_S", 0.2)
     handle = kubernetes.start(spec)
     assert isinstance(kubernetes.poll(handle), Running)
     lists = len(server.asked("list pods"))
@@ -123,8 +123,8 @@ def test_a_watch_that_breaks_is_followed_by_a_list_and_loses_nothing(kubernetes,
 
 
 def test_an_api_server_in_trouble_is_asked_less_and_less_often_until_it_answers(kubernetes, server, spec, monkeypatch):
-    monkeypatch.setattr(pod_watch, "_SHORTEST_PAUSE_S", 0.5)
-    monkeypatch.setattr(pod_watch, "WATCH_S", 0.1)
+    monkeypatch.setattr(run_jobs, "_SHORTEST_PAUSE_S", 0.5)
+    monkeypatch.setattr(run_jobs, "WATCH_S", 0.1)
     pauses = Pauses()
     monkeypatch.setattr(kubernetes._watch, "_stopping", pauses)
     handle = kubernetes.start(spec)

@@ -13,14 +13,14 @@ from pathlib import Path
 import pytest
 import yaml
 
-from slamhive.files import TEMPORARY, sweep_temporary
+from slamhive.base.files import TEMPORARY, sweep_temporary
 
 pytestmark = pytest.mark.integration
 
 KEY = b"the private key"
 CONNECTS = """\
 import os
-from slamhive.executors.kubernetes.connection import connect
+from slamhive.executors.kubernetes.cluster import connect
 from slamhive.executors.kubernetes.options import read_options
 connection = connect(read_options(""))
 assert open(connection.client.configuration.key_file, "rb").read() == b"the private key"

@@ -20,10 +20,10 @@ from slamhive.executors.kubernetes import executor, manifest
 from slamhive.executors.kubernetes.executor import KubernetesExecutor
 from slamhive.executors.kubernetes.pod_counters import HOST_KEY
 from slamhive.executors.kubernetes.pod_files import LOG_FOLDER, STOP_FILE, USAGE_FILE, write_json
-from slamhive.executors.process.capped_log import CappedLog
+from slamhive.executors.process.exit_file import CappedLog
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Gone, Running
-from slamhive.runs.host_columns import COLUMNS
+from slamhive.run_folder.host_columns import COLUMNS
 from tests.executors.api_server import Document, Trouble
 from tests.executors.played_nodes import MakeKubernetes, Nodes, left, lost, spec_of
 from tests.waiting import eventually

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import slamhive
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.executors.base import StartFailed
 from slamhive.executors.kubernetes.archive import (
     COURIER_MODULES,
@@ -18,10 +18,20 @@ from slamhive.executors.kubernetes.archive import (
     courier_archive,
     supervisor_archive,
 )
-from slamhive.executors.kubernetes.manifest import Who, job_manifest, job_name, label_value, resources, selector
+from slamhive.executors.kubernetes.manifest import (
+    PodPlace,
+    Who,
+    job_manifest,
+    job_name,
+    label_value,
+    places_of,
+    prepare_inputs,
+    resources,
+    selector,
+    volumes_of,
+)
 from slamhive.executors.kubernetes.options import Options, read_options
-from slamhive.executors.kubernetes.places import Place, places_of, prepare_inputs, volumes_of
-from slamhive.executors.spec import Limits, Placing, RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import Placing, ResourceLimits, RunInput, RunOutput, RunSpec
 
 MIB = 1024 * 1024
 DATA = Path("/data")
@@ -36,13 +46,13 @@ SPEC = RunSpec(
     inputs=(),
     outputs=(),
     environment={"SEED": "1"},
-    limits=Limits(cpu_cores=1.5, memory_bytes=1_000_000_000),
+    limits=ResourceLimits(cpu_cores=1.5, memory_bytes=1_000_000_000),
     timeout_s=61.5,
     work=Path("/data/runs/7/work"),
 )
 PLACES = [
-    Place("/slamhive/config.yaml", Path("/data/runs/7/config.yaml"), is_folder=False, read_only=True),
-    Place("/slamhive/result", Path("/data/runs/7/work/outputs/result"), is_folder=True, read_only=False),
+    PodPlace("/slamhive/config.yaml", Path("/data/runs/7/config.yaml"), is_folder=False, read_only=True),
+    PodPlace("/slamhive/result", Path("/data/runs/7/work/outputs/result"), is_folder=True, read_only=False),
 ]
 LABELS = {
     "app.kubernetes.io/name": "slamhive-run",
@@ -144,7 +154,7 @@ def test_files_on_a_claim():
 
 
 def test_a_claim_holds_the_data_root_only():
-    stranger = Place("/slamhive/dataset/a.bag", Path("/elsewhere/a.bag"), is_folder=False, read_only=True)
+    stranger = PodPlace("/slamhive/dataset/a.bag", Path("/elsewhere/a.bag"), is_folder=False, read_only=True)
     with pytest.raises(StartFailed, match=r"/elsewhere/a\.bag is not below the data root /data"):
         volumes_of([stranger], DATA, "slamhive-data")
 
@@ -172,8 +182,8 @@ def test_options_that_are_wrong(text):
 
 
 def test_numbers_of_cores_count_only():
-    assert resources(replace(SPEC, limits=Limits(cpuset=(2, 3))), Options()) == {"cpu": "2000m"}
-    assert resources(replace(SPEC, limits=Limits()), Options()) == {}
+    assert resources(replace(SPEC, limits=ResourceLimits(cpuset=(2, 3))), Options()) == {"cpu": "2000m"}
+    assert resources(replace(SPEC, limits=ResourceLimits()), Options()) == {}
 
 
 def test_root_is_no_user_of_its_own_choice():

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import RunState
 from slamhive.executors.kubernetes import manifest
 from slamhive.executors.registry import installation_id
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.store import RunRecord
 from tests.executors.kubernetes_cluster import KubernetesCluster

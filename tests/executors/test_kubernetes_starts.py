@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import Forbidden, Unavailable
+from slamhive.base.errors import Forbidden, Unavailable
 from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
 from slamhive.executors.kubernetes import executor, run_jobs
 from slamhive.executors.kubernetes.executor import KubernetesExecutor
-from slamhive.executors.spec import Limits, Placing, RunSpec
+from slamhive.executors.spec import Placing, ResourceLimits, RunSpec
 from tests.executors.api_server import ApiServer, Document, Trouble
 from tests.executors.played_nodes import MakeKubernetes, Nodes, left, spec_of
 
@@ -42,8 +42,8 @@ def test_a_run_waits_for_room_and_is_made_once(kubernetes, server, nodes, spec):
 @pytest.mark.parametrize(
     ("changes", "part"),
     [
-        ({"limits": Limits(cpu_cores=5000.0)}, "asks for 5000 cores, but the largest node has 4 cores"),
-        ({"limits": Limits(memory_bytes=10**13)}, "MB of memory, but the largest node has 8590 MB"),
+        ({"limits": ResourceLimits(cpu_cores=5000.0)}, "asks for 5000 cores, but the largest node has 4 cores"),
+        ({"limits": ResourceLimits(memory_bytes=10**13)}, "MB of memory, but the largest node has 8590 MB"),
         ({"asks_gpu": True}, "asks for 1 nvidia.com/gpu, but the largest node has 0"),
     ],
 )
@@ -62,7 +62,7 @@ def test_a_run_whose_nodes_all_have_another_processor(kubernetes, server, spec):
 def test_who_may_not_list_nodes_waits_instead(kubernetes, server, spec):
     server.forbidden.add("list nodes")
     with pytest.raises(EngineUnavailable, match="waits in Kubernetes"):
-        kubernetes.start(replace(spec, limits=Limits(cpu_cores=5000.0)))
+        kubernetes.start(replace(spec, limits=ResourceLimits(cpu_cores=5000.0)))
     with pytest.raises(Unavailable, match="the worker may not list nodes"):
         kubernetes.nodes()
 

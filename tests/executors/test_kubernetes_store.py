@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 import slamhive
-from slamhive.domain.disturbance import DisturbanceKind
+from slamhive.documents.submission import Submission
+from slamhive.domain.configuration import VariantStep
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.variant import VariantStep
+from slamhive.domain.trust import DisturbanceKind
 from slamhive.executors.kubernetes import manifest
-from slamhive.executors.node_store.arrivals import results_archive
+from slamhive.executors.node_store.exchange import results_archive
 from slamhive.executors.node_store.registrations import Registrations
 from slamhive.executors.registry import installation_id
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive
 from tests.burning import busy_machine
 from tests.executors.kubernetes_cluster import NODES, KubernetesCluster

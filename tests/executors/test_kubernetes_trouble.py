@@ -13,8 +13,8 @@ from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
 from slamhive.executors.kubernetes import manifest, run_jobs
 from slamhive.executors.kubernetes.answers import Document
 from slamhive.executors.kubernetes.executor import KubernetesExecutor
-from slamhive.executors.kubernetes.places import places_of
-from slamhive.executors.spec import Limits
+from slamhive.executors.kubernetes.manifest import places_of
+from slamhive.executors.spec import ResourceLimits
 from slamhive.executors.status import Exited, Gone, Running
 from tests.executors.conftest import Bench, wait_for_end
 from tests.executors.kubernetes_cluster import NODES, KubernetesCluster
@@ -37,7 +37,7 @@ def pods_of(cluster: KubernetesCluster, bench: Bench, key: str) -> list[Document
     return found
 
 
-def started(bench: Bench, limits: Limits | None = None):
+def started(bench: Bench, limits: ResourceLimits | None = None):
     """A run that goes on until somebody ends it."""
     spec, handle = bench.start(UNTIL_STOPPED, limits)
     bench.wait_for(spec, handle)
@@ -127,9 +127,9 @@ def test_a_lost_node_is_a_lost_run(bench, kubernetes_cluster, monkeypatch):
 
 def test_a_run_that_no_node_can_ever_take(bench):
     with pytest.raises(StartFailed, match="asks for 5000 cores, but the largest node has"):
-        bench.start(UNTIL_STOPPED, Limits(cpu_cores=5000.0))
+        bench.start(UNTIL_STOPPED, ResourceLimits(cpu_cores=5000.0))
     with pytest.raises(StartFailed, match="MB of memory, but the largest node has"):
-        bench.start(UNTIL_STOPPED, Limits(memory_bytes=10**15))
+        bench.start(UNTIL_STOPPED, ResourceLimits(memory_bytes=10**15))
 
 
 def test_a_run_that_waits_for_its_turn_starts_later_and_once(bench, kubernetes_cluster, monkeypatch):

@@ -21,11 +21,13 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import InvalidInput, Unavailable
-from slamhive.executors.base import EngineUnavailable, NodeAccess
+from slamhive.base.errors import InvalidInput, Unavailable
+from slamhive.base.settings import Settings
+from slamhive.executors.base import CacheUse, EngineUnavailable, NodeAccess
 from slamhive.executors.node_store import on_node
-from slamhive.executors.node_store.address import node_access
-from slamhive.executors.node_store.arrivals import (
+from slamhive.executors.node_store.controller import NodeCaches, NodeStore, Reports, node_access
+from slamhive.executors.node_store.exchange import (
+    Offers,
     arrived_bytes,
     ask_to_stop,
     claimed_by,
@@ -33,20 +35,17 @@ from slamhive.executors.node_store.arrivals import (
     refused_results,
     results_archive,
 )
-from slamhive.executors.node_store.caches import NodeCaches
-from slamhive.executors.node_store.controller import NodeStore, Reports
-from slamhive.executors.node_store.offers import Offers
 from slamhive.executors.node_store.on_node.cache import FOLDER, Cache, CacheFull, Held, Item
 from slamhive.executors.node_store.on_node.connection import (
     Away,
     Connection,
-    Refused,
+    Fetcher,
+    NodeRefused,
+    WrongContent,
     clock_offset,
     unreached_because,
 )
-from slamhive.executors.node_store.on_node.fetch import Fetcher, WrongContent
-from slamhive.executors.node_store.on_node.mirror import Mirror, Watched
-from slamhive.executors.node_store.on_node.results import Output, pack_results, send_results
+from slamhive.executors.node_store.on_node.results import Mirror, Output, Watched, pack_results, send_results
 from slamhive.executors.node_store.on_node.run import (
     Reporter,
     Ticket,
@@ -58,11 +57,9 @@ from slamhive.executors.node_store.on_node.run import (
     with_offset,
 )
 from slamhive.executors.node_store.registrations import Registrations, archive_bound
-from slamhive.executors.nodes import CacheUse
 from slamhive.executors.packing import Bounds
-from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import ResourceLimits, RunInput, RunOutput, RunSpec
 from slamhive.executors.transfer import unpack_output
-from slamhive.settings import Settings
 from tests.executors.node_stores import LINES, OPENED, Line, Run, register, serving
 from tests.waiting import eventually
 
@@ -276,21 +273,21 @@ def test_a_token_is_good_for_its_run_alone_and_until_the_run_is_over(data, recor
             mine.connection(server.url, key="../mine"),
         ):
             for method, place in (("GET", "result"), ("POST", "claim"), ("PUT", "state/state.json")):
-                with pytest.raises(Refused, match="no run that goes on has this name and token") as refused:
+                with pytest.raises(NodeRefused, match="no run that goes on has this name and token") as refused:
                     connection.ask(method, place, b"{}")
                 assert refused.value.status == 401
-        with pytest.raises(Refused, match="needs no such item"):
+        with pytest.raises(NodeRefused, match="needs no such item"):
             other.connection(server.url).ask("GET", f"items/{item_of(mine).sha256}")
         first = mine.token
         second = Registrations(data).add(mine.registration)
         mine.connection(server.url, second).ask("GET", "result")
-        with pytest.raises(Refused):
+        with pytest.raises(NodeRefused):
             mine.connection(server.url, first).ask("GET", "result")
         Registrations(data).remove("mine")
-        with pytest.raises(Refused, match="the run is over") as over:
+        with pytest.raises(NodeRefused, match="the run is over") as over:
             mine.connection(server.url, second).ask("GET", "result")
         assert over.value.over
-        with pytest.raises(Refused, match="no run that goes on") as superseded:
+        with pytest.raises(NodeRefused, match="no run that goes on") as superseded:
             mine.connection(server.url, first).ask("GET", "result")
         assert not superseded.value.over
         Registrations(data).sweep()
@@ -319,7 +316,7 @@ def test_one_holder_has_a_run(data, recording):
         assert claimed.orders == {"do": "this"}
         assert claimed.items == {"recording": item_of(run)}
         assert claim(connection, "job 1", "one").items == claimed.items
-        with pytest.raises(Refused, match="one has the run already"):
+        with pytest.raises(NodeRefused, match="one has the run already"):
             claim(connection, "job 2", "two")
         forget_claim(run.work)
         claim(connection, "job 2", "two")
@@ -364,7 +361,7 @@ def test_clocks_that_differ_are_corrected():
 )
 def test_what_a_run_may_not_ask_is_refused(data, method, place, message):
     run = register(data)
-    with serving(data) as server, pytest.raises(Refused, match=message):
+    with serving(data) as server, pytest.raises(NodeRefused, match=message):
         run.connection(server.url).ask(method, place, b"[]")
 
 
@@ -528,18 +525,18 @@ def test_results_of_another_size_or_checksum_are_refused_and_nothing_is_kept(dat
     right = hashlib.sha256(b"results").hexdigest()
     with serving(data) as server:
         connection = run.connection(server.url)
-        with pytest.raises(Refused, match="have 2000000 bytes, more than the 1000000 that are allowed"):
+        with pytest.raises(NodeRefused, match="have 2000000 bytes, more than the 1000000 that are allowed"):
             put(connection, b"results", 0, 2_000_000, right)
-        with pytest.raises(Refused, match="longer than announced"):
+        with pytest.raises(NodeRefused, match="longer than announced"):
             put(connection, b"results", 0, 5, right)
-        with pytest.raises(Refused, match="another checksum than announced"):
+        with pytest.raises(NodeRefused, match="another checksum than announced"):
             put(connection, b"reSults", 0, 7, right)
         assert sorted(path.name for path in run.registration.folder.iterdir()) == ["refused.txt"]
         assert refused_results(run.work) is not None
         put(connection, b"res", 0, 7, right)
-        with pytest.raises(Refused, match="another size or checksum than was announced"):
+        with pytest.raises(NodeRefused, match="another size or checksum than was announced"):
             put(connection, b"ults", 3, 8, right)
-        with pytest.raises(Refused, match="arrived up to 3, not 4"):
+        with pytest.raises(NodeRefused, match="arrived up to 3, not 4"):
             put(connection, b"lts", 4, 7, right)
         assert results_archive(run.work) is None
         assert put(connection, b"ults", 3, 7, right)["complete"]
@@ -614,7 +611,7 @@ def test_an_executor_hands_a_run_out_and_takes_its_results(data, recording, tmp_
         store.sweep(lambda: {spec.key})
         opened(ticket).ask("GET", "result")
         store.sweep(lambda: ())
-        with pytest.raises(Refused):
+        with pytest.raises(NodeRefused):
             opened(ticket).ask("GET", "result")
 
 
@@ -683,7 +680,7 @@ def _spec(data: Path, recording: Path) -> RunSpec:
         inputs=(RunInput("recording", recording, "/slamhive/dataset/room.bag"),),
         outputs=(RunOutput("result", data / "runs" / "7" / "result", "/slamhive/result", ("traj.txt",)),),
         environment={},
-        limits=Limits(),
+        limits=ResourceLimits(),
         timeout_s=60.0,
         work=data / "runs" / "7" / "work",
     )
@@ -738,7 +735,7 @@ def test_a_proxy_with_a_small_limit_is_named_with_its_remedy(data):
     with HTTPServer(("127.0.0.1", 0), Proxy) as proxy:
         threading.Thread(target=proxy.handle_request, daemon=True).start()
         connection = run.connection(f"http://127.0.0.1:{proxy.server_port}")
-        with pytest.raises(Refused, match=r"takes no pieces of 8 MB .*client_max_body_size 16m in nginx"):
+        with pytest.raises(NodeRefused, match=r"takes no pieces of 8 MB .*client_max_body_size 16m in nginx"):
             connection.ask("PUT", "result", b"x" * 100)
 
 

@@ -11,21 +11,21 @@ from typing import Any
 
 import pytest
 
-from slamhive.bags.staging import checksum
-from slamhive.bags.variants import plan as planning
-from slamhive.bags.variants.build import build_variant
-from slamhive.bags.variants.plan import plan_variant
-from slamhive.catalogue.dataset_file import dataset_to_yaml, load_dataset
+from slamhive.base.tree import folder_bytes
+from slamhive.documents.model import adapter, dump
+from slamhive.domain.configuration import VariantStep
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.variant import VariantStep
+from slamhive.executors.node_store.controller import make
 from slamhive.executors.node_store.on_node.cache import Cache, Item, sha256_of
 from slamhive.executors.node_store.on_node.making import _MODULE, hold_variant, item_of, make_apart, read_made
 from slamhive.executors.node_store.on_node.run import WrongNode
-from slamhive.executors.node_store.variants import make
-from slamhive.executors.slurm.job import job_request
+from slamhive.executors.slurm.jobs import job_request
 from slamhive.executors.spec import VariantOrder
-from slamhive.schema.model import adapter, dump
-from slamhive.tree import folder_bytes
+from slamhive.packages.dataset_file import dataset_to_yaml, load_dataset
+from slamhive.recordings.staging import checksum
+from slamhive.recordings.variants import plan as planning
+from slamhive.recordings.variants.build import build_variant
+from slamhive.recordings.variants.plan import plan_variant
 from tests.executors.test_slurm_units import SPEC
 from tests.services.recorded_track import make_recorded_track
 

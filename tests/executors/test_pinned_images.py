@@ -11,13 +11,13 @@ from collections.abc import Iterator
 import docker
 import pytest
 
+from slamhive.base.project import project_root
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.domain.pinned_image import PinnedImage
+from slamhive.domain.packages import PinnedImage
 from slamhive.executors.base import ExecutorContext, ImageMissing
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.docker.foreign_images import DockerImages, repository_and_tag
 from slamhive.executors.kubernetes.images import NodeImages
-from slamhive.project import project_root
 from tests.executors.registry_server import running_registry
 
 pytestmark = pytest.mark.quick

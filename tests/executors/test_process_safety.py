@@ -17,17 +17,17 @@ from pathlib import Path
 import psutil
 import pytest
 
-from slamhive.errors import Unavailable
-from slamhive.executors.process import landlock, namespaces, supervisors
+from slamhive.base.errors import Unavailable
+from slamhive.executors.process import confinement, executor
+from slamhive.executors.process.executor import launch
 from slamhive.executors.process.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.supervisor import OUTPUT_FOLDER
-from slamhive.executors.process.supervisors import launch
 from slamhive.executors.process.table import ProcessEntry, end_all, living, processes_of_user, read_process
 from slamhive.executors.registry import installation_id
-from slamhive.executors.spec import Limits
+from slamhive.executors.spec import ResourceLimits
 from slamhive.executors.status import Gone, Running
-from slamhive.runs.log_line import last_error_line
+from slamhive.run_folder.outcome import last_error_line
 from tests.executors.conftest import HOLDING, wait_for_end
 from tests.executors.test_contract import SAVES_ITS_MAP
 from tests.waiting import PATIENCE_S, eventually
@@ -44,7 +44,7 @@ def test_too_many_threads_are_ended_and_the_log_says_so(bench):
         "for _ in range(30):\n    threading.Thread(target=time.sleep, args=(100,), daemon=True).start()\n"
         "time.sleep(100)\n"
     )
-    spec, handle = bench.start(script, Limits(pids=20))
+    spec, handle = bench.start(script, ResourceLimits(pids=20))
     status = wait_for_end(bench.executor, handle)
     assert (status.exit_code, status.process_limit) == (137, True)
     bench.executor.save_log(handle, bench.log(spec))
@@ -133,7 +133,7 @@ def test_how_a_run_ended_needs_no_more_room_than_was_taken(tmp_path):
 @pytest.mark.integration
 @process_only
 def test_nothing_is_written_outside_of_the_folders_of_the_run(bench):
-    if landlock.version() == 0:
+    if confinement.version() == 0:
         pytest.skip("this kernel has no Landlock")
     script = (
         "import json, os, pathlib, signal, tempfile\n"
@@ -175,7 +175,7 @@ def test_nothing_is_written_outside_of_the_folders_of_the_run(bench):
 @pytest.mark.integration
 @process_only
 def test_nobody_outside_is_signalled(bench):
-    if landlock.version() < 6:
+    if confinement.version() < 6:
         pytest.skip("this kernel's Landlock does not confine signals")
     script = (
         "import os, signal, subprocess, sys\n"
@@ -191,7 +191,7 @@ def test_nobody_outside_is_signalled(bench):
 @pytest.mark.integration
 @process_only
 def test_network_and_shared_memory_are_its_own(bench):
-    refused = namespaces.refused_because()
+    refused = confinement.refused_because()
     if refused is not None:
         pytest.skip(f"this machine makes no namespaces: {refused}")
     with socket.socket() as server:
@@ -216,8 +216,8 @@ def test_a_kernel_that_refuses_is_asked_by_a_child(monkeypatch):
     def refuse() -> None:
         raise OSError(1, "unshare: Operation not permitted")
 
-    monkeypatch.setattr(namespaces, "enter_namespaces", refuse)
-    assert namespaces.refused_because() == "unshare: Operation not permitted"
+    monkeypatch.setattr(confinement, "enter_namespaces", refuse)
+    assert confinement.refused_because() == "unshare: Operation not permitted"
 
 
 @pytest.mark.integration
@@ -323,8 +323,8 @@ def test_a_supervisor_that_ends_slowly_leaves_nobody(bench, monkeypatch):
     def later(process: psutil.Process, number: signal.Signals) -> None:
         threading.Timer(0.5, process.send_signal, (number,)).start()
 
-    monkeypatch.setattr(supervisors, "send_signal", later)
-    monkeypatch.setattr(supervisors, "_environment", lambda _pid: [])
+    monkeypatch.setattr(executor, "send_signal", later)
+    monkeypatch.setattr(executor, "_environment", lambda _pid: [])
     script = (
         "import os, pathlib, time\n"
         "if os.fork() == 0:\n    os.setsid()\n    time.sleep(100)\n"
@@ -334,5 +334,5 @@ def test_a_supervisor_that_ends_slowly_leaves_nobody(bench, monkeypatch):
     bench.wait_for(spec, handle)
     uid = json.loads(handle.data["containment"])["uid"]
     assert len(living(processes_of_user(uid))) == 2
-    supervisors.kill_leftovers(handle)
+    executor.kill_leftovers(handle)
     assert living(processes_of_user(uid)) == []

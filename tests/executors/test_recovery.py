@@ -17,13 +17,13 @@ import docker.errors
 import psutil
 import pytest
 
-from slamhive.executors.docker import engine, run_containers
+from slamhive.executors.docker import containers, engine
 from slamhive.executors.docker.engine import OWNER_LABEL, labels_of_helper
 from slamhive.executors.docker.executor import DockerExecutor
-from slamhive.executors.identity import worker_identity
+from slamhive.executors.host import worker_identity
 from slamhive.executors.process.paths import KEY_VARIABLE
-from slamhive.executors.process.tree_usage import ProcessTreeSource
-from slamhive.executors.spec import Limits
+from slamhive.executors.process.tree_limit import ProcessTreeSource
+from slamhive.executors.spec import ResourceLimits
 from slamhive.executors.status import Exited, Gone, Running
 from tests.executors.conftest import wait_for_end
 from tests.waiting import eventually
@@ -191,7 +191,7 @@ def test_sweep_removes_the_containers_of_dead_processes_alone(bench, monkeypatch
             container.start()
         over.wait()
         assert sorted(executor.sweep(list)) == sorted(container.name for container in of_the_dead)
-        monkeypatch.setattr(run_containers, "OWNER_PATIENCE", timedelta(0))
+        monkeypatch.setattr(containers, "OWNER_PATIENCE", timedelta(0))
         assert sorted(executor.sweep(list)) == sorted((made.name, over.name))
     finally:
         for container in (*of_the_dead, *kept):
@@ -220,5 +220,5 @@ def test_child_killed_by_the_memory_limit_counts(bench):
         "import subprocess, sys, time\n"
         "subprocess.run([sys.executable, '-c', 'x = b\"1\" * 300_000_000'])\ntime.sleep(0.5)\n"
     )
-    _, handle = bench.start(script, Limits(memory_bytes=60_000_000))
+    _, handle = bench.start(script, ResourceLimits(memory_bytes=60_000_000))
     assert wait_for_end(bench.executor, handle).out_of_memory

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.executors.refusal_watch import RefusalWatch
+from slamhive.executors.sampler import RefusalWatch
 
 P = 3.0
 

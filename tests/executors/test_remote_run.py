@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import RunState
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.registry import installation_id
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from tests.executors.plugins import Agent
@@ -88,7 +88,7 @@ def test_the_log_can_be_read_and_the_run_cancelled_while_it_goes_on(far, agent):
 
 
 def test_stop_rules_see_what_the_algorithm_writes_on_the_other_side(far):
-    from slamhive.schema.limits import StopWhen  # noqa: PLC0415
+    from slamhive.documents.limits import StopWhen  # noqa: PLC0415
 
     parameters = {"seconds": 50, "behaviour": "lost"}
     run_id = submit(far, parameters=parameters, stop_when=StopWhen(lost_tracking_s=1.0), evaluate=False)

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from slamhive.executors.cgroup import CgroupV2
-from slamhive.executors.process.cgroup_home import Home, smallest_limit_around
+from slamhive.executors.process.cgroup_home import CgroupHome, smallest_limit_around
 from slamhive.executors.process.containment import found_again
-from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
+from slamhive.executors.process.containment_base import ContainmentLook, ContainmentRequest, DoesNotHold, ProcessTree
 from slamhive.executors.process.run_cgroup import RunCgroup, RunCgroupV2, group_name, left_over_groups
 from slamhive.executors.process.table import living, processes_of_user
 from slamhive.executors.process.tree_limit import TreeLimit
@@ -75,7 +75,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def made(root: Path) -> RunCgroup:
-    return RunCgroup.make(REQUEST, Home(2, dict.fromkeys(("pids", "memory", "cpu"), root / SLICE)))
+    return RunCgroup.make(REQUEST, CgroupHome(2, dict.fromkeys(("pids", "memory", "cpu"), root / SLICE)))
 
 
 def test_limits_are_asked_for(root):
@@ -137,16 +137,16 @@ def test_without_a_limit_of_processes_it_does_not_hold(root):
 def test_refusals_and_kills_are_seen(root):
     group = made(root)
     folder = root / SLICE / NAME
-    assert group.look(NO_TREE) == Look()
+    assert group.look(NO_TREE) == ContainmentLook()
     (folder / "pids.events").write_text("max 3\n")
-    assert group.look(NO_TREE) == Look(refused=True)
-    assert group.look(NO_TREE) == Look(refused=False), "nothing new, and not full"
+    assert group.look(NO_TREE) == ContainmentLook(refused=True)
+    assert group.look(NO_TREE) == ContainmentLook(refused=False), "nothing new, and not full"
     (folder / "pids.max").write_text("64\n")
     (folder / "pids.current").write_text("64\n")
-    assert group.look(NO_TREE) == Look(refused=True), "still full"
+    assert group.look(NO_TREE) == ContainmentLook(refused=True), "still full"
     (folder / "pids.current").write_text("9\n")
     (folder / "memory.events").write_text("max 99\noom 1\noom_kill 1\n")
-    assert group.look(NO_TREE) == Look(out_of_memory=True)
+    assert group.look(NO_TREE) == ContainmentLook(out_of_memory=True)
 
 
 @pytest.fixture
@@ -206,7 +206,7 @@ def test_a_live_group_of_version_2_is_killed_as_a_whole():
         folder.mkdir()
     except OSError:
         with pytest.raises(DoesNotHold):
-            RunCgroup.make(ContainmentRequest("test", str(os.getpid()), 16), Home(2, {"pids": root}))
+            RunCgroup.make(ContainmentRequest("test", str(os.getpid()), 16), CgroupHome(2, {"pids": root}))
         return
     group = RunCgroupV2({"pids": folder})
     code = "import os, time\nfor _ in range(3): os.fork()\nos.setsid()\ntime.sleep(100)"

@@ -15,10 +15,10 @@ import pytest
 
 from slamhive.domain.algorithm import RunUser
 from slamhive.executors.base import ExecutorContext, StartFailed
-from slamhive.executors.docker.container import container_options
+from slamhive.executors.docker.containers import container_options
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.docker.run_user import open_to_user
-from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import ResourceLimits, RunInput, RunOutput, RunSpec
 from tests.executors.conftest import Bench, wait_for_end
 from tests.services.docker_base import run_docker
 
@@ -65,7 +65,7 @@ def made_spec(folder: Path, user: RunUser) -> RunSpec:
     inputs = (RunInput("config", config, "/slamhive/config.yaml"),)
     outputs = (RunOutput("result", folder, "/slamhive/result"),)
     command = ("python3", "/slamhive/mapping.py")
-    limits, work = Limits(), folder / "work"
+    limits, work = ResourceLimits(), folder / "work"
     return RunSpec("key", 7, "demo", folder, "image:tag", "x", command, inputs, outputs, {}, limits, 9.0, work, user)
 
 

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from slamhive.executors.session import Place, lifetime, lifetime_here, place_of
+from slamhive.executors.session import SessionPlace, lifetime, lifetime_here, place_of
 
 # The first three and ROOT_SSH are shaped as on Debian 12 with control groups version 2; the others are made up.
 SSH = "0::/user.slice/user-1000.slice/session-3.scope\n"
@@ -22,22 +22,22 @@ V1_WITHOUT_SYSTEMD = "3:cpu,cpuacct:/docker/ab\n2:pids:/docker/ab\n"
 @pytest.mark.parametrize(
     ("groups", "place"),
     [
-        (SSH, Place.SESSION),
-        (ROOT_SSH, Place.SESSION),
-        (SCOPE, Place.USER),
-        (USER_SERVICE, Place.USER),
-        (V1, Place.USER),
-        (SYSTEM_SERVICE, Place.SYSTEM),
-        (CONTAINER, Place.NONE),
-        (V1_WITHOUT_SYSTEMD, Place.NONE),
-        ("", Place.NONE),
+        (SSH, SessionPlace.SESSION),
+        (ROOT_SSH, SessionPlace.SESSION),
+        (SCOPE, SessionPlace.USER),
+        (USER_SERVICE, SessionPlace.USER),
+        (V1, SessionPlace.USER),
+        (SYSTEM_SERVICE, SessionPlace.SYSTEM),
+        (CONTAINER, SessionPlace.NONE),
+        (V1_WITHOUT_SYSTEMD, SessionPlace.NONE),
+        ("", SessionPlace.NONE),
     ],
 )
 def test_the_control_group_names_the_unit(groups, place):
     assert place_of(groups) is place
 
 
-@pytest.mark.parametrize("place", [Place.USER, Place.SESSION])
+@pytest.mark.parametrize("place", [SessionPlace.USER, SessionPlace.SESSION])
 def test_without_lingering_the_last_logout_ends_it(monkeypatch, place):
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     found = lifetime(place, "dev", lingers=False)
@@ -48,10 +48,10 @@ def test_without_lingering_the_last_logout_ends_it(monkeypatch, place):
 @pytest.mark.parametrize(
     ("place", "lingers", "words"),
     [
-        (Place.USER, True, "user dev lingers"),
-        (Place.SESSION, True, "ends when its terminal closes"),
-        (Place.SYSTEM, False, "no logout ends it"),
-        (Place.NONE, False, "systemd does not end"),
+        (SessionPlace.USER, True, "user dev lingers"),
+        (SessionPlace.SESSION, True, "ends when its terminal closes"),
+        (SessionPlace.SYSTEM, False, "no logout ends it"),
+        (SessionPlace.NONE, False, "systemd does not end"),
     ],
 )
 def test_what_outlives_sessions_needs_no_remedy(place, lingers, words):

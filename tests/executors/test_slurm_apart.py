@@ -15,16 +15,16 @@ from pathlib import Path
 import pytest
 
 import slamhive
-from slamhive.bags.staging import checksum
+from slamhive.documents.submission import Submission
+from slamhive.domain.configuration import VariantStep
 from slamhive.domain.run import RunState
-from slamhive.domain.variant import VariantStep
 from slamhive.executors.base import EngineUnavailable, StartFailed
 from slamhive.executors.node_store.server import NodeServer
 from slamhive.executors.registry import open_executor
 from slamhive.executors.slurm.image_folders import ImageFolders
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Gone, Running
-from slamhive.schema.submission import Submission
+from slamhive.recordings.staging import checksum
 from slamhive.services.hive import Hive, open_hive
 from tests.executors.conftest import Bench, wait_for_end
 from tests.executors.node_stores import serving

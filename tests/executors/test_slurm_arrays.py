@@ -15,18 +15,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamhive.executors.base import EngineUnavailable, StartFailed
-from slamhive.executors.slurm.arrays import (
+from slamhive.executors.slurm.command import Queue, SlurmJob, parse_jobs
+from slamhive.executors.slurm.jobs import (
+    ArraySubmission,
     JobRequest,
-    Submission,
     chunks,
     comment_of,
     comments_of_tasks,
+    delivery_request,
     submission,
     tasks_in,
 )
-from slamhive.executors.slurm.command import Job, parse_jobs
-from slamhive.executors.slurm.job import delivery_request
-from slamhive.executors.slurm.queue import Queue
 from tests.waiting import eventually
 
 RECORDED = (Path(__file__).parent / "slurm_outputs" / "squeue-22.05-array.json").read_text()
@@ -124,12 +123,12 @@ def test_each_task_does_what_its_request_says(tmp_path):
 class Slow:
     """An ``sbatch`` whose first call waits until the others have come."""
 
-    def __init__(self, problem: Callable[[Submission], Exception | None] = lambda _sent: None) -> None:
-        self.sent: list[Submission] = []
+    def __init__(self, problem: Callable[[ArraySubmission], Exception | None] = lambda _sent: None) -> None:
+        self.sent: list[ArraySubmission] = []
         self.go_on = threading.Event()
         self._problem = problem
 
-    def __call__(self, sent: Submission) -> None:
+    def __call__(self, sent: ArraySubmission) -> None:
         self.sent.append(sent)
         assert self.go_on.wait(10.0)
         problem = self._problem(sent)
@@ -169,7 +168,7 @@ def test_what_comes_while_slurm_is_busy_goes_out_together():
 
 
 def test_an_array_that_slurm_refuses_is_submitted_job_by_job():
-    def problem(sent: Submission) -> Exception | None:
+    def problem(sent: ArraySubmission) -> Exception | None:
         refused = any(option.startswith("--array") or option.endswith(":k2") for option in sent.arguments)
         return StartFailed("sbatch refuses: Invalid job array specification") if refused else None
 
@@ -189,7 +188,7 @@ def test_a_slurm_that_is_away_is_asked_once_for_all():
 def test_runs_share_a_look_at_the_queue():
     looks: list[int] = []
 
-    def look() -> list[Job]:
+    def look() -> list[SlurmJob]:
         looks.append(1)
         return []
 
@@ -213,12 +212,12 @@ def test_all_who_wait_for_a_look_share_the_next(monkeypatch):
         clock.append(next(readings))
         return float(clock[-1])
 
-    def look() -> list[Job]:
+    def look() -> list[SlurmJob]:
         looks.append(1)
         assert go_on.wait(10.0)
         return []
 
-    monkeypatch.setattr("slamhive.executors.slurm.queue.monotonic_s", now_s)
+    monkeypatch.setattr("slamhive.executors.slurm.command.monotonic_s", now_s)
     queue = Queue(look)
     with ThreadPoolExecutor(9) as pool:
         answers = [pool.submit(queue.jobs, 0.0)]

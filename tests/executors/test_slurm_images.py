@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import InvalidInput, Unavailable
+from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.host import describe_host
 from slamhive.executors.slurm.containers import container_orders, make_mount_points, open_slurm

@@ -11,7 +11,7 @@ import pytest
 from slamhive.domain.run import RunState
 from slamhive.executors.registry import installation_id
 from slamhive.executors.slurm import command
-from slamhive.executors.slurm.arrays import comment_of
+from slamhive.executors.slurm.jobs import comment_of
 from tests.executors.random_kills import PATIENCE_S, RUNS, RandomKills, check_accounts
 from tests.executors.slurm_cluster import NODES, Cluster
 from tests.executors.slurm_installation import slurm_installation

@@ -11,10 +11,10 @@ import pytest
 from slamhive.executors.base import EngineUnavailable, StartFailed
 from slamhive.executors.registry import open_executor
 from slamhive.executors.slurm import command
-from slamhive.executors.slurm.arrays import Submission
+from slamhive.executors.slurm.command import Queue
 from slamhive.executors.slurm.executor import SlurmExecutor
-from slamhive.executors.slurm.queue import Queue
-from slamhive.executors.spec import Limits
+from slamhive.executors.slurm.jobs import ArraySubmission
+from slamhive.executors.spec import ResourceLimits
 from slamhive.executors.status import Gone, Running
 from tests.executors.conftest import wait_for_end
 from tests.executors.processes import processes_of
@@ -78,7 +78,7 @@ def test_a_slurm_without_accounting_remembers_no_job(bench):
 
 def test_a_job_that_no_node_can_run(bench):
     with pytest.raises(StartFailed, match="Memory specification can not be satisfied"):
-        bench.start(UNTIL_TOLD, Limits(memory_bytes=10**14))
+        bench.start(UNTIL_TOLD, ResourceLimits(memory_bytes=10**14))
 
 
 def test_a_drained_node_takes_no_further_run(bench):
@@ -124,7 +124,7 @@ def test_a_run_whose_job_somebody_cancels_is_lost_though_it_saved_its_map(bench,
 
 
 def test_a_job_that_waits_forever(bench):
-    spec = bench.spec(UNTIL_TOLD, Limits(cpu_cores=5000.0))
+    spec = bench.spec(UNTIL_TOLD, ResourceLimits(cpu_cores=5000.0))
     with pytest.raises(StartFailed, match=r"no node meets what run 1 asks for: job .* is PENDING"):
         bench.executor.start(spec)
     bench.executor.discard(spec)
@@ -188,7 +188,7 @@ def jobs_of(spec):
 def start_together(bench, specs):
     """Start all runs in one array: the first one to come waits for the others."""
 
-    def send(sent: Submission) -> None:
+    def send(sent: ArraySubmission) -> None:
         eventually(everybody, "the others")
         command.submit(sent)
 
@@ -224,7 +224,7 @@ def test_runs_that_are_started_together_share_an_array(bench):
 def test_a_task_is_ended_alone(bench, slurm_cluster, monkeypatch):
     """One that runs, one that waits, and one that somebody else has cancelled while it waited."""
     monkeypatch.setattr("slamhive.executors.slurm.executor.START_WAIT_S", 3.0)
-    specs = [bench.spec(UNTIL_TOLD, Limits(cpu_cores=1.0)) for _ in range(8)]
+    specs = [bench.spec(UNTIL_TOLD, ResourceLimits(cpu_cores=1.0)) for _ in range(8)]
     start_together(bench, specs)
     begun = lambda: [spec for spec in specs if (spec.work / "shim.json").exists()]  # noqa: E731
     eventually(lambda: len(begun()) == 4, "a run on each core")

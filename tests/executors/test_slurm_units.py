@@ -8,16 +8,22 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.executors.base import EngineUnavailable, ExecutorContext, NodeAccess, StartFailed
 from slamhive.executors.node_store.on_node.run import Ticket
 from slamhive.executors.registry import open_executor
 from slamhive.executors.slurm import command
-from slamhive.executors.slurm.arrays import submission
-from slamhive.executors.slurm.command import Job, parse_accounted, parse_jobs, read_options
+from slamhive.executors.slurm.command import SlurmJob, parse_accounted, parse_jobs, read_options
 from slamhive.executors.slurm.executor import _is_blameless
-from slamhive.executors.slurm.job import delivery_request, job_commands, job_limits, job_request, ticket_commands
-from slamhive.executors.spec import Limits, Placing, RunSpec
+from slamhive.executors.slurm.jobs import (
+    delivery_request,
+    job_commands,
+    job_limits,
+    job_request,
+    submission,
+    ticket_commands,
+)
+from slamhive.executors.spec import Placing, ResourceLimits, RunSpec
 
 OUTPUTS = Path(__file__).parent / "slurm_outputs"
 RECORDED = (OUTPUTS / "squeue-22.05.json").read_text()
@@ -32,7 +38,7 @@ SPEC = RunSpec(
     inputs=(),
     outputs=(),
     environment={},
-    limits=Limits(cpu_cores=1.5, memory_bytes=1_000_000_000),
+    limits=ResourceLimits(cpu_cores=1.5, memory_bytes=1_000_000_000),
     timeout_s=61.0,
     work=Path("/data/runs/7/work"),
 )
@@ -40,9 +46,9 @@ SPEC = RunSpec(
 
 def test_recorded_jobs():
     assert parse_jobs(RECORDED) == [
-        Job(1, "slamhive:abc", ("RUNNING",), "None", "vm"),
-        Job(2, "", ("PENDING",), "PartitionConfig", ""),
-        Job(3, "", ("FAILED",), "BadConstraints", ""),
+        SlurmJob(1, "slamhive:abc", ("RUNNING",), "None", "vm"),
+        SlurmJob(2, "", ("PENDING",), "PartitionConfig", ""),
+        SlurmJob(3, "", ("FAILED",), "BadConstraints", ""),
     ]
     running, waiting, failed = parse_jobs(RECORDED)
     assert (running.runs, running.over, running.text) == (True, False, "job 1 is RUNNING on vm")
@@ -63,23 +69,23 @@ def test_recorded_jobs():
     ],
 )
 def test_jobs_that_are_not_to_blame_for_their_end(state, reason, slurm_ended_it):
-    assert Job(1, "", (state,), reason, "one").ended_by_slurm is slurm_ended_it
+    assert SlurmJob(1, "", (state,), reason, "one").ended_by_slurm is slurm_ended_it
 
 
 def test_a_node_cancels_a_job_that_it_could_not_launch():
     """Who cancels a job that waits does so on purpose: it has no node yet."""
-    assert Job(1, "", ("CANCELLED",), "None", "one").cancelled_on_a_node
-    assert not Job(1, "", ("CANCELLED",), "None", "").cancelled_on_a_node
-    assert not Job(1, "", ("FAILED",), "NonZeroExitCode", "one").cancelled_on_a_node
-    assert not Job(1, "", ("CANCELLED", "COMPLETING"), "None", "one").cancelled_on_a_node
+    assert SlurmJob(1, "", ("CANCELLED",), "None", "one").cancelled_on_a_node
+    assert not SlurmJob(1, "", ("CANCELLED",), "None", "").cancelled_on_a_node
+    assert not SlurmJob(1, "", ("FAILED",), "NonZeroExitCode", "one").cancelled_on_a_node
+    assert not SlurmJob(1, "", ("CANCELLED", "COMPLETING"), "None", "one").cancelled_on_a_node
 
 
 def test_a_job_that_failed_without_a_word_may_be_submitted_again():
     """Its script was killed with its node before the run began, or its credential was revoked."""
-    assert _is_blameless(Job(1, "", ("FAILED",), "NonZeroExitCode", "one"))
-    assert not _is_blameless(Job(1, "", ("CANCELLED",), "None", ""))
-    assert _is_blameless(Job(1, "", ("TIMEOUT",), "TimeLimit", "one"))
-    assert not _is_blameless(Job(1, "", ("OUT_OF_MEMORY",), "OutOfMemory", "one"))
+    assert _is_blameless(SlurmJob(1, "", ("FAILED",), "NonZeroExitCode", "one"))
+    assert not _is_blameless(SlurmJob(1, "", ("CANCELLED",), "None", ""))
+    assert _is_blameless(SlurmJob(1, "", ("TIMEOUT",), "TimeLimit", "one"))
+    assert not _is_blameless(SlurmJob(1, "", ("OUT_OF_MEMORY",), "OutOfMemory", "one"))
 
 
 def test_jobs_that_the_accounting_database_remembers():
@@ -89,14 +95,14 @@ def test_jobs_that_the_accounting_database_remembers():
     cancelled, killed, completed = parse_accounted(text)
     assert cancelled.text == "job 7 is CANCELLED on one"
     assert (killed.states, killed.over) == (("OUT_OF_MEMORY",), True)
-    assert completed == Job(9, "", ("COMPLETED",), "None", "")
+    assert completed == SlurmJob(9, "", ("COMPLETED",), "None", "")
 
 
 def test_the_last_task_of_an_array_has_the_number_of_all(monkeypatch):
     """Recorded from Slurm 22.05 with ``slurmdbd``: a completed, a failed, a cancelled and a killed task."""
     said = "4|COMPLETED|None|one\n5|FAILED|None|one\n6|CANCELLED by 0|None|two\n1|FAILED|None|two\n"
     monkeypatch.setattr(command, "_run", lambda _command: said)
-    assert command.accounted_jobs("1") == [Job(1, "", ("FAILED",), "None", "two")]
+    assert command.accounted_jobs("1") == [SlurmJob(1, "", ("FAILED",), "None", "two")]
 
 
 def test_a_job_that_was_cancelled_while_it_waited_has_no_node():
@@ -209,8 +215,8 @@ def test_the_longest_run_is_the_least_nice(expected_s, nice):
 
 
 def test_slurm_chooses_the_cores():
-    assert job_limits(Limits(cpuset=(2, 3))) == Limits(cpu_cores=2.0)
-    assert not [entry for entry in job_options(replace(SPEC, limits=Limits())) if "cpus" in entry]
+    assert job_limits(ResourceLimits(cpuset=(2, 3))) == ResourceLimits(cpu_cores=2.0)
+    assert not [entry for entry in job_options(replace(SPEC, limits=ResourceLimits())) if "cpus" in entry]
 
 
 def test_script_of_a_job():

@@ -23,7 +23,7 @@ def make(context):
 WRONG = """
 from slamhive.domain.metrics import Direction, Metric
 from slamhive.evaluation.evaluators.base import MetricValues
-from slamhive.settings import ExecutorOption
+from slamhive.base.settings import ExecutorOption
 
 class Untyped:
     options = ("shell",)
@@ -82,7 +82,7 @@ TUM = Preset("Ours", Protocol(Alignment.NONE), (), "", "")
 """
 PAGES = """
 from flask import Blueprint
-from slamhive.web.pages import Page
+from slamhive.web.pages import PluginPage
 RUNS = Page("Runs", Blueprint("mine", __name__, url_prefix="/runs"))
 NAMED = Page("Runs", Blueprint("runs", __name__, url_prefix="/mine"))
 BARE = Page("Bare", Blueprint("bare", __name__))

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.evaluation.image_context import EvaluationContext
-from slamhive.evaluation.plugin_code import evaluator_code
+from slamhive.evaluation.image_context import EvaluationContext, evaluator_code
 from tests.extend.plugin_packages import CHECKOUT, EXTEND, Command, install, write_package
 from tests.forked_commands import Run
 from tests.services.docker_base import run_docker

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slamhive.bags.room import RoomOptions, render_room
+from slamhive.recordings.room import RoomOptions, render_room
 from tests.extend.plugin_packages import CHECKOUT, EXTEND, Command
 from tests.forked_commands import Run
 from tests.services.tiny_project import make_dataset, make_project

@@ -12,11 +12,11 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from slamhive.catalogue.algorithm_file import load_algorithms
-from slamhive.catalogue.image_context import stage_context
+from slamhive.base.errors import InvalidInput
+from slamhive.base.project import project_root
 from slamhive.domain.algorithm import Base
-from slamhive.errors import InvalidInput
-from slamhive.project import project_root
+from slamhive.packages.algorithm_file import load_algorithms
+from slamhive.packages.image_context import stage_context
 from slamhive.runtime.config import RunConfig
 
 pytestmark = pytest.mark.quick

@@ -10,21 +10,21 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.catalogue.algorithm_file import load_algorithms
-from slamhive.catalogue.run_config import build_run_config
+from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.documents.submission import Submission
 from slamhive.domain.algorithm import Algorithm, Base, RunUser
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.package_origin import PackageOrigin
+from slamhive.domain.packages import PackageOrigin
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, SensorSetup
 from slamhive.domain.trajectory_kind import TrajectoryKind
-from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.executors.docker.foreign_images import PROBE, own_yaml
 from slamhive.executors.docker.run_user import HANDOVER
-from slamhive.foreign.draft import Draft, DraftRequest, draft, licence_of
-from slamhive.foreign.facts import find_facts
-from slamhive.foreign.folder import MOST_TEXT_BYTES, copy_scripts, read_folder
-from slamhive.foreign.script import read_script
-from slamhive.schema.submission import Submission
+from slamhive.packages.algorithm_file import load_algorithms
+from slamhive.packages.published.draft import DraftRequest, PackageDraft, draft, licence_of
+from slamhive.packages.published.facts import find_facts
+from slamhive.packages.published.folder import MOST_TEXT_BYTES, copy_scripts, read_folder
+from slamhive.packages.published.script import read_script
+from slamhive.packages.run_config import build_run_config
 from tests.foreign import folders
 from tests.fuzzing import mutated
 
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.integration
 ORIGIN = PackageOrigin("https://example.org/slam/x", commit="0123456789abcdef")
 
 
-def drafted(path: Path, setup: SensorSetup | None = None, image_user: str | None = None) -> Draft:
+def drafted(path: Path, setup: SensorSetup | None = None, image_user: str | None = None) -> PackageDraft:
     folder = read_folder(path)
     return draft(folder, find_facts(folder), DraftRequest(path.name, ORIGIN, setup, image_user))
 

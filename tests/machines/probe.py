@@ -25,9 +25,9 @@ import psutil
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import Executor, ExecutorContext
 from slamhive.executors.registry import open_executor
-from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import ResourceLimits, RunInput, RunOutput, RunSpec
 from slamhive.executors.status import Exited, RunHandle, Running
-from slamhive.runs.folder import RunFolder
+from slamhive.run_folder.folder import RunFolder
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 MARK = "slamhive-attack-"
@@ -36,7 +36,7 @@ PREPARE = "prepare"
 """Instead of an image: make the environment, and attack nothing."""
 PATIENCE_S = 120.0
 """Emulated machines are ten times slower than others."""
-LIMITS = Limits(cpu_cores=None, memory_bytes=150_000_000, pids=64)
+LIMITS = ResourceLimits(cpu_cores=None, memory_bytes=150_000_000, pids=64)
 HOG_BYTES = 400_000_000
 BURN_S = 8.0
 
@@ -132,7 +132,7 @@ class Bench:
         self._image = image
         self._identity = image or self.executor.build(self.package, lambda _text: None)
 
-    def start(self, attack: str, script: str, limits: Limits = LIMITS) -> tuple[RunSpec, RunHandle]:
+    def start(self, attack: str, script: str, limits: ResourceLimits = LIMITS) -> tuple[RunSpec, RunHandle]:
         key = f"attack-{uuid.uuid4().hex[:12]}"
         folder = RunFolder(self._data / "attacks" / key)
         folder.create()
@@ -257,7 +257,7 @@ def attack_memory(bench: Bench) -> Answer:
 
 def attack_cpu(bench: Bench) -> Answer:
     """Two busy processes get half a core together."""
-    limits = Limits(cpu_cores=0.5, memory_bytes=LIMITS.memory_bytes, pids=64)
+    limits = ResourceLimits(cpu_cores=0.5, memory_bytes=LIMITS.memory_bytes, pids=64)
     spec, handle = bench.start("cpu", BURNER, limits)
     bench.wait(handle)
     cores = float(bench.answer(spec) or "nan")

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.bare_package import import_bare
 
 pytestmark = pytest.mark.quick

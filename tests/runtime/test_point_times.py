@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.messages import PointCloud
 from slamhive.runtime.point_times import PointTimes, SweepInstant, TimeReference, TimeUnit
 

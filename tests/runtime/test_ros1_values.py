@@ -11,8 +11,15 @@ import numpy as np
 import pytest
 
 from slamhive.runtime.ros1.programs import NodeWatch, SystemFailed
-from slamhive.runtime.ros1.sweep import NAMESPACE, middle_delay_s, sweep_parameters
-from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System, launch_command
+from slamhive.runtime.ros1.system import (
+    NAMESPACE,
+    PoseKind,
+    PoseTopic,
+    Ros1System,
+    launch_command,
+    middle_delay_s,
+    sweep_parameters,
+)
 from slamhive.runtime.ros1.timing import BagFrame, PlayedClock, frame_times, queue_drops
 from slamhive.runtime.ros_poses import PoseLog, in_sensor_axes
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.domain.run import FailureReason
-from slamhive.runs.outcome import inspect_trajectory
+from slamhive.run_folder.outcome import inspect_trajectory
 from slamhive.runtime.config import RunConfig, to_yaml
 from tests.runtime.runtime_samples import write_bag
 

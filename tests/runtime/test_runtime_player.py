@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from slamhive.bags.bag_writer import BagWriter
+from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.domain.calibration import LaserLayout
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.errors import InvalidInput, SlamHiveError
+from slamhive.recordings.ros1_writer import BagWriter
 from slamhive.runtime.playback import Player, PlayerDied
 from slamhive.runtime.recording import Recording
 from tests.runtime.runtime_samples import LEFT, START_NS, options, write_bag

@@ -9,7 +9,7 @@ import pytest
 
 from slamhive.runtime.playback import Player
 from slamhive.runtime.recording import Recording
-from tests.bags.storages import FRAMES, SENSORS, STORAGES, convert_to, dataset_of, write_ros1
+from tests.recordings.storages import FRAMES, SENSORS, STORAGES, convert_to, dataset_of, write_ros1
 from tests.runtime.runtime_samples import options
 
 pytestmark = pytest.mark.integration

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.frames import FrameTimes, write_frames_csv
 from slamhive.runtime.messages import to_grey, to_image, to_points
 from slamhive.runtime.paths import find_recording, run_paths
 from slamhive.runtime.trajectory import Poses, quaternions_xyzw, transform_from, write_trajectory
-from slamhive.trajectory.tum import read_tum
+from slamhive.trajectory.layout import read_tum
 
 
 def image(encoding: str, pixels: np.ndarray, padding: int = 0) -> SimpleNamespace:

@@ -7,7 +7,7 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame
 from slamhive.runtime.messages import PointCloud

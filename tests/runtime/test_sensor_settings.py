@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.calibration import EQUIDISTANT, RADTAN, camera_matrix, check_model, distortion, transform
 from slamhive.runtime.opencv_yaml import opencv_yaml, real
 from slamhive.runtime.orb_vocabulary import about_vocabulary, vocabulary_path

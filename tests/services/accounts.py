@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.runs.folder import RunFolder
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from slamhive.store.records import EvaluationState

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from slamhive.budget import Share
+from slamhive.base.budget import BudgetShare
+from slamhive.base.settings import Settings
+from slamhive.documents.challenge import ChallengeSubmission
 from slamhive.evaluation.job import EvaluationResult, EvaluationTask
-from slamhive.schema.challenge import ChallengeSubmission
-from slamhive.services.challenges import ChallengeJudge, Challenges, Entrant
-from slamhive.settings import Settings
+from slamhive.services.challenges import ChallengeJudge, ChallengeService, Entrant
 
 NOW = datetime(2026, 5, 4, 12, 0, 7, tzinfo=UTC)
 START_S, RATE_HZ, POSES = 1000.0, 100.0, 300
@@ -70,7 +70,7 @@ def kept(folder: Path, files: Mapping[str, bytes]) -> dict[str, Path]:
     return {name: place / name for name in files}
 
 
-class ChallengesOfBytes(Challenges):
+class ChallengesOfBytes(ChallengeService):
     """Challenges that take the contents of files, as tests make them."""
 
     def __init__(self, folder: Path, settings: Settings, clock: Clock) -> None:
@@ -83,7 +83,7 @@ class ChallengesOfBytes(Challenges):
         entrant: Entrant,
         files: Mapping[str, Any],
         phase: str | None = None,
-        share: Share | None = None,
+        share: BudgetShare | None = None,
     ) -> ChallengeSubmission:
         return super().submit(name, entrant, kept(self._sent, files), phase, share)
 

@@ -11,7 +11,7 @@ from sqlalchemy import Connection, select
 
 from slamhive.domain.run import RunState
 from slamhive.store import Store
-from slamhive.store.schema import METADATA
+from slamhive.store.migrate import METADATA
 
 Row = dict[str, Any]
 Dump = dict[str, list[Row]]

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited
-from slamhive.runs.folder import RunFolder
-from slamhive.runs.host_columns import COLUMNS
+from slamhive.run_folder.folder import RunFolder
+from slamhive.run_folder.host_columns import COLUMNS
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 
 BUSY, QUIET = (1.9,), (0.1,)

@@ -13,8 +13,7 @@ from pathlib import Path
 import docker
 import pytest
 
-from slamhive.executors.docker.build import choose_base
-from slamhive.executors.docker.kept_images import KEPT
+from slamhive.executors.docker.images import KEPT, choose_base
 from tests.sharing import one_at_a_time
 
 TEST_IMAGE = "slam-hive-test:base"

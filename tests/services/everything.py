@@ -5,21 +5,20 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from slamhive.clock import utc_now
+from slamhive.base.clock import utc_now
+from slamhive.documents.submission import Submission
 from slamhive.domain.accounts import Identity, Role, Scope
-from slamhive.domain.notes import NotesChange
+from slamhive.domain.configuration import VariantStep
 from slamhive.domain.protocol import Alignment
-from slamhive.domain.run import RunState
+from slamhive.domain.run import NotesChange, RunState
 from slamhive.domain.sensors import SensorSetup
-from slamhive.domain.variant import VariantStep
 from slamhive.evaluation.job import Artefacts
-from slamhive.schema.submission import Submission
 from slamhive.services.accounts import TokenRequest
-from slamhive.services.configurations.changes import Changes, Label
+from slamhive.services.configurations import ConfigurationChange, Label
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.services.imports.request import ImportRequest
-from slamhive.store import Act
+from slamhive.store import AuditAct
 from slamhive.store.records import RunSort, SavedSearchRecord
 from tests.services.imports.world import make_source
 from tests.waiting import eventually
@@ -60,10 +59,10 @@ def _describe_configurations(hive: Hive) -> None:
     fast = book.create(Submission("tiny", "track", {"seconds": 0.01}), Label("fast", "ends at once", "speed"))
     rarer = (VariantStep("rate", (), {"hz": 2.0}),)
     book.create(Submission("tiny", "track", {"seconds": 5.0}, variant=rarer))
-    book.copy(fast.record.id, Changes(parameters={"seconds": 9.5}), Label("slow", None, "speed"))
+    book.copy(fast.record.id, ConfigurationChange(parameters={"seconds": 9.5}), Label("slow", None, "speed"))
     gone = book.create(Submission("tiny", "track", {"seconds": 7.0}), Label("gone", "deleted again"))
     changed = book.create(Submission("tiny", "track", {"seconds": 8.0}), Label("changed", "a note", "kept"))
-    book.modify(changed.record.id, Changes(parameters={"seconds": 8.5}))
+    book.modify(changed.record.id, ConfigurationChange(parameters={"seconds": 8.5}))
     book.delete([gone.record.id])
     unsaid = book.create(
         Submission("tiny", "track", {"seconds": 6.0}), Label("unsaid", "nothing is left of it", "left")
@@ -168,7 +167,7 @@ def _leave_waiting(hive: Hive) -> None:
 
 def _add_accounts(hive: Hive) -> None:
     """An account with a session and a token, and one that is disabled; the audit log says who made the first."""
-    act = Act("a" * 32, utc_now(), "root", "command line", "", "account add", "anna as admin")
+    act = AuditAct("a" * 32, utc_now(), "root", "command line", "", "account add", "anna as admin")
     with hive.store.acting(act):
         hive.accounts.add("anna", Role.ADMIN, PASSWORD)
     hive.accounts.sign_in("anna", PASSWORD)

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from slamhive.evaluation.process_starter import ProcessStarter
+from slamhive.base.project import project_root
+from slamhive.evaluation.process import ProcessStarter
 from slamhive.executors.base import Capabilities, Executor
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Protections, RunHandle, Running, RunStatus
-from slamhive.project import project_root
 
 PROTECTIONS = Protections("nothing", "none", "none", "none", "none", "none", {"cgroup": "it is a fake"})
 

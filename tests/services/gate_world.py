@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from slamhive.domain.host import Host
 from slamhive.domain.protocol import Protocol
-from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.run import FailureReason, Host, RunState
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.services.hive import Hive
 from slamhive.store import Lease, Transaction

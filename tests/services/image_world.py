@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from rosbags.rosbag1 import Writer
 
-from slamhive.domain.versions import version_label
+from slamhive.domain.packages import version_label
 from slamhive.executors.base import Executor
 from slamhive.services.challenges import ChallengeJudge
 from slamhive.services.hive import Hive

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.documents.submission import Submission
 from slamhive.executors.docker.engine import INSTALLATION_LABEL
 from slamhive.executors.registry import installation_id
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from tests.services.accounts import Accounts, settle_accounts
 from tests.services.docker_base import run_docker

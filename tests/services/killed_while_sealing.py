@@ -12,7 +12,7 @@ import sys
 from typing import Any
 
 from slamhive.services.hive import open_hive
-from slamhive.services.runs.retrying import repeat_if_disturbed
+from slamhive.services.runs.service import repeat_if_disturbed
 from slamhive.services.worker import collecting
 from slamhive.store import Store
 from tests.services.disturbed_machine import BUSY, beside

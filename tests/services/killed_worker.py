@@ -15,10 +15,10 @@ from contextlib import contextmanager
 from typing import Any
 from unittest import mock
 
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import RunState
-from slamhive.runs.folder import RunFolder
-from slamhive.runs.profiling import read_profile
-from slamhive.schema.submission import Submission
+from slamhive.run_folder.folder import RunFolder
+from slamhive.run_folder.profiling import read_profile
 from slamhive.services.evaluations.service import Evaluations
 from slamhive.services.hive import Hive, open_hive
 from slamhive.store import RunRecord, Store

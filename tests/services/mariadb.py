@@ -18,7 +18,7 @@ from pathlib import Path
 import pymysql
 import pytest
 
-from slamhive.debian import install_command
+from slamhive.base.debian import install_command
 from tests.memory import folder_in_memory
 
 SERVERS = ("mariadbd", "mysqld")

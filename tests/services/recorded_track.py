@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from slamhive.bags.bag_writer import BagWriter
-from slamhive.bags.room.lidar import POINT_TYPE
-from slamhive.bags.staging import checksum
-from slamhive.catalogue.dataset_file import dataset_to_yaml
 from slamhive.domain.dataset import Dataset
+from slamhive.packages.dataset_file import dataset_to_yaml
+from slamhive.recordings.room.sensors import POINT_TYPE
+from slamhive.recordings.ros1_writer import BagWriter
+from slamhive.recordings.staging import checksum
 from tests.services.tiny_project import make_dataset
 
 SCANS = 20

@@ -11,15 +11,15 @@ import pytest
 from argon2 import PasswordHasher
 from argon2.profiles import get_default_parameters
 
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, Unauthenticated, Unavailable
+from slamhive.base.settings import Auth, Mode, Settings
 from slamhive.domain.accounts import MAY, Action, Role, Scope
-from slamhive.errors import Conflict, InvalidInput, NotFound, Unauthenticated, Unavailable
 from slamhive.services.accounts import Accounts, TokenRequest, accounts_needed, passwords
 from slamhive.services.accounts.service import LONGEST_TOKEN_DAYS, SESSION_LASTS, TOKEN_BEGINS, digest_of
 from slamhive.services.archive import ExportRequest, export_archive
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
-from slamhive.settings import Auth, Mode, Settings
-from slamhive.store import Act
+from slamhive.store import AuditAct
 from tests.cheap_passwords import cheap_passwords
 from tests.services.archive_world import make_runs
 
@@ -259,7 +259,7 @@ def test_no_file_holds_accounts_and_reindexing_keeps_them(accounts: Accounts, hi
     accounts.add("unmistakable", Role.ADMIN, PASSWORD)
     _, text = accounts.create_token("unmistakable", TokenRequest("ci", [Scope.READ]))
     make_runs(hive, 2)
-    with hive.store.acting(Act("1", NOW, "unmistakable", "pages", "", "runs.cancel", "")):
+    with hive.store.acting(AuditAct("1", NOW, "unmistakable", "pages", "", "runs.cancel", "")):
         hive.store.note_act()
     before = accounts.list(), accounts.tokens(), accounts.audit(10)
     reindex(hive, lambda _done, _total: None)

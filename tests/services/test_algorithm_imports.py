@@ -15,26 +15,32 @@ from unittest.mock import create_autospec
 import pytest
 from click.testing import CliRunner
 
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.cli import main
+from slamhive.documents.submission import Submission
 from slamhive.domain.algorithm import RunUser
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import Conflict, InvalidInput, NotFound, SlamHiveError, Unavailable
-from slamhive.executors.base import ImageMissing
-from slamhive.executors.docker.kept_images import KEPT
-from slamhive.executors.images import ImageTools
+from slamhive.executors.base import ImageMissing, ImageTools
+from slamhive.executors.docker.images import KEPT
 from slamhive.executors.registry import installation_id
-from slamhive.schema.submission import Submission
-from slamhive.services.algorithms import ImportedPackage, ImportRequest
-from slamhive.services.algorithms.image_archive import ImageArchive
-from slamhive.services.algorithms.planning import plan
-from slamhive.services.algorithms.sources import SourceKind, check_folder, kind_of, opened, package_name
+from slamhive.services.algorithms import (
+    ImageArchive,
+    ImportedPackage,
+    PackageImportRequest,
+    SourceKind,
+    check_folder,
+    kind_of,
+    opened,
+    package_name,
+    plan,
+)
 from slamhive.services.hive import Hive
 from tests.foreign import folders
 from tests.fuzzing import mutated
 from tests.services.docker_base import project_base, run_docker
 
-DOCKER = ImportRequest(executor="docker")
+DOCKER = PackageImportRequest(executor="docker")
 TOOLS = {
     "roslaunch": 'echo "$@" > /home/output/arguments',
     "rosbag": """
@@ -182,10 +188,10 @@ def test_folders_without_algorithm_yaml_are_listed(hive: Hive):
 def test_an_executor_without_images_takes_none(hive: Hive, tmp_path):
     path = str(folders.loam(tmp_path))
     with pytest.raises(InvalidInput, match="executor process has no images; use an executor with images"):
-        with_plan(hive, path, ImportRequest())
+        with_plan(hive, path, PackageImportRequest())
 
 
-def with_plan(hive: Hive, source: str, request: ImportRequest) -> ImportedPackage:
+def with_plan(hive: Hive, source: str, request: PackageImportRequest) -> ImportedPackage:
     """Import, without asking what is planned."""
     with hive.algorithms.planned(source, request) as planned:
         return hive.algorithms.perform(planned, lambda _line: None)
@@ -242,7 +248,7 @@ def test_a_folder_is_built_and_runs_untouched(engine_hive: Hive, base_image: str
     ]
     with pytest.raises(InvalidInput, match="cannot be played sequential"):
         hive.runs.submit(Submission("loam-of-tests", "track", executor="docker", playback_mode=PlaybackMode.SEQUENTIAL))
-    named = ImportRequest("by-image", executor="docker")
+    named = PackageImportRequest("by-image", executor="docker")
     from_image = with_plan(hive, "slam-hive-algorithm:loam-of-tests", named).algorithms[0]
     assert from_image.parameters == algorithm.parameters
     scripts = from_image.package.folder / "slamhive"
@@ -283,7 +289,7 @@ def test_an_archive_is_loaded_without_its_names(engine_hive: Hive, empty_image: 
     digest = tools.load(ImageArchive(saved).chunks(lambda _line: None))
     assert tools.find(digest) == digest
     assert tools.find(empty_image) is None
-    request = ImportRequest("from-tar", None, str(saved), executor="docker")
+    request = PackageImportRequest("from-tar", None, str(saved), executor="docker")
     with pytest.raises(ImageMissing, match=r"^the image has no python3, and it cannot be installed: ") as refused:
         with_plan(engine_hive, str(folders.loam(tmp_path)), request)
     assert "/bin/sh" in str(refused.value)  # the image has none
@@ -314,9 +320,9 @@ def test_the_image_of_another_package_is_not_taken(tmp_path):
     engine = create_autospec(ImageTools, instance=True)
     engine.find.return_value = "sha256:1"
     with opened(str(folder)) as source:
-        assert plan(source, ImportRequest("mine"), engine).image == "slam-hive-algorithm:kiss-icp"
+        assert plan(source, PackageImportRequest("mine"), engine).image == "slam-hive-algorithm:kiss-icp"
         with pytest.raises(InvalidInput, match="slam-hive-algorithm:kiss-icp belongs to another package; give the im"):
-            plan(source, ImportRequest("mine"), engine, {"slam-hive-algorithm:kiss-icp"})
+            plan(source, PackageImportRequest("mine"), engine, {"slam-hive-algorithm:kiss-icp"})
 
 
 def test_a_folder_whose_submodules_were_not_fetched_names_the_line(tmp_path):
@@ -325,7 +331,7 @@ def test_a_folder_whose_submodules_were_not_fetched_names_the_line(tmp_path):
     engine = create_autospec(ImageTools, instance=True)
     engine.find.return_value = None
     with opened(str(folder)) as source, pytest.raises(InvalidInput) as refused:
-        plan(source, ImportRequest("mine"), engine)
+        plan(source, PackageImportRequest("mine"), engine)
     assert "line 3 copies ORB_SLAM2, which is an empty link of Git" in refused.value.message
     assert "fetch it with `git submodule update --init --recursive`, or give the image" in str(refused.value)
 
@@ -339,7 +345,7 @@ def test_what_has_no_image_or_no_scripts_says_what_to_give(engine_hive: Hive, ba
     with pytest.raises(InvalidInput, match=r"line 3 copies ORB_SLAM2, which the folder does not hold; give the image"):
         with_plan(engine_hive, str(folder), DOCKER)
     with pytest.raises(InvalidInput, match=r"holds no /slamhive/mapping\.py.*with --image"):
-        with_plan(engine_hive, base_image, ImportRequest("by-name", executor="docker"))
+        with_plan(engine_hive, base_image, PackageImportRequest("by-name", executor="docker"))
     assert not list(engine_hive.settings.algorithms_folder.glob("*"))
 
 

@@ -9,19 +9,17 @@ from io import BytesIO
 import pandas as pd
 import pytest
 
-from slamhive.analysis.colours import PALETTE
-from slamhive.analysis.report import DisturbedRuns, Report
-from slamhive.analysis.result import ResultTable, TableColumn
-from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
-from slamhive.domain.latex import latex
+from slamhive.analysis.chart import PALETTE
+from slamhive.analysis.report import DisturbedRuns, Report, ResultTable, TableColumn
+from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.base.project import project_root
+from slamhive.domain.bibliography import latex
+from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.domain.verdict import FailureRule
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.project import project_root
-from slamhive.services.markdown_table import table_markdown
-from slamhive.services.reports.bundle import Printing, report_page, write_folder, zipped
-from slamhive.services.reports.run import AnalysisLimits
-from slamhive.services.reports.table import TableRequest, load_table
-from slamhive.services.reports.tables import table_csv, table_latex
+from slamhive.services.analysis.bundle import Printing, report_page, table_csv, table_latex, write_folder, zipped
+from slamhive.services.analysis.run import AnalysisLimits
+from slamhive.services.analysis.table import TableRequest, load_table
+from slamhive.services.markdown import table_markdown
 from tests.web.web_world import add_runs, evaluate_run, fail_run, finish_run, make_hive
 
 pytestmark = pytest.mark.integration
@@ -166,7 +164,7 @@ def test_the_files_of_a_report(world, tmp_path):
 
 
 def test_without_pyarrow_a_report_has_no_parquet(world, monkeypatch):
-    monkeypatch.setattr("slamhive.services.reports.bundle.parquet_there", lambda: False)
+    monkeypatch.setattr("slamhive.services.analysis.bundle.parquet_there", lambda: False)
     report = compute(world, "{all: {where: 'id >= 1'}}")
     with zipfile.ZipFile(BytesIO(zipped(report, world.catalogue.project_root, Printing([])))) as archive:
         assert not [name for name in archive.namelist() if name.endswith(".parquet")]

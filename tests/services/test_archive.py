@@ -17,15 +17,14 @@ from typing import Any
 import bagit
 import pytest
 
+from slamhive.base.errors import Conflict, Forbidden, InvalidInput
+from slamhive.documents.archive import ArchiveManifest
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import FROM_REPEATS
-from slamhive.errors import Conflict, Forbidden, InvalidInput
-from slamhive.schema.archive import Manifest
-from slamhive.schema.submission import Submission
 from slamhive.services.archive.exporting import ExportReport, ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport, ArchiveReport
-from slamhive.services.archive.layout import bag_format
-from slamhive.services.archive.run_files import Part
+from slamhive.services.archive.layout import ArchivePart, bag_format
 from slamhive.services.archive.writing import archive_writer
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
@@ -182,7 +181,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from typing import Any
-from slamhive.runs.folder import RunFolder
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.archive import importing
 from slamhive.services.hive import open_hive
 from slamhive.store import Store
@@ -220,7 +219,7 @@ def test_an_import_that_was_killed_is_completed_and_nothing_is_doubled(
 
 
 def test_a_part_goes_out_with_what_it_needs(world: Hive, other: Hive, tmp_path: Path) -> None:
-    without = (Part.TRAJECTORIES, Part.LOGS)
+    without = (ArchivePart.TRAJECTORIES, ArchivePart.LOGS)
     report = export(world, tmp_path / "a.zip", run_ids=[3, 11, 12], without=without)
     assert (report.counts["runs"], report.counts["saved_searches"]) == (3, 0)
     with zipfile.ZipFile(tmp_path / "a.zip") as file:
@@ -279,7 +278,7 @@ def test_large_and_small_members_are_packed_alike(tmp_path: Path) -> None:
     with archive_writer(tmp_path / "a.zip") as archive:
         archive.add_file("large", tmp_path / "traj.txt")
         archive.add_bytes("small", text[:100_000])
-        archive.finish(Manifest(made_at="", software="", counts={}))
+        archive.finish(ArchiveManifest(made_at="", software="", counts={}))
     with zipfile.ZipFile(tmp_path / "a.zip") as file:
         for name in ("large", "small"):
             packer = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS)

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import InvalidInput, NotFound, SlamHiveError
-from slamhive.services.archive.checking import check_archive
+from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.services.archive.exporting import ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport
 from slamhive.services.archive.layout import (
@@ -26,7 +25,7 @@ from slamhive.services.archive.layout import (
     RUNS,
     TAG_CHECKSUMS,
 )
-from slamhive.services.archive.reading import open_archive
+from slamhive.services.archive.reading import check_archive, open_archive
 from slamhive.services.hive import Hive, open_hive
 from tests.services.archive_world import all_rows, in_bag, make_runs, rewritten, sealed
 from tests.services.tiny_project import environment, make_dataset, make_project

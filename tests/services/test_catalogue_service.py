@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import NotFound
+from slamhive.base.errors import NotFound
+from slamhive.base.settings import Settings
 from slamhive.services.datasets.catalogue import Catalogue
-from slamhive.settings import Settings
 from tests.services.tiny_project import ALGORITHM, make_project
 
 

@@ -20,17 +20,17 @@ import pytest
 import yaml
 from click.testing import CliRunner, Result
 
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, TooManyRequests
 from slamhive.cli import main
 from slamhive.domain.challenge import Failure, RunFailure
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import Conflict, InvalidInput, NotFound, TooManyRequests
 from slamhive.executors.base import EngineUnavailable, PackageNeed
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Gone, Running
 from slamhive.services.challenges import Entrant, ImageWork
-from slamhive.services.challenges.answering import shown_at
+from slamhive.services.challenges.images import check_image
 from slamhive.services.challenges.judging import middle
-from slamhive.services.challenges.packed_images import check_image
+from slamhive.services.challenges.views import shown_at
 from slamhive.services.executors import Executors
 from slamhive.services.hive import Hive
 from slamhive.services.weights import WeightsStore
@@ -393,9 +393,9 @@ def test_results_are_shown_at_fixed_hours():
 def test_with_constant_time_a_run_takes_its_slot_for_the_whole_limit(
     hive: Hive, engine: Engine, archive: Path, monkeypatch
 ):
-    from slamhive.services.challenges import image_work  # noqa: PLC0415
+    from slamhive.services.challenges import image_runs  # noqa: PLC0415
 
-    monkeypatch.setattr(image_work, "SETTLE_S", 2.0)
+    monkeypatch.setattr(image_runs, "SETTLE_S", 2.0)
     path = hive.settings.challenges_folder / "rooms" / "challenge.yaml"
     path.write_text(
         path.read_text()

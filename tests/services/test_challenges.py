@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 import yaml
 
+from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, TooManyRequests
+from slamhive.base.files import TEMPORARY
 from slamhive.domain.challenge import Failure
-from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, TooManyRequests
-from slamhive.files import TEMPORARY
 from slamhive.services.challenges import Entrant, opened_files, sweep_challenges
 from slamhive.services.challenges.folder import ChallengeFolder
 from slamhive.services.evaluations import Evaluations
@@ -510,12 +510,12 @@ def test_the_preset_of_hilti_counts_scores(tmp_path: Path):
 MEASURED = """
 import re, sys
 from pathlib import Path
-from slamhive.budget import unbounded
+from slamhive.base.budget import unbounded
 from slamhive.domain.challenge import Format
 from slamhive.services.challenges.checking import MEMORY_PER_LINE, in_memory
-from slamhive.services.challenges.frames import frame_trajectory
-from slamhive.trajectory.kitti import parse_kitti_matrices
-from slamhive.trajectory.tum import parse_tum
+from slamhive.services.challenges.checking import frame_trajectory
+from slamhive.trajectory.pose_file import parse_kitti_matrices
+from slamhive.trajectory.layout import parse_tum
 def most_bytes():
     return int(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1]) * 1024
 path, kind = Path(sys.argv[1]), Format(sys.argv[2])

@@ -9,16 +9,15 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound
+from slamhive.base.settings import Mode
 from slamhive.cli import main
-from slamhive.clock import utc_now
-from slamhive.cloud.cluster_records import CloudRecords
-from slamhive.cloud.resources import UID_TAG
-from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound
-from slamhive.schema.cloud import CloudState
+from slamhive.cloud.resources import UID_TAG, CloudRecords
+from slamhive.documents.machines import CloudState
 from slamhive.services.clouds import Clouds
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
-from slamhive.settings import Mode
 from tests.cloud.cloud_world import ENDPOINT, KEYS, FakeTime, cloud_text
 from tests.cloud.ecs_server import EcsServer
 from tests.cloud.rental import answered_by

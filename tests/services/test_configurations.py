@@ -9,17 +9,16 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError
+from slamhive.base.settings import Mode
+from slamhive.documents.submission import Submission
+from slamhive.domain.configuration import parse_step
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.variant import parse_step
-from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError
 from slamhive.runtime import config as run_config
-from slamhive.schema.submission import Submission
-from slamhive.services.configurations.changes import Changes, Label
-from slamhive.services.configurations.words import configuration_document, parse_conditions
+from slamhive.services.configurations import ConfigurationChange, Label, configuration_document, parse_conditions
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.worker import worker as worker_module
-from slamhive.settings import Mode
 from slamhive.store import ConfigurationFilter
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.recorded_track import make_recorded_track
@@ -172,27 +171,27 @@ def test_a_condition_that_is_none(text: str):
 def test_a_copy_differs_where_it_was_told_to(hive: Hive):
     variant = (parse_step("rate every=2"),)
     original = hive.configurations.create(replace(typed(count=5), variant=variant, playback_rate=2.0), Label("old"))
-    copy = hive.configurations.copy(original.record.id, Changes(parameters={"features": 6}), Label("new"))
+    copy = hive.configurations.copy(original.record.id, ConfigurationChange(parameters={"features": 6}), Label("new"))
     assert copy.created
     content, before = copy.record.configuration, original.record.configuration
     assert content == replace(before, parameters={**before.parameters, "count": 6})
     assert hive.configurations.get(original.record.id).name == "old"
-    same = hive.configurations.copy(original.record.id, Changes())
+    same = hive.configurations.copy(original.record.id, ConfigurationChange())
     assert same.words == "the same as configuration 1 (old)"
-    bare = hive.configurations.copy(original.record.id, Changes(variant=()))
+    bare = hive.configurations.copy(original.record.id, ConfigurationChange(variant=()))
     assert bare.record.configuration.variant == ()
 
 
 def test_a_copy_for_another_algorithm_takes_what_has_a_name_there(hive: Hive):
     original = hive.configurations.create(typed(seconds=2, count=4))
-    copy = hive.configurations.copy(original.record.id, Changes(algorithm="tiny"))
+    copy = hive.configurations.copy(original.record.id, ConfigurationChange(algorithm="tiny"))
     assert copy.record.configuration.parameters == {"seconds": 2.0, "behaviour": "good"}
     assert copy.notes[0] == "count=4 is left out: tiny has no such parameter"
 
 
 def test_what_nothing_depends_on_is_replaced(hive: Hive):
     old = hive.configurations.create(typed(count=5), Label("mine", "a note", "group")).record.id
-    changed = hive.configurations.modify(old, Changes(parameters={"count": 6}))
+    changed = hive.configurations.modify(old, ConfigurationChange(parameters={"count": 6}))
     assert changed.record.id != old
     assert (changed.record.name, changed.record.note, changed.record.groups) == ("mine", "a note", ("group",))
     assert changed.notes == (f"configuration {old} (mine) is gone: nothing depended on it",)
@@ -202,7 +201,7 @@ def test_what_nothing_depends_on_is_replaced(hive: Hive):
 def test_what_has_runs_stays_as_it_is(hive: Hive):
     old = hive.configurations.create(typed(count=5), Label("mine")).record
     run(hive, typed(count=5))
-    changed = hive.configurations.modify(old.id, Changes(parameters={"count": 6}), Label("other"))
+    changed = hive.configurations.modify(old.id, ConfigurationChange(parameters={"count": 6}), Label("other"))
     assert changed.notes == ("configuration 1 (mine) stays as it is: it has 1 run",)
     assert (changed.created, changed.record.name) == (True, "other")
     assert hive.configurations.get(old.id).configuration == old.configuration
@@ -211,9 +210,9 @@ def test_what_has_runs_stays_as_it_is(hive: Hive):
 def test_name_and_note_change_without_a_copy(hive: Hive):
     old = hive.configurations.create(typed(), Label("mine", "x")).record.id
     run(hive, typed())
-    changed = hive.configurations.modify(old, Changes(), Label("yours", ""))
+    changed = hive.configurations.modify(old, ConfigurationChange(), Label("yours", ""))
     assert (changed.record.id, changed.record.name, changed.record.note) == (old, "yours", "")
-    assert hive.configurations.modify(old, Changes(), Label("")).record.name is None
+    assert hive.configurations.modify(old, ConfigurationChange(), Label("")).record.name is None
 
 
 # -- deleted -----------------------------------------------------------------------------------------------------------
@@ -238,8 +237,8 @@ def test_view_only_changes_nothing(hive: Hive, monkeypatch: pytest.MonkeyPatch):
         text = viewing.configurations.export_yaml(made)
         for change in (
             lambda c: c.create(typed(count=5)),
-            lambda c: c.copy(made, Changes()),
-            lambda c: c.modify(made, Changes()),
+            lambda c: c.copy(made, ConfigurationChange()),
+            lambda c: c.modify(made, ConfigurationChange()),
             lambda c: c.describe(made, Label("x")),
             lambda c: c.group("g", [made]),
             lambda c: c.delete([made]),

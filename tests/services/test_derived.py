@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.base.errors import Unavailable
+from slamhive.base.settings import Mode
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import RunState
-from slamhive.errors import Unavailable
 from slamhive.executors.process.executor import ProcessExecutor
-from slamhive.runs.profiling import plots_are_missing
-from slamhive.schema.submission import Submission
+from slamhive.run_folder.profiling import plots_are_missing
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.worker import collecting
-from slamhive.settings import Mode
 from slamhive.web.app import create_app
 
 pytestmark = pytest.mark.integration

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from slamhive.domain.disturbance import DisturbanceKind
+from slamhive.documents.run import RunDocument
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import RunState
+from slamhive.domain.trust import DisturbanceKind
 from slamhive.executors.status import Exited, RunHandle, Running
-from slamhive.schema.run import Run
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.store.records import RunRecord
@@ -40,7 +40,7 @@ def test_a_disturbed_run_succeeds_and_says_so_everywhere(hive: Hive) -> None:
     assert run.disturbance.disturbed
     words = "other processes used more than 0.5 of 2 cores for 75 % of the run (1.4 on average)"
     assert run.disturbance.words == words
-    shown = Run.of(run).content["disturbance"]
+    shown = RunDocument.of(run).content["disturbance"]
     assert shown == hive.runs.record(run.id)["disturbance"]
     assert shown == {
         "disturbed": True,

@@ -10,16 +10,16 @@ from typing import Any
 
 import pytest
 
+from slamhive.documents.limits import StopWhen
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Running
-from slamhive.runs.outcome import UNSEEN
-from slamhive.schema.limits import StopWhen
-from slamhive.schema.submission import Submission
-from slamhive.services.configurations.submission import unwatchable
-from slamhive.services.worker.context import DriverContext
+from slamhive.run_folder.outcome import UNSEEN
+from slamhive.services.configurations import unwatchable
 from slamhive.services.worker.driver import RunDriver
 from slamhive.services.worker.evidence import STOP_RULE, STOPPED_BECAUSE
+from slamhive.services.worker.run_in_hand import DriverContext
 from slamhive.store import Lease, RunRecord
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.killed_worker import kill_at_each_step

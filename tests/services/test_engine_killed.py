@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.worker import worker as worker_module
 from tests.services.docker_base import run_docker

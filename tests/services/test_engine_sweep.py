@@ -12,9 +12,9 @@ import pytest
 
 from slamhive.executors.base import EngineUnavailable, LiveKeys
 from slamhive.executors.docker.engine import INSTALLATION_LABEL, KEY_LABEL, OWNER_LABEL, labels_of_helper
-from slamhive.executors.identity import worker_identity
+from slamhive.executors.host import worker_identity
 from slamhive.executors.registry import installation_id
-from slamhive.services.worker.engine_sweep import EngineSweep
+from slamhive.services.worker.leftovers import EngineSweep
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive
 

@@ -13,10 +13,10 @@ import psutil
 import pytest
 from click.testing import CliRunner
 
+from slamhive.base.errors import Conflict, NotFound
 from slamhive.cli import main
-from slamhive.cli.batches import evaluate_to_end
+from slamhive.cli.waiting import evaluate_to_end
 from slamhive.domain.sensors import SensorSetup
-from slamhive.errors import Conflict, NotFound
 from slamhive.services.imports.request import ImportRequest
 from slamhive.store import EvaluationState
 from tests.services.imports.world import make_source
@@ -142,7 +142,7 @@ def engines(hive):
 
 
 def test_more_than_a_part_at_a_time_is_worked_off(hive, runs, monkeypatch):
-    monkeypatch.setattr("slamhive.cli.batches.PART", 7)
+    monkeypatch.setattr("slamhive.cli.waiting.PART", 7)
     service = hive.evaluations
     ended = evaluate_to_end(service, service.queue(runs))
     assert [entry.run_id for entry in ended] == [entry.run_id for entry in service.records([e.id for e in ended])]

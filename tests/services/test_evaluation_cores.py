@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from slamhive.evaluation.batch import Batch, LineCallback
-from slamhive.schema.submission import Submission
-from slamhive.services.worker.slots import share_cores
+from slamhive.documents.submission import Submission
+from slamhive.evaluation.process import EvaluationBatch, LineCallback
+from slamhive.services.worker.worker import share_cores
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import hive
 
@@ -28,7 +28,7 @@ class Starter:
     def prepare(self, progress: LineCallback) -> None:
         pass
 
-    def run_batch(self, batch: Batch, on_line: LineCallback, stopping: threading.Event) -> str:
+    def run_batch(self, batch: EvaluationBatch, on_line: LineCallback, stopping: threading.Event) -> str:
         self.cores.append(batch.cores)
         return "it is not evaluated here"
 

@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 
-from slamhive.runs.folder import RunFolder
-from slamhive.services.evaluations.files import evaluation_files
+from slamhive.run_folder.folder import RunFolder
+from slamhive.services.evaluations.service import evaluation_files
 from tests.services.tiny_project import make_dataset
 
 pytestmark = pytest.mark.quick

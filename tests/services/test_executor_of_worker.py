@@ -6,10 +6,10 @@ from unittest.mock import Mock
 
 import pytest
 
-from slamhive.errors import Unavailable
+from slamhive.base.errors import Unavailable
+from slamhive.base.settings import Settings
 from slamhive.services.hive import Hive
-from slamhive.services.worker.lock import WorkerLock
-from slamhive.settings import Settings
+from slamhive.services.worker.holding import WorkerLock
 
 pytestmark = pytest.mark.quick
 

@@ -12,18 +12,17 @@ from typing import Any, cast
 
 import pytest
 
-from slamhive.clock import Clock
+from slamhive.base.clock import Clock
 from slamhive.domain.configuration import PlaybackMode
-from slamhive.domain.remaining import Remaining
+from slamhive.domain.placement import Remaining
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import VerdictKind
-from slamhive.services.experiments.axis_table import AxisTable
-from slamhive.services.experiments.expected import GUESSED_START_S, Expected
-from slamhive.services.experiments.time_left import KEPT_S, MANY_RUNS, Left, TimeLeft
+from slamhive.services.experiments.context import GUESSED_START_S, Expected
+from slamhive.services.experiments.progress import KEPT_S, MANY_RUNS, AxisTable, Left, TimeLeft
 from slamhive.services.experiments.views import Phase
 from slamhive.services.hive import Hive
 from slamhive.store.durations import ActiveRun, Measured, Pairing, Unfinished
-from slamhive.store.experiment_records import CellRecord, StateCount
+from slamhive.store.records import CellRecord, StateCount
 from tests.services.test_experiments import SIX, source
 
 

@@ -10,23 +10,22 @@ from pathlib import Path
 import pytest
 from sqlalchemy import text
 
-from slamhive.cli.demo import buildable
-from slamhive.cli.phases import Phase as BuildPhase
-from slamhive.cli.phases import Phases
+from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.base.files import size_bytes
+from slamhive.base.settings import Mode
+from slamhive.cli.demo import DemoPhase as BuildPhase
+from slamhive.cli.demo import Phases, buildable
 from slamhive.domain.run import RunState
-from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
-from slamhive.files import size_bytes
-from slamhive.services.experiments import checks
-from slamhive.services.experiments.expected import (
+from slamhive.services.experiments import previewing
+from slamhive.services.experiments.context import (
     GUESSED_BUILD_S,
     GUESSED_EVALUATION_S,
     GUESSED_OVERHEAD_S,
     GUESSED_START_S,
 )
-from slamhive.services.experiments.planning import NODE_BYTES_PER_S
-from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
+from slamhive.services.experiments.previewing import NODE_BYTES_PER_S
+from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource, Phase
 from slamhive.services.hive import Hive
-from slamhive.settings import Mode
 from slamhive.store import Lease, RunRecord
 from tests.services.conftest import opened_hive
 
@@ -123,7 +122,7 @@ def test_a_preview_knows_what_is_stored_and_how_long_it_took(finished: Hive) -> 
     assert found.build_time_s == 0
     assert 6 * found.between_s < found.time_s < 6 * (10.0 + found.between_s)
     assert found.standing is None
-    assert finished.experiments.preview(source()).standing is Standing.FINISHED
+    assert finished.experiments.preview(source()).standing is ConfigurationStanding.FINISHED
 
 
 def test_a_plan_for_a_cluster_counts_the_data_of_each_node(hive: Hive) -> None:
@@ -143,7 +142,7 @@ def test_starting_stores_cells_and_runs_with_all_that_the_file_says(hive: Hive) 
     done: list[tuple[int, int]] = []
     status = hive.experiments.start(source(), progress=lambda *now: done.append(now))
     assert done[-1] == (6, 6)
-    assert (status.standing, status.cells, status.runs, status.missing) == (Standing.ACTIVE, 6, 6, 0)
+    assert (status.standing, status.cells, status.runs, status.missing) == (ConfigurationStanding.ACTIVE, 6, 6, 0)
     runs = runs_of(hive)
     assert len(runs) == 6
     for run in runs:
@@ -154,7 +153,7 @@ def test_starting_stores_cells_and_runs_with_all_that_the_file_says(hive: Hive) 
 
 def test_it_runs_and_tells_every_cell(finished: Hive) -> None:
     status = finished.experiments.status("six")
-    assert status.standing is Standing.FINISHED
+    assert status.standing is ConfigurationStanding.FINISHED
     assert counts(finished) == {"good": 3, "failed": 3}
     assert status.failures == {"nonzero_exit": 3}
     assert (status.left_s, status.low_s, status.high_s) == (0.0, 0.0, 0.0)
@@ -252,7 +251,7 @@ def test_what_makes_no_sense_is_refused_before_anything_is_stored(hive: Hive, ch
 
 
 def test_more_disk_than_there_is_is_refused(hive: Hive, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checks, "UNMEASURED_RUN_BYTES", 10**15)
+    monkeypatch.setattr(previewing, "UNMEASURED_RUN_BYTES", 10**15)
     with pytest.raises(Unavailable, match=r"six.yaml line 1: the experiment needs .* MB free"):
         hive.experiments.start(source())
     assert "needs" in hive.experiments.preview(source()).refusals[0]
@@ -274,11 +273,11 @@ def test_a_broken_package_is_told_with_its_reason(hive: Hive) -> None:
 
 def test_paused_runs_are_not_taken_and_resumed_ones_are(hive: Hive) -> None:
     hive.experiments.start(source())
-    assert hive.experiments.pause("six").standing is Standing.PAUSED
+    assert hive.experiments.pause("six").standing is ConfigurationStanding.PAUSED
     assert all(run.held for run in runs_of(hive))
     work(hive)
     assert counts(hive) == {"queued": 6}
-    assert hive.experiments.resume("six").standing is Standing.ACTIVE
+    assert hive.experiments.resume("six").standing is ConfigurationStanding.ACTIVE
     work(hive)
     assert counts(hive) == {"good": 3, "failed": 3}
     with pytest.raises(Conflict, match="has finished"):
@@ -304,7 +303,7 @@ def test_cancelling_ends_what_waits_and_asks_what_runs(hive: Hive) -> None:
     claimed = hive.store.write(lambda t: t.queue.claim(Lease("someone", now, 1e6)))
     assert claimed is not None
     status = hive.experiments.cancel("six")
-    assert status.standing is Standing.CANCELLED
+    assert status.standing is ConfigurationStanding.CANCELLED
     assert counts(hive) == {"cancelled": 5, "running": 1}
     assert hive.runs.get(claimed.id).cancel_requested
     (cancelled,) = {run.id for run in runs_of(hive) if run.cell == 6}
@@ -410,7 +409,7 @@ def test_view_only_refuses_every_change(hive: Hive) -> None:
         with pytest.raises(Forbidden, match="view-only"):
             change()
     assert everything(hive) == before
-    assert hive.experiments.status("six").standing is Standing.ACTIVE
+    assert hive.experiments.status("six").standing is ConfigurationStanding.ACTIVE
 
 
 def test_an_unknown_experiment_is_told_with_the_nearest(hive: Hive) -> None:

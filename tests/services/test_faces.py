@@ -43,7 +43,9 @@ def test_no_module_reaches_into_the_package_of_another_use_case() -> None:
 
 def test_the_check_sees_a_module_that_reaches_into_a_package(tmp_path: Path) -> None:
     path = tmp_path / "caller.py"
-    path.write_text("from slamhive.services.runs import Runs\nfrom slamhive.services.runs.record import begin_record\n")
+    path.write_text(
+        "from slamhive.services.runs import RunService\nfrom slamhive.services.runs.record import begin_record\n"
+    )
     assert list(modules_reached(path)) == ["slamhive.services.runs.record.begin_record"]
 
 

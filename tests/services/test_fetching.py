@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.bags.importers import IMPORTERS
-from slamhive.bags.reader import open_bag
+from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.base.settings import Mode, Settings
 from slamhive.domain.dataset import Dataset
-from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
-from slamhive.fetch.download import Pace
-from slamhive.fetch.web import Timeouts
+from slamhive.downloads.download import Pace
+from slamhive.downloads.web import Timeouts
+from slamhive.recordings.importers.registry import IMPORTERS
+from slamhive.recordings.reader import open_bag
 from slamhive.services.datasets import Catalogue
 from slamhive.services.fetching import Collections, Fetching, FetchRequest
-from slamhive.settings import Mode, Settings
-from tests.bags.test_kitti_odometry import sequence
-from tests.fetch.file_server import FileServer, serving
+from tests.downloads.file_server import FileServer, serving
+from tests.recordings.test_kitti_odometry import sequence
 
 pytestmark = pytest.mark.integration
 

@@ -13,27 +13,26 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.analysis_file import parse_analysis
-from slamhive.catalogue.algorithm_file import load_algorithms
-from slamhive.catalogue.dataset_file import load_dataset
-from slamhive.catalogue.protocol_file import load_protocol
+from slamhive.base.errors import SlamHiveError
+from slamhive.base.settings_sources import describe, load_settings
 from slamhive.domain.sensors import SensorSetup
-from slamhive.errors import SlamHiveError
 from slamhive.evaluation.evaluators.consistency import read_covariances
+from slamhive.evaluation.evaluators.map_quality import read_pcd
 from slamhive.evaluation.evaluators.relations import read_relations
 from slamhive.evaluation.job import result_from_json
-from slamhive.evaluation.pcd import read_pcd
-from slamhive.runs.folder import RunFolder
-from slamhive.runs.outcome import inspect_trajectory
-from slamhive.runs.profiling import read_profile
-from slamhive.runs.untrusted import read_numeric_columns, read_untrusted_json
+from slamhive.packages.algorithm_file import load_algorithms
+from slamhive.packages.dataset_file import load_dataset
+from slamhive.packages.protocol_file import load_protocol
+from slamhive.run_folder.folder import RunFolder
+from slamhive.run_folder.outcome import inspect_trajectory
+from slamhive.run_folder.profiling import read_profile
+from slamhive.run_folder.untrusted import read_numeric_columns, read_untrusted_json
 from slamhive.runtime import config as run_config
 from slamhive.runtime.pcd import write_pcd
-from slamhive.services.analyses.folder import AnalysisFolder
 from slamhive.services.archive.exporting import ExportRequest, export_archive
 from slamhive.services.archive.importing import ArchiveImport
-from slamhive.services.archive.layout import ABOUT, ROWS
-from slamhive.services.archive.run_files import Part
-from slamhive.services.configurations.changes import Label
+from slamhive.services.archive.layout import ABOUT, ROWS, ArchivePart
+from slamhive.services.configurations import Label
 from slamhive.services.executors import Executors
 from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.services.experiments.views import ExperimentSource
@@ -42,11 +41,10 @@ from slamhive.services.hive import Hive, open_hive
 from slamhive.services.imports.request import ImportRequest
 from slamhive.services.reindex import reindex, run_folders
 from slamhive.services.runs.series import run_series
-from slamhive.settings_sources import describe, load_settings
+from slamhive.services.stored_analyses.stored import AnalysisFolder
 from slamhive.store import RunRecord
-from slamhive.trajectory.kitti import read_kitti
-from slamhive.trajectory.pose_file import TrajectoryFormat
-from slamhive.trajectory.tum import read_tum
+from slamhive.trajectory.layout import read_tum
+from slamhive.trajectory.pose_file import TrajectoryFormat, read_kitti
 from tests.analysis.test_paper_file import NUMBERS, PAPER
 from tests.fuzzing import NASTY_TEXTS, mutated
 from tests.services.archive_world import PROTOCOL, make_runs, rewritten, sealed
@@ -345,7 +343,7 @@ def hive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
         make_runs(hive, ARCHIVED_RUNS)
         stored_experiment(hive)
         stored_analysis(hive)
-        small = ExportRequest(root / "a.zip", without=(Part.TRAJECTORIES, Part.LOGS))
+        small = ExportRequest(root / "a.zip", without=(ArchivePart.TRAJECTORIES, ArchivePart.LOGS))
         export_archive(hive.settings, hive.store, small, ignore)
         make_runs(hive, FILED_RUNS - ARCHIVED_RUNS, first=100)
         yield hive

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 from click.testing import CliRunner
 
-from slamhive.bags.staging import checksum
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.cli import main
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import InvalidInput, NotFound
 from slamhive.executors.spec import RunSpec
-from slamhive.schema.submission import Submission
-from slamhive.search.build import matching
+from slamhive.filters.words import matching
+from slamhive.recordings.staging import checksum
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex

@@ -14,11 +14,11 @@ from pathlib import Path
 import psutil
 import pytest
 
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import InvalidInput
 from slamhive.executors.base import ImageMissing, StartFailed
 from slamhive.executors.process.executor import ProcessExecutor
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.services.worker.worker import Worker
 from tests.services.working import started_times

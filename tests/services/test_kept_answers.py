@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import Conflict, InvalidInput
-from slamhive.services.kept_answers import KEPT, Answer, KeptAnswers
+from slamhive.base.errors import Conflict, InvalidInput
+from slamhive.services.kept_answers import KEPT, KeptAnswer, KeptAnswers
 
 NOW = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
-ANSWER = Answer(201, '{"runs": []}')
+ANSWER = KeptAnswer(201, '{"runs": []}')
 
 
 @pytest.fixture

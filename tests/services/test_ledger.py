@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import Conflict, Unavailable
-from slamhive.schema.submission import Submission
-from slamhive.services.configurations.changes import Label
+from slamhive.base.errors import Conflict, Unavailable
+from slamhive.documents.submission import Submission
+from slamhive.services.configurations import Label
 from slamhive.services.hive import Hive, check_indexed, open_hive
 from slamhive.services.ledger.book import Book
 from slamhive.services.reindex import reindex

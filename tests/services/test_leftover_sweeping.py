@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.schema.submission import Submission
+from slamhive.documents.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.services.worker.leftovers import sweep_leftovers
 from slamhive.store import Lease
@@ -22,10 +22,10 @@ pytestmark = pytest.mark.integration
 HOLDING = """
 import sys, tempfile, time
 from pathlib import Path
-from slamhive import files
-from slamhive.bags.staging import new_dataset_folder
+from slamhive.base import files
+from slamhive.recordings.staging import new_dataset_folder
 from slamhive.executors.process.environment import Environments
-from slamhive.services.evaluations.scratch import scratch_folder
+from slamhive.services.evaluations.service import scratch_folder
 
 data = Path(sys.argv[1])
 run = data / "runs" / "1"

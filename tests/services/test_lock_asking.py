@@ -8,9 +8,9 @@ import threading
 
 import pytest
 
-from slamhive.errors import Conflict
-from slamhive.services.worker import lock as lock_module
-from slamhive.services.worker.lock import WorkerLock
+from slamhive.base.errors import Conflict
+from slamhive.services.worker import holding as lock_module
+from slamhive.services.worker.holding import WorkerLock
 from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.integration

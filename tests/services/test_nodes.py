@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from slamhive.errors import Forbidden, Unavailable
-from slamhive.services.nodes.answers import EngineAnswers
+from slamhive.base.errors import Forbidden, Unavailable
+from slamhive.services.nodes import EngineAnswers
 from tests.waiting import eventually
 
 

@@ -18,17 +18,15 @@ import pytest
 from aiosmtpd.controller import Controller
 from click.testing import CliRunner
 
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import InvalidInput
+from slamhive.base.settings import MailSecurity, Settings
 from slamhive.cli import main
-from slamhive.clock import utc_now
-from slamhive.errors import InvalidInput
-from slamhive.schema.notice import Notice, NoticeEvent
+from slamhive.documents.experiment import Notice, NoticeEvent
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
-from slamhive.services.notices import Notices, channels_of
-from slamhive.services.notices.channels import SIGNATURE_HEADER
-from slamhive.services.notices.sending import GIVEN_UP_AFTER, RECORD
-from slamhive.services.worker import noticing
-from slamhive.settings import MailSecurity, Settings
+from slamhive.services.notices import GIVEN_UP_AFTER, RECORD, SIGNATURE_HEADER, Notices, channels_of
+from slamhive.services.worker import worker
 
 pytestmark = pytest.mark.integration
 
@@ -165,7 +163,7 @@ def test_a_worker_that_dies_before_it_notes_sends_again(
     start(hive, GOOD)
     hive.worker().run(until_idle=True)
     with monkeypatch.context() as patch:
-        patch.setattr("slamhive.services.notices.sending.write_aside", die)
+        patch.setattr("slamhive.services.notices.write_aside", die)
         with pytest.raises(KeyboardInterrupt):
             sending.work_once()
     assert not (hive.settings.experiments_folder / "pair" / RECORD).exists()
@@ -182,7 +180,7 @@ def test_experiments_of_before_are_not_told(hive: Hive, inbox: Inbox) -> None:
 
 
 def test_the_worker_sends_beside_its_work(hive: Hive, inbox: Inbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(noticing, "EVERY_S", 0.05)
+    monkeypatch.setattr(worker, "EVERY_S", 0.05)
     hive.settings = hive.settings.with_values({"notify_webhook": inbox.address})
     start(hive, GOOD)
     hive.worker().run(until_idle=True)

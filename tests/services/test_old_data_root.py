@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from slamhive.base.tree import unpack_trusted
 from slamhive.cli import main
-from slamhive.tree import unpack_trusted
 
 pytestmark = pytest.mark.integration
 

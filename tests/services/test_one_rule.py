@@ -10,15 +10,15 @@ from typing import Any
 import pytest
 
 from slamhive.analysis.table import FAILED
+from slamhive.documents.run import RunDocument
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import DEFAULT_RULE, VerdictKind
 from slamhive.evaluation.job import EvaluationResult
-from slamhive.schema.run import Run
+from slamhive.services.analysis.table import TableRequest, load_table
 from slamhive.services.experiments.views import Phase
 from slamhive.services.hive import Hive
-from slamhive.services.reports.table import TableRequest, load_table
 from slamhive.store import Lease, RunSort
-from slamhive.store.experiment_records import ExperimentState, NewCell
+from slamhive.store.records import ExperimentState, NewCell
 from tests.store.store_samples import SE3, WORKER, Samples
 
 pytestmark = pytest.mark.integration
@@ -74,7 +74,7 @@ def test_list_groups_experiment_analysis_and_json_agree(hive: Hive, runs: list[i
     listed = {run.id: run.verdict for run in hive.runs.page(limit=100).records}
     assert {run: verdict.kind for run, verdict in listed.items() if verdict and verdict.failed} == failed
     assert listed[runs[9]] is None
-    shown = {run.id: Run.of(run).content["verdict"] for run in hive.runs.page(limit=100).records}
+    shown = {run.id: RunDocument.of(run).content["verdict"] for run in hive.runs.page(limit=100).records}
     assert {run: found["kind"] for run, found in shown.items() if found and found["failed"]} == failed
 
     (group,) = hive.searches.groups(hive.searches.read(""), RunSort("failed"), None, 10, ["ate.rmse"]).records

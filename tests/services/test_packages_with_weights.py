@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from slamhive.base.errors import Unavailable
 from slamhive.cli.main import main
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import Unavailable
 from slamhive.executors.gpu import list_gpus
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from tests.services.docker_base import forget_kept_images, run_docker
 from tests.services.tiny_project import ALGORITHM, environment, make_dataset, make_project

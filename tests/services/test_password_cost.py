@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from argon2.profiles import get_default_parameters
 
+from slamhive.base.settings import SETTINGS
 from slamhive.services.accounts import passwords
-from slamhive.settings import SETTINGS
 
 
 def test_passwords_cost_what_the_library_recommends() -> None:

@@ -8,17 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.domain.protocol import Alignment
-from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.base.errors import Conflict, InvalidInput, NotFound
+from slamhive.base.settings import Settings
+from slamhive.documents.submission import Submission
+from slamhive.domain.protocol import Alignment, ProtocolRequest
 from slamhive.domain.run import RunState
-from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.evaluation.presets import PRESETS
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
-from slamhive.settings import Settings
 from tests.services.fake_executor import FakeExecutor
 
 pytestmark = pytest.mark.integration

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from slamhive import strict_yaml
-from slamhive.bags.variants.rules import RegisteredSteps
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.foreign.experiment import Converted
+from slamhive.base import strict_yaml
+from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.base.settings import Settings
+from slamhive.experiments.binding import CatalogueView
+from slamhive.experiments.expansion import expand
+from slamhive.experiments.file import parse_experiment
+from slamhive.packages.published.experiment import Converted
+from slamhive.recordings.variants.rules import RegisteredSteps
 from slamhive.services.datasets import Catalogue
 from slamhive.services.experiments.converting import convert_published
 from slamhive.services.experiments.views import ExperimentSource
-from slamhive.settings import Settings
-from slamhive.sweep.expand import expand
-from slamhive.sweep.experiment_file import parse_experiment
-from slamhive.sweep.view import CatalogueView
-from tests.sweep.sweep_world import CAMERA, IMU, dataset
+from tests.experiments.sweep_world import CAMERA, IMU, dataset
 
 pytestmark = pytest.mark.quick
 

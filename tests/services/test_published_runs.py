@@ -14,18 +14,17 @@ from typing import Any
 import docker
 import pytest
 
-from slamhive.bags.room import RoomOptions
-from slamhive.catalogue.algorithm_file import load_algorithms
+from slamhive.base.errors import InvalidInput
+from slamhive.base.project import project_root
+from slamhive.documents.submission import Submission
+from slamhive.domain.configuration import parse_step
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.variant import parse_step
-from slamhive.errors import InvalidInput
 from slamhive.executors.base import ExecutorContext
-from slamhive.executors.docker.image import make_image
-from slamhive.executors.docker.kept_images import KEPT
+from slamhive.executors.docker.images import KEPT, make_image
 from slamhive.executors.registry import installation_id
-from slamhive.project import project_root
-from slamhive.schema.submission import Submission
-from slamhive.services.algorithms import ImportRequest
+from slamhive.packages.algorithm_file import load_algorithms
+from slamhive.recordings.room import RoomOptions
+from slamhive.services.algorithms import PackageImportRequest
 from slamhive.services.hive import Hive
 from tests.foreign import folders
 from tests.services.docker_base import project_base, run_docker
@@ -162,7 +161,7 @@ def complete(path: Path, base: str, package: str, program: str, node: str, home:
 def run_of(hive: Hive, path: Path, submission: Submission) -> Path:
     """Import the folder as it is, unless it was, and run it; returns the result folder."""
     if not (hive.settings.algorithms_folder / path.name).exists():
-        with hive.algorithms.planned(str(path), ImportRequest(executor="docker")) as planned:
+        with hive.algorithms.planned(str(path), PackageImportRequest(executor="docker")) as planned:
             hive.algorithms.perform(planned, lambda _line: None)
     (queued,) = hive.runs.submit(submission)
     hive.worker(only=[queued.id]).run(until_idle=True)

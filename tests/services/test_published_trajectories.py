@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.domain.verdict import VerdictKind
-from slamhive.errors import InvalidInput, NotFound
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
 from tests.services.fake_executor import FakeExecutor, write_trajectory

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from slamhive.runs.folder import RunFolder
-from slamhive.schema.submission import Submission
+from slamhive.documents.submission import Submission
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
 from slamhive.services.runs.record import begin_record

@@ -9,18 +9,17 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.base.errors import InvalidInput, Unavailable
+from slamhive.documents import experiment as schema
 from slamhive.domain.run import RunState
-from slamhive.errors import InvalidInput, Unavailable
-from slamhive.schema import experiment as schema
-from slamhive.services.experiments.status import counted_runs
-from slamhive.services.experiments.views import ExperimentSource, Phase, Standing
+from slamhive.experiments.file import parse_experiment
+from slamhive.services.experiments.progress import counted_runs
+from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource, Phase
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
-from slamhive.services.runs.retrying import repeat_if_disturbed
+from slamhive.services.runs.service import repeat_if_disturbed
 from slamhive.services.worker import worker as worker_module
-from slamhive.store.experiment_records import CellRun
-from slamhive.store.records import RunRecord
-from slamhive.sweep.experiment_file import parse_experiment
+from slamhive.store.records import CellRun, RunRecord
 from tests.services.disturbed_machine import BUSY, QUIET, beside, beside_each
 from tests.services.fake_executor import FakeExecutor
 
@@ -56,7 +55,7 @@ def test_a_disturbed_run_is_repeated_until_one_is_not(hive: Hive) -> None:
     assert (second.retry_of, second.seed, second.cell, second.repeat_disturbed) == (first.id, first.seed, first.cell, 1)
     status = hive.experiments.status("one")
     assert (status.counts[Phase.UNJUDGED], status.retried, status.disturbed) == (1, 1, 0)
-    assert (status.runs, status.standing) == (1, Standing.FINISHED)
+    assert (status.runs, status.standing) == (1, ConfigurationStanding.FINISHED)
     (cell,) = hive.experiments.report("one")
     (figures,) = cell.figures
     assert (figures.runs, figures.disturbed) == (1, 0)
@@ -74,11 +73,11 @@ def test_it_is_repeated_so_often_at_most_and_the_last_counts_marked(hive: Hive) 
     assert [run.repeat_disturbed for run in runs_of(hive)] == [2, 1, 0]
     status = hive.experiments.status("one")
     assert (status.counts[Phase.UNJUDGED], status.retried, status.disturbed) == (1, 2, 1)
-    assert schema.ExperimentStatus.of(status).content["disturbed"] == 1
+    assert schema.ExperimentStatusDocument.of(status).content["disturbed"] == 1
     (cell,) = hive.experiments.report("one")
     (figures,) = cell.figures
     assert (figures.runs, figures.disturbed) == (1, 1)
-    assert [run["disturbed"] for run in schema.Cell.of(cell).content["runs"]] == [True, True, True]
+    assert [run["disturbed"] for run in schema.CellDocument.of(cell).content["runs"]] == [True, True, True]
 
 
 @pytest.mark.integration
@@ -118,7 +117,7 @@ def test_of_a_cancelled_experiment_nothing_is_repeated(hive: Hive) -> None:
     def cancel_meanwhile(spec) -> None:
         disturb(spec)
         record = hive.store.read(lambda t: t.experiments.get("one"))
-        from slamhive.store.experiment_records import ExperimentState  # noqa: PLC0415 - used here alone
+        from slamhive.store.records import ExperimentState  # noqa: PLC0415 - used here alone
 
         hive.store.write(lambda t: t.experiments.change(record.id, state=ExperimentState.CANCELLED))
 
@@ -212,7 +211,7 @@ def test_reindexing_queues_the_repetition_that_had_not_begun(hive: Hive, tmp_pat
 def test_the_plan_shows_it(hive: Hive) -> None:
     preview = hive.experiments.preview(source())
     assert (preview.runs, preview.repeat_disturbed) == (1, 2)
-    assert schema.ExperimentPreview.of(preview).content["repeat_disturbed"] == 2
+    assert schema.ExperimentPreviewDocument.of(preview).content["repeat_disturbed"] == 2
 
 
 @pytest.mark.parametrize("text", ["-1", "11", "often", "1.5"])

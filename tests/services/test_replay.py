@@ -14,22 +14,20 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from slamhive.bags.staging import checksum
+from slamhive.base.errors import Conflict, InvalidInput, NotFound
 from slamhive.cli import main
-from slamhive.cli.replay import EXIT_CODES
-from slamhive.domain.replay import Agreement
-from slamhive.errors import Conflict, InvalidInput, NotFound
+from slamhive.cli.archive import EXIT_CODES
+from slamhive.documents.gate import ReplayAnswer
+from slamhive.documents.submission import Submission
+from slamhive.domain.gate import Agreement
 from slamhive.executors.base import ImageMissing, PackageNeed
-from slamhive.schema.replay import ReplayAnswer
-from slamhive.schema.submission import Submission
-from slamhive.services.archive.exporting import ExportRequest, export_archive
-from slamhive.services.archive.extras import Extra
+from slamhive.recordings.staging import checksum
+from slamhive.services.archive.exporting import ExportRequest, Extra, export_archive
 from slamhive.services.archive.layout import version_member
 from slamhive.services.archive.reading import open_archive
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
-from slamhive.services.replay.packages import Packages
-from slamhive.services.replay.request import ReplayRequest
+from slamhive.services.replay.needs import Packages, ReplayRequest
 from slamhive.store.records import AlgorithmVersion
 from tests.services.archive_world import rewritten, sealed
 from tests.services.docker_base import run_docker

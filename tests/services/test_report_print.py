@@ -12,10 +12,9 @@ import pytest
 
 from slamhive.analysis.analysis_file import parse_analysis
 from slamhive.analysis.table import RunTable, make_table
-from slamhive.project import project_root
-from slamhive.services.reports.bundle import report_page
-from slamhive.services.reports.report import make_report
-from slamhive.services.reports.run import AnalysisOutcome, PlotOutcome
+from slamhive.base.project import project_root
+from slamhive.services.analysis.bundle import report_page
+from slamhive.services.analysis.run import AnalysisOutcome, PlotOutcome, make_report
 from tests.analysis.analysis_world import data_of
 from tests.web.browser_world import CHROMIUM
 

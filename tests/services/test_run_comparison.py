@@ -7,12 +7,16 @@ from typing import Any, cast
 
 import pytest
 
-from slamhive.domain.host import Host
+from slamhive.domain.run import Host
 from slamhive.domain.trust import Trust, TrustLevel
-from slamhive.services.run_comparison.figures import metric_lines
-from slamhive.services.run_comparison.marks import Unmarked, unmarked_parts
-from slamhive.services.run_comparison.model import MetricLine, RunColumn
-from slamhive.services.run_comparison.settings import setting_lines
+from slamhive.services.run_comparison import (
+    MetricLine,
+    RunColumn,
+    Unmarked,
+    metric_lines,
+    setting_lines,
+    unmarked_parts,
+)
 
 pytestmark = pytest.mark.integration  # scipy takes half a second to load
 

@@ -11,11 +11,10 @@ import pytest
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, RunHandle, Running
-from slamhive.runs.folder import RunFolder
-from slamhive.runs.leftovers import DiskLimits
+from slamhive.run_folder.folder import RunFolder
+from slamhive.run_folder.untrusted import DiskLimits
 from slamhive.services.runs.specification import disk_limit_bytes
-from slamhive.services.worker.disk import disk_limits
-from slamhive.services.worker.evidence import gather_evidence
+from slamhive.services.worker.evidence import disk_limits, gather_evidence
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit
 from tests.waiting import PATIENCE_S

@@ -9,22 +9,21 @@ from typing import Any
 
 import pytest
 
-from slamhive.domain.affinity import run_affinity
-from slamhive.domain.host import Host
-from slamhive.domain.run import FailureReason, RunState
+from slamhive.documents import experiment as schema
+from slamhive.domain.placement import run_affinity
+from slamhive.domain.run import FailureReason, Host, RunState
 from slamhive.executors.base import Capabilities, StartFailed
 from slamhive.executors.spec import Limit, Placing, RunSpec
 from slamhive.executors.status import Exited, RunHandle
-from slamhive.schema import experiment as schema
+from slamhive.experiments.file import parse_experiment
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
-from slamhive.services.worker import cpu_type
+from slamhive.services.worker import turns
 from slamhive.services.worker import worker as worker_module
-from slamhive.services.worker.placing import placing_of
-from slamhive.store.placing import NodeSeen
+from slamhive.services.worker.turns import placing_of
 from slamhive.store.records import RunRecord
-from slamhive.sweep.experiment_file import parse_experiment
+from slamhive.store.same_cpu import NodeSeen
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 
 pytestmark = pytest.mark.integration
@@ -46,7 +45,7 @@ def at(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Sets the processor of this machine."""
 
     def change(host: Host) -> None:
-        monkeypatch.setattr(cpu_type, "describe_host", lambda: host)
+        monkeypatch.setattr(turns, "describe_host", lambda: host)
         monkeypatch.setattr("slamhive.services.worker.preparing.describe_host", lambda: host)
 
     return change
@@ -72,10 +71,10 @@ def test_another_workstation_leaves_the_runs_alone_and_says_so(
         work(hive, finished())
     assert [run.state for run in runs_of(hive)] == [RunState.SUCCEEDED, RunState.QUEUED, RunState.QUEUED]
     said = [line for line in caplog.messages if "stays on" in line]
-    assert said == [f"experiment one stays on Fast CPU, this is Slow CPU: {cpu_type.ANY_CPU_HINT}"]
+    assert said == [f"experiment one stays on Fast CPU, this is Slow CPU: {turns.ANY_CPU_HINT}"]
     status = hive.experiments.status("one")
     assert status.phase == "waiting for a worker, runs stay on Fast CPU"
-    shown = schema.ExperimentStatus.of(status).content
+    shown = schema.ExperimentStatusDocument.of(status).content
     assert (shown["same_cpu"], shown["cpu_model"]) == (True, "Fast CPU")
     at(FAST)
     work(hive, finished())
@@ -99,7 +98,7 @@ def test_an_experiment_can_allow_several(hive: Hive, at: Any) -> None:
     at(SLOW)
     work(hive, finished())
     assert {run.state for run in runs_of(hive)} == {RunState.SUCCEEDED}
-    assert not schema.ExperimentStatus.of(hive.experiments.status("one")).content["same_cpu"]
+    assert not schema.ExperimentStatusDocument.of(hive.experiments.status("one")).content["same_cpu"]
 
 
 def test_a_reindex_knows_where_the_experiment_began(hive: Hive, at: Any) -> None:

@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from slamhive.bags.variants import build as building
-from slamhive.bags.variants.build import build_variant
+from slamhive.documents.submission import Submission
+from slamhive.domain.configuration import VariantStep
 from slamhive.domain.run import RunState
-from slamhive.domain.variant import VariantStep
 from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Running
-from slamhive.schema.submission import Submission
+from slamhive.recordings.variants import build as building
+from slamhive.recordings.variants.build import build_variant
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.worker import turns as turns_module

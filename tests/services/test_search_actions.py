@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.domain.notes import NotesChange
-from slamhive.errors import Conflict, NotFound, Unavailable
+from slamhive.base.errors import Conflict, NotFound, Unavailable
+from slamhive.domain.run import NotesChange
 from slamhive.services import search_actions
 from slamhive.services.hive import Hive
 from slamhive.services.search_actions import Acted, in_batches

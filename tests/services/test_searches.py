@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.schema.submission import Submission
-from slamhive.services.searches import service as module
-from slamhive.services.searches.service import LeftOut, Searches
+from slamhive.documents.submission import Submission
+from slamhive.services import searches as module
+from slamhive.services.searches import LeftOut, Searches
 from slamhive.store import Count
 
 pytestmark = pytest.mark.integration

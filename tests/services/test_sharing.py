@@ -18,11 +18,11 @@ import pytest
 from sqlalchemy import Connection
 from sqlalchemy.engine.base import RootTransaction
 
-from slamhive.domain.accounts import Role
+from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound
+from slamhive.base.settings import NewRuns
+from slamhive.documents.submission import Submission
+from slamhive.domain.accounts import ANYBODY, Role, Sharing, Viewer, Visibility
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.visibility import ANYBODY, Sharing, Viewer, Visibility
-from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound
-from slamhive.schema.submission import Submission
 from slamhive.services.archive import ArchiveImport, ArchiveReport, ExportRequest, export_archive
 from slamhive.services.archive.layout import PAYLOAD, RUNS
 from slamhive.services.experiments import ExperimentSource
@@ -31,9 +31,8 @@ from slamhive.services.reindex import reindex
 from slamhive.services.runs.record import begin_record
 from slamhive.services.sharing import SharingChange
 from slamhive.services.worker.run_in_hand import RunInHand
-from slamhive.settings import NewRuns
-from slamhive.store import Act, RunRecord, open_store
-from slamhive.store.analysis_records import AnalysisState
+from slamhive.store import AuditAct, RunRecord, open_store
+from slamhive.store.records import AnalysisState
 from tests.cheap_passwords import cheap_passwords
 from tests.services.archive_world import make_runs, rewritten, sealed
 from tests.web.web_world import NOW
@@ -57,7 +56,7 @@ def shared(hive: Hive) -> Hive:
 
 def made_by(hive: Hive, name: str, visibility: Visibility | None = None) -> RunRecord:
     """A run that ``name`` has submitted and a worker has prepared."""
-    with hive.store.acting(Act(name + str(visibility), NOW, name, "pages", "", "start.submit", ""), visibility):
+    with hive.store.acting(AuditAct(name + str(visibility), NOW, name, "pages", "", "start.submit", ""), visibility):
         (run,) = hive.runs.submit(Submission("tiny", "track"))
     folder = hive.runs.folder(run.id)
     folder.create()
@@ -69,7 +68,7 @@ def made_by(hive: Hive, name: str, visibility: Visibility | None = None) -> RunR
 def experiment(hive: Hive, name: str, account: str) -> None:
     """An experiment of ``account`` with two runs."""
     text = f"name: {name}\nalgorithms: [tiny]\ndatasets: [track]\nrepeats: 2\n"
-    with hive.store.acting(Act(name, NOW, account, "pages", "", "experiments.start", "")):
+    with hive.store.acting(AuditAct(name, NOW, account, "pages", "", "experiments.start", "")):
         hive.experiments.start(ExperimentSource(text, "trial.yaml"))
 
 
@@ -115,7 +114,7 @@ def test_only_the_owner_and_the_command_line_share_a_run(shared: Hive) -> None:
 
 def submitted_by(hive: Hive, name: str, visibility: Visibility | None = None) -> RunRecord:
     """A run that ``name`` has submitted, and no worker has touched."""
-    with hive.store.acting(Act(f"{name} submits", NOW, name, "pages", "", "start.submit", ""), Visibility.TEAM):
+    with hive.store.acting(AuditAct(f"{name} submits", NOW, name, "pages", "", "start.submit", ""), Visibility.TEAM):
         (run,) = hive.runs.submit(Submission("tiny", "track", visibility=visibility))
     return run
 
@@ -281,7 +280,7 @@ def test_the_folder_is_the_truth(shared: Hive) -> None:
     shared.sharings.runs(runs[1:2], PUBLIC)
     experiment(shared, "trial", "anna")
     shared.sharings.experiment("trial", PRIVATE)
-    with shared.store.acting(Act("w", NOW, "ben", "pages", "", "start.submit", ""), Visibility.PRIVATE):
+    with shared.store.acting(AuditAct("w", NOW, "ben", "pages", "", "start.submit", ""), Visibility.PRIVATE):
         (waiting,) = shared.runs.submit(Submission("tiny", "track"))
     before = seen(shared)
     assert before[runs[0]] == ("anna", Visibility.PRIVATE)
@@ -344,7 +343,7 @@ def test_a_run_is_seen_by_no_more_people_than_its_experiment(shared: Hive) -> No
 
 def test_the_repetition_of_a_private_run_is_private(shared: Hive) -> None:
     run = made_by(shared, "anna", Visibility.PRIVATE)
-    with shared.store.acting(Act("r", NOW, "ada", "pages", "", "runs.retry", ""), Visibility.TEAM):
+    with shared.store.acting(AuditAct("r", NOW, "ada", "pages", "", "runs.retry", ""), Visibility.TEAM):
         again = shared.runs.retry(run.id)
     assert (again.owner, again.seen_by) == ("ada", Visibility.PRIVATE)
 
@@ -446,7 +445,7 @@ def import_into_a_new_one(hive: Hive, path: Path) -> tuple[Hive, ArchiveReport]:
         shutil.rmtree(folder)
         folder.mkdir()
     again = rebuilt(hive)
-    with again.store.acting(Act("import", NOW, "anna", "pages", "", "archive", "")):
+    with again.store.acting(AuditAct("import", NOW, "anna", "pages", "", "archive", "")):
         report = ArchiveImport(again.settings, again.store, again.catalogue).carry_out(path, lambda *_: None)
     return again, report
 
@@ -502,7 +501,7 @@ def test_an_archive_adds_nothing_public_to_a_public_experiment(shared: Hive, tmp
 
 
 def test_an_archive_gives_no_folder_to_a_run_that_waits(shared: Hive, forged: Path) -> None:
-    with shared.store.acting(Act("w", NOW, "ben", "pages", "", "start.submit", ""), Visibility.PRIVATE):
+    with shared.store.acting(AuditAct("w", NOW, "ben", "pages", "", "start.submit", ""), Visibility.PRIVATE):
         (waiting,) = shared.runs.submit(Submission("tiny", "track"))
     uid = f"{0:016x}{1:016x}"
     for run in (1, 2, 3):
@@ -517,7 +516,7 @@ def test_an_archive_gives_no_folder_to_a_run_that_waits(shared: Hive, forged: Pa
 
 def test_analyses_are_computed_again_when_a_run_is_hidden(shared: Hive) -> None:
     run = made_by(shared, "anna").id
-    with shared.store.acting(Act("a", NOW, "ben", "pages", "", "analyses.create", "")):
+    with shared.store.acting(AuditAct("a", NOW, "ben", "pages", "", "analyses.create", "")):
         analysis = shared.stored_analyses.create(ANALYSIS)
     folder = shared.stored_analyses.folder(analysis.token)
     for name in ("report.json.gz", "figures.json.gz", "page.json.gz"):

@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from slamhive.errors import InvalidInput
-from slamhive.services.worker.slots import share_cores
+from slamhive.base.errors import InvalidInput
+from slamhive.services.worker.worker import share_cores
 
 
 def test_only_cores_that_may_be_used_are_shared(monkeypatch):

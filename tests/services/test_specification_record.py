@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.errors import InvalidInput
 from slamhive.executors.base import Capabilities, ImageMissing
-from slamhive.executors.local_files import make_own_copies, written_places
-from slamhive.executors.spec import Limits, RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import ResourceLimits, RunInput, RunOutput, RunSpec
+from slamhive.executors.transfer import make_own_copies, written_places
 from slamhive.services.runs.record import spec_from_json, spec_to_json
 from slamhive.services.runs.specification import RunLimits, check_executor
 from tests.services.fake_executor import FakeExecutor
@@ -24,7 +24,7 @@ def spec(root: Path) -> RunSpec:
         inputs=(RunInput("slamhive", root / "work" / "slamhive", "/slamhive", own_copy=True),
                 RunInput("slamhive/config.yaml", root / "config.yaml", "/slamhive/config.yaml")),
         outputs=(RunOutput("result", root / "result", "/slamhive/result"),),
-        environment={"A": "b"}, limits=Limits(1.0, 5, 6, (0, 1), 7, 8), timeout_s=9.0, work=root / "work",
+        environment={"A": "b"}, limits=ResourceLimits(1.0, 5, 6, (0, 1), 7, 8), timeout_s=9.0, work=root / "work",
     )  # fmt: skip
 
 

@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamhive.domain.protocol import Alignment, Protocol, protocol_from_content
-from slamhive.domain.protocol_request import exactly
+from slamhive.base.errors import InvalidInput
+from slamhive.domain.protocol import Alignment, Protocol, exactly, protocol_from_content
 from slamhive.domain.trajectory_kind import TrajectoryKind
-from slamhive.errors import InvalidInput
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.runtime.trajectory import Poses, Trajectories, write_trajectories
-from slamhive.services.evaluations.trajectories import estimate_of, other_trajectories
+from slamhive.services.evaluations.service import estimate_of, other_trajectories
 from slamhive.services.hive import Hive
 from slamhive.store import Lease
 from slamhive.web.presenters.search import trajectory_warning

@@ -7,16 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.domain.notes import NotesChange
+from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound
+from slamhive.base.settings import Mode
+from slamhive.documents.submission import Submission
 from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.domain.run import RunState
-from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound
-from slamhive.schema.submission import Submission
+from slamhive.domain.run import NotesChange, RunState
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.services.runs import begin_record
-from slamhive.settings import Mode
 from tests.services.database_dump import differences, dump
 from tests.services.test_reindex import ALGORITHM, HOST
 

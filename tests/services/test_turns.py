@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from slamhive.domain.affinity import run_affinity
-from slamhive.errors import NotFound
+from slamhive.base.errors import NotFound
+from slamhive.domain.placement import run_affinity
 from slamhive.executors.base import Capabilities
 from slamhive.services.worker.turns import MOST_IN_A_ROW, AbsentExecutors, OneAtATime, Turns
 from tests.waiting import PATIENCE_S

@@ -11,27 +11,26 @@ from typing import Any
 
 import pytest
 
-from slamhive.bags.reader import inspect_bag
-from slamhive.bags.variants import build as building
-from slamhive.bags.variants.build import build_variant
-from slamhive.bags.variants.manifest import MANIFEST
-from slamhive.domain.configuration import Configuration
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, Unavailable
+from slamhive.base.tree import folder_bytes
+from slamhive.documents.run import RunDocument
+from slamhive.documents.submission import Submission
+from slamhive.domain.configuration import Configuration, VariantStep, parse_step
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.variant import VariantStep, parse_step
-from slamhive.errors import Conflict, InvalidInput, NotFound, Unavailable
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import RunHandle
+from slamhive.recordings.reader import inspect_bag
+from slamhive.recordings.variants import build as building
+from slamhive.recordings.variants.build import build_variant
+from slamhive.recordings.variants.cache import MANIFEST
 from slamhive.runtime import config as run_config
-from slamhive.schema.run import Run
-from slamhive.schema.submission import Submission
 from slamhive.services.datasets.variants import IDENTITY
-from slamhive.services.experiments.checks import UNMEASURED_BYTES_PER_S
-from slamhive.services.experiments.expected import GUESSED_BUILD_S, GUESSED_OVERHEAD_S, GUESSED_START_S
+from slamhive.services.experiments.context import GUESSED_BUILD_S, GUESSED_OVERHEAD_S, GUESSED_START_S
+from slamhive.services.experiments.previewing import UNMEASURED_BYTES_PER_S
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.services.worker import worker as worker_module
-from slamhive.tree import folder_bytes
 from tests.services.fake_executor import FakeExecutor, Running, write_trajectory
 from tests.services.recorded_track import SCANS, make_recorded_track
 from tests.services.tiny_project import environment, make_project
@@ -105,7 +104,7 @@ def test_the_record_says_which_variant_it_was(hive):
     source = hive.catalogue.dataset("track")
     assert record["dataset"]["variant"] == entry.key
     assert record["dataset"]["checksum"] == source.checksum != record["dataset"]["variant_checksum"]
-    assert record["request"]["variant"] == Run.of(run).content["variant"] == list(map(dict, entry.steps))
+    assert record["request"]["variant"] == RunDocument.of(run).content["variant"] == list(map(dict, entry.steps))
     assert run.variant == HALF
     assert run.dataset_checksum == source.checksum
 

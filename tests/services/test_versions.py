@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from slamhive.base.errors import Conflict, InvalidInput, NotFound
 from slamhive.cli import main
-from slamhive.errors import Conflict, InvalidInput, NotFound
+from slamhive.documents.submission import Submission
 from slamhive.executors.base import ImageMissing
-from slamhive.schema.submission import Submission
-from slamhive.search.build import matching
+from slamhive.filters.words import matching
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
+from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.base.settings import Settings
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.domain.weights import Weights
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.domain.packages import Weights
 from slamhive.services.weights import WeightsStore
-from slamhive.settings import Settings
-from tests.fetch.file_server import serving
+from tests.downloads.file_server import serving
 
 CONTENT = b"numbers"
 KNOWN = Weights("known.pth", "MIT", "https://example.org/page", sha256=hashlib.sha256(CONTENT).hexdigest())

@@ -13,15 +13,15 @@ from typing import Any
 
 import pytest
 
-from slamhive.clock import utc_now
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavailable
+from slamhive.documents.run import RunDocument
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavailable
 from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Gone, RunHandle, Running
-from slamhive.runs.folder import RunFolder
-from slamhive.schema.run import Run
-from slamhive.schema.submission import Submission
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.hive import Hive, check_indexed, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.services.worker import worker as worker_module
@@ -110,7 +110,7 @@ def test_each_way_to_fail_has_its_reason(hive, executor, reason, detail):
     assert (run.state, run.reason) == (RunState.FAILED, reason)
     assert detail in run.detail
     assert hive.runs.record(run.id)["reason"] == reason.value
-    assert Run.of(run).content["metrics"].get("ate.rmse") is None
+    assert RunDocument.of(run).content["metrics"].get("ate.rmse") is None
 
 
 class VanishedExecutor(FakeExecutor):

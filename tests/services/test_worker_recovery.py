@@ -12,8 +12,8 @@ import pytest
 from click.testing import CliRunner
 
 from slamhive.cli.main import main
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import RunState
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from tests.services.killed_worker import check_whole, kill_at_each_step
 from tests.services.working import started_times

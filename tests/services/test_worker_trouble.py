@@ -9,14 +9,14 @@ from typing import Any, cast
 
 import pytest
 
+from slamhive.base.errors import Unavailable
+from slamhive.documents.submission import Submission
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import Unavailable
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.base import EngineUnavailable, ImageMissing
 from slamhive.executors.status import Exited, RunHandle, Running
-from slamhive.schema.submission import Submission
-from slamhive.services.worker.heartbeat import Heartbeat
-from slamhive.services.worker.held_runs import HeldRuns
+from slamhive.services.worker.holding import Heartbeat
+from slamhive.services.worker.run_in_hand import HeldRuns
 from slamhive.store import EvaluationState, Lease, Store, Transaction
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from rosbags.rosbag1 import Writer
 
-from slamhive.catalogue.dataset_file import dataset_to_yaml
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.packages.dataset_file import dataset_to_yaml
 from tests.sharing import share_environments
 
 ALGORITHM = """

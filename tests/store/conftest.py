@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from slamhive.store import Store, Transaction, open_store
-from slamhive.store.experiment_records import ExperimentState
-from slamhive.store.schema import METADATA
+from slamhive.store.migrate import METADATA
+from slamhive.store.records import ExperimentState
 from tests.services.mariadb import DatabaseServer
 from tests.store.store_samples import Samples
 

@@ -9,11 +9,11 @@ from typing import Any
 
 from sqlalchemy import insert, text
 
-from slamhive.domain.affinity import run_affinity
+from slamhive.domain.configuration import VariantStep
+from slamhive.domain.placement import run_affinity
 from slamhive.domain.run import RunState
-from slamhive.domain.variant import VariantStep
 from slamhive.store import Lease, Store, Transaction
-from slamhive.store.models import Run
+from slamhive.store.models import RunRow
 
 NOW = datetime(2026, 5, 4, 3, 2, 1, tzinfo=UTC)
 DATA = [run_affinity("room", (VariantStep("rate", ("cam0",), {"hz": hz}),), "orb-slam3") for hz in range(1, 101)]
@@ -91,4 +91,4 @@ def analyse(store: Store) -> None:
 
 
 def _add(store: Store, rows: list[dict[str, Any]]) -> None:
-    store.write(lambda tx: tx.database.execute(insert(Run.__table__), rows))
+    store.write(lambda tx: tx.database.execute(insert(RunRow.__table__), rows))

@@ -9,20 +9,20 @@ from datetime import UTC, datetime, timedelta
 from fnmatch import fnmatchcase
 from typing import Any
 
-from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.search.fields import Kind, ParameterKind, Vocabulary, vocabulary_of
+from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceReason
+from slamhive.filters.fields import FieldKind, ParameterKind, Vocabulary, vocabulary_of
 from slamhive.store import Lease, Store
-from slamhive.store.models import Evaluation
+from slamhive.store.models import EvaluationRow
 from tests.store.store_samples import SE3, SIM3, WORKER, Samples, result
 
 BEGIN = datetime(2026, 5, 1, tzinfo=UTC)
 VOCABULARY = vocabulary_of(
     [
-        ParameterKind("nFeatures", Kind.NUMBER),
-        ParameterKind("deskew", Kind.FLAG),
-        ParameterKind("matcher", Kind.TEXT),
+        ParameterKind("nFeatures", FieldKind.NUMBER),
+        ParameterKind("deskew", FieldKind.FLAG),
+        ParameterKind("matcher", FieldKind.TEXT),
     ],
     sensors={"stereo": ("orb-slam3-stereo",), "lidar": ("kiss-icp",)},
     protocols={SE3.fingerprint: "a", SIM3.fingerprint: "b"},
@@ -109,7 +109,7 @@ def _evaluate(store: Store, run_id: int, protocol: Any, error: float, now: datet
     (evaluation_id,) = store.write(lambda tx: tx.evaluations.queue([run_id], protocol, now))
     store.write(lambda tx: tx.evaluations.claim(Lease(WORKER, now, 30.0)))
     store.write(lambda tx: tx.evaluations.finish(evaluation_id, WORKER, result(protocol, ate_rmse=error), now))
-    assert Evaluation.__tablename__ == "evaluations"
+    assert EvaluationRow.__tablename__ == "evaluations"
 
 
 def disturbed_by(sign: str, kind: str) -> Probe:

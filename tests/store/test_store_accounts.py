@@ -6,14 +6,13 @@ from datetime import timedelta
 
 import pytest
 
+from slamhive.base.errors import Conflict, NotFound
 from slamhive.domain.accounts import Role, Scope
 from slamhive.domain.run import RunState
-from slamhive.errors import Conflict, NotFound
-from slamhive.search.binding import read_search
-from slamhive.search.fields import Vocabulary
-from slamhive.store import Act, Key, KeyKind, NewKey, Store
-from slamhive.store.accounts import MOST_SESSIONS
-from slamhive.store.audit import SUBJECT_LENGTH, in_ranges
+from slamhive.filters.binding import read_search
+from slamhive.filters.fields import Vocabulary
+from slamhive.store import AuditAct, Key, KeyKind, NewKey, Store
+from slamhive.store.accounts import MOST_SESSIONS, SUBJECT_LENGTH, in_ranges
 from tests.store.conftest import NOW
 from tests.store.store_samples import Samples
 
@@ -35,8 +34,8 @@ def found(store: Store, digest: str, kind: KeyKind = KeyKind.SESSION) -> Key | N
     return store.read(lambda t: t.accounts.key(kind, digest, NOW))
 
 
-def act(uid: str = "1", subject: str = "") -> Act:
-    return Act(uid, NOW, "anna", "pages", "192.0.2.1", "runs.cancel", subject)
+def act(uid: str = "1", subject: str = "") -> AuditAct:
+    return AuditAct(uid, NOW, "anna", "pages", "192.0.2.1", "runs.cancel", subject)
 
 
 def subjects(store: Store) -> list[str]:
@@ -147,7 +146,7 @@ def test_a_line_says_which_runs_and_experiments_were_stored(store: Store, sample
 
 def test_lines_are_listed_by_account_and_in_pages(store: Store) -> None:
     for number, name in enumerate(("anna", "ben", "anna")):
-        line = Act(str(number), NOW, name, "pages", "", "runs.cancel", str(number))
+        line = AuditAct(str(number), NOW, name, "pages", "", "runs.cancel", str(number))
         store.write(lambda t: t.audit.add(line))  # noqa: B023
         store.write(lambda t: t.audit.add(line))  # noqa: B023 - tried again after a lost answer
     newest, second, oldest = store.read(lambda t: t.audit.lines(10))
@@ -163,7 +162,7 @@ def test_runs_belong_to_whoever_asked_and_their_repetitions_too(store: Store, sa
         (first,) = samples.queued(configuration_id=configuration)
     (nobodys,) = samples.queued(configuration_id=configuration)
     (repeated,) = samples.queued(configuration_id=configuration, retry_of=first)
-    with store.acting(Act("2", NOW, "ben", "pages", "", "runs.retry", "")):
+    with store.acting(AuditAct("2", NOW, "ben", "pages", "", "runs.retry", "")):
         (retried,) = samples.queued(configuration_id=configuration, retry_of=first)
     runs = [first, nobodys, repeated, retried]
     found = store.read(lambda t: t.runs.get_many(runs))

@@ -34,5 +34,5 @@ def test_nobody_else_has_a_connection_or_makes_a_repository() -> None:
 
 
 def test_a_trespass_is_found() -> None:
-    source = "from slamhive.store.archives import ArchiveRepository\nstore.read(lambda t: t.database.execute(q))"
+    source = "from slamhive.store.ledger import ArchiveRepository\nstore.read(lambda t: t.database.execute(q))"
     assert trespasses(source) == ["line 1: ArchiveRepository", "line 2: t.database"]

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.parameters import Parameter, ParameterType, Value
-from slamhive.errors import Conflict, InvalidInput, NotFound, SlamHiveError
 from slamhive.store import ConfigurationFilter, ConfigurationPage, ParameterCondition, Store, open_store
 from tests.store.store_samples import Samples, dataset
 

@@ -12,10 +12,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
+from slamhive.base.errors import NotFound
+from slamhive.domain.configuration import Configuration, Playback, PlaybackMode, VariantStep
 from slamhive.domain.parameters import Parameter, ParameterType, Value
-from slamhive.domain.variant import VariantStep
-from slamhive.errors import NotFound
 from slamhive.store import ConfigurationFilter, ParameterCondition, Store, StoredParameter, open_store
 from tests.store.store_samples import Samples, dataset
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.domain.run import RunState
-from slamhive.errors import InvalidInput, Unavailable
 from slamhive.store import Store, open_store
 from slamhive.store.engine import make_engine
 from tests.services.mariadb import DatabaseServer, running_server

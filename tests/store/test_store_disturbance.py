@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.domain.run import RunState
+from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.store import Store
 from tests.store.store_samples import Samples
 

@@ -7,8 +7,7 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import text
 
-from slamhive.domain.host import Host
-from slamhive.domain.run import RunState
+from slamhive.domain.run import Host, RunState
 from slamhive.store import AlgorithmVersion, Lease, Store
 from slamhive.store.durations import MachineRuns, Measured
 from tests.store.conftest import NOW

@@ -14,8 +14,8 @@ import pytest
 from sqlalchemy import event, text
 from sqlalchemy.exc import DBAPIError, IntegrityError, OperationalError
 
-from slamhive.clock import Clock
-from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.base.clock import Clock
+from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.store import Store, Transaction, open_store
 from slamhive.store.engine import database_label, make_engine
 from tests import durability

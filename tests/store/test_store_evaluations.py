@@ -7,8 +7,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from slamhive.base.errors import Conflict, InvalidInput, NotFound
 from slamhive.domain.run import RunState
-from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.evaluation.job import Artefacts
 from slamhive.store import EvaluationState, Lease, LeaseLost, Store
 from tests.store.store_samples import SE3, SIM3, WORKER, Samples, result

@@ -8,10 +8,10 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from sqlalchemy import event
 
+from slamhive.base.errors import Conflict
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.domain.verdict import FROM_REPEATS
-from slamhive.errors import Conflict
 from slamhive.evaluation.job import Artefacts
 from slamhive.store import EvaluationState, RunFields, RunSnapshot, Store
 from slamhive.store.filed_runs import EndedEvaluation, FiledRun

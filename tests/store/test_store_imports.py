@@ -8,7 +8,7 @@ import pytest
 
 from slamhive.domain.run import RunState
 from slamhive.store import Lease, Store
-from slamhive.store.imports import ImportedRun
+from slamhive.store.filed_runs import ImportedRun
 from tests.store.store_samples import SE3, SIM3, Samples
 
 pytestmark = pytest.mark.integration

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from sqlalchemy import func, select, text
 
-from slamhive.clock import Clock
+from slamhive.base.clock import Clock
 from slamhive.domain.run import RunState
 from slamhive.store import AnalysisRecord, AnalysisState, EvaluationState, Lease, Store, Transaction, open_store
 from slamhive.store.leases import LeaseQueue

@@ -7,12 +7,12 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from sqlalchemy import event
 
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.search.binding import Search
-from slamhive.search.build import matching
+from slamhive.filters.binding import Search
+from slamhive.filters.words import matching
 from slamhive.store import Lease, RunSort, Store
-from slamhive.store.run_order import SORT_KEYS
+from slamhive.store.run_listing import SORT_KEYS
 from tests.store.store_samples import SE3, WORKER, Samples, result
 
 pytestmark = pytest.mark.integration

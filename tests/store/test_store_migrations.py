@@ -13,11 +13,11 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Engine, inspect
 
-from slamhive.errors import Conflict, Unavailable
+from slamhive.base.errors import Conflict, Unavailable
 from slamhive.store import migrate, open_store
 from slamhive.store.engine import make_engine
+from slamhive.store.migrate import METADATA
 from slamhive.store.models import MEASURED_PROTOCOL_ID
-from slamhive.store.schema import METADATA
 
 pytestmark = pytest.mark.integration
 

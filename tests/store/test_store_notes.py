@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.domain.notes import RunNotes
-from slamhive.domain.run import RunState
-from slamhive.search.binding import read_search
-from slamhive.search.fields import Kind, ParameterKind, Source, Vocabulary, vocabulary_of
+from slamhive.domain.run import RunNotes, RunState
+from slamhive.filters.binding import read_search
+from slamhive.filters.fields import FieldKind, ParameterKind, Source, Vocabulary, vocabulary_of
 from slamhive.store import RunSort, Store
 from tests.store.store_samples import Samples
 
@@ -61,5 +60,5 @@ def test_notes_are_replaced_as_a_whole(store: Store, noted: list[int]) -> None:
 
 
 def test_a_parameter_called_note_keeps_its_name() -> None:
-    vocabulary = vocabulary_of([ParameterKind("note", Kind.TEXT)])
+    vocabulary = vocabulary_of([ParameterKind("note", FieldKind.TEXT)])
     assert [field.source for field in vocabulary.fields("note")] == [Source.PARAMETER, Source.NOTE]

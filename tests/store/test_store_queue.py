@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from slamhive.domain.affinity import run_affinity
+from slamhive.domain.placement import run_affinity
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.store import Lease, Store, open_store
 from tests.store.store_samples import WORKER, Samples

@@ -7,9 +7,8 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
-from slamhive.domain.host import Host
-from slamhive.domain.run import LEGAL_MOVES, FailureReason, RunEvent, RunState
-from slamhive.errors import Conflict, InvalidInput, NotFound
+from slamhive.base.errors import Conflict, InvalidInput, NotFound
+from slamhive.domain.run import LEGAL_MOVES, FailureReason, Host, RunEvent, RunState
 from slamhive.store import AlgorithmVersion, LeaseLost, RunFields, Store
 from tests.store.store_samples import SIM3, WORKER, Samples
 

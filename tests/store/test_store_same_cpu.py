@@ -8,21 +8,19 @@ from typing import Any
 
 import pytest
 
-from slamhive.domain.host import Host
-from slamhive.domain.run import RunState
-from slamhive.store import Lease, Machine, Store, open_store
-from slamhive.store.placing import NodeSeen
-from slamhive.store.same_cpu import NOT_KNOWN
+from slamhive.domain.run import Host, RunState
+from slamhive.store import Lease, MeasuredMachine, Store, open_store
+from slamhive.store.same_cpu import NOT_KNOWN, NodeSeen
 from tests.store.conftest import NOW
 from tests.store.store_samples import Samples
 
 pytestmark = pytest.mark.quick
 
-OLD, NEW = Machine("Old CPU"), Machine("New CPU")
-CLUSTER = Machine("Login node", lambda executor: executor == "cluster")
+OLD, NEW = MeasuredMachine("Old CPU"), MeasuredMachine("New CPU")
+CLUSTER = MeasuredMachine("Login node", lambda executor: executor == "cluster")
 
 
-def claim(store: Store, machine: Machine | None, owner: str = "worker", later_s: float = 0.0) -> int | None:
+def claim(store: Store, machine: MeasuredMachine | None, owner: str = "worker", later_s: float = 0.0) -> int | None:
     lease = Lease(owner, NOW + timedelta(seconds=later_s), 30.0)
     run = store.write(lambda tx: tx.queue.claim(lease, machine=machine))
     return None if run is None else run.id
@@ -128,7 +126,7 @@ def test_of_machines_that_ask_at_once_one_decides(
     taken: dict[str, list[int]] = {"Old CPU": [], "New CPU": []}
     together = threading.Barrier(2)
 
-    def work(machine: Machine) -> None:
+    def work(machine: MeasuredMachine) -> None:
         own = open_store(database_url)
         together.wait()
         while (run_id := claim(own, machine, machine.cpu_model)) is not None:

@@ -10,13 +10,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from slamhive.domain.configuration import Configuration
+from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.domain.configuration import Configuration, Variant, VariantStep
 from slamhive.domain.run import RunState
-from slamhive.domain.variant import Variant, VariantStep
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.search.binding import Search, read_search
-from slamhive.search.fields import vocabulary_of
-from slamhive.search.reader import FilterError
+from slamhive.filters.binding import Search, read_search
+from slamhive.filters.fields import vocabulary_of
+from slamhive.filters.syntax import FilterError
 from slamhive.store import RunSort, Store, Transaction, open_store, run_groups, run_listing
 from slamhive.store.records import SavedSearchRecord
 from tests.store import search_world as world

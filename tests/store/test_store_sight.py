@@ -8,15 +8,14 @@ from typing import Any
 import pytest
 from sqlalchemy import event
 
-from slamhive.domain.notes import RunNotes
-from slamhive.domain.run import RunState
-from slamhive.domain.visibility import ANYBODY, Sharing, Viewer, Visibility
-from slamhive.errors import NotFound
-from slamhive.search.binding import EVERYTHING, Search, read_search
+from slamhive.base.errors import NotFound
+from slamhive.domain.accounts import ANYBODY, Sharing, Viewer, Visibility
+from slamhive.domain.run import RunNotes, RunState
+from slamhive.filters.binding import EVERYTHING, Search, read_search
 from slamhive.store import Store, Transaction, run_listing
 from slamhive.store.records import Count, RunRecord, RunSort
 from slamhive.store.sight import OF_EXPERIMENTS, OF_RUNS, SEEN
-from slamhive.store.tables import Base
+from slamhive.store.tables import TableBase
 from tests.store.search_world import VOCABULARY, fill
 from tests.store.store_samples import Samples
 
@@ -183,7 +182,7 @@ def test_where_nothing_is_hidden_nothing_is_added(store: Store) -> None:
 
 def test_each_table_has_a_rule() -> None:
     """A new table either follows runs or experiments, or somebody has decided that it says nothing of them."""
-    assert set(Base.metadata.tables) - {*SEEN, *OF_RUNS, *OF_EXPERIMENTS} <= OF_NO_RUN
+    assert set(TableBase.metadata.tables) - {*SEEN, *OF_RUNS, *OF_EXPERIMENTS} <= OF_NO_RUN
 
 
 def test_runs_follow_their_experiment(store: Store, samples: Samples, experiment: int) -> None:

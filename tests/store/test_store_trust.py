@@ -8,14 +8,13 @@ from typing import Any
 
 import pytest
 
+from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
-from slamhive.domain.disturbance import Disturbance
-from slamhive.domain.external import IMPORTED
 from slamhive.domain.run import RunState
-from slamhive.domain.trust import CPU_LIMIT_USED, DROPPED_FRAMES, PLAYER_LAG, TrustLevel
-from slamhive.search.binding import read_search
-from slamhive.search.fields import Vocabulary
-from slamhive.search.words import in_words
+from slamhive.domain.trust import CPU_LIMIT_USED, DROPPED_FRAMES, PLAYER_LAG, Disturbance, TrustLevel
+from slamhive.filters.binding import read_search
+from slamhive.filters.fields import Vocabulary
+from slamhive.filters.words import in_words
 from slamhive.store import RunSort, Store
 from tests.store.conftest import NOW
 from tests.store.store_samples import Samples, dataset

@@ -10,12 +10,11 @@ from sqlalchemy import text
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import DIVERGED, ERROR_OVER_REPEATS, REPEATS_LIMIT, VerdictKind
 from slamhive.evaluation.job import EvaluationResult
-from slamhive.search.binding import Search, read_search
-from slamhive.search.fields import Vocabulary
-from slamhive.search.words import in_words
+from slamhive.filters.binding import Search, read_search
+from slamhive.filters.fields import Vocabulary
+from slamhive.filters.words import in_words
 from slamhive.store import Lease, RunSort, Store, migrate
-from slamhive.store.metrics import VERDICT
-from slamhive.store.verdicts import CODES, kind_of
+from slamhive.store.metrics import CODES, VERDICT, kind_of
 from tests.store.store_samples import SE3, SIM3, WORKER, Samples
 
 pytestmark = pytest.mark.integration

@@ -7,9 +7,9 @@ from datetime import UTC, datetime
 
 import pytest
 
-from slamhive.search.binding import read_search
-from slamhive.search.fields import Vocabulary
-from slamhive.search.reader import FilterError
+from slamhive.filters.binding import read_search
+from slamhive.filters.fields import Vocabulary
+from slamhive.filters.syntax import FilterError
 from slamhive.store import AlgorithmVersion, RunFields, Store, Transaction
 from tests.store.store_samples import Samples
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.base.strict_yaml import parse
 from slamhive.executors.docker.address import Trouble
-from slamhive.strict_yaml import parse
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 sys.path.insert(0, str(TOOLS))
@@ -154,6 +154,6 @@ def test_the_libraries_are_those_of_the_package():
 
 
 def test_the_base_images_are_those_that_the_executor_takes():
-    from slamhive.executors.docker.build import OWN_BASE, PUBLIC_BASE, SAME_AS_PUBLIC  # noqa: PLC0415 - Docker's SDK
+    from slamhive.executors.docker.images import OWN_BASE, PUBLIC_BASE, SAME_AS_PUBLIC  # noqa: PLC0415 - Docker's SDK
 
     assert (PUBLIC_BASE, OWN_BASE, *SAME_AS_PUBLIC) == needs.BASE_IMAGES

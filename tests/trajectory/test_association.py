@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from evo.core.sync import matching_time_indices
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Alignment, Association, Protocol
-from slamhive.errors import InvalidInput
 from slamhive.trajectory.association import associate, match_in_one_sweep, match_nearest, match_one_to_one
-from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.transforms import interpolate
 
 pytestmark = pytest.mark.quick
 

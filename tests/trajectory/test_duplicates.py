@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Duplicates
-from slamhive.errors import InvalidInput
-from slamhive.trajectory.interpolation import interpolate
-from slamhive.trajectory.tum import parse_positions, parse_tum
+from slamhive.trajectory.layout import parse_positions, parse_tum
+from slamhive.trajectory.transforms import interpolate
 
 HALF = np.sqrt(0.5)
 TEXT = f"""\

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slamhive.trajectory.evidence import Finding, find_order, find_unit, overlap
+from slamhive.trajectory.evidence import Conclusion, find_order, find_unit, overlap
 from slamhive.trajectory.layout import QuaternionOrder, TimeUnit
 
 S, MS, US, NS = TimeUnit
@@ -46,13 +46,13 @@ def test_an_estimate_on_another_clock_is_not_bent_to_the_ground_truth() -> None:
 
 def test_where_two_units_are_likely_there_is_doubt_with_what_was_found() -> None:
     found = find_unit(np.arange(0.0, 500.0, 5.0), None, None)
-    assert found == Finding(None, "the timestamps are 5 apart, which is 5 s if they are s, 5 ms if they are ms")
+    assert found == Conclusion(None, "the timestamps are 5 apart, which is 5 s if they are s, 5 ms if they are ms")
 
 
 def test_surveyed_points_that_are_far_apart_are_not_taken_for_milliseconds() -> None:
     assert find_unit(times(1603366000.0, 40.0, S, 30), None, None).value is S
     found = find_unit(times(0.0, 40.0, S, 30), None, None)
-    assert found == Finding(None, "the timestamps are 40 apart, which is 40 s if they are s, 40 ms if they are ms")
+    assert found == Conclusion(None, "the timestamps are 40 apart, which is 40 s if they are s, 40 ms if they are ms")
     assert find_unit(times(0.0, 40.0, S, 30), None, (0.0, 1200.0)).value is S
 
 
@@ -64,7 +64,7 @@ def test_where_no_unit_is_likely_there_is_doubt() -> None:
 
 
 def test_what_a_file_states_counts_unless_the_numbers_contradict() -> None:
-    header = Finding(MS, "by its header")
+    header = Conclusion(MS, "by its header")
     assert find_unit(np.arange(0.0, 500.0, 5.0), header, None) == header
     assert find_unit(times(0.0, 0.05, MS, 2400), header, FROM_ZERO) == header
     found = find_unit(times(1403636580.0, 0.05, NS), header, None)
@@ -94,12 +94,12 @@ def test_the_ground_truth_tells_the_order() -> None:
 )
 def test_an_order_that_nothing_tells_is_in_doubt(spreads: dict[QuaternionOrder, float]) -> None:
     assert find_order(TURNED, None, spreads).value is None
-    stated = Finding(WXYZ, "by its header")
+    stated = Conclusion(WXYZ, "by its header")
     assert find_order(TURNED, stated, spreads) == stated
 
 
 def test_a_stated_order_that_the_ground_truth_contradicts_is_in_doubt() -> None:
-    found = find_order(TURNED, Finding(WXYZ, "by --format euroc"), {XYZW: 2.0, WXYZ: 140.0})
+    found = find_order(TURNED, Conclusion(WXYZ, "by --format euroc"), {XYZW: 2.0, WXYZ: 140.0})
     assert found.value is None
     assert found.because.startswith("wxyz by --format euroc, but the orientations agree with the ground truth")
 

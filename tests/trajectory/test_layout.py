@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit, parse_rows, stated_in
 
 EUROC = b"""\

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.trajectory import table
-from slamhive.trajectory.tum import parse_tum, read_tum, write_tum
+from slamhive.trajectory.layout import parse_tum, read_tum, write_tum
 
 GOOD = "1 0 0 0 0 0 0 1\n"
 

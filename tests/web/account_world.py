@@ -10,10 +10,10 @@ from pathlib import Path
 from flask.testing import FlaskClient
 from werkzeug.test import TestResponse
 
+from slamhive.base.settings import Auth
 from slamhive.domain.accounts import Role
-from slamhive.settings import Auth
 from slamhive.web.context import SIGN_IN_EXTENSION
-from slamhive.web.sign_in_limits import SignInLimits
+from slamhive.web.limits import SignInLimits
 from tests.cheap_passwords import cheap_passwords
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web

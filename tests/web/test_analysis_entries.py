@@ -8,16 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamhive import strict_yaml
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.web.analysis_entries import (
-    entries,
-    find_entry,
-    moved_entry,
-    replaced_entry,
-    with_entry,
-    without_entry,
-)
+from slamhive.base import strict_yaml
+from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.web.analysis_editor import entries, find_entry, moved_entry, replaced_entry, with_entry, without_entry
 
 TEXT = """name: x  # why
 select: {runs: {experiment: trial}}

@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from slamhive.base.settings import Mode
 from slamhive.cli import main
 from slamhive.domain.accounts import Role
 from slamhive.domain.challenge import RunFailure
 from slamhive.services.challenges import Entrant
-from slamhive.settings import Mode
 from tests.services import image_world as made
 from tests.services.challenge_world import World
 from tests.services.docker_base import run_docker

@@ -18,6 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 import slamhive
+from slamhive.base.settings import Mode
 from slamhive.cli import main
 from slamhive.domain.accounts import Role
 from slamhive.domain.challenge import Failure
@@ -25,7 +26,6 @@ from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
 from slamhive.services.challenges import ChallengeJudge, Entrant
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.hive import Hive
-from slamhive.settings import Mode
 from tests.services.challenge_world import Clock, World, entry_of, noisy, rooms, text, truth, write_challenge
 from tests.web import web_world as world
 from tests.web.account_world import AccountWeb, account_web

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.domain.notes import NotesChange
+from slamhive.domain.run import NotesChange
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.web.static_site import SiteRequest, StaticSite

@@ -10,19 +10,19 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.base.errors import TooManyRequests, Unauthenticated
+from slamhive.base.settings import Auth, Mode
 from slamhive.cli.serving import who_may_use
 from slamhive.domain.accounts import Role, Scope
 from slamhive.domain.run import RunState
-from slamhive.errors import TooManyRequests, Unauthenticated
 from slamhive.services.accounts import TokenRequest
-from slamhive.settings import Auth, Mode
-from slamhive.web import live, rates
+from slamhive.web import limits as web_limits
+from slamhive.web import live
 from slamhive.web.app import create_app
+from slamhive.web.limits import MOST_OF_ADDRESS, MOST_OF_BOTH, SignInLimits, network_of
 from slamhive.web.live import LiveHub
 from slamhive.web.serve import WebServer
-from slamhive.web.sign_in_limits import MOST_OF_ADDRESS, MOST_OF_BOTH, SignInLimits, network_of
-from slamhive.web.views.accounts import is_own_address
-from slamhive.web.views.administration import in_words
+from slamhive.web.views.accounts import in_words, is_own_address
 from tests.web.account_world import NAMES, PASSWORD, AccountWeb, account_web, token_of
 from tests.web.web_world import HOSTILE, RUNS, Web
 
@@ -318,7 +318,7 @@ def test_failures_count_by_name_and_network_and_successes_do_not() -> None:
 
 
 def test_failures_are_kept_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rates, "MOST_ADDRESSES", 50)
+    monkeypatch.setattr(web_limits, "MOST_ADDRESSES", 50)
     limits = SignInLimits(lambda: 0.0)
     for number in range(60):
         fail(limits, f"n{number}", f"10.0.0.{number}")

@@ -7,8 +7,8 @@ import re
 
 import pytest
 
+from slamhive.base.errors import Unavailable
 from slamhive.domain.run import RunState
-from slamhive.errors import Unavailable
 from slamhive.services.executors import Executors
 from tests.web import web_world as world
 from tests.web.web_world import Web

@@ -19,15 +19,14 @@ import pytest
 from flask import Response
 
 from slamhive.analysis.plot_types import PLOT_TYPES
-from slamhive.errors import Unavailable
-from slamhive.services.analyses import REPORT, AnalysisFiles, AnalysisFolder
-from slamhive.services.analyses.files import MOST_WAITING
-from slamhive.services.analyses.jobs import AnalysisJobs
+from slamhive.base.errors import Unavailable
+from slamhive.base.settings import Mode
 from slamhive.services.hive import Hive
-from slamhive.settings import Mode
+from slamhive.services.stored_analyses import REPORT, AnalysisFiles, AnalysisFolder
+from slamhive.services.stored_analyses.computing import AnalysisJobs
+from slamhive.services.stored_analyses.stored import MOST_WAITING_FILES
 from slamhive.store import AnalysisState
-from slamhive.web.analysis_builder import cards
-from slamhive.web.analysis_text import ALL, first_text
+from slamhive.web.analysis_editor import ALL, cards, first_text
 from slamhive.web.caching import PageCache
 from slamhive.web.context import COMPUTER_EXTENSION
 from slamhive.web.security import API_HEADER
@@ -154,7 +153,7 @@ def test_few_wait_for_files_and_what_was_made_comes_at_once(computed: tuple[Web,
         return read(folder, name)
 
     monkeypatch.setattr(AnalysisFolder, "read_result", read_when_allowed)
-    names = list(web.hive.stored_analyses.folder(token).read_result("page.json.gz")["files"])[: 2 + MOST_WAITING]
+    names = list(web.hive.stored_analyses.folder(token).read_result("page.json.gz")["files"])[: 2 + MOST_WAITING_FILES]
     with ThreadPoolExecutor(len(names)) as pool:
         asked = [pool.submit(files.get, token, name) for name in names]
         refused, waiting = wait(asked, timeout=60, return_when=FIRST_COMPLETED)
@@ -299,7 +298,7 @@ def test_a_page_that_is_kept_costs_neither_a_query_nor_its_compression(
     viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
     accepting = {"Accept-Encoding": "gzip"}
     first, second = (viewing.client.get("/runs", headers=accepting) for _ in range(2))
-    monkeypatch.setattr("slamhive.web.compression.gzip.compress", lambda *_args, **_more: pytest.fail("packed again"))
+    monkeypatch.setattr("slamhive.web.caching.gzip.compress", lambda *_args, **_more: pytest.fail("packed again"))
     monkeypatch.setattr(viewing.hive.store, "read", lambda _work: pytest.fail("the database is asked"))
     third = viewing.client.get("/runs", headers=accepting)
     assert first.data == second.data == third.data

@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
-from slamhive import strict_yaml
-from slamhive.domain.visibility import ANYBODY
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.services.analyses import previews as limits
+from slamhive.base import strict_yaml
+from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.domain.accounts import ANYBODY
+from slamhive.services.analysis.run import spread_over
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
-from slamhive.services.reports.offered import spread_over
-from slamhive.web.analysis_builder import Card, cards
+from slamhive.services.stored_analyses import computing as limits
+from slamhive.web.analysis_editor import Card, cards
 from tests.web import web_world as world
 from tests.web.test_web_experiments import TRIAL
 from tests.web.web_world import Web

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from slamhive.schema import catalogue
-from slamhive.schema.run import RunWith
+from slamhive.documents import catalogue
+from slamhive.documents.run import RunWith
 from slamhive.services.executors import Executors
 from slamhive.web.security import API_HEADER
 from tests.web.web_world import Web
@@ -40,11 +40,11 @@ def test_every_answer_is_what_its_model_says(shown: Web):
 
     for run_id in shown.runs.values():
         assert RunWith.read(get(f"runs/{run_id}")).content == get(f"runs/{run_id}")
-    for kind, name in ((catalogue.Algorithm, "algorithms"), (catalogue.Dataset, "datasets")):
+    for kind, name in ((catalogue.AlgorithmDocument, "algorithms"), (catalogue.DatasetDocument, "datasets")):
         entries = get(name)[name]
         assert [kind.read(entry).content for entry in entries] == entries
     for entry in get("configurations")["configurations"]:
-        assert catalogue.Configuration.read(entry).content == entry
+        assert catalogue.ConfigurationDocument.read(entry).content == entry
 
 
 def test_runs_are_paged(shown: Web):

@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 
-from slamhive.schema.uploads import UploadRequest
+from slamhive.documents.imports import UploadRequest
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.store.records import RunSort, SavedSearchRecord
 from slamhive.web.api import TABLE
-from slamhive.web.api.operation import Operation, Section
+from slamhive.web.api.operation import ApiOperation, Section
 from slamhive.web.security import API_HEADER
 from tests.services.challenge_world import rooms, write_challenge
 from tests.services.mariadb import DatabaseServer
@@ -108,7 +108,7 @@ def fuzz(target: Web) -> Fuzz:
     )
 
 
-def places_of(operation: Operation, token: str, upload: str) -> dict[str, Any]:
+def places_of(operation: ApiOperation, token: str, upload: str) -> dict[str, Any]:
     """Values for the places in its path, which something has."""
     names = {
         Section.CATALOGUE: "eye-slam-mono",
@@ -141,7 +141,7 @@ def whole(target: Web) -> Any:
 
 @pytest.mark.parametrize("operation", LOOKING_FIRST, ids=attrgetter("name"))
 def test_every_answer_is_one_that_the_description_promises(
-    fuzz: Fuzz, token: str, upload: str, operation: Operation
+    fuzz: Fuzz, token: str, upload: str, operation: ApiOperation
 ) -> None:
     described = fuzz.schema.find_operation_by_id(operation.name)
     valid, broken = fuzz.modes

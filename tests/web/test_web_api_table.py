@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from slamhive.base.errors import InvalidInput
 from slamhive.cli import main
+from slamhive.documents.model import json_schema, parse
 from slamhive.domain.run import RunState
-from slamhive.errors import InvalidInput
-from slamhive.schema.model import json_schema, parse
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.web.api import TABLE

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 import pytest
 from werkzeug.exceptions import HTTPException
 
+from slamhive.base.settings import Mode
 from slamhive.domain.accounts import Role
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
-from slamhive.settings import Mode
 from slamhive.store.records import RunSort, SavedSearchRecord
 from tests.services.test_trash import end
 from tests.serving import serving

@@ -23,13 +23,13 @@ import psutil
 import pytest
 from flask.testing import FlaskClient
 
-from slamhive.budget import Lent
-from slamhive.catalogue.algorithm_file import package_hash
+from slamhive.base.budget import Lent
+from slamhive.base.settings import Mode
+from slamhive.documents.imports import OCTETS
 from slamhive.domain.accounts import Role, Scope
-from slamhive.schema.uploads import OCTETS
+from slamhive.packages.algorithm_file import package_hash
 from slamhive.services.accounts import TokenRequest
-from slamhive.services.versions.exporting import export_version
-from slamhive.settings import Mode
+from slamhive.services.versions.exchange import export_version
 from slamhive.store import VersionRecord
 from slamhive.web.api.operation import PREFIX
 from slamhive.web.context import BUDGET_EXTENSION

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
+from slamhive.base.settings import Mode
 from slamhive.services.datasets import DatasetChecks
-from slamhive.settings import Mode
 from tests.web.test_web_variants import send, track, wait
 from tests.web.web_world import Web
 

@@ -7,10 +7,10 @@ import re
 import pytest
 from markupsafe import escape
 
+from slamhive.base.errors import InvalidInput
+from slamhive.base.settings import Mode
 from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.errors import InvalidInput
 from slamhive.services.run_comparison import read_run_ids
-from slamhive.settings import Mode
 from tests.web import web_world as world
 from tests.web.web_world import PROTOCOL, Web, make_web
 

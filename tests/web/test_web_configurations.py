@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import pytest
 
-from slamhive.schema.submission import Submission
-from slamhive.services.configurations.changes import Label
+from slamhive.documents.submission import Submission
+from slamhive.services.configurations import Label
 from slamhive.services.executors import Executors
 from tests.web.web_world import HOSTILE, Web
 

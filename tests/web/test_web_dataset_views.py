@@ -11,15 +11,15 @@ import cv2
 import numpy as np
 import pytest
 
-from slamhive.bags import views
-from slamhive.bags.bag_writer import BagWriter
-from slamhive.bags.reader import open_bag
+from slamhive.base.errors import NotFound
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.errors import NotFound
+from slamhive.recordings import views
+from slamhive.recordings.reader import open_bag
+from slamhive.recordings.ros1_writer import BagWriter
 from slamhive.services.datasets import DatasetViews, strip_times_s
 from slamhive.services.datasets.views import THUMBNAILS
 from slamhive.trajectory.model import Poses
-from slamhive.trajectory.motion import motion_of
+from slamhive.trajectory.transforms import motion_of
 from tests.web.web_world import Web
 
 pytestmark = pytest.mark.integration
@@ -94,7 +94,7 @@ def test_the_overview_spans_the_recording_and_is_read_once(recorded: Web, monkey
         opened.append(path)
         return open_bag(path)
 
-    monkeypatch.setattr("slamhive.bags.views.open_bag", counted)
+    monkeypatch.setattr("slamhive.recordings.views.open_bag", counted)
     times_s = []
     for number in range(THUMBNAILS):
         answer = recorded.client.get(f"/datasets/room/frames/camera0.jpg?overview={number}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
+from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceReason
 from tests.web.web_world import Web
 
 pytestmark = pytest.mark.integration

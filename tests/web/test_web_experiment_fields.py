@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from werkzeug.datastructures import MultiDict
 
-from slamhive.errors import InvalidInput
-from slamhive.project import project_root
-from slamhive.sweep.experiment import Experiment
-from slamhive.sweep.experiment_file import parse_experiment
+from slamhive.base.errors import InvalidInput
+from slamhive.base.project import project_root
+from slamhive.experiments.experiment import Experiment
+from slamhive.experiments.file import parse_experiment
 from slamhive.web.experiment_fields import (
     ExperimentFields,
     StepFields,

@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from slamhive.domain.disturbance import Disturbance, DisturbanceKind, DisturbanceReason
+from slamhive.base.settings import Mode
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.services.executors import Executors
-from slamhive.services.experiments.views import ExperimentSource, Standing
-from slamhive.settings import Mode
-from slamhive.web.experiment_draft import MOST_TEXT
+from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource
+from slamhive.web.presenters.experiment_builder import MOST_TEXT
 from slamhive.web.security import API_HEADER
 from slamhive.web.views import experiments as views
 from tests.web import web_world as world
@@ -266,7 +266,7 @@ def test_changes_need_the_token(trial: Web, path: str, token: dict[str, str]):
     assert answer.status_code == 400
     assert "CSRF" in answer.text
     assert names(trial) == ["trial"]
-    assert trial.hive.experiments.status("trial").standing is Standing.ACTIVE
+    assert trial.hive.experiments.status("trial").standing is ConfigurationStanding.ACTIVE
 
 
 # -- the list and the page ---------------------------------------------------------------------------------------------
@@ -438,10 +438,10 @@ def test_many_configurations_make_a_small_page(web: Web):
 def test_pause_and_resume(trial: Web):
     assert "Pause" in trial.client.get("/experiments/trial").text
     assert act(trial, "pause").status_code == 303
-    assert trial.hive.experiments.status("trial").standing is Standing.PAUSED
+    assert trial.hive.experiments.status("trial").standing is ConfigurationStanding.PAUSED
     assert "Resume" in trial.client.get("/experiments/trial").text
     assert act(trial, "resume").status_code == 303
-    assert trial.hive.experiments.status("trial").standing is Standing.ACTIVE
+    assert trial.hive.experiments.status("trial").standing is ConfigurationStanding.ACTIVE
 
 
 def test_cancelling_asks_first(trial: Web):
@@ -450,7 +450,7 @@ def test_cancelling_asks_first(trial: Web):
     assert 'action="/experiments/trial/cancel"' in confirmation
     assert "12 runs will not run" in confirmation
     assert act(trial, "cancel").status_code == 303
-    assert trial.hive.experiments.status("trial").standing is Standing.CANCELLED
+    assert trial.hive.experiments.status("trial").standing is ConfigurationStanding.CANCELLED
     assert trial.hive.runs.get(runs_of(trial, 1)[0]).state is RunState.CANCELLED
     assert 'class="confirm"' not in trial.client.get("/experiments/trial").text
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from slamhive.cli import main
 from slamhive.domain.finding import FoundKind
-from slamhive.domain.notes import NotesChange
+from slamhive.domain.run import NotesChange
 from slamhive.services.finding import find
 from slamhive.store.records import RunSort, SavedSearchRecord
 from tests.web import web_world as world

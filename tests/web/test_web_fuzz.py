@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 from werkzeug.test import TestResponse
 
-from slamhive.services.analyses.jobs import AnalysisJobs
+from slamhive.base.settings import Mode
 from slamhive.services.executors import Executors
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
-from slamhive.settings import Mode
+from slamhive.services.stored_analyses.computing import AnalysisJobs
 from tests.web import web_world as world
 from tests.web.request_fuzz import ANALYSIS, EXPERIMENT, FuzzedRequest, Requests
 from tests.web.web_world import Web, make_web

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from slamhive.domain.hint import Hint
+from slamhive.domain.verdict import Hint
 from slamhive.evaluation.job import RESULT_FILE, EvaluationResult, result_to_json
 from tests.web.web_world import Web
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from flask.testing import FlaskClient
 
-from slamhive.settings import Mode
+from slamhive.base.settings import Mode
 from slamhive.web.app import create_app
 from slamhive.web.request_input import MOST_ADDRESS_BYTES
 from slamhive.web.security import API_HEADER

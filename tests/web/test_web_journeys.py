@@ -9,18 +9,16 @@ import re
 import pytest
 from werkzeug.datastructures import MultiDict
 
-from slamhive import strict_yaml
 from slamhive.analysis.plot_types import PLOT_TYPES
+from slamhive.base import strict_yaml
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.errors import InvalidInput
+from slamhive.services.analysis import AnalysisService
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
-from slamhive.services.reports import Analyses
 from slamhive.store import Lease
-from slamhive.web.analysis_builder import cards, entry_of
-from slamhive.web.analysis_entries import with_entry
-from slamhive.web.analysis_text import experiment_text, first_text
+from slamhive.web.analysis_editor import cards, entry_of, experiment_text, first_text, with_entry
 from tests.store.store_samples import result
 from tests.web import web_world as world
 from tests.web.test_web_experiments import TRIAL
@@ -226,7 +224,7 @@ def test_an_experiment_leads_to_an_analysis_that_fits_it(trial: Web) -> None:
     text = experiment_text("trial", trial.hive.experiments.axes("trial"))
     assert forms_of(text) == ["table", "by_algorithm", "line", "distributions", "pareto"]
     assert {"form": "line", "x": "nFeatures", "metric": "ate.rmse"} in strict_yaml.parse(text, "text")["forms"]
-    analyses: Analyses = trial.hive.analyses
+    analyses: AnalysisService = trial.hive.analyses
     assert analyses.check(text) == "trial"
     assert "experiment: trial" in html.unescape(trial.client.get("/analyses/new?experiment=trial").text)
     assert trial.client.get("/analyses/new?experiment=nothing").status_code == 404

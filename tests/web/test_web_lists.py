@@ -15,18 +15,15 @@ import numpy as np
 import pytest
 from werkzeug.test import TestResponse
 
+from slamhive.base.project import project_root
 from slamhive.domain.metrics import Direction
 from slamhive.domain.run import RunState
-from slamhive.project import project_root
-from slamhive.search.fields import Kind as FieldKind
-from slamhive.search.fields import ParameterKind, vocabulary_of
+from slamhive.filters.fields import FieldKind, ParameterKind, vocabulary_of
 from slamhive.services.runs import Samples
 from slamhive.store.records import RunSort, SavedSearchRecord
 from slamhive.web.columns import DEFAULT_COLUMNS, all_columns
-from slamhive.web.presenters.arrangement import arranged
-from slamhive.web.presenters.column_groups import OTHERS, SHARED, column_groups
-from slamhive.web.presenters.heat import WORST, levels
-from slamhive.web.sparks import MOST_POINTS, error_image
+from slamhive.web.presenters.search import OTHERS, SHARED, WORST, arranged, column_groups, levels
+from slamhive.web.small_plots import MOST_POINTS, error_image
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
+from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.domain.accounts import Viewer
 from slamhive.domain.run import RunState
-from slamhive.domain.visibility import Viewer
-from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.services.hive import Hive
-from slamhive.services.runs.service import Runs
+from slamhive.services.runs.service import RunService
 from slamhive.web.live import KEEPALIVE_S, LiveHub, LiveStream, with_version
 from slamhive.web.serve import THREADS, WebServer
 from tests.waiting import PATIENCE_S, eventually
@@ -98,14 +98,14 @@ def test_closing_the_hub_ends_streams_at_once(hub: LiveHub):
 
 def test_a_database_that_is_away_does_not_end_the_stream(hub: LiveHub, monkeypatch: pytest.MonkeyPatch):
     answers = iter([Unavailable("the database is away")])
-    real = Runs.counts
+    real = RunService.counts
 
-    def counts(runs: Runs) -> Any:
+    def counts(runs: RunService) -> Any:
         for error in answers:
             raise error
         return real(runs)
 
-    monkeypatch.setattr(Runs, "counts", counts)
+    monkeypatch.setattr(RunService, "counts", counts)
     stream = hub.open()
     assert next_state(stream.events())["counts"]
     stream.close()
@@ -136,17 +136,17 @@ class Reader:
 def test_a_stream_whose_viewer_cannot_be_looked_up_waits_beside_an_older_one(
     hub: LiveHub, shown: Web, monkeypatch: pytest.MonkeyPatch
 ):
-    real = Runs.counts
+    real = RunService.counts
     newcomer = Viewer("newcomer")
     away = threading.Event()
     away.set()
 
-    def counts(runs: Runs) -> Any:
+    def counts(runs: RunService) -> Any:
         if away.is_set() and shown.hive.store.viewer == newcomer:
             raise Unavailable("the database is away")
         return real(runs)
 
-    monkeypatch.setattr(Runs, "counts", counts)
+    monkeypatch.setattr(RunService, "counts", counts)
     older = Reader(hub.open())
     eventually(lambda: len(older.states()) > 2)
     with shown.hive.store.seen_by(newcomer):
@@ -163,18 +163,18 @@ def test_a_stream_whose_viewer_cannot_be_looked_up_waits_beside_an_older_one(
 def test_streams_wait_while_the_database_is_away_and_go_on_after_it(
     hub: LiveHub, shown: Web, monkeypatch: pytest.MonkeyPatch
 ):
-    real = Runs.counts
+    real = RunService.counts
     away = threading.Event()
     asked = 0
 
-    def counts(runs: Runs) -> Any:
+    def counts(runs: RunService) -> Any:
         nonlocal asked
         if away.is_set():
             asked += 1
             raise Unavailable("the database is away")
         return real(runs)
 
-    monkeypatch.setattr(Runs, "counts", counts)
+    monkeypatch.setattr(RunService, "counts", counts)
     older = Reader(hub.open())
     eventually(lambda: len(older.states()) > 2)
     away.set()
@@ -195,11 +195,11 @@ def test_streams_wait_while_the_database_is_away_and_go_on_after_it(
 def test_a_broken_poller_ends_its_streams_and_the_next_one_starts_another(
     hub: LiveHub, monkeypatch: pytest.MonkeyPatch
 ):
-    def broken(runs: Runs) -> Any:
+    def broken(runs: RunService) -> Any:
         raise RuntimeError("a mistake in the program")
 
     with monkeypatch.context() as breaking:
-        breaking.setattr(Runs, "counts", broken)
+        breaking.setattr(RunService, "counts", broken)
         stream = hub.open()
         assert not any(event.startswith("event") for event in stream.events())
         stream.close()

@@ -9,20 +9,20 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from slamhive.bags.variants.rules import RegisteredSteps
-from slamhive.catalogue.run_config import build_run_config
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.cli import main
 from slamhive.cli.configurations import _changes
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.schema.record import Request
-from slamhive.schema.submission import Submission
-from slamhive.services.configurations.changes import Changes
+from slamhive.documents.record import RecordedRequest
+from slamhive.documents.submission import Submission
+from slamhive.experiments.binding import CatalogueView
+from slamhive.experiments.expansion import expand
+from slamhive.experiments.file import parse_experiment
+from slamhive.packages.run_config import build_run_config
+from slamhive.recordings.variants.rules import RegisteredSteps
+from slamhive.services.configurations import ConfigurationChange
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.ledger.lines import configurations_of, record_line
-from slamhive.sweep.expand import expand
-from slamhive.sweep.experiment_file import parse_experiment
-from slamhive.sweep.view import CatalogueView
 from slamhive.web.experiment_fields import fields_from_yaml, yaml_from_fields
 from slamhive.web.security import API_HEADER
 from tests.services.tiny_project import environment
@@ -96,7 +96,7 @@ def test_a_copy_takes_its_values_from_its_own_dataset(bound: Web) -> None:
     made = configurations.create(Submission("bound-slam", "room", {"fx": 500.0})).record
     page = bound.client.get(f"/configurations/{made.id}").text
     assert "overridden: camera0 has 400" in page
-    plain = configurations.copy(made.id, Changes(parameters={"fx": ""})).record
+    plain = configurations.copy(made.id, ConfigurationChange(parameters={"fx": ""})).record
     assert plain.configuration.parameters == {}
     assert "from camera0 (left.fx)" in bound.client.get(f"/configurations/{plain.id}").text
     assert configurations.match(plain.id).values({})["fx"] == 400.0
@@ -133,7 +133,7 @@ def test_a_chosen_sensor_is_stored_with_the_configuration_and_its_runs(bound: We
         json.dumps({**record_line(stored), "configurations": list(record_line(stored)["configurations"])})
     )
     assert [entry.configuration for entry in configurations_of(line)] == [stored.configuration]
-    assert Request.of(run, protocol=None).configuration == stored.configuration
+    assert RecordedRequest.of(run, protocol=None).configuration == stored.configuration
     again = hive.configurations.import_yaml(hive.configurations.export_yaml(stored.id), "x.yaml")
     assert (again.created, again.record.id) == (False, stored.id)
     config = build_run_config(
@@ -156,15 +156,15 @@ def test_choosing_what_the_rule_gives_is_the_same_configuration(bound: Web) -> N
     assert not configurations.create(Submission(*STEREO, sensors={"left": "camera0"})).created
     swapped = configurations.create(Submission(*STEREO, sensors={"left": "camera1"}))
     assert (swapped.created, swapped.record.id == plain.record.id) == (True, False)
-    assert configurations.copy(swapped.record.id, Changes(sensors={})).record.id == plain.record.id
+    assert configurations.copy(swapped.record.id, ConfigurationChange(sensors={})).record.id == plain.record.id
 
 
 def test_a_copy_keeps_the_choice_where_it_fits(bound: Web) -> None:
     hive = bound.hive
     made = hive.configurations.create(Submission(*STEREO, sensors={"left": "camera1"})).record
-    kept = hive.configurations.copy(made.id, Changes(parameters={"nFeatures": 900})).record
+    kept = hive.configurations.copy(made.id, ConfigurationChange(parameters={"nFeatures": 900})).record
     assert kept.configuration.sensors == SWAPPED
-    submission, notes = hive.configurations.submission(made.id, Changes(algorithm="eye-slam-mono"))
+    submission, notes = hive.configurations.submission(made.id, ConfigurationChange(algorithm="eye-slam-mono"))
     assert submission.sensors == {}
     assert "the choice of sensors is left out: eye-slam-mono has no role 'left'" in notes[-1]
     assert _changes({"variant": (), "no_steps": False, "sensors": ()}).sensors is None

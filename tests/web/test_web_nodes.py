@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.clock import utc_now
+from slamhive.base.clock import utc_now
+from slamhive.base.settings import Mode
+from slamhive.documents.machines import OverviewDocument
 from slamhive.executors.host import describe_host
 from slamhive.executors.process.executor import ProcessExecutor
-from slamhive.schema.nodes import Overview
-from slamhive.settings import Mode
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 
@@ -30,7 +30,7 @@ def test_the_page_shows_this_machine_and_what_runs_on_it(shown: Web) -> None:
 
 def test_the_overview_as_json(shown: Web) -> None:
     overview = shown.hive.nodes.overview()
-    content = json.loads(json.dumps(Overview.of(overview).content))
+    content = json.loads(json.dumps(OverviewDocument.of(overview).content))
     (engine,) = [entry for entry in content["engines"] if entry["executor"] == "process"]
     (node,) = engine["nodes"]
     assert (node["name"], node["takes_runs"], engine["drains"]) == (platform.node(), True, False)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.domain.notes import RunNotes
-from slamhive.runs.folder import RunFolder
+from slamhive.base.settings import Mode
+from slamhive.domain.run import RunNotes
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.runs import found_notes
-from slamhive.settings import Mode
 from tests.web import web_world as world
 from tests.web.web_world import HOSTILE, Web, make_web
 

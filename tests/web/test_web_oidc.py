@@ -12,9 +12,9 @@ import pytest
 from flask.testing import FlaskClient
 from werkzeug.test import TestResponse
 
+from slamhive.base.errors import Conflict, InvalidInput
+from slamhive.base.settings import Auth, NewAccounts
 from slamhive.domain.accounts import Identity, Role
-from slamhive.errors import Conflict, InvalidInput
-from slamhive.settings import Auth, NewAccounts
 from slamhive.web.app import create_app
 from tests.web.account_world import AccountWeb, account_web
 from tests.web.oidc_provider import CLIENT, SECRET, Provider, serving

@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 
 import pytest
 
+from slamhive.domain.algorithm import IMPORTED, external_algorithm
 from slamhive.domain.configuration import Configuration
-from slamhive.domain.external import IMPORTED, external_algorithm
 from slamhive.domain.run import REMEDIES, FailureReason
 from slamhive.domain.sensors import SensorSetup
 from slamhive.store import AlgorithmVersion, RunRequest, Transaction

@@ -11,16 +11,15 @@ import click
 import pytest
 
 from slamhive.cli import main
-from slamhive.cli.run_options import submission_values
-from slamhive.domain.configuration import PlaybackMode
+from slamhive.cli.running import submission_values
+from slamhive.documents.limits import StopWhen
+from slamhive.documents.model import json_schema, parse
+from slamhive.documents.submission import OPTIONS, Submission
+from slamhive.domain.accounts import Visibility
+from slamhive.domain.configuration import PlaybackMode, VariantStep
 from slamhive.domain.protocol import Alignment
-from slamhive.domain.variant import VariantStep
-from slamhive.domain.visibility import Visibility
-from slamhive.schema.limits import StopWhen
-from slamhive.schema.model import json_schema, parse
-from slamhive.schema.submission import OPTIONS, Submission
+from slamhive.experiments.file import experiment_schema
 from slamhive.services.executors import Executors
-from slamhive.sweep.experiment_file import experiment_schema
 from slamhive.web.run_form import read_form
 from slamhive.web.security import API_HEADER
 from tests.web.web_world import Web

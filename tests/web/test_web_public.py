@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.project import project_root
+from slamhive.base.project import project_root
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.errors import Unavailable
-from slamhive.web.rates import MOST_ADDRESSES, RateLimit
+from slamhive.base.errors import Unavailable
+from slamhive.web.limits import MOST_ADDRESSES, RateLimit
 
 pytestmark = pytest.mark.integration
 

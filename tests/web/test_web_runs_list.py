@@ -8,14 +8,14 @@ import time
 import pytest
 from werkzeug.datastructures import MultiDict
 
+from slamhive.base.errors import SlamHiveError
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import RunState
-from slamhive.errors import SlamHiveError
-from slamhive.search.fields import Vocabulary
-from slamhive.services.searches.service import LeftOut
+from slamhive.filters.fields import Vocabulary
+from slamhive.services.searches import LeftOut
 from slamhive.store.records import Count
 from slamhive.web.columns import all_columns
-from slamhive.web.run_query import RunQuery, summary
+from slamhive.web.queries import RunListQuery, summary
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
@@ -40,12 +40,12 @@ def test_sorting_by_a_metric_puts_runs_without_it_last(shown: Web):
 
 
 def test_thousands_have_separators():
-    query = RunQuery.from_args(MultiDict(), Vocabulary())
+    query = RunListQuery.from_args(MultiDict(), Vocabulary())
     assert summary(query, 50, Count(1234), LeftOut(1234, {})) == "Showing 50 of 1,234 runs: newest first."
 
 
 def test_what_was_not_counted_to_the_end_is_said():
-    query = RunQuery.from_args(MultiDict({"where": "ate.rmse < 1"}), Vocabulary())
+    query = RunListQuery.from_args(MultiDict({"where": "ate.rmse < 1"}), Vocabulary())
     assert summary(query, 50, Count(10_000, exact=False), LeftOut(100_000, {"ate.rmse": 1})) == (
         "Showing 50 of more than 10,000 runs: ATE RMSE below 1 m, newest first. Left out: at most 90,000 runs that the "
         "filter does not match. 1 run has no ATE RMSE."
@@ -98,14 +98,14 @@ def test_the_address_holds_everything():
         "colours": "yes",
         "sparks": "yes",
     }
-    query = RunQuery.from_args(MultiDict(address), Vocabulary())
-    assert RunQuery.from_args(MultiDict(query.args()), Vocabulary()) == query
+    query = RunListQuery.from_args(MultiDict(address), Vocabulary())
+    assert RunListQuery.from_args(MultiDict(query.args()), Vocabulary()) == query
     assert query.search.text == (
         "(cpu.mean < 2 or state = failed) and state in (failed, succeeded) and algorithm in (a) and configuration = 3 "
         "and created_at >= 2026-01-01 and created_at <= 2026-01-31 and evaluated = no "
         "and ate.rmse >= 0.1 and ate.rmse <= 10 cm"
     )
-    assert RunQuery.from_args(MultiDict(query.as_text().args()), Vocabulary()).search == query.search
+    assert RunListQuery.from_args(MultiDict(query.as_text().args()), Vocabulary()).search == query.search
 
 
 @pytest.mark.parametrize(
@@ -139,4 +139,4 @@ def test_a_full_page_takes_50_ms_of_the_processor(web: Web):
 
 def test_unknown_sort_names_the_near_one(shown: Web):
     with pytest.raises(SlamHiveError, match=r"ate\.rmse"):
-        RunQuery.from_args(MultiDict({"columns": "ate.rms"}), Vocabulary())
+        RunListQuery.from_args(MultiDict({"columns": "ate.rms"}), Vocabulary())

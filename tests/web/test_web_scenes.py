@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from slamhive.base.settings import Mode
 from slamhive.domain.trajectory_kind import TrajectoryKind
-from slamhive.runs.point_cloud import MOST_POINTS
+from slamhive.run_folder.point_cloud import MOST_POINTS
 from slamhive.runtime.pcd import format_pcd, write_pcd
 from slamhive.services.runs.series import read_whole_track
-from slamhive.settings import Mode
 from tests.web import web_world as world
 from tests.web.web_world import PROTOCOL, RUNS, Web, make_web
 

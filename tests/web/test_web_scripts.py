@@ -9,8 +9,8 @@ import shlex
 import pytest
 from click.testing import CliRunner
 
+from slamhive.base.settings import Settings
 from slamhive.cli.main import main
-from slamhive.settings import Settings
 from slamhive.store.records import RunSort
 from slamhive.web.presenters.scripts import experiment_scripts, search_scripts
 from tests.web.web_world import RUNS, Web

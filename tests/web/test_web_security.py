@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.base.settings import Mode
 from slamhive.domain.run import RunState
-from slamhive.settings import Mode
 from slamhive.web.access import SAFE_METHODS
 from slamhive.web.app import create_app
 from slamhive.web.security import API_HEADER

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from slamhive.base.project import project_root
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.job import EvaluationTask
-from slamhive.project import project_root
-from slamhive.services.runs.series import MAX_POINTS, Track, read_track, run_series, thin_keeping_extremes
+from slamhive.services.runs.series import MAX_POINTS, PathSeries, read_track, run_series, thin_keeping_extremes
 from slamhive.web.figures import best_plane, path_figures, run_figures, timeline
 from tests.web import web_world as world
 from tests.web.web_world import Web
@@ -47,7 +47,7 @@ def test_a_gap_parts_a_path_however_it_is_thinned(tmp_path: Path):
 def test_lost_tracking_is_drawn_apart_from_the_path():
     stamps_s = np.array([0.0, 1.0, 5.0, 6.0])
     pieces = np.array([0, 0, 1, 1])
-    track = Track(stamps_s, np.column_stack([stamps_s, stamps_s, stamps_s]), 4, pieces)
+    track = PathSeries(stamps_s, np.column_stack([stamps_s, stamps_s, stamps_s]), 4, pieces)
     figures = path_figures(None, ("estimate", track, "#123456"))
     line, lost = figures["path_xy"]["data"][:2]
     assert _numbers(line["x"]) == [0.0, 1.0, None, 5.0, 6.0]
@@ -139,8 +139,8 @@ def test_usage_of_an_older_run_is_over_the_time_of_the_run(web: Web):
 def test_figures_show_what_evo_computed_on_a_real_run(web: Web):
     if not EUROC.is_dir():
         pytest.skip("../shared/data/euroc_vio_runs is not there")
-    from slamhive.evaluation.artefacts import run_task  # noqa: PLC0415 - evo takes a second to import
     from slamhive.evaluation.references import References  # noqa: PLC0415
+    from slamhive.evaluation.work import run_task  # noqa: PLC0415 - evo takes a second to import
 
     run_id = web.runs["bare"]
     estimate = min((EUROC / "vio_stereo" / "MH_01").glob("*.txt"))

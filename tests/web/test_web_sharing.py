@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.domain.accounts import Role, Scope
-from slamhive.domain.visibility import Visibility
+from slamhive.base.settings import Auth
+from slamhive.domain.accounts import Role, Scope, Visibility
 from slamhive.services.accounts import TokenRequest
 from slamhive.services.sharing import SharingChange
-from slamhive.settings import Auth
 from slamhive.web.security import API_HEADER
 from tests.web.account_world import NAMES
 from tests.web.test_web_visibility import EXPERIMENT, NUMBER, TOKEN, Shared, shared_web

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.web.strips import FAILURES_FROM, FIRST, LAST, LAST_WITH_FAILURES, MOST_FAILURES, axis_of, failure_places
+from slamhive.web.small_plots import (
+    FAILURES_FROM,
+    FIRST,
+    LAST,
+    LAST_WITH_FAILURES,
+    MOST_FAILURES,
+    axis_of,
+    failure_places,
+)
 
 pytestmark = pytest.mark.quick
 

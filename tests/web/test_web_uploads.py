@@ -14,14 +14,14 @@ from typing import Any
 
 import pytest
 
-from slamhive.budget import Lent
-from slamhive.clock import utc_now
-from slamhive.schema.uploads import OCTETS, DatasetUpload, UploadRequest
-from slamhive.services.uploads import PART_BYTES, UploadImports, Uploads
+from slamhive.base.budget import Lent
+from slamhive.base.clock import utc_now
+from slamhive.documents.imports import OCTETS, DatasetUpload, UploadRequest
+from slamhive.services.uploads import PART_BYTES, UploadImports, UploadService
 from slamhive.web.api.operation import PREFIX
 from slamhive.web.context import BUDGET_EXTENSION, UPLOADS_EXTENSION
 from slamhive.web.security import API_HEADER
-from tests.bags.format_world import make_euroc
+from tests.recordings.format_world import make_euroc
 from tests.services.imports.world import trajectory, write
 from tests.waiting import eventually
 from tests.web.web_world import Web
@@ -202,13 +202,13 @@ def test_promises_are_checked(empty: Web, changes: dict[str, Any], said: str) ->
 
 def test_uploads_have_a_limit_and_go_after_a_day(empty: Web) -> None:
     settings = empty.hive.settings.with_values({"uploads_max_bytes": 10})
-    uploads = Uploads(settings)
+    uploads = UploadService(settings)
     first = uploads.create(UploadRequest(name="a.bag", size_bytes=8, sha256="0" * 64), "")
     answer = create(empty, b"")  # nothing is promised
     assert answer.status_code == 400
     with pytest.raises(Exception, match="uploads may have 2 more"):
         uploads.create(UploadRequest(name="b.bag", size_bytes=3, sha256="0" * 64), "")
-    later = Uploads(settings, lambda: utc_now() + timedelta(hours=25))
+    later = UploadService(settings, lambda: utc_now() + timedelta(hours=25))
     later.create(UploadRequest(name="b.bag", size_bytes=3, sha256="0" * 64), "")
     assert first.token not in {upload.token for upload in uploads.listed("")}
 

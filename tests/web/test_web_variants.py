@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.errors import Conflict
-from slamhive.project import project_root
+from slamhive.base.errors import Conflict
+from slamhive.base.project import project_root
 from slamhive.services.executors import Executors
 from slamhive.services.hive import open_hive
 from slamhive.web.context import VARIANTS_EXTENSION

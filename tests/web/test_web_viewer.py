@@ -13,8 +13,8 @@ import matplotlib.image
 import numpy as np
 import pytest
 
+from slamhive.base.settings import Mode
 from slamhive.domain.trajectory_kind import TrajectoryKind
-from slamhive.settings import Mode
 from tests.serving import serving
 from tests.waiting import eventually
 from tests.web import web_world as world

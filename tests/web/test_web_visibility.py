@@ -16,18 +16,15 @@ from flask.testing import FlaskClient
 from sqlalchemy import text
 from werkzeug.test import TestResponse
 
-from slamhive.domain.accounts import Role, Scope
-from slamhive.domain.notes import NotesChange
-from slamhive.domain.run import RunState
-from slamhive.domain.visibility import Sharing, Visibility
+from slamhive.base.settings import Auth, Mode
+from slamhive.domain.accounts import Role, Scope, Sharing, Visibility
+from slamhive.domain.run import NotesChange, RunState
 from slamhive.services.accounts import TokenRequest
 from slamhive.services.experiments import ExperimentFolder, StoredExperiment
 from slamhive.services.hive import Hive
 from slamhive.services.sharing import SharingChange
-from slamhive.settings import Auth, Mode
 from slamhive.store import RunRequest
-from slamhive.store.analysis_records import AnalysisRecord, AnalysisState
-from slamhive.store.experiment_records import ExperimentState
+from slamhive.store.records import AnalysisRecord, AnalysisState, ExperimentState
 from slamhive.web.security import API_HEADER
 from tests.web import web_world as world
 from tests.web.account_world import NAMES, PASSWORD, AccountWeb, account_web

@@ -22,15 +22,15 @@ from flask.testing import FlaskClient
 from jinja2 import FileSystemBytecodeCache
 from werkzeug.routing import Rule
 
+from slamhive.base.project import project_root
+from slamhive.base.settings import Mode, Settings
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.parameters import parse_settings
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.evaluation.job import EvaluationResult
-from slamhive.project import project_root
-from slamhive.runs.folder import RunFolder
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.hive import Hive
-from slamhive.settings import Mode, Settings
 from slamhive.store import Lease, RunRequest, Transaction, open_store
 from slamhive.web.app import create_app
 from tests.services.tiny_project import write_bag

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.ros1.app import run
-from slamhive.runtime.ros1.sweep import middle_delay_s, sweep_parameters
-from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System
+from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System, middle_delay_s, sweep_parameters
 
 SETTINGS = ("minimum_range", "mapping_skip_frame", "mapping_line_resolution", "mapping_plane_resolution")
 

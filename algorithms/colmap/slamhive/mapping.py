@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.app import run
 from slamhive.runtime.calibration import EQUIDISTANT, RADTAN, check_model, distortion
 from slamhive.runtime.config import RunConfig

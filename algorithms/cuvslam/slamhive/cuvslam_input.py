@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.calibration import EQUIDISTANT, RADTAN, check_model, distortion, transform
 from slamhive.runtime.messages import to_grey
 from slamhive.runtime.trajectory import quaternions_xyzw

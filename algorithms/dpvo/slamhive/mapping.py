@@ -11,7 +11,7 @@ from dpvo.config import cfg
 from dpvo.dpvo import DPVO
 from dpvo_input import Camera, settings_of
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.app import run
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame

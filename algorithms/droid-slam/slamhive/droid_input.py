@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.calibration import RADTAN, camera_matrix, check_model, distortion, transform
 from slamhive.runtime.network_images import blue_first, resized, undistorted
 

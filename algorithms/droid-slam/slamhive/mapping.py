@@ -12,7 +12,7 @@ import torch
 from droid import Droid
 from droid_input import Cameras, arguments_of
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.app import run
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.frames import Frame

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.app import run
 from slamhive.runtime.bare_package import import_bare
 from slamhive.runtime.calibration import transform

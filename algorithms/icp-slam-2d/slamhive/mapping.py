@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from rawlog import RawlogWriter
 
-from slamhive.debian import install_command
-from slamhive.errors import InvalidInput
+from slamhive.base.debian import install_command
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.app import run
 from slamhive.runtime.calibration import transform
 from slamhive.runtime.config import RunConfig

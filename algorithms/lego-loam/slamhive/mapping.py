@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.ros1.app import run
-from slamhive.runtime.ros1.sweep import sweep_parameters, sweep_times
-from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System
+from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System, sweep_parameters, sweep_times
 
 AXES = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
 """LeGO-LOAM's axes: x to the left, y up, z forward."""

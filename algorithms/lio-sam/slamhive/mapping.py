@@ -11,8 +11,7 @@ import numpy as np
 
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.ros1.app import run
-from slamhive.runtime.ros1.sweep import middle_delay_s, sweep_parameters
-from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System
+from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System, middle_delay_s, sweep_parameters
 
 SETTINGS = {
     "N_SCAN": "beams",

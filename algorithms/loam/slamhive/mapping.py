@@ -7,8 +7,7 @@ from pathlib import Path
 
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.ros1.app import run
-from slamhive.runtime.ros1.sweep import sweep_parameters, sweep_times
-from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System
+from slamhive.runtime.ros1.system import PoseKind, PoseTopic, Ros1System, sweep_parameters, sweep_times
 
 AXES = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
 """LOAM's axes: x to the left, y up, z forward."""

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.app import run
 from slamhive.runtime.calibration import camera_matrix, distortion
 from slamhive.runtime.config import RunConfig

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from orb_slam2_settings import write_settings
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.orb_vocabulary import about_vocabulary, vocabulary_path
 from slamhive.runtime.ros1.app import run

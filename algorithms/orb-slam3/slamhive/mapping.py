@@ -17,7 +17,7 @@ from orb_settings import settings_text
 from orb_trajectory import KEYFRAMES, read_tum, save_trajectory
 from pyorbslam3 import Sensor, Slam, TrackResult
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.app import run
 from slamhive.runtime.calibration import camera_matrix, distortion, transform
 from slamhive.runtime.config import RunConfig

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import svo_cpp
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.app import run
 from slamhive.runtime.calibration import distortion
 from slamhive.runtime.config import RunConfig

@@ -14,33 +14,18 @@ from slamhive.analysis.plot_types.base import (
 from slamhive.analysis.plot_types.by_algorithm import ByAlgorithm
 from slamhive.analysis.plot_types.coverage import Coverage
 from slamhive.analysis.plot_types.critical_difference import CriticalDifference
-from slamhive.analysis.plot_types.distributions import Distributions
+from slamhive.analysis.plot_types.distributions import Distributions, Repeatability
 from slamhive.analysis.plot_types.heatmap import Heatmap
 from slamhive.analysis.plot_types.importance import Importance
-from slamhive.analysis.plot_types.latency import Latency
-from slamhive.analysis.plot_types.line import LinePlot
 from slamhive.analysis.plot_types.metric_table import MetricTable
+from slamhive.analysis.plot_types.over_time import Latency, Usage
 from slamhive.analysis.plot_types.parallel import ParallelCoordinates
 from slamhive.analysis.plot_types.pareto import Pareto
 from slamhive.analysis.plot_types.protocols import Protocols
-from slamhive.analysis.plot_types.repeatability import Repeatability
 from slamhive.analysis.plot_types.scatter import Scatter, Scatter3d
 from slamhive.analysis.plot_types.selector import Selector
-from slamhive.analysis.plot_types.sensitivity import Sensitivity
+from slamhive.analysis.plot_types.sensitivity import LinePlot, Sensitivity
 from slamhive.analysis.plot_types.trajectories import Trajectories
-from slamhive.analysis.plot_types.usage import Usage
-
-__all__ = [
-    "PLOT_TYPES",
-    "PlotData",
-    "PlotOptions",
-    "PlotType",
-    "RunFiles",
-    "RunLatency",
-    "RunTrack",
-    "RunUsage",
-    "one_value",
-]
 
 for _plot_type in (
     ByAlgorithm(),

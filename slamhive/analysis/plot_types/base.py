@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,13 +13,13 @@ import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field
 
 from slamhive.analysis.chart import Array, Axis, Chart
-from slamhive.analysis.result import Cell, Exclusion, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.report import Cell, Exclusion, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, Column, RunTable, is_disturbed
+from slamhive.base.errors import InvalidInput
+from slamhive.base.registry import Registry, instances_of
 from slamhive.domain.metrics import Direction
-from slamhive.errors import InvalidInput
-from slamhive.registry import Registry, instances_of
-from slamhive.runs.played_frames import RecordingClock
+from slamhive.run_folder.played_frames import RecordingClock
 
 
 class PlotOptions(BaseModel):
@@ -341,3 +342,32 @@ _ALWAYS = {"run_id", "configuration_id", "algorithm", "dataset", "disturbed", FA
 
 def _table_column(column: Column) -> TableColumn:
     return TableColumn(column.key, column.label, column.unit, links_run=column.key == "run_id")
+
+
+# Mean and spread of a group of runs as text, in the units that tables show.
+
+
+def shown_unit(column: Column) -> str:
+    """The unit of the texts of :func:`mean_and_std`: MB for bytes, nothing for shares and counts."""
+    return "MB" if column.unit == "bytes" else "" if column.unit == "1" else column.unit
+
+
+def summary_of(group: pd.DataFrame, column: Column) -> Summary | None:
+    """The values of the runs that did not fail, in the unit of :func:`shown_unit`; None if there are none."""
+    scale = MEGABYTES_PER_BYTE if column.unit == "bytes" else 1.0
+    return summarise(scale * good_values(group, column.key))
+
+
+def mean_and_std(summary: Summary) -> str:
+    """``0.0312 ± 0.0008``: three significant digits of the mean, one more if the spread is smaller than they show."""
+    whole = summary.std in (None, 0.0) and summary.mean.is_integer()
+    digits = 0 if whole else max(0, 2 - _exponent(summary.mean))
+    if summary.std and round(summary.std, digits + 1):
+        digits = min(max(digits, -_exponent(summary.std)), digits + 1)
+    if summary.std is None:
+        return f"{summary.mean:.{digits}f}"
+    return f"{summary.mean:.{digits}f} ± {summary.std:.{digits}f}"
+
+
+def _exponent(value: float) -> int:
+    return math.floor(math.log10(abs(value))) if value else 0

@@ -12,8 +12,8 @@ from pydantic import Field
 
 from slamhive.analysis.chart import REFERENCE, Array, Axis, Bars, Chart, Mark
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.places import failed_marks, settings_words
-from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types.looks import failed_marks, settings_words
+from slamhive.analysis.report import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, RunTable
 from slamhive.domain.metrics import Direction

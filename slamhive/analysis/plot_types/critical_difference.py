@@ -10,12 +10,12 @@ from pydantic import Field
 
 from slamhive.analysis.chart import REFERENCE, Array, Axis, Chart, Labels, Mark, Segments
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.places import settings_words
-from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types.looks import settings_words
+from slamhive.analysis.report import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import RankTest, compare_means, rank_test
 from slamhive.analysis.table import FAILED, RunTable
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import Direction
-from slamhive.errors import InvalidInput
 
 _ROW = 0.32
 _TICK_LABELS = 10

@@ -10,12 +10,12 @@ from pydantic import Field
 
 from slamhive.analysis.chart import Axis, Cells, Chart
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.places import value_words
-from slamhive.analysis.result import PlotResult
+from slamhive.analysis.plot_types.looks import value_words
+from slamhive.analysis.report import PlotResult
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import Column, RunTable
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import Direction
-from slamhive.errors import InvalidInput
 
 MOST_VALUES = 60
 

@@ -10,10 +10,10 @@ from pydantic import Field
 
 from slamhive.analysis.chart import REFERENCE, Array, Axis, Bars, Cells, Chart
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.report import Cell, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.statistics import Codes, Effects, explain_variance
 from slamhive.analysis.table import FAILED, RunTable
-from slamhive.analysis.variance import Codes, Effects, explain_variance
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 MOST_GROUPS = 12
 """A parameter with more values is divided into this many groups of equal size."""

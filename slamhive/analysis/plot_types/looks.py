@@ -7,14 +7,104 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
 import numpy as np
+import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import Array, Line, Points
-from slamhive.analysis.colours import RUN_COLOURS
+from slamhive.analysis.chart import REFERENCE, RUN_COLOURS, Array, Axis, FailedRuns, Line, Points
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.places import legend
-from slamhive.analysis.result import Exclusion
-from slamhive.analysis.table import FAILED, RunTable
+from slamhive.analysis.report import Exclusion
+from slamhive.analysis.table import FAILED, RunTable, is_disturbed
+
+# Positions of values on an axis, and marks that several plot types share.
+
+
+_NOWHERE = np.zeros(0)
+
+
+def places_on(axis: Axis, values: pd.Series) -> Array:
+    """Values as numbers; for categories, their positions (NaN where there is none)."""
+    if axis.categories is None:
+        return np.asarray(values, dtype=float)
+    position = {name: float(place) for place, name in enumerate(axis.categories)}
+    return np.array([position.get(str(value), np.nan) for value in values], dtype=float)
+
+
+def failed_marks(table: RunTable, axis: Axis, key: str) -> Iterator[FailedRuns]:
+    """Failed runs by algorithm, at their value on the x axis. They have parameters, but no metrics."""
+    for algorithm, rows in table.failed().groupby("algorithm", sort=True):
+        yield FailedRuns(
+            x=places_on(axis, rows[key]),
+            runs=rows["run_id"].to_numpy(dtype=int),
+            colour=table.colours[str(algorithm)],
+            name=f"{algorithm}, failed",
+            group=str(algorithm),
+        )
+
+
+def disturbed_rings(shown: pd.DataFrame, x: Array, y: Array, z: Array | None = None) -> Iterator[Points]:
+    """A ring around each run that was measured on a disturbed machine; hovering shows the disturbance.
+
+    Args:
+        shown: The rows behind the points.
+        x, y, z: Positions of the points.
+    """
+    chosen = is_disturbed(shown).to_numpy(dtype=bool)
+    if chosen.any():
+        yield Points(
+            "disturbed machine",
+            x[chosen],
+            y[chosen],
+            z=None if z is None else z[chosen],
+            colour=REFERENCE,
+            runs=shown["run_id"].to_numpy(dtype=int)[chosen],
+            texts=tuple(f"disturbed by {words}" for words in shown["disturbed"][chosen]),
+            ring=True,
+        )
+
+
+def look_of(table: RunTable, algorithm: str, dataset: str) -> dict[str, Any]:
+    """The look of one algorithm on one dataset; :func:`legend` explains it."""
+    return {
+        "name": f"{algorithm} on {dataset}",
+        "colour": table.colours[algorithm],
+        "in_legend": False,
+        "group": algorithm,
+    }
+
+
+def legend(table: RunTable, *, markers: bool = True) -> Iterator[Points]:
+    """Legend entries for the colours of algorithms and, if there are several, the markers of datasets.
+
+    Args:
+        table: The runs of the plot.
+        markers: Whether the plot has markers.
+    """
+    algorithms = sorted(table.frame["algorithm"].unique())
+    datasets = sorted(table.frame["dataset"].unique())
+    shapes = {table.markers[name] for name in datasets} if markers else set()
+    told_apart = len(shapes) > 1
+    for name in algorithms:
+        yield Points(name, _NOWHERE, _NOWHERE, colour=table.colours[name], marker=table.marker(name), group=name)
+    for name in datasets if told_apart else ():
+        yield Points(f"on {name}", _NOWHERE, _NOWHERE, colour=REFERENCE, marker=table.markers[name])
+
+
+def settings_words(table: RunTable) -> pd.Series:
+    """The settings of each run in words: the parameters that vary in the selection."""
+    varied = [column.key for column in table.varied()]
+
+    def words(row: pd.Series) -> str:
+        return ", ".join(f"{key} {value_words(row[key])}" for key in varied if not pd.isna(row[key])) or "as given"
+
+    unique = table.frame[["configuration_id", *varied]].drop_duplicates("configuration_id")
+    named = dict(zip(unique["configuration_id"], unique.apply(words, axis=1), strict=True)) if len(unique) else {}
+    return table.frame["configuration_id"].map(named)
+
+
+def value_words(value: object) -> str:
+    """A value as axes and tables show it: 20 instead of 20.0."""
+    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
+
 
 By = Literal["algorithm", "run", "configuration"]
 Looks = Mapping[int, dict[str, Any]]
@@ -161,3 +251,32 @@ def fold(curves: Sequence[Curve]) -> tuple[Array, Array, Array, Array]:
 def _at(times_s: Array, curve: Curve) -> Array:
     known = np.isfinite(curve.values)
     return np.interp(times_s, curve.times_s[known], curve.values[known])
+
+
+# The time axis that the lines of runs share: the time of the recording.
+
+
+RECORDING_TIME = Axis("recording time", "s")
+FROM_FIRST_FRAME = "The recording time is 0 s at the first frame."
+_MOST_RUNS = 200
+"""Runs that are asked for their first frame. All runs on a dataset have nearly the same."""
+
+
+def recording_starts(data: base.PlotData) -> dict[int, float]:
+    """{run: timestamp in s at which the recording time of its dataset is 0}, for datasets with a played frame.
+
+    It is the earliest first frame of the runs on a dataset: cameras and LiDARs do not start at the same moment. Good
+    and failed runs count, drawn or not, so that all plots of a selection have the same.
+    """
+    datasets = _datasets(data)
+    earliest: dict[str, float] = {}
+    for run, dataset in list(datasets.items())[:_MOST_RUNS]:
+        first_s = data.files.first_frame_s(run)
+        if first_s is not None:
+            earliest[dataset] = min(first_s, earliest.get(dataset, first_s))
+    return {run: earliest[dataset] for run, dataset in datasets.items() if dataset in earliest}
+
+
+def _datasets(data: base.PlotData) -> Mapping[int, str]:
+    pairs = data.table.frame[["run_id", "dataset"]].itertuples(index=False, name=None)
+    return {int(run): str(dataset) for run, dataset in pairs}

@@ -7,10 +7,10 @@ from pydantic import Field
 
 from slamhive.analysis.chart import Axis, Chart, Dimension, Parallel
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.places import places_on, value_words
-from slamhive.analysis.result import PlotResult
+from slamhive.analysis.plot_types.looks import places_on, value_words
+from slamhive.analysis.report import PlotResult
 from slamhive.analysis.table import Column, RunTable
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 MOST_LINES = 20_000
 MOST_PARAMETERS = 10

@@ -10,12 +10,12 @@ from pydantic import Field, model_validator
 
 from slamhive.analysis.chart import REFERENCE, Array, Chart, Line, Points
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.places import legend, look_of
-from slamhive.analysis.result import PlotResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types.looks import legend, look_of
+from slamhive.analysis.report import PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import FAILED, RunTable
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.validation import explained
 from slamhive.domain.metrics import Direction
-from slamhive.errors import InvalidInput
-from slamhive.schema.validation import explained
 
 
 class ParetoOptions(base.PlotOptions):

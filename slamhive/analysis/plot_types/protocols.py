@@ -9,13 +9,12 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import Axis, Boxes, Chart
-from slamhive.analysis.colours import PALETTE
+from slamhive.analysis.chart import PALETTE, Axis, Boxes, Chart
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.report import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 
 class ProtocolsOptions(base.PlotOptions):

@@ -9,15 +9,14 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import Axis, Chart, Points
-from slamhive.analysis.colours import FAILED_MARKER, MARKERS, MARKERS_IN_SPACE
+from slamhive.analysis.chart import FAILED_MARKER, MARKERS, MARKERS_IN_SPACE, Axis, Chart, Points
 from slamhive.analysis.density import rule_words
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.coverage_scale import CoverageScaleOptions, scaled_by_coverage
-from slamhive.analysis.plot_types.places import disturbed_rings, failed_marks, legend, look_of, places_on
-from slamhive.analysis.result import PlotResult
+from slamhive.analysis.plot_types.coverage import CoverageScaleOptions, scaled_by_coverage
+from slamhive.analysis.plot_types.looks import disturbed_rings, failed_marks, legend, look_of, places_on
+from slamhive.analysis.report import PlotResult
 from slamhive.analysis.table import Column, RunTable
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 _NAMES = "xyz"
 _FAILED_HEIGHT = 1.2

@@ -12,19 +12,19 @@ from pydantic import Field
 from slamhive.analysis.analysis_model import read_by
 from slamhive.analysis.chart import Array, Axis, Bars, Chart
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.places import settings_words
-from slamhive.analysis.result import Cell, PlotResult, ResultTable, TableColumn
+from slamhive.analysis.plot_types.looks import settings_words
+from slamhive.analysis.report import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
 from slamhive.analysis.table import FAILED, Column, RunTable
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import Direction
-from slamhive.errors import InvalidInput
 
 _BOUND = re.compile(r"\s*(?P<key>[\w.:+/-]+)\s*(?P<sign><=|=>|>=|<|>)\s*(?P<number>[-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*")
 _SHOWN = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Bound:
+class SelectorBound:
     """A limit for the metric ``key``."""
 
     key: str
@@ -38,7 +38,7 @@ class Bound:
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class RankedCandidate:
     """One algorithm with one set of parameters, over all selected datasets."""
 
     algorithm: str
@@ -51,13 +51,13 @@ class Candidate:
     score: Summary | None
 
 
-def parse_bound(text: str) -> Bound:
+def parse_bound(text: str) -> SelectorBound:
     """``ate.rmse < 0.1``; raises InvalidInput."""
     match = _BOUND.fullmatch(text)
     try:
         if match is not None:
             sign = match["sign"].replace("=>", ">=")
-            return Bound(match["key"], sign, float(match["number"]))
+            return SelectorBound(match["key"], sign, float(match["number"]))
     except ValueError:
         pass
     raise InvalidInput(f"bound {text!r} is not METRIC < NUMBER", "write for example: ate.rmse < 0.1")
@@ -131,12 +131,12 @@ class Selector(base.PlotType[SelectorOptions]):
         return replace(result, notes=notes)
 
 
-def _bound_words(bound: Bound, table: RunTable) -> str:
+def _bound_words(bound: SelectorBound, table: RunTable) -> str:
     column = table.column(bound.key)
     return f"{column.label} {bound.sign} {bound.limit:g} {column.unit}".rstrip()
 
 
-def _candidates(table: RunTable, bounds: list[Bound], rank_by: str) -> list[Candidate]:
+def _candidates(table: RunTable, bounds: list[SelectorBound], rank_by: str) -> list[RankedCandidate]:
     frame = table.frame.assign(settings=settings_words(table))
     kept = frame[FAILED].isna().to_numpy(dtype=bool)
     for bound in bounds:
@@ -145,7 +145,7 @@ def _candidates(table: RunTable, bounds: list[Bound], rank_by: str) -> list[Cand
     found = []
     for (algorithm, settings), rows in frame.groupby(["algorithm", "settings"], sort=True):
         found.append(
-            Candidate(
+            RankedCandidate(
                 algorithm=str(algorithm),
                 configurations=tuple(int(entry) for entry in sorted(rows["configuration_id"].unique())),
                 settings=str(settings),
@@ -159,7 +159,7 @@ def _candidates(table: RunTable, bounds: list[Bound], rank_by: str) -> list[Cand
     return found
 
 
-def _chart(chosen: list[Candidate], rank: Column, title: str | None, text: str, table: RunTable) -> Chart:
+def _chart(chosen: list[RankedCandidate], rank: Column, title: str | None, text: str, table: RunTable) -> Chart:
     names = tuple(f"{place}. {entry.algorithm}" for place, entry in enumerate(chosen, start=1))
     scores = [entry.score for entry in chosen if entry.score is not None]
     bars = Bars(
@@ -179,7 +179,7 @@ def _chart(chosen: list[Candidate], rank: Column, title: str | None, text: str, 
     )
 
 
-def _ranking(chosen: list[Candidate], label: str, unit: str, text: str) -> ResultTable:
+def _ranking(chosen: list[RankedCandidate], label: str, unit: str, text: str) -> ResultTable:
     columns = (
         TableColumn("rank", "Rank"),
         TableColumn("algorithm", "Algorithm"),
@@ -204,7 +204,7 @@ def _ranking(chosen: list[Candidate], label: str, unit: str, text: str) -> Resul
     return ResultTable("ranking", "Ranking", columns, tuple(rows), text)
 
 
-def _reasons(table: RunTable, bounds: list[Bound]) -> ResultTable:
+def _reasons(table: RunTable, bounds: list[SelectorBound]) -> ResultTable:
     """How many runs of each algorithm keep each bound."""
     columns = [TableColumn("algorithm", "Algorithm"), TableColumn("runs", "Runs"), TableColumn("failed", "Failed")]
     columns += [

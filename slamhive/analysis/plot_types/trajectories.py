@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from slamhive.analysis.chart import REFERENCE, Array, Axis, Chart, Line, Points
-from slamhive.analysis.colours import PALETTE
+from slamhive.analysis.chart import PALETTE, REFERENCE, Array, Axis, Chart, Line, Points
 from slamhive.analysis.plot_types import base
 from slamhive.analysis.plot_types.looks import (
     FOLDED,
+    RECORDING_TIME,
     By,
     Curve,
     LineOptions,
@@ -22,11 +22,11 @@ from slamhive.analysis.plot_types.looks import (
     lines_of,
     looks_of,
     read_runs,
+    recording_starts,
 )
-from slamhive.analysis.plot_types.recording_time import RECORDING_TIME, recording_starts
-from slamhive.analysis.result import PlotResult, ResultTable, TableColumn
+from slamhive.analysis.report import PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import RunTable
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 _AXES = "xyz"

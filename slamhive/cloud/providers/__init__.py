@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 
-from slamhive.clock import SYSTEM_CLOCK, Clock
-from slamhive.cloud.cloud_file import ProviderName
+from slamhive.base.clock import SYSTEM_CLOCK, Clock
+from slamhive.base.errors import Forbidden, Unavailable
+from slamhive.cloud.plan import ProviderName
 from slamhive.cloud.providers.base import Credentials, Provider
-from slamhive.cloud.providers.endpoint import Endpoint
-from slamhive.errors import Forbidden, Unavailable
+from slamhive.cloud.providers.wire import Endpoint
 
 KEYS = {
     ProviderName.EC2: ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN"),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from slamhive.cloud.cloud_file import CloudFile, FirewallRule
+from slamhive.cloud.plan import CloudFile, FirewallRule
 from slamhive.cloud.resources import Launch, Resource
 
 

@@ -7,13 +7,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from slamhive.clock import Clock
-from slamhive.cloud.cloud_file import CloudFile, FirewallRule
+from slamhive.base.clock import Clock
+from slamhive.base.errors import unknown
+from slamhive.cloud.plan import CloudFile, FirewallRule
 from slamhive.cloud.providers.base import Credentials
-from slamhive.cloud.providers.endpoint import Endpoint
-from slamhive.cloud.providers.wire import BUSY, GONE, CallFailed, Wire, text_of
-from slamhive.cloud.resources import UID_TAG, Kind, Launch, Resource, State
-from slamhive.errors import unknown
+from slamhive.cloud.providers.wire import BUSY, GONE, CallFailed, Endpoint, Wire, text_of
+from slamhive.cloud.resources import UID_TAG, Launch, Resource, ResourceKind, State
 
 PAGE = 200
 TAGGED: dict[str, str | int] = {"Filter.1.Name": "tag-key", "Filter.1.Value.1": UID_TAG, "MaxResults": PAGE}
@@ -112,7 +111,7 @@ class Ec2:
 
     def delete(self, resource: Resource) -> bool:
         """Delete a resource; False if it is in use."""
-        if resource.kind is Kind.IMAGE and resource.parts:
+        if resource.kind is ResourceKind.IMAGE and resource.parts:
             ids = {f"ResourceId.{number}": part for number, part in enumerate(resource.parts, start=1)}
             self._wire.call_unless(GONE, "CreateTags", {**ids, **_tags("Tag", resource.tags)})
         action, key = _DELETIONS[resource.kind]
@@ -121,16 +120,16 @@ class Ec2:
     def _found(self) -> Iterator[Resource]:
         for entry in self._list("DescribeInstances", "reservationSet/item/instancesSet/item"):
             address = text_of(entry, "ipAddress") or text_of(entry, "privateIpAddress") or None
-            yield from _resource(Kind.MACHINE, entry, "instanceId", "instanceState/name", address=address)
+            yield from _resource(ResourceKind.MACHINE, entry, "instanceId", "instanceState/name", address=address)
         for entry in self._images():
             parts = tuple(text_of(part, "ebs/snapshotId") for part in entry.iterfind("blockDeviceMapping/item"))
-            yield from _resource(Kind.IMAGE, entry, "imageId", "imageState", parts=tuple(filter(None, parts)))
+            yield from _resource(ResourceKind.IMAGE, entry, "imageId", "imageState", parts=tuple(filter(None, parts)))
         for entry in self._list("DescribeSnapshots", "snapshotSet/item", OWN):
-            yield from _resource(Kind.SNAPSHOT, entry, "snapshotId", "status")
+            yield from _resource(ResourceKind.SNAPSHOT, entry, "snapshotId", "status")
         for entry in self._list("DescribeVolumes", "volumeSet/item"):
-            yield from _resource(Kind.DISK, entry, "volumeId", "status")
+            yield from _resource(ResourceKind.DISK, entry, "volumeId", "status")
         for entry in self._list("DescribeSecurityGroups", "securityGroupInfo/item"):
-            yield from _resource(Kind.FIREWALL, entry, "groupId", "")
+            yield from _resource(ResourceKind.FIREWALL, entry, "groupId", "")
 
     def _images(self) -> Iterator[Element]:
         return self._list("DescribeImages", "imagesSet/item", OWN)
@@ -149,11 +148,11 @@ class Ec2:
 
 
 _DELETIONS = {
-    Kind.MACHINE: ("TerminateInstances", "InstanceId.1"),
-    Kind.IMAGE: ("DeregisterImage", "ImageId"),
-    Kind.SNAPSHOT: ("DeleteSnapshot", "SnapshotId"),
-    Kind.DISK: ("DeleteVolume", "VolumeId"),
-    Kind.FIREWALL: ("DeleteSecurityGroup", "GroupId"),
+    ResourceKind.MACHINE: ("TerminateInstances", "InstanceId.1"),
+    ResourceKind.IMAGE: ("DeregisterImage", "ImageId"),
+    ResourceKind.SNAPSHOT: ("DeleteSnapshot", "SnapshotId"),
+    ResourceKind.DISK: ("DeleteVolume", "VolumeId"),
+    ResourceKind.FIREWALL: ("DeleteSecurityGroup", "GroupId"),
 }
 
 
@@ -163,7 +162,7 @@ def _next_page(page: Element) -> Mapping[str, str | int]:
 
 
 def _resource(
-    kind: Kind, entry: Element, key: str, state: str, *, address: str | None = None, parts: tuple[str, ...] = ()
+    kind: ResourceKind, entry: Element, key: str, state: str, *, address: str | None = None, parts: tuple[str, ...] = ()
 ) -> Iterator[Resource]:
     """The resource that an answer describes; nothing for one that is gone and only listed for a while."""
     word = text_of(entry, state) if state else "available"

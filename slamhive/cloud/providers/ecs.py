@@ -7,13 +7,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from slamhive.clock import Clock
-from slamhive.cloud.cloud_file import CloudFile, FirewallRule
+from slamhive.base.clock import Clock
+from slamhive.base.errors import InvalidInput
+from slamhive.cloud.plan import CloudFile, FirewallRule
 from slamhive.cloud.providers.base import Credentials
-from slamhive.cloud.providers.endpoint import Endpoint
-from slamhive.cloud.providers.wire import BUSY, GONE, Wire, text_of
-from slamhive.cloud.resources import UID_TAG, Kind, Launch, Resource, State
-from slamhive.errors import InvalidInput
+from slamhive.cloud.providers.wire import BUSY, GONE, Endpoint, Wire, text_of
+from slamhive.cloud.resources import UID_TAG, Launch, Resource, ResourceKind, State
 
 PAGE = 50
 LONGEST_TOKEN = 64
@@ -116,16 +115,16 @@ class Ecs:
         for entry in self._list("DescribeInstances", "Instances/Instance"):
             addresses = ("PublicIpAddress/IpAddress", "VpcAttributes/PrivateIpAddress/IpAddress")
             address = next(filter(None, (text_of(entry, path) for path in addresses)), None)
-            yield from _resource(Kind.MACHINE, entry, "InstanceId", address=address)
+            yield from _resource(ResourceKind.MACHINE, entry, "InstanceId", address=address)
         for entry in self._list("DescribeImages", "Images/Image", {"ImageOwnerAlias": "self", "Status": _ANY_IMAGE}):
             parts = (text_of(part, "SnapshotId") for part in entry.iter("DiskDeviceMapping"))
-            yield from _resource(Kind.IMAGE, entry, "ImageId", parts=tuple(filter(None, parts)))
+            yield from _resource(ResourceKind.IMAGE, entry, "ImageId", parts=tuple(filter(None, parts)))
         for entry in self._list("DescribeSnapshots", "Snapshots/Snapshot"):
-            yield from _resource(Kind.SNAPSHOT, entry, "SnapshotId")
+            yield from _resource(ResourceKind.SNAPSHOT, entry, "SnapshotId")
         for entry in self._list("DescribeDisks", "Disks/Disk"):
-            yield from _resource(Kind.DISK, entry, "DiskId")
+            yield from _resource(ResourceKind.DISK, entry, "DiskId")
         for entry in self._list("DescribeSecurityGroups", "SecurityGroups/SecurityGroup"):
-            yield from _resource(Kind.FIREWALL, entry, "SecurityGroupId")
+            yield from _resource(ResourceKind.FIREWALL, entry, "SecurityGroupId")
 
     def _list(self, action: str, path: str, more: Mapping[str, str] | None = None) -> Iterator[Element]:
         params: dict[str, str | int] = {**self._region, "Tag.1.Key": UID_TAG, "PageSize": PAGE, **(more or {})}
@@ -134,12 +133,12 @@ class Ecs:
 
 
 _ANY_IMAGE = "Creating,Waiting,Available,UnAvailable,CreateFailed"
-_DELETIONS: dict[Kind, tuple[str, str, dict[str, str]]] = {
-    Kind.MACHINE: ("DeleteInstance", "InstanceId", {"Force": "true"}),
-    Kind.IMAGE: ("DeleteImage", "ImageId", {"Force": "true"}),
-    Kind.SNAPSHOT: ("DeleteSnapshot", "SnapshotId", {}),
-    Kind.DISK: ("DeleteDisk", "DiskId", {}),
-    Kind.FIREWALL: ("DeleteSecurityGroup", "SecurityGroupId", {}),
+_DELETIONS: dict[ResourceKind, tuple[str, str, dict[str, str]]] = {
+    ResourceKind.MACHINE: ("DeleteInstance", "InstanceId", {"Force": "true"}),
+    ResourceKind.IMAGE: ("DeleteImage", "ImageId", {"Force": "true"}),
+    ResourceKind.SNAPSHOT: ("DeleteSnapshot", "SnapshotId", {}),
+    ResourceKind.DISK: ("DeleteDisk", "DiskId", {}),
+    ResourceKind.FIREWALL: ("DeleteSecurityGroup", "SecurityGroupId", {}),
 }
 
 
@@ -149,7 +148,7 @@ def _next_page(page: Element) -> Mapping[str, str | int]:
 
 
 def _resource(
-    kind: Kind, entry: Element, key: str, *, address: str | None = None, parts: tuple[str, ...] = ()
+    kind: ResourceKind, entry: Element, key: str, *, address: str | None = None, parts: tuple[str, ...] = ()
 ) -> Iterator[Resource]:
     word = text_of(entry, "Status") or "Available"
     tags = {

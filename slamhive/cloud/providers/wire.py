@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
+from urllib.parse import urlsplit
 from xml.etree.ElementTree import Element
 
-from slamhive.clock import Clock
-from slamhive.errors import Forbidden, InvalidInput, SlamHiveError, Unavailable
+from slamhive.base.clock import Clock
+from slamhive.base.errors import Forbidden, InvalidInput, SlamHiveError, Unavailable
 
 RETRIES_S = (1.0, 2.0, 4.0, 8.0, 16.0)
 """How long to wait before a call is repeated."""
@@ -168,3 +170,34 @@ def _plain(tree: Element) -> Element:
 def text_of(element: Element, path: str) -> str:
     """The text at ``path``, empty without one."""
     return (element.findtext(path) or "").strip()
+
+
+# Another server that speaks a provider's API.
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """Where an API answers."""
+
+    host: str
+    port: int
+    secure: bool
+
+    @classmethod
+    def of(cls, url: str) -> Self | None:
+        """The endpoint that the setting CLOUD_ENDPOINT names; None if it is empty. Raises InvalidInput."""
+        if not url:
+            return None
+        try:
+            parts = urlsplit(url)
+            host, port, secure = parts.hostname, parts.port, parts.scheme == "https"
+        except ValueError:
+            host, port, secure = None, None, False
+        if host is None or parts.scheme not in ("http", "https") or parts.path.strip("/") or parts.query:
+            raise InvalidInput(f"CLOUD_ENDPOINT={url!r} is no address", "write it as https://HOST:PORT")
+        return cls(host, port or (443 if secure else 80), secure)
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """What a driver of Libcloud takes."""
+        return {"host": self.host, "port": self.port, "secure": self.secure}

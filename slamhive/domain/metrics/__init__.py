@@ -10,15 +10,12 @@ import re
 from collections.abc import ItemsView, Iterable, Iterator, Mapping
 from typing import Any
 
-from slamhive.domain.metrics.maps import MAP_METRICS
+from slamhive.base.errors import InvalidInput
+from slamhive.base.registry import Registry
 from slamhive.domain.metrics.measured import MEASURED_METRICS
 from slamhive.domain.metrics.model import Direction, Group, Metric
-from slamhive.domain.metrics.references import REFERENCE_METRICS
+from slamhive.domain.metrics.references import MAP_METRICS, REFERENCE_METRICS
 from slamhive.domain.metrics.trajectories import TRAJECTORY_METRICS
-from slamhive.errors import InvalidInput
-from slamhive.registry import Registry
-
-__all__ = ["CATALOGUE", "METRICS", "Direction", "Group", "Metric", "described", "metric", "with_unknown"]
 
 GROUP = "slamhive.metrics"
 """The entry-point group of metrics from other packages."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from slamhive.domain.numbers import plural
+from slamhive.domain.names import plural
 
 
 class Direction(StrEnum):

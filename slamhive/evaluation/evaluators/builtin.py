@@ -9,23 +9,58 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from slamhive.base.errors import InvalidInput, one_line
+from slamhive.base.registry import Registry, instances_of
 from slamhive.domain.metrics import METRICS
-from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators import GROUP
-from slamhive.evaluation.evaluators.absolute import RelativeSize, RotationError
-from slamhive.evaluation.evaluators.base import Evaluator
-from slamhive.evaluation.evaluators.completeness import Coverage, Robustness
+from slamhive.evaluation.evaluators.base import Evaluator, MetricValues, Paired
+from slamhive.evaluation.evaluators.completeness import (
+    AppliedAlignment,
+    HiltiScore,
+    Robustness,
+    ScaleErrors,
+    StartEndDrift,
+    TrackingCoverage,
+)
 from slamhive.evaluation.evaluators.consistency import Consistency
-from slamhive.evaluation.evaluators.drift import AppliedAlignment, ScaleErrors, StartEndDrift
-from slamhive.evaluation.evaluators.evo_errors import AbsoluteError, RelativeError
-from slamhive.evaluation.evaluators.hilti import HiltiScore
-from slamhive.evaluation.evaluators.kitti import KittiProtocol
+from slamhive.evaluation.evaluators.evo_errors import AbsoluteError, RelativeError, RelativeSize, RotationError
 from slamhive.evaluation.evaluators.map_quality import MapQuality
-from slamhive.evaluation.evaluators.plugin import PluginEvaluator
 from slamhive.evaluation.evaluators.relations import RelationErrors
 from slamhive.evaluation.evaluators.relative import RelativeErrors
-from slamhive.evaluation.evaluators.segments import SegmentErrors
-from slamhive.registry import Registry, instances_of
+from slamhive.evaluation.evaluators.segments import KittiProtocol, SegmentErrors
+
+# An evaluator of another package, kept from harming the others.
+
+
+class PluginEvaluator:
+    """Whatever goes wrong in the evaluator of a plug-in leaves its own metrics out, and no others.
+
+    Args:
+        name: Of the plug-in.
+        evaluator: Its evaluator.
+    """
+
+    def __init__(self, name: str, evaluator: Evaluator) -> None:
+        self._name = name
+        self._evaluator = evaluator
+        self.keys = tuple(evaluator.keys)
+
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """The metrics that the plug-in finds; raises InvalidInput naming the plug-in if it fails."""
+        try:
+            found = self._evaluator.evaluate(paired)
+            others = sorted({*found.values, *found.missing} - set(self.keys))
+            checked = MetricValues(
+                {key: float(value) for key, value in found.values.items()},
+                {key: one_line(str(reason)) for key, reason in found.missing.items()},
+            )
+        except InvalidInput:
+            raise
+        except Exception as error:
+            raise InvalidInput(f"the evaluator {self._name!r} failed: {type(error).__name__}: {error}") from error
+        if others:
+            raise InvalidInput(f"the evaluator {self._name!r} found {others[0]!r}, which is none of its keys")
+        return checked
 
 
 def _read(name: str, found: Any) -> Mapping[str, Evaluator]:
@@ -52,7 +87,7 @@ EVALUATORS.register("segment", SegmentErrors())
 EVALUATORS.register("hilti", HiltiScore())
 EVALUATORS.register("drift", StartEndDrift())
 EVALUATORS.register("scale", ScaleErrors())
-EVALUATORS.register("coverage", Coverage())
+EVALUATORS.register("coverage", TrackingCoverage())
 EVALUATORS.register("robustness", Robustness())
 EVALUATORS.register("alignment", AppliedAlignment())
 EVALUATORS.register("nees", Consistency())

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics.trajectories import SCORE_LIMIT_M
-from slamhive.domain.protocol import Association
-from slamhive.evaluation.evaluators.base import MetricValues, Paired
+from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol
+from slamhive.evaluation.evaluators.base import MetricValues, Paired, absent
+from slamhive.evaluation.evaluators.relative import path_m
+from slamhive.trajectory.alignment import Similarity, align, align_umeyama
 from slamhive.trajectory.completeness import covers, measure_completeness, measure_own_coverage
-from slamhive.trajectory.model import FloatArray
+from slamhive.trajectory.model import FloatArray, Poses
+from slamhive.trajectory.transforms import quats_from_rotations, rotation_angles_rad
 
 
-class Coverage:
+class TrackingCoverage:
     """Coverage and gaps, by the protocol's gap threshold and by the estimate's own spacing."""
 
     keys = ("tracked_fraction", "gap.max", "gap.count", "tracked.path", "tracked.time", "gap.own")
@@ -92,3 +96,162 @@ def score_seconds(stamps_s: FloatArray, errors_m: FloatArray, gap_s: float, limi
     means = (better + worse) / 2.0
     means[crossing] = better[crossing] ** 2 / (2.0 * (better[crossing] - worse[crossing]))
     return float((steps_s[tracked] * means).sum())
+
+
+# Drift from start to end where ground truth exists at both ends only, and errors of scale.
+#
+# The estimate is aligned with the ground truth at its start, and again with that at its end. Without drift, both
+# alignments would be equal. Engel, Usenko, Cremers, "A Photometrically Calibrated Benchmark For Monocular Visual
+# Odometry", arXiv 1607.02555. Schubert et al., "The TUM VI Benchmark", IROS 2018, has ground truth of the same kind.
+
+
+_SHORTEST = 0.5
+"""A pair whose ends are nearer than this share of its path says little about the scale."""
+
+
+class StartEndDrift:
+    """Drift of the estimate from the first part of the ground truth to the last."""
+
+    keys = ("drift.alignment", "drift.rotation", "drift.scale", "drift.end")
+
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Missing if the ground truth has no gap longer than the protocol's threshold."""
+        stamps_s = paired.reference.stamps_s
+        gaps_s = np.diff(stamps_s)
+        longest = int(gaps_s.argmax())
+        if gaps_s[longest] <= paired.protocol.gap_threshold_s:
+            return absent(
+                self.keys, "the ground truth covers the whole run; drift is for ground truth at its ends only"
+            )
+        start = _aligned_part(paired, paired.matched_reference.stamps_s <= stamps_s[longest], "start")
+        end = _aligned_part(paired, paired.matched_reference.stamps_s > stamps_s[longest], "end")
+        moved_m = start.points(paired.estimate.positions_m)
+        apart_m = np.linalg.norm(end.points(paired.estimate.positions_m) - moved_m, axis=1)
+        last_m = start.points(paired.matched_estimate.positions_m[-1:])[0] - paired.matched_reference.positions_m[-1]
+        path = float(np.linalg.norm(np.diff(moved_m, axis=0), axis=1).sum())
+        quats = [quats_from_rotations(part.rotation[None]) for part in (start, end)]
+        values = {
+            "drift.alignment": float(np.sqrt(np.mean(apart_m**2))),
+            "drift.rotation": float(np.rad2deg(rotation_angles_rad(*quats)[0])),
+            "drift.scale": 100.0 * abs(end.scale / start.scale - 1.0),
+            "drift.end": 100.0 * float(np.linalg.norm(last_m)) / path,
+        }
+        return MetricValues(values)
+
+
+class ScaleErrors:
+    """How far the estimate's scale is off as a whole, and how much it changes along the way."""
+
+    keys = ("scale.error", "scale.drift")
+
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """The scale error before alignment. It means nothing for a single camera."""
+        values: dict[str, float] = {}
+        missing: dict[str, str] = {}
+        reference, estimate = paired.matched_reference, paired.matched_estimate
+        try:
+            scale = align_umeyama(estimate.positions_m, reference.positions_m, scaled=True).scale
+            values["scale.error"] = 100.0 * abs(1.0 / scale - 1.0)
+        except InvalidInput as error:
+            missing["scale.error"] = error.message
+        ratios = local_scales(reference, estimate, paired.protocol.rpe_delta_m)
+        if len(ratios) > 0:
+            values["scale.drift"] = 100.0 * float(np.abs(ratios - 1.0).mean())
+        else:
+            delta_m = paired.protocol.rpe_delta_m
+            missing["scale.drift"] = f"no two poses {delta_m:g} m of path apart are half as far apart directly"
+        return MetricValues(values, missing)
+
+
+class AppliedAlignment:
+    """Reports the alignment as metrics."""
+
+    keys = ("alignment.scale", "alignment.time_offset")
+
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Both are always known."""
+        return MetricValues({"alignment.scale": paired.transform.scale, "alignment.time_offset": paired.time_offset_s})
+
+
+def local_scales(reference: Poses, estimate: Poses, delta_m: float) -> FloatArray:
+    """Estimated over true distance of poses ``delta_m`` of true path apart, over that of their sums; shape (m,).
+
+    A pair is a pose and the first one that is at least so much further on.
+    """
+    path = path_m(reference)
+    j = np.searchsorted(path, path + delta_m)
+    i = np.flatnonzero(j < len(path))
+    j = j[i]
+    true_m, estimated_m = (
+        np.linalg.norm(poses.positions_m[j] - poses.positions_m[i], axis=1) for poses in (reference, estimate)
+    )
+    kept = true_m >= _SHORTEST * delta_m
+    if not estimated_m[kept].any():
+        return np.empty(0)
+    ratios: FloatArray = estimated_m[kept] / true_m[kept] * (true_m[kept].sum() / estimated_m[kept].sum())
+    return ratios
+
+
+def _aligned_part(paired: Paired, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]], words: str) -> Similarity:
+    """The alignment over the matched poses of one end."""
+    alignment = _ALIGNMENTS.get(paired.protocol.alignment, Alignment.SE3)
+    indices = np.flatnonzero(chosen)
+    try:
+        return align(alignment, paired.matched_estimate.take(indices), paired.matched_reference.take(indices))
+    except InvalidInput as error:
+        raise InvalidInput(f"drift needs an alignment at the {words} of the ground truth: {error.message}") from None
+
+
+_ALIGNMENTS = {
+    Alignment.SIM3: Alignment.SIM3,
+    Alignment.SCALE: Alignment.SIM3,
+    Alignment.YAW_POSITION: Alignment.YAW_POSITION,
+}
+"""How both ends are aligned; by SE(3) for other alignments, since drift needs aligned ends."""
+
+
+# The score of the Hilti x Trimble SLAM Challenge 2026: 100 for no error, 1 for an error of 10 m, for each pose.
+#
+# The organisers' site gives the formula. That errors are in metres, and how poses are matched, is from the local
+# evaluation script that a participant published with the repository of the challenge (``evaluate.py``).
+
+
+HILTI = Protocol(Alignment.SE3, association_tolerance_s=0.05, duplicates=Duplicates.KEEP)
+HIGHEST = 100.0
+DECAY_PER_M = np.log(100.0) / 10.0
+"""0.4605: the score of a pose is 1 at an error of 10 m."""
+SKIPPED_S = 5.0
+"""The LiDAR of the ground truth starts meanwhile."""
+LEAST_COVERAGE = 0.99
+
+
+class HiltiScore:
+    """Mean over the poses of the ground truth of 100 exp(-0.4605 e), where e is the distance in metres."""
+
+    keys = ("hilti.score",)
+
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Zero if less than 99 % of the ground truth after its first 5 s has a pose. Only under this protocol."""
+        if paired.protocol != HILTI:
+            return MetricValues({})
+        truth, estimate = paired.reference, paired.estimate
+        kept = truth.stamps_s >= truth.stamps_s[0] + SKIPPED_S
+        if not kept.any():
+            raise InvalidInput(f"the ground truth ends within its first {SKIPPED_S:g} s", "use a longer recording")
+        stamps_s, positions_m = truth.stamps_s[kept], truth.positions_m[kept]
+        nearest = _nearest(estimate.stamps_s, stamps_s)
+        matched = np.abs(estimate.stamps_s[nearest] - stamps_s) <= HILTI.association_tolerance_s
+        if np.mean(matched) < LEAST_COVERAGE:
+            return MetricValues({"hilti.score": 0.0})
+        estimated_m, true_m = estimate.positions_m[nearest[matched]], positions_m[matched]
+        transform = align_umeyama(estimated_m, true_m, scaled=False)
+        errors_m = np.linalg.norm(transform.points(estimated_m) - true_m, axis=1)
+        return MetricValues({"hilti.score": float(np.mean(HIGHEST * np.exp(-DECAY_PER_M * errors_m)))})
+
+
+def _nearest(stamps_s: FloatArray, wanted_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """For each of ``wanted_s`` the place of the nearest of the sorted ``stamps_s``; the earlier of two."""
+    after = np.clip(np.searchsorted(stamps_s, wanted_s), 1, max(len(stamps_s) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(stamps_s) - 1)
+    return np.where(wanted_s - stamps_s[before] <= stamps_s[after] - wanted_s, before, after)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slamhive.errors import InvalidInput, NotFound
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.evaluation.evaluators.base import COVARIANCES, MetricValues, Paired, absent
 from slamhive.trajectory.model import FloatArray
 from slamhive.trajectory.table import parse_table, read_bounded

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.domain.verdict import RELATION_ERROR_PER_MOTION
-from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.evaluators.base import RELATIONS, MetricValues, Paired, absent
-from slamhive.evaluation.evaluators.pairs import statistics
+from slamhive.evaluation.evaluators.relative import statistics
 from slamhive.trajectory.completeness import covers
-from slamhive.trajectory.interpolation import interpolate
 from slamhive.trajectory.model import FloatArray, Trajectory
 from slamhive.trajectory.orientation import lacking
 from slamhive.trajectory.table import parse_table, read_bounded
 from slamhive.trajectory.transforms import (
+    interpolate,
     inverse_quats,
     move_sensor,
     multiply_quats,

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from slamhive.debian import as_root, find_program, install_command
+from slamhive.base.debian import as_root, find_program, install_command
 
 SYSTEM_SOCKET = "/var/run/docker.sock"
 _SOCKET_TIMEOUT_S = 5

@@ -14,14 +14,12 @@ import docker.errors
 import requests
 from docker.types import Mount
 
-from slamhive.catalogue.image_context import HOST_CERTIFICATES, BuildContext, build_arguments
+from slamhive.base.errors import Unavailable
+from slamhive.base.files import temporary_folder
 from slamhive.domain.algorithm import RunUser
-from slamhive.errors import Unavailable
-from slamhive.evaluation.batch import Batch, LineCallback
 from slamhive.evaluation.image_context import EvaluationContext
-from slamhive.evaluation.line_feed import LineFeed
+from slamhive.evaluation.process import EvaluationBatch, LineCallback, LineFeed
 from slamhive.executors.base import EngineUnavailable, ExecutorContext
-from slamhive.executors.docker.build import build_image, content_of, get_image, name_image
 from slamhive.executors.docker.engine import (
     HARDENING,
     connect,
@@ -29,8 +27,9 @@ from slamhive.executors.docker.engine import (
     labels_of_helper,
     traits_of,
 )
+from slamhive.executors.docker.images import build_image, content_of, get_image, name_image
 from slamhive.executors.docker.run_user import container_user
-from slamhive.files import temporary_folder
+from slamhive.packages.image_context import HOST_CERTIFICATES, BuildContext, build_arguments
 
 logger = logging.getLogger(__name__)
 
@@ -40,7 +39,7 @@ _EXIT_WAIT_S = 10
 
 
 class DockerStarter:
-    """Starts the evaluation image; see :class:`slamhive.evaluation.batch.BatchStarter`.
+    """Starts the evaluation image; see :class:`slamhive.evaluation.process.BatchStarter`.
 
     Args:
         context: Names the installation, for the labels of containers.
@@ -58,7 +57,7 @@ class DockerStarter:
         with contextlib.closing(connect()) as client:
             self._ensure_image(client, progress)
 
-    def run_batch(self, batch: Batch, on_line: LineCallback, stopping: threading.Event) -> str | None:
+    def run_batch(self, batch: EvaluationBatch, on_line: LineCallback, stopping: threading.Event) -> str | None:
         """Run the batch to its end, handing over its lines; how it ended if not well, in one line."""
         last: deque[str] = deque(maxlen=_KEPT_LINES)
 
@@ -92,7 +91,7 @@ class DockerStarter:
         name_image(client, digest, name)
         return name
 
-    def _create(self, client: docker.DockerClient, image: str, batch: Batch) -> Any:
+    def _create(self, client: docker.DockerClient, image: str, batch: EvaluationBatch) -> Any:
         mounts = [
             Mount(entry.target, str(entry.source.resolve()), type="bind", read_only=entry.read_only)
             for entry in batch.mounts

@@ -19,11 +19,11 @@ import docker.errors
 import requests
 import urllib3
 
-from slamhive.errors import SlamHiveError
+from slamhive.base.errors import SlamHiveError
+from slamhive.base.machine import boot_id
 from slamhive.executors.base import EngineUnavailable
-from slamhive.executors.boot import boot_id
 from slamhive.executors.docker.address import engine_address, socket_path, trouble_with
-from slamhive.executors.identity import worker_identity
+from slamhive.executors.host import worker_identity
 
 KEY_LABEL = "slamhive.key"
 RUN_LABEL = "slamhive.run"

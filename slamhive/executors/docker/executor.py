@@ -7,29 +7,31 @@ import threading
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import docker
 import docker.errors
 
-from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.domain.gpu import Gpu
-from slamhive.evaluation.batch import BatchStarter
+from slamhive.base.files import write_aside
+from slamhive.domain.algorithm import AlgorithmPackage, Gpu
+from slamhive.evaluation.process import BatchStarter
 from slamhive.executors.base import (
     Capabilities,
     EngineUnavailable,
     EvaluationPlace,
     Executor,
     ExecutorContext,
-    Finding,
     GpuGiver,
+    ImageTools,
     LiveKeys,
     PackageNeed,
     ProgressCallback,
+    ProtectionFinding,
     StartFailed,
 )
-from slamhive.executors.cgroup import cgroup_of
+from slamhive.executors.cgroup import cgroup_of, file_cache_bytes, present
 from slamhive.executors.docker.batch import DockerStarter
-from slamhive.executors.docker.build import get_image, name_image
+from slamhive.executors.docker.containers import DELEGATE, RefusedProcesses, RunContainers, engine_protections
 from slamhive.executors.docker.engine import (
     GPU_LABEL,
     KEY_LABEL,
@@ -42,24 +44,66 @@ from slamhive.executors.docker.engine import (
     traits_of,
 )
 from slamhive.executors.docker.foreign_images import DockerImages
-from slamhive.executors.docker.image import find_image, make_image
-from slamhive.executors.docker.kept_images import (
+from slamhive.executors.docker.images import (
     PACKING_TIMEOUT_S,
+    find_image,
     forget_image,
+    get_image,
     has_image,
     kept_name,
     load_image,
+    make_image,
+    name_image,
     save_image,
 )
-from slamhive.executors.docker.refusals import DELEGATE, RefusedProcesses, engine_protections
-from slamhive.executors.docker.run_containers import RunContainers
 from slamhive.executors.docker.run_user import in_words, open_to_user, take_back
-from slamhive.executors.docker.stats import DockerStatsSource
 from slamhive.executors.gpu import GpuUse, gpu_use, in_container, list_gpus
-from slamhive.executors.images import ImageTools
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
-from slamhive.files import write_aside
+
+# CPU and memory of a container from the engine's statistics, where its control group is on another machine.
+
+
+_NS = 1e-9
+
+
+class DockerStatsSource:
+    """Asks for one reading at a time; the engine's own peak counter is there under control groups version 1 only."""
+
+    on_this_machine = False
+
+    def __init__(self, container: Any) -> None:
+        self._container = container
+        self._totals: dict[str, float] = {}
+
+    def read(self) -> tuple[float, int] | None:
+        """CPU time (s) and memory in use (bytes); None once the container has ended."""
+        with engine_errors("reading statistics", EngineUnavailable):
+            try:
+                stats = self._container.stats(stream=False, one_shot=True)
+            except docker.errors.NotFound:
+                return None
+        usage = parse_stats(stats)
+        if usage is not None:
+            self._totals |= present({"ram.charged_max": stats["memory_stats"].get("max_usage")})
+        return usage
+
+    def totals(self) -> dict[str, float]:
+        """Return the counters of the last reading."""
+        return self._totals
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+def parse_stats(stats: dict[str, Any]) -> tuple[float, int] | None:
+    """CPU time (s) and memory in use (bytes) of one reading; None for a container that does not run."""
+    memory = stats.get("memory_stats") or {}
+    if "usage" not in memory:
+        return None
+    cache = file_cache_bytes(memory.get("stats") or {})
+    cpu_s = stats["cpu_stats"]["cpu_usage"]["total_usage"] * _NS
+    return cpu_s, max(0, memory["usage"] - cache)
 
 
 class DockerExecutor(Executor):
@@ -92,12 +136,12 @@ class DockerExecutor(Executor):
             return str(error)
         return None
 
-    def examine(self) -> list[Finding]:
+    def examine(self) -> list[ProtectionFinding]:
         """Return how the engine's kernel enforces limits."""
         found = self._protections()
         lacks = "not enforced" in found.text
         remedy = DELEGATE if lacks and traits_of(self._engine()).rootless else None
-        return [Finding("protections", found.text, remedy)]
+        return [ProtectionFinding("protections", found.text, remedy)]
 
     def identity(self, package: AlgorithmPackage) -> str | None:
         """The digest of the image of this version of the package; None if it has to be built or pulled."""

@@ -16,13 +16,18 @@ import docker
 import docker.errors
 import requests
 
-from slamhive.catalogue.image_context import BuildContext
-from slamhive.executors.base import ImageMissing, ProgressCallback
-from slamhive.executors.docker.build import build_packed, follow_pull, get_image, name_image, packed_context
+from slamhive.base.files import temporary_folder
+from slamhive.executors.base import CompletedImage, ImageMissing, ProgressCallback
 from slamhive.executors.docker.engine import HARDENING, closing_chunks, engine_errors, labels_of_helper
-from slamhive.executors.docker.kept_images import load_image
-from slamhive.executors.images import CompletedImage
-from slamhive.files import temporary_folder
+from slamhive.executors.docker.images import (
+    build_packed,
+    follow_pull,
+    get_image,
+    load_image,
+    name_image,
+    packed_context,
+)
+from slamhive.packages.image_context import BuildContext
 
 _USER = re.compile(r"[\w.-]+(?::[\w.-]+)?")
 _NOBODY = "65534:65534"
@@ -60,7 +65,7 @@ def repository_and_tag(name: str) -> tuple[str, str]:
 
 
 class DockerImages:
-    """Tools of an executor of Docker images; implements :class:`slamhive.executors.images.ImageTools`.
+    """Tools of an executor of Docker images; implements :class:`slamhive.executors.base.ImageTools`.
 
     Args:
         client: The engine.

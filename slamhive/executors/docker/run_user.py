@@ -20,13 +20,13 @@ import docker.errors
 import requests
 from docker.types import Mount
 
+from slamhive.base.files import remedy_of
+from slamhive.base.tree import walk
 from slamhive.domain.algorithm import RunUser
 from slamhive.executors.base import EngineUnavailable, StartFailed
 from slamhive.executors.docker.engine import HARDENING, engine_errors, labels_of_helper, traits_of
-from slamhive.executors.local_files import read_places, written_places
 from slamhive.executors.spec import RunSpec
-from slamhive.files import remedy_of
-from slamhive.tree import walk
+from slamhive.executors.transfer import read_places, written_places
 
 logger = logging.getLogger(__name__)
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from typing import Any
 
+from slamhive.executors.base import Node
 from slamhive.executors.kubernetes.manifest import CONTAINER, KEY_ANNOTATION
 from slamhive.executors.kubernetes.pod_files import REFUSED_EXIT
-from slamhive.executors.nodes import Node
 
 Document = dict[str, Any]
 

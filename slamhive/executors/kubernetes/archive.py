@@ -13,18 +13,17 @@ SUPERVISOR_MODULES = (
     "executors/kubernetes/pod_counters.py",
     "executors/kubernetes/pod_files.py",
     "executors/kubernetes/supervisor.py",
-    "executors/process/capped_log.py",
     "executors/process/exit_file.py",
-    "runs/host_columns.py",
+    "run_folder/host_columns.py",
 )
 _ON_NODE = "executors/node_store/on_node"
 COURIER_MODULES = (
     "executors/kubernetes/courier.py",
     "executors/kubernetes/pod_files.py",
-    *(f"{_ON_NODE}/{name}.py" for name in ("cache", "connection", "fetch", "making", "mirror", "results", "run")),
+    *(f"{_ON_NODE}/{name}.py" for name in ("cache", "connection", "making", "results", "run")),
     "executors/packing.py",
     "executors/process/exit_file.py",
-    "tree.py",
+    "base/tree.py",
 )
 _MAIN = """\
 import sys

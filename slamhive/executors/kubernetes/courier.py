@@ -18,6 +18,7 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
+from slamhive.base.tree import folder_bytes
 from slamhive.executors.kubernetes.pod_files import (
     COURIER_FOLDER,
     DELIVERED_FILE,
@@ -41,11 +42,16 @@ from slamhive.executors.kubernetes.pod_files import (
     write_json,
 )
 from slamhive.executors.node_store.on_node.cache import CacheFull, Held, Item
-from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused, patiently
-from slamhive.executors.node_store.on_node.fetch import Fetcher, WrongContent
+from slamhive.executors.node_store.on_node.connection import (
+    Away,
+    Connection,
+    Fetcher,
+    NodeRefused,
+    WrongContent,
+    patiently,
+)
 from slamhive.executors.node_store.on_node.making import VARIANT_FILE, hold_variant, read_made
-from slamhive.executors.node_store.on_node.mirror import Watched
-from slamhive.executors.node_store.on_node.results import Output
+from slamhive.executors.node_store.on_node.results import Output, Watched
 from slamhive.executors.node_store.on_node.run import (
     Reporter,
     Ticket,
@@ -57,7 +63,6 @@ from slamhive.executors.node_store.on_node.run import (
     with_offset,
 )
 from slamhive.executors.process.exit_file import EXIT_FILE
-from slamhive.tree import folder_bytes
 
 _CLAIMED_FILE = "claimed.json"
 _TERMINATION_LOG = Path("/dev/termination-log")
@@ -137,7 +142,7 @@ def copy_own(source: Path, copy: Path) -> None:
         shutil.copyfile(str(source), str(copy))
 
 
-class Report:
+class CourierReport:
     """Reports a run from its start until its results are at the controller."""
 
     def __init__(self, ticket: Ticket, folders: PodFolders) -> None:
@@ -171,7 +176,7 @@ class Report:
             last = [Watched(EXIT_FILE, self._folders.pod / EXIT_FILE, change=self._change())]
             try:
                 deliver(self._connection, mirror, self._folders.private, self._outputs(), last, self._given_up)
-            except Refused as refused:
+            except NodeRefused as refused:
                 print("the results are not wanted: " + str(refused), file=sys.stderr)
         else:
             print("the run is not wanted: " + reporter.refused, file=sys.stderr)
@@ -258,14 +263,14 @@ def main(mode: str) -> int:
         if mode == "fetch":
             fetch(ticket, programs, folders)
         else:
-            Report(ticket, folders).run()
+            CourierReport(ticket, folders).run()
     except PermissionError as error:
         owner = f"user {os.getuid()}"
         explain(f"{error.filename} of the node cannot be written by {owner}; give the folder to this user")
     except Away as error:
         explain("the worker does not answer at {}: {}; see NODE_URL".format(ticket.url, error))
         return _AWAY_EXIT
-    except Refused as error:
+    except NodeRefused as error:
         explain(str(error))
         return OLD_TICKET_EXIT if error.status == HTTPStatus.UNAUTHORIZED else REFUSED_EXIT
     except (WrongNode, WrongContent, CacheFull, OSError) as error:

@@ -9,41 +9,37 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.domain.gpu import GivenGpu
-from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.base.errors import SlamHiveError, Unavailable
+from slamhive.base.files import write_aside
+from slamhive.domain.algorithm import AlgorithmPackage, GivenGpu
 from slamhive.executors.base import (
     Capabilities,
     EngineUnavailable,
     Executor,
     ExecutorContext,
-    Finding,
     GpuGiver,
     LiveKeys,
+    Node,
     PackageNeed,
     ProgressCallback,
+    ProtectionFinding,
 )
 from slamhive.executors.host_counters import HostReading
 from slamhive.executors.host_log import handed_over
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.answers import Document, Right
-from slamhive.executors.kubernetes.cluster import Cluster
-from slamhive.executors.kubernetes.cluster_options import CLUSTER_OPTIONS, OPTIONS
-from slamhive.executors.kubernetes.connection import why_no_connection
+from slamhive.executors.kubernetes.cluster import Cluster, why_no_connection
 from slamhive.executors.kubernetes.images import NodeImages
 from slamhive.executors.kubernetes.manifest import selector
 from slamhive.executors.kubernetes.node_runs import NodeRunFiles
-from slamhive.executors.kubernetes.options import read_options
+from slamhive.executors.kubernetes.options import CLUSTER_OPTIONS, OPTIONS, read_options
 from slamhive.executors.kubernetes.pod_counters import HOST_KEY
-from slamhive.executors.kubernetes.pod_watch import PodWatch
-from slamhive.executors.kubernetes.run_files import PodUsage, RunFiles, Started
-from slamhive.executors.kubernetes.run_jobs import RunJobs
+from slamhive.executors.kubernetes.run_files import PodRunFiles, PodUsage, Started
+from slamhive.executors.kubernetes.run_jobs import PodWatch, RunJobs
 from slamhive.executors.node_store.controller import NodeStore
-from slamhive.executors.nodes import Node
-from slamhive.executors.process.supervisors import wait_until
+from slamhive.executors.process.executor import wait_until
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
-from slamhive.files import write_aside
 
 KILL_WAIT_S = 10.0
 _USAGE_WAIT_S = 2.0
@@ -97,7 +93,7 @@ class KubernetesExecutor(Executor):
             return str(error)
         return None
 
-    def examine(self) -> list[Finding]:
+    def examine(self) -> list[ProtectionFinding]:
         """Report the cluster, the worker's rights, the nodes that answer, and the way of files and images to them."""
         cluster, options = self._cluster, self._options
         needed = (*RIGHTS, *USEFUL_RIGHTS, *(() if self._store is None else STORE_RIGHTS))
@@ -107,14 +103,16 @@ class KubernetesExecutor(Executor):
         ready = [] if nodes is None else answers.ready_nodes(nodes)
         counted = "unknown" if nodes is None else f"{len(ready)} of {len(nodes)} take runs"
         return [
-            Finding("cluster", f"{cluster.version()}, namespace {cluster.namespace}"),
-            Finding("rights", rights, "apply deploy/kubernetes/base/rights.yaml" if missing else None),
-            Finding("nodes", counted, None if ready or nodes is None else "see kubectl get nodes"),
+            ProtectionFinding("cluster", f"{cluster.version()}, namespace {cluster.namespace}"),
+            ProtectionFinding("rights", rights, "apply deploy/kubernetes/base/rights.yaml" if missing else None),
+            ProtectionFinding("nodes", counted, None if ready or nodes is None else "see kubectl get nodes"),
             self._storage(),
-            Finding("images", f"registry {options.registry}" if options.registry else "nodes need them already"),
+            ProtectionFinding(
+                "images", f"registry {options.registry}" if options.registry else "nodes need them already"
+            ),
         ]
 
-    def examine_nodes(self) -> list[Finding]:
+    def examine_nodes(self) -> list[ProtectionFinding]:
         """Return whether each node takes runs, and the most that a run can get there. Raises Unavailable."""
         nodes = self._all_nodes()
         ready = answers.ready_nodes(nodes)
@@ -123,7 +121,7 @@ class KubernetesExecutor(Executor):
             name, takes = str(node["metadata"]["name"]), node["metadata"]["name"] in ready
             state = "takes runs" if takes else "takes no runs now"
             remedy = None if takes else f"see kubectl describe node {name}"
-            findings.append(Finding(name, f"{state}, {answers.allocatable(node)}", remedy))
+            findings.append(ProtectionFinding(name, f"{state}, {answers.allocatable(node)}", remedy))
         return findings
 
     def nodes(self) -> list[Node]:
@@ -259,18 +257,18 @@ class KubernetesExecutor(Executor):
         self._watch.stop()
         self._cluster.close()
 
-    def _files_of(self, handle: RunHandle) -> RunFiles:
+    def _files_of(self, handle: RunHandle) -> PodRunFiles:
         return self._files(Path(handle.data["work"]), handle.data["key"])
 
-    def _files(self, work: Path, key: str) -> RunFiles:
-        return RunFiles(work) if self._store is None else NodeRunFiles(work, key, self._store)
+    def _files(self, work: Path, key: str) -> PodRunFiles:
+        return PodRunFiles(work) if self._store is None else NodeRunFiles(work, key, self._store)
 
-    def _storage(self) -> Finding:
+    def _storage(self) -> ProtectionFinding:
         """Report how files get to nodes."""
         if self._store is not None:
             return self._store.examine()
         claim, same_path = self._options.claim, f"nodes need {self._context.data.resolve()} at the same path"
-        return Finding("storage", f"claim {claim}" if claim else same_path)
+        return ProtectionFinding("storage", f"claim {claim}" if claim else same_path)
 
     def _all_nodes(self) -> list[Document]:
         nodes = self._cluster.nodes()

@@ -10,9 +10,9 @@ import contextlib
 from collections.abc import Iterator
 from typing import Any
 
-from slamhive.catalogue.image_context import context_hash, dockerfile_of
 from slamhive.domain.algorithm import AlgorithmPackage, RunUser
 from slamhive.executors.base import EngineUnavailable, ExecutorContext, ImageMissing, ProgressCallback
+from slamhive.packages.image_context import context_hash, dockerfile_of
 
 _HASH_DIGITS = 12
 
@@ -39,7 +39,7 @@ class NodeImages:
 
     def has(self, digest: str) -> bool:
         """Return whether the Docker engine of this machine has an image, from which nodes can get it."""
-        from slamhive.executors.docker.kept_images import has_image  # noqa: PLC0415 - the SDK takes long to load
+        from slamhive.executors.docker.images import has_image  # noqa: PLC0415 - the SDK takes long to load
 
         with self._engine() as client:
             return has_image(client, digest)
@@ -47,7 +47,7 @@ class NodeImages:
     def identity(self, package: AlgorithmPackage) -> str | None:
         """The image that a start would use now; None if it has to be built, as far as this machine can see."""
         if not self._registry:
-            from slamhive.executors.docker.image import find_image  # noqa: PLC0415 - the SDK takes long to load
+            from slamhive.executors.docker.images import find_image  # noqa: PLC0415 - the SDK takes long to load
 
             with self._engine() as client:
                 return find_image(client, package, self._context.project_root)
@@ -62,7 +62,7 @@ class NodeImages:
 
     def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
         """Build the image, and push it if there is a registry; its identity. Raises ImageMissing, EngineUnavailable."""
-        from slamhive.executors.docker.image import make_image  # noqa: PLC0415 - the SDK takes long to load
+        from slamhive.executors.docker.images import make_image  # noqa: PLC0415 - the SDK takes long to load
 
         with self._engine() as client:
             digest = make_image(client, package, self._context, progress)
@@ -96,8 +96,8 @@ def explain_missing(image: str, registry: str, why: str) -> ImageMissing:
 
 
 def _push(client: Any, digest: str, reference: str, progress: ProgressCallback) -> None:
-    from slamhive.executors.docker.build import name_image  # noqa: PLC0415 - the SDK takes long to load
     from slamhive.executors.docker.engine import engine_errors  # noqa: PLC0415 - as above
+    from slamhive.executors.docker.images import name_image  # noqa: PLC0415 - the SDK takes long to load
 
     name_image(client, digest, reference)
     repository, _, tag = reference.rpartition(":")

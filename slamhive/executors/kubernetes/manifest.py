@@ -5,12 +5,31 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from dataclasses import dataclass
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+from slamhive.base.errors import Unavailable
+from slamhive.base.files import remedy_of
+from slamhive.executors.base import StartFailed
+from slamhive.executors.kubernetes.node_runs import HandedOut
 from slamhive.executors.kubernetes.options import Options
-from slamhive.executors.kubernetes.pod_files import NODE_VARIABLE, POD_FOLDER, SUPERVISOR_FILE
-from slamhive.executors.spec import ROS_ENVIRONMENT, Placing, RunSpec
+from slamhive.executors.kubernetes.pod_files import (
+    COURIER_FILE,
+    COURIER_FOLDER,
+    NODE_VARIABLE,
+    OWN_FOLDER,
+    POD_FOLDER,
+    POD_VARIABLE,
+    PRIVATE_FOLDER,
+    READY_FILE,
+    SUPERVISOR_FILE,
+    WORK_FOLDER,
+)
+from slamhive.executors.spec import ROS_ENVIRONMENT, Placing, RunInput, RunSpec
+from slamhive.executors.transfer import make_own_copies, read_places, written_places
 
 KEY_LABEL = "slamhive.key"
 RUN_LABEL = "slamhive.run"
@@ -95,7 +114,7 @@ def job_manifest(
         installation: Distinguishes the runs of this data root from those of another one.
         options: What the user says about the cluster.
         who: The user of the run.
-        volumes: What :func:`slamhive.executors.kubernetes.places.volumes_of` returned.
+        volumes: What :func:`slamhive.executors.kubernetes.manifest.volumes_of` returned.
     """
     labels = labels_of(spec, installation)
     queue = {QUEUE_LABEL: options.queue} if options.queue else {}
@@ -206,3 +225,219 @@ def _container(spec: RunSpec, options: Options, mounts: list[dict[str, Any]]) ->
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:40]
+
+
+# Additions to the Job of a run, if nodes share no storage with the worker. Pure functions, as those of the Job.
+
+
+FETCH, COURIER = "fetch", "courier"
+COURIER_CPU_MILLI, COURIER_BYTES = 250, 256 * 1024 * 1024
+LONGEST_DELIVERY_S = 7 * 86_400
+"""For so long a pod waits for a worker that is away. Its node keeps the cores and the memory for it meanwhile."""
+_CACHE, _WORK, _TICKET = "cache", "work", "ticket"
+_READY = f"{WORK_FOLDER}/{PRIVATE_FOLDER}/{READY_FILE}"
+_READY_CHECK = f"import os, sys; sys.exit(not os.path.exists({_READY!r}))"
+_MOST_CHECKS = 86_400
+"""How often the check may fail. What was removed from the cache just now is fetched again before it succeeds."""
+
+
+def secret_name(installation: str, key: str, mark: str) -> str:
+    """The name of the Secret with the ticket that ``mark`` names.
+
+    A kubelet keeps a Secret that cannot change for as long as it knows a pod with it, and would give it to later pods.
+    """
+    return f"{job_name(installation, key)}-{mark}"
+
+
+def secret_manifest(spec: RunSpec, installation: str, given: HandedOut) -> dict[str, Any]:
+    """Return the Secret that only the courier sees: the ticket of the run, and the programs."""
+    return {
+        "apiVersion": "v1",
+        "kind": "Secret",
+        "type": "Opaque",
+        "immutable": True,
+        "metadata": {
+            "name": secret_name(installation, spec.key, given.mark),
+            "labels": labels_of(spec, installation),
+        },
+        "data": given.secret,
+    }
+
+
+def node_job_manifest(
+    spec: RunSpec, installation: str, options: Options, who: Who, given: HandedOut, cache: str
+) -> dict[str, Any]:
+    """The Job of a run whose data its courier brings.
+
+    Args:
+        spec: The run.
+        installation: Distinguishes the runs of this data root from those of another one.
+        options: What the user says about the cluster.
+        who: The user of the run and of the cache.
+        given: What was handed out for it.
+        cache: The folder of the cache on the nodes.
+    """
+    volumes = _volumes(secret_name(installation, spec.key, given.mark), cache)
+    job = job_manifest(spec, installation, options, who, (volumes, run_mounts(spec, given)))
+    pod = job["spec"]["template"]["spec"]
+    (run,) = pod["containers"]
+    # What comes before the run may take what the run may take.
+    carrying = {**run, "image": options.image} if spec.variant is not None else run
+    fetch = _courier(FETCH, carrying, cache, run["resources"])
+    beside = {name: {"cpu": f"{COURIER_CPU_MILLI}m", "memory": str(COURIER_BYTES)} for name in ("limits", "requests")}
+    report = _courier(COURIER, carrying, cache, beside)
+    report["restartPolicy"] = "Always"
+    report["startupProbe"] = {
+        "exec": {"command": ["python3", "-S", "-c", _READY_CHECK]},
+        "periodSeconds": 1,
+        "timeoutSeconds": 10,
+        "failureThreshold": _MOST_CHECKS,
+    }
+    pod["initContainers"] = [fetch, report]
+    pod["activeDeadlineSeconds"] = math.ceil(spec.timeout_s) + LATEST_END_S + LONGEST_DELIVERY_S
+    return job
+
+
+def with_courier(asked: dict[str, str]) -> dict[str, str]:
+    """Return the requests of the pod, if ``asked`` is what the run asks for."""
+    more = dict(asked)
+    if "cpu" in asked:
+        more["cpu"] = f"{int(asked['cpu'].removesuffix('m')) + COURIER_CPU_MILLI}m"
+    if "memory" in asked:
+        more["memory"] = str(int(asked["memory"]) + COURIER_BYTES)
+    return more
+
+
+def run_mounts(spec: RunSpec, given: HandedOut) -> list[dict[str, Any]]:
+    """Return the mounts of the run: its inputs in the cache, which it cannot change, and its own folders."""
+    written = {target: f"{OWN_FOLDER}/{name}" for target, name in given.own.items()}
+    written |= {output.target: f"outputs/{output.name}" for output in spec.outputs}
+    written |= {POD_FOLDER: "pod", "/tmp": "tmp"}  # noqa: S108 - the container's own
+    mounts = [_mount(_CACHE, target, path, read_only=True) for target, path in given.items.items()]
+    mounts += [_mount(_WORK, target, path, read_only=False) for target, path in written.items()]
+    return sorted(mounts, key=lambda mount: str(mount["mountPath"]))
+
+
+def _mount(volume: str, target: str, path: str, *, read_only: bool) -> dict[str, Any]:
+    return {"name": volume, "mountPath": target, "subPath": path, "readOnly": read_only}
+
+
+def _volumes(secret: str, cache: str) -> list[dict[str, Any]]:
+    return [
+        {"name": _CACHE, "hostPath": {"path": cache, "type": "DirectoryOrCreate"}},
+        {"name": _WORK, "emptyDir": {}},
+        {"name": _TICKET, "secret": {"secretName": secret, "defaultMode": 0o444}},
+    ]
+
+
+def _courier(name: str, run: dict[str, Any], cache: str, resources: dict[str, dict[str, str]]) -> dict[str, Any]:
+    pod = {"name": POD_VARIABLE, "valueFrom": {"fieldRef": {"fieldPath": "metadata.uid"}}}
+    return {
+        "name": name,
+        "image": run["image"],
+        "imagePullPolicy": run["imagePullPolicy"],
+        "command": ["python3", f"{COURIER_FOLDER}/{COURIER_FILE}", "fetch" if name == FETCH else "report"],
+        "env": [NODE_ENTRY, pod],
+        "resources": resources,
+        "securityContext": CONTAINER_SECURITY,
+        "volumeMounts": [
+            {"name": _CACHE, "mountPath": cache},
+            {"name": _WORK, "mountPath": WORK_FOLDER},
+            {"name": _TICKET, "mountPath": COURIER_FOLDER, "readOnly": True},
+        ],
+    }
+
+
+# Folders and files of the data root that a pod sees, and their way into it.
+
+
+MOST_BYTES_COPIED = 100_000_000
+"""An input that lies outside of the data root is copied if it is no larger."""
+
+
+@dataclass(frozen=True, slots=True)
+class PodPlace:
+    """Something that the run sees at ``target``. ``source`` is its path on the machine of the worker."""
+
+    target: str
+    source: Path
+    is_folder: bool
+    read_only: bool
+
+
+def outputs_on_node(spec: RunSpec, folder: Path) -> RunSpec:
+    """The specification whose outputs are written below ``folder`` first; ``collect`` takes them over."""
+    outputs = tuple(replace(output, destination=folder / output.name) for output in spec.outputs)
+    return replace(spec, outputs=outputs)
+
+
+def prepare_inputs(spec: RunSpec, data: Path, folder: Path) -> RunSpec:
+    """Copy small inputs from outside of the data root to ``folder``, and those that the run may change.
+
+    Raises Unavailable if that fails.
+    """
+    copied = replace(spec, inputs=tuple(_inside(entry, data, folder) for entry in spec.inputs))
+    make_own_copies(copied)
+    return copied
+
+
+def places_of(spec: RunSpec, other: Mapping[str, Path]) -> list[PodPlace]:
+    """List what the run sees, in the order in which it is mounted. ``other``: folders that only the executor knows."""
+    read_only = read_places(spec)
+    places = {**read_only, **written_places(spec), **other}
+    return [PodPlace(target, path, path.is_dir(), target in read_only) for target, path in sorted(places.items())]
+
+
+def volumes_of(places: list[PodPlace], data: Path, claim: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """The volumes of a pod and the mounts of its container.
+
+    Args:
+        places: What the run sees.
+        data: The data root.
+        claim: The claim that holds the data root; empty if nodes see all files at the path that they have here.
+
+    Raises StartFailed for a place outside of the data root if there is a claim.
+    """
+    if claim:
+        volume = {"name": "data", "persistentVolumeClaim": {"claimName": claim}}
+        return [volume], [_places_mount(place, "data") | {"subPath": _below(place, data)} for place in places]
+    volumes = [
+        {"name": f"p{number}", "hostPath": {"path": str(place.source), "type": _kind(place)}}
+        for number, place in enumerate(places)
+    ]
+    return volumes, [_places_mount(place, f"p{number}") for number, place in enumerate(places)]
+
+
+def _places_mount(place: PodPlace, volume: str) -> dict[str, Any]:
+    return {"name": volume, "mountPath": place.target, "readOnly": place.read_only}
+
+
+def _kind(place: PodPlace) -> str:
+    """The kubelet refuses a path that is something else, or missing because the node does not share it."""
+    return "Directory" if place.is_folder else "File"
+
+
+def _below(place: PodPlace, data: Path) -> str:
+    try:
+        return str(place.source.relative_to(data.resolve()))
+    except ValueError:
+        raise StartFailed(
+            f"{place.source} is not below the data root {data}, which is all that nodes have",
+            "move it there, or use a shared file system instead of --claim",
+        ) from None
+
+
+def _inside(entry: RunInput, data: Path, folder: Path) -> RunInput:
+    source = entry.source.resolve()
+    if entry.own_copy or source.is_relative_to(data.resolve()) or entry.size_bytes > MOST_BYTES_COPIED:
+        return entry
+    copy = folder / entry.name
+    try:
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_dir():
+            shutil.copytree(source, copy, dirs_exist_ok=True)
+        else:
+            shutil.copy(source, copy)
+    except OSError as error:
+        raise Unavailable(f"{copy} cannot be written: {error}", remedy_of(error)) from None
+    return replace(entry, source=copy)

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from slamhive.catalogue.dataset_file import DATASET_FILE
+from slamhive.documents.model import dump
 from slamhive.executors.kubernetes.archive import courier_archive, supervisor_archive
 from slamhive.executors.kubernetes.pod_files import (
     COURIER_FILE,
@@ -21,19 +21,19 @@ from slamhive.executors.kubernetes.pod_files import (
     TICKET_FILE,
     USAGE_FILE,
 )
-from slamhive.executors.kubernetes.run_files import RunFiles, order_of
-from slamhive.executors.node_store.arrivals import ask_to_stop, claimed_by, results_archive
+from slamhive.executors.kubernetes.run_files import PodRunFiles, order_of
 from slamhive.executors.node_store.controller import NodeStore, Reports, item_name, made_variant
+from slamhive.executors.node_store.exchange import ask_to_stop, claimed_by, results_archive
 from slamhive.executors.node_store.on_node.making import VARIANT_FILE, item_of
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.spec import DATASET_TARGET, RECORDING, RunInput, RunOutput, RunSpec, VariantOrder
-from slamhive.schema.model import dump
+from slamhive.packages.dataset_file import DATASET_FILE
 
 REPORTED = (VARIANT_FILE, STARTED_FILE, USAGE_FILE, DISK_FILE, OVER_FILE, EXIT_FILE)
 """The files of a pod that the worker has copies of."""
 
 
-class NodeRunFiles(RunFiles):
+class NodeRunFiles(PodRunFiles):
     """The files of one run, as its courier reports them.
 
     Args:
@@ -127,7 +127,7 @@ class HandedOut:
     mark: str
 
 
-def hand_out(store: NodeStore, spec: RunSpec, files: RunFiles, log_max_bytes: int) -> HandedOut:
+def hand_out(store: NodeStore, spec: RunSpec, files: PodRunFiles, log_max_bytes: int) -> HandedOut:
     """Let a pod have the run; one that had it before has it no more. Raises Unavailable."""
     order = None if spec.variant is None else dump(VariantOrder, spec.variant)
     items = {

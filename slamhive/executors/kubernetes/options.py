@@ -6,7 +6,8 @@ import re
 import shlex
 from dataclasses import dataclass, field, fields
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
+from slamhive.base.settings import ExecutorOption
 
 _LABEL = re.compile(r"([A-Za-z0-9.-]+/)?[A-Za-z0-9]([A-Za-z0-9_.-]{0,61}[A-Za-z0-9])?")
 _NAME = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
@@ -72,3 +73,14 @@ def _label(part: str, text: str) -> dict[str, str]:
     if not separator or not _LABEL.fullmatch(label) or (value and not _LABEL.fullmatch(value)):
         raise InvalidInput(f"KUBERNETES_OPTIONS has {part!r}", "write --node=LABEL=VALUE")
     return {label: value}
+
+
+# Options of users for Kubernetes.
+
+
+CLUSTER_OPTIONS = ExecutorOption(
+    "options",
+    "",
+    "How a cluster is used: --context, --namespace, --registry, --claim, --queue, --image, --gpu, --node",
+)
+OPTIONS = (CLUSTER_OPTIONS,)

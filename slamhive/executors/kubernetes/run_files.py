@@ -15,8 +15,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from slamhive.domain.host import Host
-from slamhive.errors import Unavailable
+from slamhive.base.errors import Unavailable
+from slamhive.base.files import remedy_of, temporary_folder, write_aside
+from slamhive.base.tree import remove_tree
+from slamhive.domain.run import Host
 from slamhive.executors.cgroup import file_cache_bytes, parse_flat, present
 from slamhive.executors.kubernetes.archive import supervisor_archive
 from slamhive.executors.kubernetes.pod_counters import used_cpu_s
@@ -30,13 +32,10 @@ from slamhive.executors.kubernetes.pod_files import (
     USAGE_FILE,
 )
 from slamhive.executors.packing import pack_folder
-from slamhive.executors.process.capped_log import assemble
-from slamhive.executors.process.exit_file import EXIT_FILE
+from slamhive.executors.process.exit_file import EXIT_FILE, assemble
 from slamhive.executors.spec import RunOutput, RunSpec
 from slamhive.executors.status import Exited, Gone
 from slamhive.executors.transfer import unpack_live, unpack_output
-from slamhive.files import remedy_of, temporary_folder, write_aside
-from slamhive.tree import remove_tree
 
 _FOLDER = "pod"
 _MOST_BYTES = 1_000_000
@@ -61,7 +60,7 @@ class Started:
     gpu: str | None = None
 
 
-class RunFiles:
+class PodRunFiles:
     """The files of one run below its work folder."""
 
     def __init__(self, work: Path) -> None:
@@ -309,7 +308,7 @@ class PodUsage:
 
     on_this_machine = False
 
-    def __init__(self, files: RunFiles) -> None:
+    def __init__(self, files: PodRunFiles) -> None:
         self._files = files
         self._totals: dict[str, float] = {}
 

@@ -2,24 +2,40 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import threading
 import time
+from collections.abc import Callable, Iterator
+from typing import Protocol
 
-from slamhive.clock import monotonic_s
+from slamhive.base.clock import monotonic_s
 from slamhive.executors.base import EngineUnavailable, ExecutorContext, StartFailed
 from slamhive.executors.kubernetes import answers
-from slamhive.executors.kubernetes.answers import Document, NotStarted
-from slamhive.executors.kubernetes.cluster import Cluster
-from slamhive.executors.kubernetes.courier_manifest import node_job_manifest, secret_manifest, secret_name, with_courier
+from slamhive.executors.kubernetes.answers import Document, NotStarted, key_of
+from slamhive.executors.kubernetes.cluster import Cluster, Expired
 from slamhive.executors.kubernetes.images import explain_missing
-from slamhive.executors.kubernetes.manifest import Who, job_manifest, job_name, resources, selector
+from slamhive.executors.kubernetes.manifest import (
+    Who,
+    job_manifest,
+    job_name,
+    node_job_manifest,
+    outputs_on_node,
+    places_of,
+    prepare_inputs,
+    resources,
+    secret_manifest,
+    secret_name,
+    selector,
+    volumes_of,
+    with_courier,
+)
 from slamhive.executors.kubernetes.node_runs import hand_out
 from slamhive.executors.kubernetes.options import Options
-from slamhive.executors.kubernetes.places import outputs_on_node, places_of, prepare_inputs, volumes_of
 from slamhive.executors.kubernetes.pod_files import POD_FOLDER
-from slamhive.executors.kubernetes.run_files import RunFiles, Started
+from slamhive.executors.kubernetes.run_files import PodRunFiles, Started
 from slamhive.executors.node_store.controller import NodeStore
-from slamhive.executors.process.supervisors import wait_until
+from slamhive.executors.process.executor import wait_until
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Gone
 
@@ -71,7 +87,7 @@ class RunJobs:
         pods = self._cluster.pods(selector(self._installation, key))
         return max(pods, key=lambda pod: str(pod["metadata"].get("creationTimestamp", "")), default=None)
 
-    def start(self, spec: RunSpec, files: RunFiles) -> Started:
+    def start(self, spec: RunSpec, files: PodRunFiles) -> Started:
         """Make the Job of a run unless it was made, and wait a little until the algorithm has started.
 
         A pod that ended before its supervisor began is replaced: a kubelet that has just lost its API server may remove
@@ -88,7 +104,7 @@ class RunJobs:
                 self.delete(spec.key)
         raise AssertionError("the last attempt returns or raises")
 
-    def _make(self, spec: RunSpec, files: RunFiles) -> None:
+    def _make(self, spec: RunSpec, files: PodRunFiles) -> None:
         """Prepare the files of the run and make its Job; both may have been done before. Raises StartFailed."""
         if self._store is not None:
             self._make_on_node(spec, files, self._store)
@@ -99,7 +115,7 @@ class RunJobs:
         volumes = volumes_of(places_of(placed, other), self._data, self._options.claim)
         self._cluster.create_job(job_manifest(spec, self._installation, self._options, _who(), volumes), StartFailed)
 
-    def _make_on_node(self, spec: RunSpec, files: RunFiles, store: NodeStore) -> None:
+    def _make_on_node(self, spec: RunSpec, files: PodRunFiles, store: NodeStore) -> None:
         """The same for a node that shares no storage. A Job that is there has the ticket that counts."""
         if self._cluster.job(self.name(spec.key)) is not None:
             return
@@ -110,7 +126,7 @@ class RunJobs:
         job = node_job_manifest(spec, self._installation, self._options, _who(), given, self._cache)
         self._cluster.create_job(job, StartFailed)
 
-    def _wait_for_start(self, spec: RunSpec, files: RunFiles) -> Started:
+    def _wait_for_start(self, spec: RunSpec, files: PodRunFiles) -> Started:
         """Wait a little until the algorithm has started. Raises ImageMissing, StartFailed."""
         deadline_s, look_at_s, unschedulable = monotonic_s() + START_WAIT_S, 0.0, False
         created_since_s: float | None = None
@@ -165,14 +181,14 @@ class RunJobs:
             self.delete(key)
 
     def _check_forgotten(
-        self, spec: RunSpec, files: RunFiles, found: NotStarted, created_since_s: float | None
+        self, spec: RunSpec, files: PodRunFiles, found: NotStarted, created_since_s: float | None
     ) -> None:
         """Raise NeverBegan for a pod whose container has long been made and was never started."""
         if created_since_s is None or monotonic_s() - created_since_s < CREATED_PATIENCE_S or files.begun:
             return
         raise NeverBegan(f"the pod of run {spec.run_id} did not start: {found.why}")
 
-    def _look(self, spec: RunSpec, files: RunFiles) -> NotStarted:
+    def _look(self, spec: RunSpec, files: PodRunFiles) -> NotStarted:
         """Why the pod has not started. Raises ImageMissing or StartFailed if waiting for it is of no use."""
         pod = self.pod(spec.key)
         if pod is None:
@@ -229,3 +245,142 @@ class RunJobs:
 
 def _who() -> Who:
     return Who(os.getuid(), os.getgid())
+
+
+# The pods of this installation as the cluster reports them: listed once, then watched, and never quite trusted.
+#
+# A watch may end, fall behind (410), stay silent, or come from an API server that is behind. So each watch has an
+# end, and the next one goes on from its last version. The list is read again every few minutes, and what was not
+# confirmed for too long is no answer. Callers ask the API server itself before they take a run for lost.
+
+
+logger = logging.getLogger(__name__)
+
+WATCH_S = 30
+"""Each watch ends after so long, and thereby confirms that nothing else has happened."""
+RELIST_S = 300.0
+TRUSTED_S = WATCH_S + 15.0
+"""What was not confirmed for longer is no answer."""
+_FIRST_ANSWER_S = 20.0
+_SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 15.0
+
+
+class PodSource(Protocol):
+    """A cluster that is watched."""
+
+    def pod_list(self, selector: str) -> Document:
+        """The pods with these labels, and the version of the list."""
+
+    def watch_pods(self, selector: str, version: str, seconds: int) -> Iterator[Document]:
+        """Yield the events afterwards."""
+
+
+class PodBook:
+    """Knowledge of the pods, from lists and events."""
+
+    def __init__(self) -> None:
+        self.version: str | None = None
+        """Where the next watch goes on; None if the list has to be read first."""
+        self.pods: dict[str, Document] = {}
+        """{uid: pod}"""
+
+    def replace(self, listed: Document) -> None:
+        """Take over a list."""
+        self.pods = {pod["metadata"]["uid"]: pod for pod in listed.get("items") or ()}
+        self.version = listed["metadata"]["resourceVersion"]
+
+    def apply(self, event: Document) -> None:
+        """Take over an event of a watch."""
+        entry = event["object"]
+        self.version = entry["metadata"]["resourceVersion"]
+        if event["type"] == "DELETED":
+            self.pods.pop(entry["metadata"]["uid"], None)
+        elif event["type"] in ("ADDED", "MODIFIED"):
+            self.pods[entry["metadata"]["uid"]] = entry
+
+    def of_run(self, key: str) -> Document | None:
+        """The newest pod of a run; None if there is none."""
+        found = [pod for pod in self.pods.values() if key_of(pod) == key]
+        return max(found, key=lambda pod: str(pod["metadata"].get("creationTimestamp", "")), default=None)
+
+
+class PodWatch:
+    """Follows the pods in a thread of its own, which begins with the first question. Safe to share between threads.
+
+    Args:
+        source: The cluster.
+        selector: The labels of the pods.
+        clock: Monotonic seconds.
+    """
+
+    def __init__(self, source: PodSource, selector: str, clock: Callable[[], float] = monotonic_s) -> None:
+        self._source = source
+        self._selector = selector
+        self._clock = clock
+        self._book = PodBook()
+        self._changed = threading.Condition()
+        self._confirmed_s: float | None = None
+        self._listed_s = 0.0
+        self._trouble: EngineUnavailable | None = None
+        self._thread: threading.Thread | None = None
+        self._stopping = threading.Event()
+
+    def of_run(self, key: str) -> Document | None:
+        """The pod of a run; None if there is none. Raises EngineUnavailable if nobody has confirmed it for long."""
+        with self._changed:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._follow, name="watch of pods", daemon=True)
+                self._thread.start()
+            self._changed.wait_for(lambda: self._confirmed_s is not None or self._trouble is not None, _FIRST_ANSWER_S)
+            if self._confirmed_s is None or self._clock() - self._confirmed_s > TRUSTED_S:
+                raise self._trouble or EngineUnavailable("watching pods: the API server is silent")
+            return self._book.of_run(key)
+
+    def stop(self) -> None:
+        """End the thread with the present watch."""
+        self._stopping.set()
+
+    def follow_once(self) -> None:
+        """List if that is due, then watch until the watch ends. Raises EngineUnavailable, Expired."""
+        if self._book.version is None or self._clock() - self._listed_s > RELIST_S:
+            listed = self._source.pod_list(self._selector)
+            with self._changed:
+                self._book.replace(listed)
+                self._listed_s = self._clock()
+                self._confirm()
+        assert self._book.version is not None
+        for event in self._source.watch_pods(self._selector, self._book.version, WATCH_S):
+            with self._changed:
+                self._book.apply(event)
+                self._confirm()
+            if self._stopping.is_set():
+                return
+        with self._changed:
+            self._confirm()
+
+    def forget(self) -> None:
+        """Read the list again before the next watch."""
+        with self._changed:
+            self._book.version = None
+
+    def _confirm(self) -> None:
+        self._confirmed_s = self._clock()
+        self._trouble = None
+        self._changed.notify_all()
+
+    def _follow(self) -> None:
+        pause_s = _SHORTEST_PAUSE_S
+        while not self._stopping.is_set():
+            try:
+                self.follow_once()
+                pause_s = _SHORTEST_PAUSE_S
+            except Expired:
+                self.forget()
+            except EngineUnavailable as error:
+                logger.info("the watch of pods begins again: %s", error)
+                self.forget()
+                with self._changed:
+                    self._trouble = error
+                    self._changed.notify_all()
+                self._stopping.wait(pause_s)
+                pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)

@@ -39,8 +39,7 @@ from slamhive.executors.kubernetes.pod_files import (
     read_text,
     write_json,
 )
-from slamhive.executors.process.capped_log import CappedLog
-from slamhive.executors.process.exit_file import reap, reserve, write_exit
+from slamhive.executors.process.exit_file import CappedLog, reap, reserve, write_exit
 
 OWN_VARIABLES = (NODE_VARIABLE, "KUBERNETES_")
 """Variables that begin so are not for the algorithm."""
@@ -53,7 +52,7 @@ _REFUSED_EXIT = 75
 _NOT_STARTED_EXIT = 127
 
 
-class Supervisor:
+class PodSupervisor:
     """Runs one algorithm to its end. It must be the first process of its process namespace.
 
     Args:
@@ -232,7 +231,7 @@ def main(folder: Path) -> int:
     except OSError as error:
         print("the run was started before, or removed: " + str(error), file=sys.stderr)
         return _REFUSED_EXIT
-    return Supervisor(folder).run()
+    return PodSupervisor(folder).run()
 
 
 if __name__ == "__main__":

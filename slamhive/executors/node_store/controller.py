@@ -2,31 +2,109 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import shutil
+import sys
 import tarfile
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
-from slamhive.errors import Unavailable
-from slamhive.executors.base import EngineUnavailable, Finding, LiveKeys, NodeAccess
-from slamhive.executors.node_store.arrivals import (
+from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.base.files import remedy_of, write_aside
+from slamhive.base.settings import Settings
+from slamhive.documents.model import adapter
+from slamhive.domain.configuration import Variant
+from slamhive.domain.dataset import Dataset
+from slamhive.executors.base import CacheUse, EngineUnavailable, LiveKeys, Node, NodeAccess, ProtectionFinding
+from slamhive.executors.node_store.exchange import (
+    Offers,
     arrived_bytes,
     claimed_by,
     forget_claim,
     refused_results,
     results_archive,
 )
-from slamhive.executors.node_store.caches import NodeCaches
-from slamhive.executors.node_store.offers import Offers
-from slamhive.executors.node_store.on_node.making import CHECKSUM
+from slamhive.executors.node_store.on_node.making import BAG, CHECKSUM, FRACTION, MADE_FILE, PROBLEM, MadeProgress
 from slamhive.executors.node_store.on_node.run import Ticket
 from slamhive.executors.node_store.registrations import Offered, Registration, Registrations, archive_bound
-from slamhive.executors.nodes import Node
-from slamhive.executors.spec import RunSpec
+from slamhive.executors.spec import RunSpec, VariantOrder
 from slamhive.executors.transfer import unpack_output
-from slamhive.files import remedy_of
+from slamhive.packages.dataset_file import DATASET_FILE, load_dataset
+
+# Where the controller serves nodes, from the settings.
+
+
+_ALL_ADDRESSES = ("0.0.0.0", "::")  # noqa: S104 - compared, not bound to
+
+
+def node_access(settings: Settings) -> NodeAccess | None:
+    """Return the way of data to nodes; None if they see the data root. Raises InvalidInput."""
+    if settings.shared_storage:
+        return None
+    return NodeAccess(_url(settings), settings.node_cache, settings.node_cache_bytes)
+
+
+def listening_address(settings: Settings) -> tuple[str, int] | None:
+    """Host and port at which nodes are served; None if they are not. Raises InvalidInput."""
+    if not settings.node_address:
+        return None
+    try:
+        parts = urlsplit(f"//{settings.node_address}")
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+    if host is None or port is None or parts.path or parts.username is not None:
+        raise InvalidInput(f"NODE_ADDRESS={settings.node_address!r} is no HOST:PORT", "write it as 10.0.0.1:5001")
+    return host, port
+
+
+def _url(settings: Settings) -> str:
+    address = listening_address(settings)
+    if settings.node_url:
+        if urlsplit(settings.node_url).scheme not in ("http", "https"):
+            raise InvalidInput(f"NODE_URL={settings.node_url!r} is no address", "write it as http://10.0.0.1:5001")
+        return settings.node_url
+    if address is not None and address[0] in _ALL_ADDRESSES:
+        raise InvalidInput(
+            f"nodes cannot reach NODE_ADDRESS={settings.node_address}", "set NODE_URL to an address that they reach"
+        )
+    return "" if address is None else f"http://{settings.node_address}"
+
+
+# Reports of nodes on their caches: ``<data>/node-caches/<hash of the name>.json`` for each.
+
+
+_MOST_BYTES = 2**62
+
+
+class NodeCaches:
+    """The caches of the nodes of a data root."""
+
+    def __init__(self, data: Path) -> None:
+        self._folder = data / "node-caches"
+
+    def note(self, node: str, used_bytes: object, limit_bytes: object) -> None:
+        """Keep what a node said; nothing that makes no sense. Raises Unavailable."""
+        if not (node and _is_size(used_bytes) and _is_size(limit_bytes)):
+            return
+        self._folder.mkdir(exist_ok=True)
+        content = {"node": node, "used_bytes": used_bytes, "limit_bytes": limit_bytes}
+        name = hashlib.sha256(node.encode(errors="surrogatepass")).hexdigest()
+        write_aside(self._folder / f"{name}.json", json.dumps(content))
+
+    def all(self) -> dict[str, CacheUse]:
+        """By the names of the nodes."""
+        found = [json.loads(path.read_text(encoding="utf-8")) for path in self._folder.glob("*.json")]
+        return {entry["node"]: CacheUse(entry["used_bytes"], entry["limit_bytes"]) for entry in found}
+
+
+def _is_size(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MOST_BYTES
+
 
 _INPUT = "input "
 _LARGEST_OFFSET_S = 2.0
@@ -88,11 +166,11 @@ class NodeStore:
             return None
         return "nodes share no storage (SHARED_STORAGE=false), but are served nowhere; set NODE_ADDRESS to HOST:PORT"
 
-    def examine(self) -> Finding:
+    def examine(self) -> ProtectionFinding:
         """Report how data gets to nodes, for ``slamhive doctor``."""
         access = self._access
         found = f"by HTTP from {access.url}, kept in {access.cache} ({access.cache_bytes / 1e9:.0f} GB)"
-        return Finding("data of nodes", found)
+        return ProtectionFinding("data of nodes", found)
 
     def with_caches(self, nodes: Iterable[Node]) -> list[Node]:
         """The nodes, with what they have said of their caches."""
@@ -185,3 +263,76 @@ class NodeStore:
             self.forget(key)
         self._registrations.sweep()
         self.offers.sweep(self._registrations.offered_files())
+
+
+# Makes the variant of a dataset on a node that has SLAM Hive, for
+# :mod:`slamhive.executors.node_store.on_node.making`.
+#
+# It reads an order from its input::
+#
+# python -m slamhive.executors.node_store.controller RECORDING FOLDER < ORDER
+
+
+_SOURCE = ".source"
+_REPORTED = 0.02
+"""Progress is reported in steps of this fraction."""
+
+
+class OtherBytes(SlamHiveError):
+    """This machine would make something else than was asked for."""
+
+
+def make(order: VariantOrder, recording: Path, folder: Path, progress: MadeProgress) -> Dataset:
+    """Make the variant in ``folder``, with the bytes that other machines would make. Raises SlamHiveError, OSError."""
+    from slamhive.recordings.staging import seal  # noqa: PLC0415 - they load OpenCV
+    from slamhive.recordings.variants.build import build_variant  # noqa: PLC0415
+    from slamhive.recordings.variants.cache import flush  # noqa: PLC0415
+    from slamhive.recordings.variants.plan import plan_variant  # noqa: PLC0415
+
+    dataset = _beside(order, recording, folder / _SOURCE)
+    variant: Variant = adapter(Variant).validate_python(order.steps)
+    plan = plan_variant(dataset, variant)
+    if plan is None or plan.key != order.key:
+        raise OtherBytes("OpenCV, NumPy or SLAM Hive have other versions here than on the worker", "install the same")
+    # The ground truth stays with the controller.
+    made = build_variant(replace(dataset, groundtruth=None), variant, folder, lambda done, _words: progress(done))
+    made = replace(made, groundtruth=dataset.groundtruth)
+    seal(folder, made)
+    (folder / MADE_FILE).write_text(json.dumps({CHECKSUM: made.checksum, BAG: made.bag}), encoding="utf-8")
+    shutil.rmtree(folder / _SOURCE)
+    flush(folder)
+    return made
+
+
+def _beside(order: VariantOrder, recording: Path, folder: Path) -> Dataset:
+    """The dataset as a folder that links to its recording."""
+    folder.mkdir()
+    (folder / DATASET_FILE).write_text(order.description, encoding="utf-8")
+    dataset = load_dataset(folder)
+    dataset.bag_path.parent.mkdir(parents=True, exist_ok=True)
+    dataset.bag_path.symlink_to(recording)
+    return dataset
+
+
+def _main(recording: Path, folder: Path, text: str) -> int:
+    reported = 0.0
+
+    def say(content: dict[str, Any]) -> None:
+        print(json.dumps(content), flush=True)  # noqa: T201 - the one who waits reads it
+
+    def progress(fraction: float) -> None:
+        nonlocal reported
+        if fraction - reported >= _REPORTED:
+            reported = fraction
+            say({FRACTION: fraction})
+
+    try:
+        make(adapter(VariantOrder).validate_json(text), recording, folder, progress)
+    except (SlamHiveError, OSError) as error:
+        say({PROBLEM: str(error)})
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main(Path(sys.argv[1]), Path(sys.argv[2]), sys.stdin.read()))

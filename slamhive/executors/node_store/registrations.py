@@ -14,12 +14,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from slamhive.clock import utc_now
-from slamhive.errors import InvalidInput, Unavailable
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import InvalidInput, Unavailable
+from slamhive.base.files import write_aside
 from slamhive.executors.node_store.on_node.cache import Item
 from slamhive.executors.node_store.on_node.connection import OVER
 from slamhive.executors.spec import RunOutput
-from slamhive.files import write_aside
 
 _FOLDER = "node-runs"
 _NODE_FOLDER = "node"

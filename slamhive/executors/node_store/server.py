@@ -15,17 +15,16 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
-from slamhive.clock import utc_now
-from slamhive.errors import Unavailable
-from slamhive.executors.node_store.address import listening_address
-from slamhive.executors.node_store.arrivals import Arrivals, NotTaken, claimed_by, wanted
-from slamhive.executors.node_store.caches import NodeCaches
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Unavailable
+from slamhive.base.http_server import HttpServer, ServerLimits, listen
+from slamhive.base.settings import Settings
+from slamhive.executors.node_store.controller import NodeCaches, listening_address
+from slamhive.executors.node_store.exchange import Arrivals, NotTaken, claimed_by, wanted
 from slamhive.executors.node_store.on_node.connection import FROM_HEADER, OVER, SHA256_HEADER, TOTAL_HEADER
-from slamhive.executors.node_store.on_node.mirror import MOST_BODY_BYTES
+from slamhive.executors.node_store.on_node.results import MOST_BODY_BYTES
 from slamhive.executors.node_store.on_node.run import ARCHITECTURE
 from slamhive.executors.node_store.registrations import Registration, Registrations
-from slamhive.http_server import HttpServer, Limits, listen
-from slamhive.settings import Settings
 
 logger = logging.getLogger(__name__)
 
@@ -134,7 +133,7 @@ class NodeServer:
         self._server = HttpServer(
             NodeService(data),
             listen(host, port, "port in NODE_ADDRESS"),
-            Limits(MOST_CONNECTIONS, MOST_CONNECTIONS, idle_s=300),
+            ServerLimits(MOST_CONNECTIONS, MOST_CONNECTIONS, idle_s=300),
             threads=THREADS,
             max_request_body_size=2 * MOST_BODY_BYTES,
         )

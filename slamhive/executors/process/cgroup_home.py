@@ -14,7 +14,7 @@ members of a group no controllers of their own as long as the group holds proces
 Systemd decides who may do this, not file permissions. The manager of a unit that it has not delegated takes its
 controllers back whenever it likes (https://systemd.io/CGROUP_DELEGATION).
 
-A process in such a unit starts its supervisors in a scope of their own (:mod:`slamhive.executors.process.scope`).
+A process in such a unit starts its supervisors in a scope of their own (:mod:`slamhive.executors.process.cgroup_home`).
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -42,7 +43,7 @@ _ROUNDS = 100
 
 
 @dataclass(frozen=True, slots=True)
-class Home:
+class CgroupHome:
     """Where groups of runs are made.
 
     Attributes:
@@ -66,7 +67,7 @@ class Home:
         return self.folder.name if (self.folder / "cgroup.type").exists() else "the root group"
 
 
-def find_home(root: Path = CGROUP_ROOT, own: Path = OWN_GROUP, *, own_scope: bool = False) -> Home:
+def find_home(root: Path = CGROUP_ROOT, own: Path = OWN_GROUP, *, own_scope: bool = False) -> CgroupHome:
     """Look for the home of this process, and change nothing. Raises DoesNotHold with the reason.
 
     Args:
@@ -85,7 +86,7 @@ def find_home(root: Path = CGROUP_ROOT, own: Path = OWN_GROUP, *, own_scope: boo
     folders = {name: folder for name, folder in found.items() if folder is not None}
     if "pids" not in folders:
         raise DoesNotHold(f"this user cannot make a group below {root}/pids")
-    return Home(1, folders)
+    return CgroupHome(1, folders)
 
 
 def _v1_folder(tree: Path, own: str) -> Path | None:
@@ -96,7 +97,7 @@ def _v1_folder(tree: Path, own: str) -> Path | None:
     return None
 
 
-def _v2_home(root: Path, own: str, *, own_scope: bool) -> Home:
+def _v2_home(root: Path, own: str, *, own_scope: bool) -> CgroupHome:
     group = root / own.lstrip("/")
     folder = group.parent if group.name == LEAF else group
     if not _can_be_changed(folder):
@@ -110,7 +111,7 @@ def _v2_home(root: Path, own: str, *, own_scope: bool) -> Home:
     enabled = _enabled(folder)
     # A group whose threaded controllers alone are enabled may hold processes, but then no run can enter a group in it.
     settled = "pids" in enabled and ("memory" in enabled or "memory" not in controllers) and not _is_threaded(folder)
-    return Home(2, dict.fromkeys(enabled if settled else controllers, folder), settled)
+    return CgroupHome(2, dict.fromkeys(enabled if settled else controllers, folder), settled)
 
 
 def _can_be_changed(folder: Path) -> bool:
@@ -171,7 +172,7 @@ def _is_threaded(folder: Path) -> bool:
         return False
 
 
-def settle(home: Home) -> Home:
+def settle(home: CgroupHome) -> CgroupHome:
     """Make ``home`` ready for groups of runs: empty it into its leaf, and enable its controllers. Raises DoesNotHold.
 
     Several supervisors may do so at once: every step may have been made before.
@@ -188,7 +189,7 @@ def settle(home: Home) -> Home:
     return replace(home, folders=dict.fromkeys(enabled, home.folder), settled=True)
 
 
-def _empty_and_enable(home: Home) -> None:
+def _empty_and_enable(home: CgroupHome) -> None:
     folder = home.folder
     # One write for all. With memory among them the kernel refuses it (EBUSY) while the group holds a process. Without,
     # pids and cpu would be taken even then, and would turn the group into a threaded one that no run can live in.
@@ -232,7 +233,7 @@ def _undo_threads(folder: Path) -> None:
             (folder / "cgroup.subtree_control").write_text(f"-{controller}", encoding="ascii")
 
 
-def smallest_limit_above(home: Home, file: str, root: Path = CGROUP_ROOT) -> tuple[str, int] | None:
+def smallest_limit_above(home: CgroupHome, file: str, root: Path = CGROUP_ROOT) -> tuple[str, int] | None:
     """The smallest limit of the groups around the runs: the group's name and the limit; None if there is none.
 
     Args:
@@ -263,3 +264,66 @@ def _smallest_limit(folder: Path, file: str, root: Path) -> tuple[str, int] | No
         with contextlib.suppress(OSError, ValueError):  # no such controller there, or "max"
             limits.append((group.name, int((group / file).read_text(encoding="ascii"))))
     return min(limits, key=lambda limit: limit[1], default=None)
+
+
+# A scope of its own for a supervisor, where systemd manages this process in a unit that it has not delegated.
+#
+# That is the case in an ssh session, on a desktop, and in a service without ``Delegate=yes``. The manager of this
+# user, or that of the machine for root, makes the scope, and the supervisor makes the group of its run in there. The
+# worker stays where it is. The scope ends with its last process.
+
+
+OWN_SCOPE = "--own-scope"
+NO_SCOPE = "--no-scope"
+"""Arguments of programs that are started by :func:`run_in_scope`."""
+_RUNNING_SYSTEMD = Path("/run/systemd/system")
+
+
+def scope_wanted(root: Path = CGROUP_ROOT, systemd: Path = _RUNNING_SYSTEMD) -> bool:
+    """Return whether only systemd can give this process a group to make others in. Only looks.
+
+    Args:
+        root: Where the control groups are mounted. Version 1 is used without systemd's help.
+        systemd: The folder that is there if systemd runs this machine.
+    """
+    if not systemd.is_dir() or not (root / "cgroup.controllers").exists():
+        return False
+    try:
+        find_home(root)
+    except DoesNotHold:
+        return True
+    return False
+
+
+def run_in_scope(command: Sequence[str], environment: Mapping[str, str], output: int) -> str | None:
+    """Run ``command`` in a scope, with the argument ``--own-scope``; why that failed, or None.
+
+    Args:
+        command: A program that forks, or ends soon.
+        environment: Its variables. Those that lead to the user's manager are added.
+        output: The file descriptor for what it prints.
+    """
+    program = shutil.which("systemd-run")
+    if program is None:
+        return "systemd-run is missing"
+    manager, variables = manager_of_user(os.geteuid(), os.environ)
+    arguments = ["--scope", "--quiet", "--collect", "--property=Delegate=yes", "--description=SLAM Hive run", "--"]
+    words = [program, *manager, *arguments, *command, OWN_SCOPE]
+    start = os.lseek(output, 0, os.SEEK_CUR)
+    try:
+        ended = subprocess.run(
+            words,
+            env={**environment, **variables},
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            cwd="/",
+            check=False,
+            timeout=_ANSWER_S,
+        )
+    except subprocess.TimeoutExpired:
+        return f"systemd-run did not answer within {_ANSWER_S:.0f} s"
+    if ended.returncode == 0:
+        return None
+    said = os.pread(output, os.lseek(output, 0, os.SEEK_CUR) - start, start).decode(errors="replace").strip()
+    return said.splitlines()[-1] if said else f"systemd-run ended with {ended.returncode}"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from slamhive.clock import monotonic_s
+from slamhive.base.clock import monotonic_s
 from slamhive.executors.process.priority import urgent
 from slamhive.executors.process.table import ProcessEntry, descendants, living, read_process, tasks_on_machine
 from slamhive.executors.status import UsageSource
@@ -47,7 +47,7 @@ class ContainmentRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class ContainmentLook:
     """The state of a run: whether it is refused processes or has too many, and whether a memory limit killed any."""
 
     refused: bool = False
@@ -105,7 +105,7 @@ class Containment(Protocol):
     def enter(self) -> None:
         """In the run's first process, before it becomes the algorithm. Raises OSError."""
 
-    def look(self, tree: ProcessTree) -> Look:
+    def look(self, tree: ProcessTree) -> ContainmentLook:
         """Compare the run with its limits; ``tree`` are the processes below the supervisor."""
 
     def members(self) -> list[ProcessEntry]:

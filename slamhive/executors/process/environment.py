@@ -23,13 +23,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import slamhive
-from slamhive.catalogue.image_context import RUNTIME_PARTS, copy_parts
-from slamhive.debian import install_command
+from slamhive.base.debian import install_command
+from slamhive.base.errors import Unavailable
+from slamhive.base.files import hash_files, sweep_folder, temporary_folder
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.errors import Unavailable
 from slamhive.executors.base import ImageMissing, ProgressCallback
 from slamhive.executors.build_program import run_program
-from slamhive.files import hash_files, sweep_folder, temporary_folder
+from slamhive.packages.image_context import RUNTIME_PARTS, copy_parts
 
 REQUIREMENTS_FILE = "requirements.txt"
 NO_DEPS_FILE = "requirements-no-deps.txt"

@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from slamhive.executors.base import ExecutorContext
-from slamhive.executors.local_files import make_own_copies, read_places, written_places
 from slamhive.executors.process.environment import Environment
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.spec import RunSpec
+from slamhive.executors.transfer import make_own_copies, read_places, written_places
 
 CONTAINER_ROOT = "/slamhive"
 KEY_VARIABLE = "SLAMHIVE_RUN_KEY"

@@ -16,12 +16,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
-from slamhive.clock import monotonic_s
+from slamhive.base.clock import monotonic_s
 from slamhive.executors.cgroup import CGROUP_ROOT, CgroupV1, CgroupV2, TaskCounter, parse_flat
-from slamhive.executors.process.cgroup_home import V1_CONTROLLERS, V2_CONTROLLERS, Home, smallest_limit_above
-from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
+from slamhive.executors.process.cgroup_home import V1_CONTROLLERS, V2_CONTROLLERS, CgroupHome, smallest_limit_above
+from slamhive.executors.process.containment_base import ContainmentLook, ContainmentRequest, DoesNotHold, ProcessTree
 from slamhive.executors.process.table import ProcessEntry, end_all, living, read_process
-from slamhive.executors.refusal_watch import REFUSAL_PATIENCE_S
+from slamhive.executors.sampler import REFUSAL_PATIENCE_S
 from slamhive.executors.status import UsageSource
 
 PREFIX = "slamhive-"
@@ -82,7 +82,7 @@ class RunCgroup(ABC):
         return "cpu" in self._limited
 
     @staticmethod
-    def make(request: ContainmentRequest, home: Home) -> RunCgroup:
+    def make(request: ContainmentRequest, home: CgroupHome) -> RunCgroup:
         """Make the group with its limits, and check that processes can enter it. Raises DoesNotHold."""
         name = group_name(request.installation, request.key)
         folders = {controller: parent / name for controller, parent in home.folders.items()}
@@ -99,7 +99,7 @@ class RunCgroup(ABC):
         return group
 
     @staticmethod
-    def foreseen(request: ContainmentRequest, home: Home) -> RunCgroup:
+    def foreseen(request: ContainmentRequest, home: CgroupHome) -> RunCgroup:
         """The group as far as a look at its home shows it, for :meth:`words` alone. Nothing is made."""
         limited = frozenset(home.folders) & {"pids", "memory", "cpu"}
         swap = {"swap"} if "memory" in limited and (home.folder / "memory.swap.max").exists() else set()
@@ -139,10 +139,10 @@ class RunCgroup(ABC):
         for folder in set(self._folders.values()):
             (folder / "cgroup.procs").write_text("0", encoding="ascii")
 
-    def look(self, tree: ProcessTree) -> Look:  # noqa: ARG002 - the seam's signature
+    def look(self, tree: ProcessTree) -> ContainmentLook:  # noqa: ARG002 - the seam's signature
         """Implement :class:`Containment`."""
         killed = self.holds_memory and self._count("memory", self.oom_file, "oom_kill") > 0
-        return Look(self._counter.refused(), killed)
+        return ContainmentLook(self._counter.refused(), killed)
 
     def members(self) -> list[ProcessEntry]:
         """Implement :class:`Containment`. A run of the same user may have made groups in its group."""
@@ -336,14 +336,14 @@ class RunCgroupV2(RunCgroup):
 VERSIONS: dict[int, type[RunCgroup]] = {1: RunCgroupV1, 2: RunCgroupV2}
 
 
-def place_of(home: Home, request: ContainmentRequest) -> str:
+def place_of(home: CgroupHome, request: ContainmentRequest) -> str:
     """Where the group is, for the user; empty for version 1, which has a place for each controller."""
     if home.version == 1:
         return ""
     return "a scope of its own" if request.own_scope else home.name
 
 
-def limits_above(home: Home, request: ContainmentRequest) -> dict[str, str]:
+def limits_above(home: CgroupHome, request: ContainmentRequest) -> dict[str, str]:
     """Words for the smallest limits above that a run would meet before its own: {controller: words}."""
     words = {}
     if (tasks := smallest_limit_above(home, "pids.max", CGROUP_ROOT)) is not None and tasks[1] < request.tasks:

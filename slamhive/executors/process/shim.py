@@ -25,14 +25,14 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from slamhive.clock import utc_now
-from slamhive.errors import Unavailable
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Unavailable
+from slamhive.base.files import is_full, write_aside
+from slamhive.executors.process.cgroup_home import NO_SCOPE, OWN_SCOPE
 from slamhive.executors.process.containment_base import DoesNotHold
 from slamhive.executors.process.exit_file import reserve
-from slamhive.executors.process.scope import NO_SCOPE, OWN_SCOPE
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.supervisor import Supervisor
-from slamhive.files import is_full, write_aside
 
 LOCK_FILE = "shim.lock"
 IDENTITY_FILE = "shim.json"

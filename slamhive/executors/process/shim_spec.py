@@ -6,8 +6,8 @@ import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from slamhive.base.files import write_aside
 from slamhive.executors.process.containment_base import ContainmentRequest
-from slamhive.files import write_aside
 
 SPEC_FILE = "shim-spec.json"
 

@@ -14,25 +14,24 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from slamhive.clock import monotonic_s, utc_now
+from slamhive.base.clock import monotonic_s, utc_now
 from slamhive.executors.cgroup import CGROUP_ROOT
-from slamhive.executors.process import namespaces
-from slamhive.executors.process.capped_log import CappedLog
-from slamhive.executors.process.containment import choose_containment
-from slamhive.executors.process.containment_base import ProcessTree
-from slamhive.executors.process.exit_file import LostOutput, reap, write_exit
-from slamhive.executors.process.landlock import confine_writes
-from slamhive.executors.process.linux import (
+from slamhive.executors.process import confinement
+from slamhive.executors.process.confinement import (
     PR_SET_CHILD_SUBREAPER,
     PR_SET_NO_NEW_PRIVS,
     PR_SET_PDEATHSIG,
+    confine_writes,
     limit_resources,
     prctl,
 )
+from slamhive.executors.process.containment import choose_containment
+from slamhive.executors.process.containment_base import ProcessTree
+from slamhive.executors.process.exit_file import CappedLog, LostOutput, reap, write_exit
 from slamhive.executors.process.priority import raise_supervisor, urgent
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.table import end_all, process_birth, send, send_to_group
-from slamhive.executors.refusal_watch import RefusalWatch
+from slamhive.executors.sampler import RefusalWatch
 from slamhive.executors.status import Protections
 
 OUTPUT_FOLDER = "output"
@@ -62,7 +61,7 @@ class Supervisor:
         request = replace(spec.containment_request(), own_scope=own_scope, no_scope=no_scope)
         chosen = choose_containment(request, spec.containment)
         self._containment = chosen.containment
-        refused = namespaces.refused_because()
+        refused = confinement.refused_because()
         self._apart = refused is None
         self._does_not_hold = dict(chosen.does_not_hold)
         if refused is not None:
@@ -139,14 +138,14 @@ class Supervisor:
             if cores := self._cores():
                 os.sched_setaffinity(0, cores)
             if self._apart:
-                namespaces.enter_namespaces()
+                confinement.enter_namespaces()
                 for path in self._spec.read_only or ():
-                    namespaces.make_read_only(path)
+                    confinement.make_read_only(path)
             self._containment.enter()
             if self._apart:
                 # Under version 2 the files of the group belong to the user, so the run could leave it.
                 with contextlib.suppress(OSError):  # a user of its own may not mount, nor change any group
-                    namespaces.make_read_only(str(CGROUP_ROOT))
+                    confinement.make_read_only(str(CGROUP_ROOT))
             # Only now: a change of user would undo it.
             prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
             # As in containers. This user could neither measure nor end a process of another user.

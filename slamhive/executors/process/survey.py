@@ -18,11 +18,10 @@ from pathlib import Path
 
 import slamhive
 from slamhive.executors.process import priority
-from slamhive.executors.process.cgroup_home import find_home
+from slamhive.executors.process.cgroup_home import OWN_SCOPE, find_home, run_in_scope, scope_wanted
 from slamhive.executors.process.containment import choose_containment
 from slamhive.executors.process.containment_base import Containment, ContainmentRequest, DoesNotHold
 from slamhive.executors.process.run_cgroup import RunCgroup
-from slamhive.executors.process.scope import OWN_SCOPE, run_in_scope, scope_wanted
 from slamhive.executors.process.table import read_process
 from slamhive.executors.status import Protections
 

@@ -10,8 +10,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from slamhive.clock import monotonic_s
-from slamhive.executors.boot import boot_id
+from slamhive.base.clock import monotonic_s
+from slamhive.base.machine import boot_id
 
 _PROC = Path("/proc")
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")

@@ -16,8 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from slamhive.executors.process.containment_base import ContainmentRequest, DoesNotHold, Look, ProcessTree
-from slamhive.executors.process.linux import (
+from slamhive.executors.process.confinement import (
     CAP_DAC_OVERRIDE,
     CAP_DAC_READ_SEARCH,
     PR_SET_KEEPCAPS,
@@ -25,8 +24,9 @@ from slamhive.executors.process.linux import (
     keep_only,
     prctl,
 )
+from slamhive.executors.process.containment_base import ContainmentLook, ContainmentRequest, DoesNotHold, ProcessTree
 from slamhive.executors.process.table import ProcessEntry, end_all, living, processes_of_user
-from slamhive.executors.refusal_watch import REFUSAL_PATIENCE_S
+from slamhive.executors.sampler import REFUSAL_PATIENCE_S
 
 FIRST_UID = 200_000
 USERS = 64
@@ -109,9 +109,9 @@ class UserLimit:
         if self._reads_with is not None:
             keep_only(self._reads_with)
 
-    def look(self, tree: ProcessTree) -> Look:
+    def look(self, tree: ProcessTree) -> ContainmentLook:
         """Implement :class:`Containment`."""
-        return Look(refused=tree.tasks() > self._tasks)
+        return ContainmentLook(refused=tree.tasks() > self._tasks)
 
     def members(self) -> list[ProcessEntry]:
         """Implement :class:`Containment`. Empty if another run has the user by now."""

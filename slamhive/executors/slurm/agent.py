@@ -22,17 +22,17 @@ from types import FrameType
 from typing import Any
 
 import slamhive
-from slamhive.catalogue.dataset_file import DATASET_FILE
-from slamhive.clock import monotonic_s, utc_now
-from slamhive.errors import SlamHiveError
+from slamhive.base.clock import monotonic_s, utc_now
+from slamhive.base.errors import SlamHiveError
+from slamhive.base.files import write_aside
+from slamhive.base.tree import folder_bytes, remove_tree
+from slamhive.documents.model import adapter
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.node_store.controller import item_name, live_place
 from slamhive.executors.node_store.on_node.cache import CacheFull, Held, Item
-from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused
-from slamhive.executors.node_store.on_node.fetch import Fetcher, WrongContent
+from slamhive.executors.node_store.on_node.connection import Away, Connection, Fetcher, NodeRefused, WrongContent
 from slamhive.executors.node_store.on_node.making import BAG, VARIANT_FILE, hold_variant, read_made, words_of
-from slamhive.executors.node_store.on_node.mirror import Mirror, Watched
-from slamhive.executors.node_store.on_node.results import Output
+from slamhive.executors.node_store.on_node.results import Mirror, Output, Watched
 from slamhive.executors.node_store.on_node.run import (
     Claimed,
     Reporter,
@@ -52,12 +52,10 @@ from slamhive.executors.process.shim import IDENTITY_FILE
 from slamhive.executors.process.supervisor import OUTPUT_FOLDER
 from slamhive.executors.slurm.containers import give_container_orders
 from slamhive.executors.slurm.image_folders import ImageFolder
-from slamhive.executors.slurm.job import ERRORS_FILE
+from slamhive.executors.slurm.jobs import ERRORS_FILE
 from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE
 from slamhive.executors.spec import RECORDING, RunSpec
-from slamhive.files import write_aside
-from slamhive.schema.model import adapter
-from slamhive.tree import folder_bytes, remove_tree
+from slamhive.packages.dataset_file import DATASET_FILE
 
 PROGRESS_FILE = "progress.json"
 GONE_FILE = "gone.json"
@@ -67,7 +65,7 @@ _CLAIM_PATIENCE_S = 600.0
 _STEP_S = 0.05
 _COUNT_S = 1.0
 _FAILED = 1
-_PROBLEMS = (WrongNode, WrongContent, CacheFull, Refused, Away, OSError, SlamHiveError)
+_PROBLEMS = (WrongNode, WrongContent, CacheFull, NodeRefused, Away, OSError, SlamHiveError)
 
 
 class _Ended(Exception):
@@ -202,7 +200,7 @@ def run(ticket: Ticket) -> int:
     except _PROBLEMS as error:
         print(error, file=sys.stderr)  # noqa: T201 - for who looks at the job itself
         _say(connection, work, str(error))
-        if not (work / EXIT_FILE).exists() or (isinstance(error, Refused) and error.over):
+        if not (work / EXIT_FILE).exists() or (isinstance(error, NodeRefused) and error.over):
             remove_run(folder)
     return _FAILED
 
@@ -278,7 +276,7 @@ def _written(spec: RunSpec) -> Iterator[Path]:
 
 def _say(connection: Connection, work: Path, words: str) -> None:
     """Let the controller know in the last line why the job fails."""
-    with contextlib.suppress(Refused, Away, OSError):
+    with contextlib.suppress(NodeRefused, Away, OSError):
         with (work / ERRORS_FILE).open("a") as stream:
             stream.write(f"{words}\n")
         Mirror(connection, [Watched(ERRORS_FILE, work / ERRORS_FILE)]).finish()

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shlex
 import subprocess
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import Any
 
-from slamhive.errors import Forbidden, InvalidInput
+from slamhive.base.clock import monotonic_s
+from slamhive.base.errors import Forbidden, InvalidInput
 from slamhive.executors.base import EngineUnavailable, StartFailed
 from slamhive.executors.process.paths import INHERITED
-from slamhive.executors.slurm.arrays import Submission, comments_of_tasks, tasks_in
+from slamhive.executors.slurm.jobs import ArraySubmission, JobRequest, chunks, comments_of_tasks, submission, tasks_in
 
 ALLOWED_OPTIONS = frozenset(
     ("partition", "account", "qos", "constraint", "gres", "exclusive", "exclude", "nodelist", "reservation")
@@ -42,12 +46,12 @@ _UNKNOWN_TASK = "Slurm does not know it any more"
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class SlurmJob:
     """One job as ``squeue`` shows it.
 
     Attributes:
         number: Of the job; of a task that waits, that of its array.
-        comment: Names its run; see :mod:`slamhive.executors.slurm.arrays`.
+        comment: Names its run; see :mod:`slamhive.executors.slurm.jobs`.
         states: The state and, from Slurm 23.11 on, its flags.
         reason: Why it is in this state.
         node: Where it is or was; empty if nowhere yet.
@@ -122,7 +126,7 @@ def read_options(text: str) -> list[str]:
     return options
 
 
-def parse_jobs(text: str) -> list[Job]:
+def parse_jobs(text: str) -> list[SlurmJob]:
     """The jobs in the output of ``squeue --json``. Raises EngineUnavailable if it is something else."""
     try:
         content = json.loads(text)
@@ -138,14 +142,16 @@ def parse_jobs(text: str) -> list[Job]:
     return jobs
 
 
-def _jobs(entries: Sequence[dict[str, Any]]) -> list[Job]:
+def _jobs(entries: Sequence[dict[str, Any]]) -> list[SlurmJob]:
     """Each job and each task. Tasks that wait have one entry together, and those that were cancelled then have none."""
-    found: list[Job] = []
+    found: list[SlurmJob] = []
     arrays: dict[int, tuple[list[str], set[int]]] = {}
     for entry in entries:
         state = entry["job_state"]
         states = (state,) if isinstance(state, str) else tuple(state)
-        job = Job(int(entry["job_id"]), entry["comment"] or "", states, entry["state_reason"], entry["nodes"] or "")
+        job = SlurmJob(
+            int(entry["job_id"]), entry["comment"] or "", states, entry["state_reason"], entry["nodes"] or ""
+        )
         array, comments = _number(entry.get("array_job_id")), comments_of_tasks(job.comment)
         if not array or not comments:
             found.append(job)
@@ -156,7 +162,7 @@ def _jobs(entries: Sequence[dict[str, Any]]) -> list[Job]:
         found += [replace(job, comment=comments[task], task=(array, task)) for task in tasks]
     for array, (comments, known) in arrays.items():
         missing = set(range(len(comments))) - known
-        found += [Job(array, comments[task], ("CANCELLED",), _UNKNOWN_TASK, "", (array, task)) for task in missing]
+        found += [SlurmJob(array, comments[task], ("CANCELLED",), _UNKNOWN_TASK, "", (array, task)) for task in missing]
     return found
 
 
@@ -167,7 +173,7 @@ def _number(value: Any) -> int | None:
     return None if value is None else int(value)
 
 
-def list_jobs() -> list[Job]:
+def list_jobs() -> list[SlurmJob]:
     """The jobs of this user that the controller remembers: those that wait, run, or ended some minutes ago.
 
     Older versions list those of others as well.
@@ -175,7 +181,7 @@ def list_jobs() -> list[Job]:
     return parse_jobs(_run(["squeue", "--json", "--me"]))
 
 
-def accounted_jobs(number: str) -> list[Job]:
+def accounted_jobs(number: str) -> list[SlurmJob]:
     """The job with this number as the accounting database remembers it; nothing without one, or if it is away."""
     if not number:
         return []
@@ -190,27 +196,27 @@ def accounted_jobs(number: str) -> list[Job]:
         return []
 
 
-def parse_accounted(text: str) -> list[Job]:
+def parse_accounted(text: str) -> list[SlurmJob]:
     """The lines of ``sacct``; those of another form are left out. Who ended a job stands behind its state."""
     found = []
     for line in text.splitlines():
         number, state, reason, node = (*line.replace(_NOWHERE, "").split("|"), "", "", "")[:4]
         if number.isdigit() and state:
-            found.append(Job(int(number), "", (state.split()[0],), reason or "None", node))
+            found.append(SlurmJob(int(number), "", (state.split()[0],), reason or "None", node))
     return found
 
 
-def submit(submission: Submission) -> None:
+def submit(submission: ArraySubmission) -> None:
     """Submit a job or an array. Raises StartFailed with the words of ``sbatch`` if Slurm refuses it."""
     _run(["sbatch", "--parsable", *submission.arguments], submission.script)
 
 
-def send_signal(job: Job, name: str) -> None:
+def send_signal(job: SlurmJob, name: str) -> None:
     """Send a signal to the process of the job's script alone. Does nothing if the job has ended."""
     _cancel(["--batch", f"--signal={name}", job.name])
 
 
-def cancel(job: Job) -> None:
+def cancel(job: SlurmJob) -> None:
     """End the job. Does nothing if it has ended."""
     _cancel([job.name])
 
@@ -231,7 +237,7 @@ def ping() -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Node:
+class SlurmNode:
     """One node as ``sinfo`` shows it."""
 
     name: str
@@ -251,19 +257,19 @@ class Node:
         return self.state.startswith("drain")
 
 
-def list_nodes(options: Sequence[str]) -> list[Node]:
+def list_nodes(options: Sequence[str]) -> list[SlurmNode]:
     """The nodes of the partition that ``options`` name, or of all partitions."""
     partition = [option for option in options if option.startswith("--partition=")]
     return parse_nodes(_run(["sinfo", "--noheader", "--Node", "--format=%N %T %c %m %G", *partition]))
 
 
-def parse_nodes(text: str) -> list[Node]:
+def parse_nodes(text: str) -> list[SlurmNode]:
     """The lines of ``sinfo``, which has one for each partition of a node. Raises EngineUnavailable for others."""
-    found: dict[str, Node] = {}
+    found: dict[str, SlurmNode] = {}
     try:
         for line in filter(str.strip, text.splitlines()):
             name, state, cpus, memory, *gres = line.split()
-            found[name] = Node(name, state, int(cpus.rstrip("+")), int(memory.rstrip("+")), "".join(gres))
+            found[name] = SlurmNode(name, state, int(cpus.rstrip("+")), int(memory.rstrip("+")), "".join(gres))
     except ValueError:
         raise EngineUnavailable(f"sinfo answered something unknown: {line[:80]!r}", "try sinfo by hand") from None
     return [found[name] for name in sorted(found)]
@@ -319,3 +325,83 @@ def _failure(program: str, said: str) -> EngineUnavailable | StartFailed:
     if any(words in lower for words in _NO_CONFIGURATION):
         return EngineUnavailable("Slurm has no configuration on this machine", "set SLURM_CONF, or use a login node")
     return StartFailed(f"{program} refuses: {text}", "compare SLURM_OPTIONS and the limits of the run with sinfo")
+
+
+# Slurm as a worker's threads share it: one look at the jobs for all who ask, one ``sbatch`` for all who submit.
+
+
+logger = logging.getLogger(__name__)
+
+
+class Queue:
+    """The jobs that Slurm knows, and the way to further ones. Safe to share between threads.
+
+    Args:
+        read: Lists the jobs.
+        send: Submits a job or an array.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[], list[SlurmJob]] = list_jobs,
+        send: Callable[[ArraySubmission], None] = submit,
+    ) -> None:
+        self._read, self._send = read, send
+        self._reading, self._sending, self._noting = threading.Lock(), threading.Lock(), threading.Lock()
+        self._jobs: list[SlurmJob] = []
+        self._read_at_s: float | None = None
+        self._waiting: list[tuple[JobRequest, Future[None]]] = []
+
+    def jobs(self, age_s: float) -> list[SlurmJob]:
+        """The jobs as they were at most ``age_s`` ago. Whoever waits for the look of another thread takes the next."""
+        oldest_s = monotonic_s() - age_s
+        with self._reading:
+            if self._read_at_s is None or self._read_at_s < oldest_s:
+                begun_s = monotonic_s()
+                self._jobs = self._read()
+                self._read_at_s = begun_s
+            return self._jobs
+
+    def forget(self) -> None:
+        """Mark what was read as out of date."""
+        with self._reading:
+            self._read_at_s = None
+
+    def submit(self, request: JobRequest) -> None:
+        """Return when Slurm has the job. What is asked for while another ``sbatch`` works goes out in an array.
+
+        So nobody waits for company, and a slow Slurm is asked less often. Raises what :func:`command.submit` raises.
+        """
+        answer: Future[None] = Future()
+        with self._noting:
+            self._waiting.append((request, answer))
+        with self._sending:
+            if not answer.done():
+                self._send_waiting()
+        self.forget()
+        answer.result()
+
+    def _send_waiting(self) -> None:
+        with self._noting:
+            waiting, self._waiting = self._waiting, []
+        answers = {id(request): answer for request, answer in waiting}
+        for chunk in chunks(request for request, _ in waiting):
+            self._send_chunk(chunk, [answers[id(request)] for request in chunk])
+
+    def _send_chunk(self, requests: Sequence[JobRequest], answers: Sequence[Future[None]]) -> None:
+        try:
+            self._send(submission(requests))
+        except StartFailed as error:
+            if len(requests) > 1:
+                # Arrays may be switched off, or too many for a limit that lets some of the jobs through.
+                logger.info("Slurm takes no array of %d jobs: %s", len(requests), error.message)
+                for request, answer in zip(requests, answers, strict=True):
+                    self._send_chunk([request], [answer])
+                return
+            answers[0].set_exception(error)
+        except Exception as error:  # noqa: BLE001 - it is raised where the answer is awaited
+            for answer in answers:
+                answer.set_exception(error)
+        else:
+            for answer in answers:
+                answer.set_result(None)

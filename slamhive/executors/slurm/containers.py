@@ -9,28 +9,27 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from slamhive.catalogue.image_context import CONTENT_LABEL, context_hash, dockerfile_of
+from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.domain.algorithm import AlgorithmPackage, RunUser
-from slamhive.errors import InvalidInput, Unavailable
 from slamhive.executors.base import (
     Executor,
     ExecutorContext,
-    Finding,
     ImageMissing,
     LiveKeys,
     PackageNeed,
     ProgressCallback,
+    ProtectionFinding,
     StartFailed,
 )
-from slamhive.executors.local_files import make_own_copies, read_places, written_places
 from slamhive.executors.process.paths import orders_for_limits
 from slamhive.executors.process.shim_spec import ShimSpec
-from slamhive.executors.slurm.docker_archive import make_mount_point
 from slamhive.executors.slurm.executor import SlurmExecutor
-from slamhive.executors.slurm.image_folders import ImageFolder, ImageFolders
+from slamhive.executors.slurm.image_folders import ImageFolder, ImageFolders, make_mount_point
 from slamhive.executors.slurm.options import CONTAINERS
 from slamhive.executors.slurm.runtimes import APPTAINER, AUTO, NONE, RUNTIMES, ContainerOrders, write_sif
 from slamhive.executors.spec import DATASET_TARGET, ROS_ENVIRONMENT, RunSpec
+from slamhive.executors.transfer import make_own_copies, read_places, written_places
+from slamhive.packages.image_context import CONTENT_LABEL, context_hash, dockerfile_of
 
 logger = logging.getLogger(__name__)
 
@@ -61,10 +60,10 @@ class ContainerSlurmExecutor(SlurmExecutor):
         super().__init__(context)
         self._images = ImageFolders(context.data.resolve())
 
-    def examine(self) -> list[Finding]:
+    def examine(self) -> list[ProtectionFinding]:
         """Also which runtime is used. Only the nodes know which they have."""
         found = f"{self._context.value(CONTAINERS)}; images are {'SIF files' if self._makes_sif else 'folders'}"
-        return [*super().examine(), Finding("SLURM_CONTAINERS", found)]
+        return [*super().examine(), ProtectionFinding("SLURM_CONTAINERS", found)]
 
     def check_package(self, package: AlgorithmPackage) -> None:
         """Raise ImageMissing for a package that has to write into its image."""

@@ -14,45 +14,44 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, ClassVar
 
-from slamhive.errors import Unavailable
+from slamhive.base.errors import Unavailable
 from slamhive.executors.base import (
     Capabilities,
     EngineUnavailable,
     EvaluationPlace,
     ExecutorContext,
-    Finding,
     GpuGiver,
     ImageMissing,
     LiveKeys,
+    Node,
     PackageNeed,
+    ProtectionFinding,
     StartFailed,
 )
 from slamhive.executors.gpu import GpuUse
 from slamhive.executors.host_counters import HostReading
 from slamhive.executors.host_log import handed_over
-from slamhive.executors.nodes import Node
-from slamhive.executors.process.executor import ProcessExecutor, remove_work
-from slamhive.executors.process.exit_file import EXIT_FILE
-from slamhive.executors.process.paths import shim_spec_of
-from slamhive.executors.process.shim import IDENTITY_FILE
-from slamhive.executors.process.supervisors import (
+from slamhive.executors.process.executor import (
     KILL_WAIT_S,
     START_WAIT_S,
+    ProcessExecutor,
     RecordedEnd,
     note_asked,
     read_end,
     read_json,
+    remove_work,
     wait_until,
 )
+from slamhive.executors.process.exit_file import EXIT_FILE
+from slamhive.executors.process.paths import shim_spec_of
+from slamhive.executors.process.shim import IDENTITY_FILE
 from slamhive.executors.slurm import command
-from slamhive.executors.slurm.arrays import comment_of
-from slamhive.executors.slurm.gpu_readings import use_of
-from slamhive.executors.slurm.gres import offers, read_gpu
-from slamhive.executors.slurm.job import ERRORS_FILE, job_commands, job_limits, job_request
-from slamhive.executors.slurm.node import GPU_KEY, HOST_KEY, USAGE_FILE, Place
+from slamhive.executors.slurm.command import Queue
+from slamhive.executors.slurm.gpus import offers, read_gpu, use_of
+from slamhive.executors.slurm.jobs import ERRORS_FILE, comment_of, job_commands, job_limits, job_request
+from slamhive.executors.slurm.node import GPU_KEY, HOST_KEY, USAGE_FILE, JobPlace
 from slamhive.executors.slurm.node_clock import by_this_clock, difference_in_words, start_by_this_clock
 from slamhive.executors.slurm.options import CONTAINERS, GPU, JOB_OPTIONS, OPTIONS, PYTHON
-from slamhive.executors.slurm.queue import Queue
 from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import BY_SIGNAL, Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
@@ -101,12 +100,12 @@ class SlurmExecutor(ProcessExecutor):
             return str(error)
         return problem
 
-    def examine(self) -> list[Finding]:
+    def examine(self) -> list[ProtectionFinding]:
         """Report the version of Slurm, and the additions to each job."""
         options = " ".join(self._options) or "none"
-        return [Finding("version", command.version()), Finding("SLURM_OPTIONS", options)]
+        return [ProtectionFinding("version", command.version()), ProtectionFinding("SLURM_OPTIONS", options)]
 
-    def examine_nodes(self) -> list[Finding]:
+    def examine_nodes(self) -> list[ProtectionFinding]:
         """Report the machine and container runtime of each node, and why the other runtimes cannot be used."""
         return survey(self._options, self._context.value(CONTAINERS), self._context.value(PYTHON))
 
@@ -135,7 +134,7 @@ class SlurmExecutor(ProcessExecutor):
         identity = read_json(work / IDENTITY_FILE)
         if identity is None:
             raise self._why_not_started(spec, work)
-        place = Place.load(work)
+        place = JobPlace.load(work)
         data = {name: str(identity[name]) for name in ("pid", "birth", "started_at")}
         if self.capabilities.shares_files:
             data |= self._by_this_clock(spec, work, place.node, datetime.fromisoformat(identity["started_at"]))
@@ -189,7 +188,7 @@ class SlurmExecutor(ProcessExecutor):
         """Return the status of a run whose job goes on."""
         return Running()
 
-    def _without_end(self, handle: RunHandle, jobs: list[command.Job]) -> RunStatus:
+    def _without_end(self, handle: RunHandle, jobs: list[command.SlurmJob]) -> RunStatus:
         """The status of a run whose jobs are over, but did not record how it ended."""
         jobs = jobs or command.accounted_jobs(handle.data["job"])
         if any("OUT_OF_MEMORY" in job.states for job in jobs):
@@ -312,11 +311,11 @@ class SlurmExecutor(ProcessExecutor):
         if not wait_until(lambda: not self._active(key), START_WAIT_S):
             raise EngineUnavailable(f"Slurm does not end the job of {key}", "see squeue")
 
-    def _active(self, key: str) -> list[command.Job]:
+    def _active(self, key: str) -> list[command.SlurmJob]:
         """The jobs of the key that wait or run now."""
         return [job for job in self._jobs(key, _SHORT_AGE_S) if not job.over]
 
-    def _jobs(self, key: str, age_s: float = _QUEUE_AGE_S) -> list[command.Job]:
+    def _jobs(self, key: str, age_s: float = _QUEUE_AGE_S) -> list[command.SlurmJob]:
         comment = comment_of(self._context.installation, key)
         return [job for job in self._queue.jobs(age_s) if job.comment == comment]
 
@@ -372,11 +371,11 @@ def _end_of(handle: RunHandle, *, shares_files: bool) -> RecordedEnd | None:
     return end._replace(exited=replace(end.exited, started_at=started_at, ended_at=ended_at, timed_out=timed_out))
 
 
-def _said_of(jobs: Sequence[command.Job]) -> str:
+def _said_of(jobs: Sequence[command.SlurmJob]) -> str:
     return "; ".join(job.text for job in jobs) or "Slurm does not know the job any more"
 
 
-def _is_blameless(job: command.Job) -> bool:
+def _is_blameless(job: command.SlurmJob) -> bool:
     """Return whether another job may do better, since it has printed nothing.
 
     One that completes without a run has found the supervisor of another job. One that fails was killed with its node.

@@ -21,27 +21,20 @@ from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from slamhive.clock import monotonic_s, utc_now
-from slamhive.domain.gpu import GivenGpu
-from slamhive.domain.host import Host
+from slamhive.base.clock import monotonic_s, utc_now
+from slamhive.base.files import write_aside
+from slamhive.domain.algorithm import GivenGpu
+from slamhive.domain.run import Host
 from slamhive.executors.host import describe_host
 from slamhive.executors.host_counters import HostCounters, HostReader
 from slamhive.executors.node_store.on_node.connection import unreached_because
+from slamhive.executors.process.executor import START_WAIT_S, containment_of, read_json, supervisor_of, wait_until
 from slamhive.executors.process.shim import IDENTITY_FILE, supervise
 from slamhive.executors.process.shim_spec import ShimSpec
-from slamhive.executors.process.supervisors import (
-    START_WAIT_S,
-    containment_of,
-    read_json,
-    supervisor_of,
-    wait_until,
-)
-from slamhive.executors.process.tree_usage import ProcessTreeSource
-from slamhive.executors.slurm.gpu_readings import GpuReadings
-from slamhive.executors.slurm.gres import VISIBLE, given_gpus
+from slamhive.executors.process.tree_limit import ProcessTreeSource
+from slamhive.executors.slurm.gpus import VISIBLE, GpuReadings, given_gpus
 from slamhive.executors.slurm.runtimes import ContainerOrders, Tried, choose_runtime, command_of, try_runtimes
 from slamhive.executors.status import RunHandle, UsageSource
-from slamhive.files import write_aside
 
 USAGE_FILE = "usage.json"
 GPU_KEY = "gpu"
@@ -51,7 +44,7 @@ _INTERVAL_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class JobPlace:
     """Where a run takes place: the node, its job, and the container runtime with its version; empty for none.
 
     ``gpu`` is what the job got, if it asked for one.
@@ -64,7 +57,7 @@ class Place:
     gpu: GivenGpu | None = None
 
     @classmethod
-    def load(cls, work: Path) -> Place:
+    def load(cls, work: Path) -> JobPlace:
         """Read what :func:`prepare` wrote into the work folder."""
         content = json.loads((work / PLACE_FILE).read_text(encoding="utf-8"))
         gpu = GivenGpu(**content["gpu"]) if content.get("gpu") else None
@@ -107,7 +100,7 @@ def prepare(work: Path, *, gpu: bool = False) -> None:
         spec = replace(ShimSpec.load(work), command=called.arguments, environment=called.environment)
         replace(spec, forwarders=list(called.forwarders)).save(work)
     text = "" if runtime is None else runtime.text
-    place = Place(_node(), os.environ.get("SLURM_JOB_ID", ""), text, describe_host(), next(iter(given), None))
+    place = JobPlace(_node(), os.environ.get("SLURM_JOB_ID", ""), text, describe_host(), next(iter(given), None))
     write_aside(work / PLACE_FILE, json.dumps(asdict(place)))
 
 
@@ -135,7 +128,7 @@ def measure(work: Path) -> None:
     containment = containment_of(handle)
     source: UsageSource = (None if containment is None else containment.usage()) or ProcessTreeSource(supervisor)
     started_at = datetime.fromisoformat(identity["started_at"])
-    meter = Meter(work, source, GpuReadings.of_run(Place.load(work).gpu, supervisor), started_at)
+    meter = Meter(work, source, GpuReadings.of_run(JobPlace.load(work).gpu, supervisor), started_at)
     try:
         while supervisor_of(handle) is not None and meter.write():
             time.sleep(_INTERVAL_S)

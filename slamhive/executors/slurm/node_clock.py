@@ -10,9 +10,9 @@ import json
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from slamhive.clock import utc_now
-from slamhive.executors.process.supervisors import read_json
-from slamhive.files import write_aside
+from slamhive.base.clock import utc_now
+from slamhive.base.files import write_aside
+from slamhive.executors.process.executor import read_json
 
 START_FILE = "started-at.json"
 _PROBE_FILE = "clock-probe"

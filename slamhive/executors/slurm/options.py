@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from slamhive.settings import ExecutorOption
+from slamhive.base.settings import ExecutorOption
 
 JOB_OPTIONS = ExecutorOption(
     "options",

@@ -14,17 +14,26 @@ from pathlib import Path
 from typing import Any
 
 import slamhive
-from slamhive.executors.base import EngineUnavailable, ExecutorContext, Finding, LiveKeys, NodeAccess, StartFailed
-from slamhive.executors.node_store.arrivals import claimed_by, results_archive
+from slamhive.base.files import write_aside
+from slamhive.documents.model import adapter, dump
+from slamhive.executors.base import (
+    EngineUnavailable,
+    ExecutorContext,
+    LiveKeys,
+    Node,
+    NodeAccess,
+    ProtectionFinding,
+    StartFailed,
+)
 from slamhive.executors.node_store.controller import NodeStore, Reports, made_variant
+from slamhive.executors.node_store.exchange import claimed_by, results_archive
 from slamhive.executors.node_store.on_node.making import VARIANT_FILE
 from slamhive.executors.node_store.on_node.run import ARCHITECTURE, Ticket
 from slamhive.executors.node_store.registrations import Offered
-from slamhive.executors.nodes import Node
+from slamhive.executors.process.executor import read_json, wait_until
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.process.shim import IDENTITY_FILE
 from slamhive.executors.process.supervisor import OUTPUT_FOLDER
-from slamhive.executors.process.supervisors import read_json, wait_until
 from slamhive.executors.slurm import command
 from slamhive.executors.slurm.agent import (
     DELIVERING,
@@ -33,19 +42,16 @@ from slamhive.executors.slurm.agent import (
     IMAGE,
     PROGRESS_FILE,
 )
-from slamhive.executors.slurm.arrays import NOWHERE
 from slamhive.executors.slurm.containers import ContainerSlurmExecutor
 from slamhive.executors.slurm.executor import last_line
 from slamhive.executors.slurm.image_folders import ImageFolder
-from slamhive.executors.slurm.job import ERRORS_FILE, delivery_request, ticket_commands
+from slamhive.executors.slurm.jobs import ERRORS_FILE, NOWHERE, delivery_request, ticket_commands
 from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE
 from slamhive.executors.slurm.options import CONTAINERS, PYTHON
 from slamhive.executors.slurm.runtimes import APPTAINER, NONE
 from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import RunInput, RunSpec
 from slamhive.executors.status import Gone, RunHandle, Running, RunStatus
-from slamhive.files import write_aside
-from slamhive.schema.model import adapter, dump
 
 logger = logging.getLogger(__name__)
 
@@ -70,11 +76,11 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
             return f"SLURM_CONTAINERS={NONE} needs a shared file system (SHARED_STORAGE=true)"
         return self._store.unavailable_because() or super().unavailable_because()
 
-    def examine(self) -> list[Finding]:
+    def examine(self) -> list[ProtectionFinding]:
         """Also how data gets to the nodes."""
         return [*super().examine(), self._store.examine()]
 
-    def examine_nodes(self) -> list[Finding]:
+    def examine_nodes(self) -> list[ProtectionFinding]:
         """Also whether nodes reach the worker."""
         value = self._context.value
         return survey(self._options, value(CONTAINERS), value(PYTHON), self._store.url)
@@ -163,7 +169,7 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
         as_of_s = _progress(Path(handle.data["work"])).get("as_of_s")
         return Running(as_of=None if as_of_s is None else datetime.fromtimestamp(as_of_s, UTC))
 
-    def _without_end(self, handle: RunHandle, jobs: list[command.Job]) -> RunStatus:
+    def _without_end(self, handle: RunHandle, jobs: list[command.SlurmJob]) -> RunStatus:
         """A job that is over may have left its results on the node, for example because the worker was away."""
         work = Path(handle.data["work"])
         gone = read_json(work / GONE_FILE)

@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from slamhive.errors import Unavailable
-from slamhive.executors.process import namespaces
-from slamhive.executors.slurm.gres import VISIBLE
-from slamhive.files import write_aside
+from slamhive.base.errors import Unavailable
+from slamhive.base.files import write_aside
+from slamhive.executors.process import confinement
+from slamhive.executors.slurm.gpus import VISIBLE
 
 ORDERS_FILE = "container.json"
 AUTO, NONE, APPTAINER = "auto", "none", "apptainer"
@@ -207,7 +207,7 @@ class Tried:
 
 def try_runtimes(asked: str = AUTO) -> Iterator[Tried]:
     """Examine the runtimes of this node one after the other: all, or the one that was asked for."""
-    refused = namespaces.refused_because()
+    refused = confinement.refused_because()
     return (_try(key, refused) for key in RUNTIMES if asked in (AUTO, key))
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-from slamhive.executors.base import EngineUnavailable, Finding, StartFailed
+from slamhive.executors.base import EngineUnavailable, ProtectionFinding, StartFailed
 from slamhive.executors.slurm import command
-from slamhive.executors.slurm.job import node_program
+from slamhive.executors.slurm.jobs import node_program
 from slamhive.executors.slurm.node import NodeReport
 from slamhive.executors.slurm.runtimes import NONE, Tried, choose_runtime
 
@@ -21,7 +21,7 @@ _REACH = (
 _INSTALL = "install Charliecloud, Apptainer or Podman on the node"
 
 
-def survey(options: Sequence[str], asked: str, python: str, url: str = "") -> list[Finding]:
+def survey(options: Sequence[str], asked: str, python: str, url: str = "") -> list[ProtectionFinding]:
     """One finding for each node. Each node is asked by a short job, the first :data:`MOST_NODES` of them.
 
     Args:
@@ -32,7 +32,7 @@ def survey(options: Sequence[str], asked: str, python: str, url: str = "") -> li
     """
     nodes = command.list_nodes(options)
     findings = [
-        Finding(f"node {node.name}", f"takes no jobs: {node.state}", "see scontrol show node")
+        ProtectionFinding(f"node {node.name}", f"takes no jobs: {node.state}", "see scontrol show node")
         for node in nodes
         if not node.takes_jobs
     ]
@@ -40,28 +40,30 @@ def survey(options: Sequence[str], asked: str, python: str, url: str = "") -> li
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         findings += pool.map(lambda node: _ask(node, options, asked, python, url), ready[:MOST_NODES])
     if len(ready) > MOST_NODES:
-        findings.append(Finding("more nodes", f"{len(ready) - MOST_NODES} were not asked"))
-    return findings or [Finding("nodes", "none", "see sinfo")]
+        findings.append(ProtectionFinding("more nodes", f"{len(ready) - MOST_NODES} were not asked"))
+    return findings or [ProtectionFinding("nodes", "none", "see sinfo")]
 
 
-def _ask(node: command.Node, options: Sequence[str], asked: str, python: str, url: str) -> Finding:
+def _ask(node: command.SlurmNode, options: Sequence[str], asked: str, python: str, url: str) -> ProtectionFinding:
     name = f"node {node.name}"
     try:
         program = node_program("report", *([url] if url else []), python=python)
         said = command.run_on(node.name, options, program, _PATIENCE_S)
         return describe(name, NodeReport.loads(said), asked, url)
     except (StartFailed, EngineUnavailable) as error:
-        return Finding(name, f"{node.state}, not asked: {error.message}", error.remedy or "see squeue")
+        return ProtectionFinding(name, f"{node.state}, not asked: {error.message}", error.remedy or "see squeue")
     except (ValueError, KeyError, TypeError):
-        return Finding(name, f"answered something unknown: {said[:80]!r}", "see whether it shares the installation")
+        return ProtectionFinding(
+            name, f"answered something unknown: {said[:80]!r}", "see whether it shares the installation"
+        )
 
 
-def describe(name: str, report: NodeReport, asked: str, url: str = "") -> Finding:
+def describe(name: str, report: NodeReport, asked: str, url: str = "") -> ProtectionFinding:
     """A report in words: the machine, the runtime that runs will use, why not the others, and if it has no data why."""
     host = report.host
     machine = f"{host.cpu_model}, {host.cpu_count} CPUs, {host.memory_bytes / 1e9:.1f} GB"
     if asked == NONE:
-        return Finding(name, f"{machine}; package environments, no containers")
+        return ProtectionFinding(name, f"{machine}; package environments, no containers")
     candidates = [entry for entry in report.runtimes if asked in ("auto", entry.key)]
     try:
         chosen: Tried | None = choose_runtime(candidates)
@@ -70,5 +72,5 @@ def describe(name: str, report: NodeReport, asked: str, url: str = "") -> Findin
     others = "; ".join(f"not {entry.text}" for entry in report.runtimes if entry.problem)
     found = f"{machine}; {'no container runtime' if chosen is None else chosen.text}{f'; {others}' if others else ''}"
     if report.unreached:
-        return Finding(name, f"{found}; does not reach {url}: {report.unreached}", _REACH)
-    return Finding(name, found, _INSTALL if chosen is None else None)
+        return ProtectionFinding(name, f"{found}; does not reach {url}: {report.unreached}", _REACH)
+    return ProtectionFinding(name, found, _INSTALL if chosen is None else None)

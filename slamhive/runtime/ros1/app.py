@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.errors import InvalidInput
-from slamhive.files import write_aside
+from slamhive.base.errors import InvalidInput
+from slamhive.base.files import write_aside
 from slamhive.runtime.config import RunConfig, load
 from slamhive.runtime.frames import write_frames_csv
 from slamhive.runtime.paths import RunPaths, find_recording

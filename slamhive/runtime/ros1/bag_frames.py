@@ -7,7 +7,7 @@ from pathlib import Path
 
 import rosbag
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.ros1.timing import BagFrame
 
 _HEADER = struct.Struct("<III")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import rosgraph
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.paths import RunPaths
 from slamhive.runtime.progress import Progress, say

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive.lazy import lazy_names
+from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from slamhive.domain.accounts import LOOPBACK_HOSTS
-    from slamhive.services.accounts.need import accounts_needed
-    from slamhive.services.accounts.publishing import published
-    from slamhive.services.accounts.service import LONGEST_TOKEN_DAYS, Accounts, Session, TokenRequest
+    from slamhive.services.accounts.service import (
+        LONGEST_TOKEN_DAYS,
+        Accounts,
+        AccountSession,
+        TokenRequest,
+        accounts_needed,
+        published,
+    )
 
-__all__ = [
-    "LONGEST_TOKEN_DAYS",
-    "LOOPBACK_HOSTS",
-    "Accounts",
-    "Session",
-    "TokenRequest",
-    "accounts_needed",
-    "published",
-]
 
 if not TYPE_CHECKING:
     __getattr__ = lazy_names(__name__)

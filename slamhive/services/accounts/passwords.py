@@ -9,7 +9,7 @@ from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 from argon2.profiles import get_default_parameters
 
-from slamhive.errors import Unavailable
+from slamhive.base.errors import Unavailable
 
 PARAMETERS = get_default_parameters()
 """Neither a setting nor the environment can change them; tests replace them with cheap ones."""

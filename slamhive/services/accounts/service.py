@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from slamhive.clock import utc_now
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, InvalidInput, Unauthenticated
+from slamhive.base.settings import Auth, Mode, Settings
 from slamhive.domain.accounts import (
+    ANYBODY,
+    LOOPBACK_HOSTS,
     MAY,
     Caller,
     Identity,
@@ -22,9 +27,8 @@ from slamhive.domain.accounts import (
     token_may,
 )
 from slamhive.domain.names import check_name
-from slamhive.errors import Conflict, InvalidInput, Unauthenticated
 from slamhive.services.accounts import passwords
-from slamhive.store import Account, AuditLine, Credentials, Key, KeyKind, NewKey, Store, Transaction
+from slamhive.store import Account, AccountCredentials, AuditLine, Key, KeyKind, NewKey, Store, Transaction
 
 SESSION_LASTS = timedelta(days=14)
 LONGEST_TOKEN_DAYS = 366
@@ -35,7 +39,7 @@ _SECRET_BYTES = 32
 
 
 @dataclass(frozen=True, slots=True)
-class Session:
+class AccountSession:
     """Somebody who has signed in; ``secret`` belongs into the browser's cookie."""
 
     secret: str
@@ -127,7 +131,7 @@ class Accounts:
 
     # -- sessions ----------------------------------------------------------------------------------------------------
 
-    def sign_in(self, name: str, password: str) -> Session:
+    def sign_in(self, name: str, password: str) -> AccountSession:
         """Begin a session. Raises Unauthenticated, in the same words and after the same time whatever is wrong."""
         found = self._store.read(lambda t: t.accounts.find(name))
         if not passwords.is_password(None if found is None else found.password_hash, password) or found is None:
@@ -136,9 +140,9 @@ class Accounts:
         secret = secrets.token_urlsafe(_SECRET_BYTES)
         key = self._new_key(KeyKind.SESSION, secret, SESSION_LASTS)
         self._store.write(lambda t: _open_session(t, found, key, renewed))
-        return Session(secret, _session_caller(found.account))
+        return AccountSession(secret, _session_caller(found.account))
 
-    def sign_in_as(self, identity: Identity, new: Role | None = None) -> Session:
+    def sign_in_as(self, identity: Identity, new: Role | None = None) -> AccountSession:
         """Begin a session for somebody whom a provider vouches for.
 
         Args:
@@ -161,19 +165,19 @@ class Accounts:
         secret = secrets.token_urlsafe(_SECRET_BYTES)
         key, known = self._new_key(KeyKind.SESSION, secret, SESSION_LASTS), found
         self._store.write(lambda t: _open_session(t, known, key, None))
-        return Session(secret, _session_caller(found.account))
+        return AccountSession(secret, _session_caller(found.account))
 
-    def _join(self, identity: Identity, role: Role) -> Credentials:
+    def _join(self, identity: Identity, role: Role) -> AccountCredentials:
         """A new account for an identity. It has a password that nobody knows."""
         name, now = account_name_of(identity.name or identity.subject), self._now()
         password_hash = passwords.hash_password(secrets.token_urlsafe(_SECRET_BYTES))
 
-        def work(t: Transaction) -> Credentials:
+        def work(t: Transaction) -> AccountCredentials:
             if t.accounts.find(name, locked=True) is not None:
                 raise Conflict(f"the name {name!r} is taken here", "ask an admin to link it (slamhive account link)")
             account = t.accounts.add(name, role, password_hash, now)
             t.accounts.link(account.id, identity, now)
-            return Credentials(account, password_hash)
+            return AccountCredentials(account, password_hash)
 
         return self._store.write(work)
 
@@ -271,7 +275,7 @@ def _session_caller(account: Account) -> Caller:
     return Caller(MAY[account.role], account.name, account.role)
 
 
-def _open_session(t: Transaction, found: Credentials, key: NewKey, renewed: str | None) -> None:
+def _open_session(t: Transaction, found: AccountCredentials, key: NewKey, renewed: str | None) -> None:
     """Store a session, unless password or account have changed since ``found`` was read."""
     current = t.accounts.find(found.account.name, locked=True)
     if current != found or found.account.disabled_at is not None:
@@ -294,3 +298,29 @@ def _add_token(t: Transaction, name: str, key: NewKey) -> Key:
 
 def _refused() -> Unauthenticated:
     return Unauthenticated("name or password is wrong")
+
+
+# Whether callers of the web server have to sign in.
+
+
+def accounts_needed(settings: Settings, host: str) -> bool:
+    """Whether a server that binds to ``host`` asks who calls. One that only shows never does."""
+    if settings.mode is Mode.VIEW_ONLY:
+        return False
+    if settings.auth is Auth.AUTO:
+        return host not in LOOPBACK_HOSTS
+    return settings.auth is Auth.ACCOUNTS
+
+
+# What leaves an installation that has accounts: what is public, unless somebody asks for all of it.
+
+
+@contextmanager
+def published(store: Store, *, unpublished: bool = False) -> Iterator[None]:
+    """In the block, this thread finds only what is public, if the installation has accounts.
+
+    ``unpublished``: it finds everything all the same.
+    """
+    hides = not unpublished and store.read(lambda t: t.accounts.in_use())
+    with store.seen_by(ANYBODY if hides else store.viewer):
+        yield

@@ -3,41 +3,86 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 from slamhive import __version__
-from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
-from slamhive.clock import utc_now
-from slamhive.domain.run import RunEvent
-from slamhive.errors import Conflict, InvalidInput, SlamHiveError
-from slamhive.files import temporary_folder
-from slamhive.runs.folder import RunFolder
-from slamhive.schema.archive import (
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, InvalidInput, SlamHiveError
+from slamhive.base.files import temporary_folder
+from slamhive.base.settings import Settings
+from slamhive.documents.archive import (
     AlgorithmLine,
     AnalysisLine,
-    CellLine,
+    ArchivedCell,
+    ArchiveManifest,
     ConfigurationLine,
     DatasetLine,
     ExperimentLine,
-    Manifest,
     SearchLine,
 )
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.packages import version_label
+from slamhive.domain.run import RunEvent
+from slamhive.packages.dataset_file import DATASET_FILE, load_dataset
+from slamhive.recordings.staging import recording_files
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.accounts import published
-from slamhive.services.analyses import AnalysisFolder
-from slamhive.services.archive import layout, lines
-from slamhive.services.archive.extras import Extra, Packing, add_recording, add_versions
-from slamhive.services.archive.run_files import Part, files_of_run
+from slamhive.services.archive import layout, writing
+from slamhive.services.archive.layout import ArchivePart, files_of_run, version_member
 from slamhive.services.archive.writing import ArchiveWriter, archive_writer
 from slamhive.services.experiments import RECORD, SOURCE, StoredExperiment
+from slamhive.services.runs import check_dataset_files
+from slamhive.services.stored_analyses import AnalysisFolder
 from slamhive.services.versions import Versions
-from slamhive.settings import Settings
 from slamhive.store import Store, Transaction
-from slamhive.store.experiment_records import ExperimentRecord
 from slamhive.store.filed_runs import EndedEvaluation
-from slamhive.store.records import AlgorithmVersion, RunRecord
+from slamhive.store.records import AlgorithmVersion, ExperimentRecord, RunRecord
+
+# What an export adds on request, so that its runs can be repeated elsewhere: packages, images and recordings.
+
+
+class Extra(StrEnum):
+    """What an export adds."""
+
+    PACKAGES = "packages"
+    IMAGES = "images"
+    RECORDINGS = "recordings"
+
+
+@dataclass(frozen=True, slots=True)
+class Packing:
+    """How versions are packed: by whom, in which empty folder meanwhile, and whether with their images."""
+
+    versions: Versions
+    aside: Path
+    images: bool
+
+
+def add_versions(
+    archive: ArchiveWriter, used: Iterable[tuple[str, AlgorithmVersion]], packing: Packing
+) -> Counter[str]:
+    """Add the versions that runs used; how many images and packages were added. Raises as :meth:`Versions.pack`."""
+    counts: Counter[str] = Counter()
+    for package, version in sorted(used, key=str):
+        record = packing.versions.find(version_label(package, version.number or 0))
+        path = packing.aside / "version.tar"
+        with_image = packing.versions.pack(record, path, image=packing.images)
+        archive.add_file(version_member(package, version.identity, version.package_hash), path)
+        path.unlink()
+        counts["images" if with_image else "packages"] += 1
+    return counts
+
+
+def add_recording(archive: ArchiveWriter, dataset: Dataset) -> None:
+    """Add the recording of a dataset; raises InvalidInput if it is missing."""
+    check_dataset_files(dataset)
+    for file in recording_files(dataset.bag_path):
+        archive.add_file(f"datasets/{dataset.name}/{file.relative_to(dataset.folder)}", file)
+
 
 BATCH = 200
 _MOST_ANALYSES = 100_000
@@ -57,7 +102,7 @@ class ExportRequest:
 
     path: Path
     run_ids: Sequence[int] | None = None
-    without: tuple[Part, ...] = ()
+    without: tuple[ArchivePart, ...] = ()
     replace: bool = False
     extra: tuple[Extra, ...] = ()
     unpublished: bool = False
@@ -125,7 +170,7 @@ def _export(
                 packing = Packing(versions, aside, images=Extra.IMAGES in request.extra)
                 report.counts.update(add_versions(archive, export.used, packing))
         archive.finish(
-            Manifest(
+            ArchiveManifest(
                 made_at=utc_now().isoformat(timespec="seconds"),
                 software=__version__,
                 counts=dict(report.counts),
@@ -224,12 +269,12 @@ class _Export:
         record = self._sealed(folder, run, events)
         instead = None
         if record is None:
-            instead = lines.without_handle(lines.row_as_record(run, self._modes.get(run.algorithm, ""), events))
+            instead = writing.without_handle(writing.row_as_record(run, self._modes.get(run.algorithm, ""), events))
         else:
             self._folder(folder, record)
         original = None if run.retry_of is None else batch.originals.get(run.retry_of)
         evaluations = batch.evaluations.get(run.id, [])
-        self._line(layout.RUNS, lines.run_to_line(run, original, evaluations, instead))
+        self._line(layout.RUNS, writing.run_to_line(run, original, evaluations, instead))
         self._algorithms.add(run.algorithm)
         self._datasets.add(run.dataset)
         if run.version is not None:
@@ -245,7 +290,7 @@ class _Export:
             return None
         if (record.get("id"), record.get("uid")) != (run.id, run.uid):
             return None
-        return lines.without_handle(lines.completed(record, run, events))
+        return writing.without_handle(writing.completed(record, run, events))
 
     def _folder(self, folder: RunFolder, record: dict[str, Any]) -> None:
         own = f"runs/{folder.root.name}/"
@@ -276,7 +321,7 @@ class _Export:
         after = -1
         while cells := self._store.read(lambda t: t.experiments.cells(record.id, after, BATCH)):  # noqa: B023
             for cell in cells:
-                self._line(layout.CELLS, CellLine.of(cell, experiment=record.name).content)
+                self._line(layout.CELLS, ArchivedCell.of(cell, experiment=record.name).content)
             after = cells[-1].number
 
     def _configurations(self, ids: Sequence[int]) -> None:

@@ -17,17 +17,17 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from slamhive.clock import utc_now
-from slamhive.domain.notes import NO_NOTES
-from slamhive.domain.numbers import plural
-from slamhive.domain.visibility import NO_SHARING, Sharing, Visibility, taken_over
-from slamhive.errors import Conflict, InvalidInput, Unavailable
-from slamhive.files import held_folder, remedy_of
-from slamhive.runs.folder import RunFolder, travels
-from slamhive.schema.archive import AnalysisLine, ExperimentLine, RunLine
-from slamhive.services.archive import layout, lines
-from slamhive.services.archive.checking import Contents, Progress, check_archive
-from slamhive.services.archive.reading import ArchiveReader, open_archive
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, InvalidInput, Unavailable
+from slamhive.base.files import held_folder, remedy_of
+from slamhive.base.settings import Settings
+from slamhive.documents.archive import AnalysisLine, ExperimentLine, RunLine
+from slamhive.domain.accounts import NO_SHARING, Sharing, Visibility, taken_over
+from slamhive.domain.names import plural
+from slamhive.domain.run import NO_NOTES
+from slamhive.run_folder.folder import RunFolder, travels
+from slamhive.services.archive import layout, writing
+from slamhive.services.archive.reading import ArchiveReader, CheckProgress, Contents, check_archive, open_archive
 from slamhive.services.archive.surroundings import Surroundings
 from slamhive.services.datasets import Catalogue, check_writable
 from slamhive.services.imports import UNPACKED, one_import, sweep_imports
@@ -42,7 +42,6 @@ from slamhive.services.runs import (
     read_filed,
     snapshot_of,
 )
-from slamhive.settings import Settings
 from slamhive.store import Store, Transaction
 
 BATCH = 100
@@ -95,7 +94,7 @@ class ArchiveImport:
         self._store = store
         self._catalogue = catalogue
 
-    def carry_out(self, path: Path, progress: Progress) -> ArchiveReport:
+    def carry_out(self, path: Path, progress: CheckProgress) -> ArchiveReport:
         """Check the archive as a whole, then import it.
 
         Raises:
@@ -136,7 +135,7 @@ class ArchiveImport:
                 "free some space, or move the data root (SLAMHIVE_DATA)",
             )
 
-    def _check_and_unpack(self, archive: ArchiveReader, aside: Path, progress: Progress) -> Contents:
+    def _check_and_unpack(self, archive: ArchiveReader, aside: Path, progress: CheckProgress) -> Contents:
         wanted = self._wanted(archive)
 
         def place(name: str) -> Path | None:
@@ -153,7 +152,7 @@ class ArchiveImport:
         """The runs, by their numbers in the archive, whose folders are not here. Nothing of it has been checked yet."""
         with_folder = {
             line.uid: line.id
-            for line in (lines.read_line(RunLine, content) for content in archive.lines(layout.RUNS))
+            for line in (writing.read_line(RunLine, content) for content in archive.lines(layout.RUNS))
             if line.record is None
         }
         known = self._store.read(lambda t: t.runs.ids_by_uid(list(with_folder)))
@@ -174,7 +173,7 @@ class ArchiveImport:
                 raise Unavailable(f"{root} cannot be made: {error.strerror}", remedy_of(error)) from None
             yield root
 
-    def _alone(self, contents: Contents, progress: Progress) -> AbstractContextManager[None]:
+    def _alone(self, contents: Contents, progress: CheckProgress) -> AbstractContextManager[None]:
         """The turn of this import to file something."""
         what = f"an archive of {plural(len(contents.runs), 'run')}"
         return one_import(self._settings.runs_folder, what, lambda text: progress(_CHECKING, text))
@@ -182,7 +181,7 @@ class ArchiveImport:
     # -- runs ------------------------------------------------------------------------------------------------------
 
     def _runs(
-        self, archive: ArchiveReader, contents: Contents, ready: _Ready, report: ArchiveReport, progress: Progress
+        self, archive: ArchiveReader, contents: Contents, ready: _Ready, report: ArchiveReport, progress: CheckProgress
     ) -> None:
         known = self._store.read(lambda t: t.runs.ids_by_uid(list(contents.runs)))
         numbers = dict(known)
@@ -190,7 +189,7 @@ class ArchiveImport:
         report.kept_numbers = not others and all(contents.runs[uid] == number for uid, number in known.items())
         stream = iter(archive.lines(layout.RUNS))
         done = 0
-        while batch := [lines.read_line(RunLine, content) for content in islice(stream, BATCH)]:
+        while batch := [writing.read_line(RunLine, content) for content in islice(stream, BATCH)]:
             with self._alone(contents, progress):
                 # Other imports may have filed the same runs in between.
                 numbers.update(self._store.read(lambda t: t.runs.ids_by_uid([line.uid for line in batch])))
@@ -237,12 +236,12 @@ class ArchiveImport:
                 raise Conflict(f"run {line.id} of the archive was deleted here meanwhile", "import it again")
             record, found = folder.read_record(), found_evaluations(folder)
         experiment = ready.around.experiment_name(line.experiment)
-        record = {**lines.without_handle(record), "request": {**record["request"], "experiment": experiment}}
+        record = {**writing.without_handle(record), "request": {**record["request"], "experiment": experiment}}
         filed = read_filed(self._catalogue, record, f"the record of run {line.id}")
         notes = NO_NOTES if folder is None else found_notes(folder)
         shared = here or taken_over(self._store.maker, line.visibility, ready.around.seen_by(experiment))
         said = notes, None if shared == NO_SHARING else shared
-        run = FolderRun(filed, found, _current(line, folder, found), lines.evaluations_of(line), line.attempt, *said)
+        run = FolderRun(filed, found, _current(line, folder, found), writing.evaluations_of(line), line.attempt, *said)
         return _Unpacked(line, run, folder, record)
 
     def _put_in_place(self, entry: _Unpacked, folder: RunFolder, numbers: dict[str, int]) -> None:
@@ -280,7 +279,7 @@ def _publicly_seen(archive: ArchiveReader) -> str | None:
         "analysis": (layout.ANALYSES, AnalysisLine),
     }
     counts = {
-        kind: sum(lines.read_line(line, content).visibility is Visibility.PUBLIC for content in archive.lines(member))
+        kind: sum(writing.read_line(line, content).visibility is Visibility.PUBLIC for content in archive.lines(member))
         for kind, (member, line) in kinds.items()
     }
     if not any(counts.values()):

@@ -10,11 +10,17 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
 
-from slamhive.errors import InvalidInput
-from slamhive.input_bounds import parse_json_object
-from slamhive.schema.archive import KIND, Manifest
+from slamhive.base.bounds import parse_json_object
+from slamhive.base.errors import InvalidInput
+from slamhive.base.tree import FolderEntry, walk
+from slamhive.documents.archive import KIND, ArchiveManifest
+from slamhive.run_folder.folder import STAYING, travels
 
 ABOUT = "archive.json"
 CHECKSUMS = "manifest-sha256.txt"
@@ -50,7 +56,7 @@ _SHOWN = 80
 
 
 @dataclass(frozen=True, slots=True)
-class Format:
+class ArchiveFormat:
     """One version of the format.
 
     Attributes:
@@ -91,7 +97,7 @@ class Format:
         """
         return member if self.number == 1 else f"{PAYLOAD}{member.replace('%', '%25')}"
 
-    def manifest(self, data: bytes) -> Manifest:
+    def manifest(self, data: bytes) -> ArchiveManifest:
         """Read the content of ``about``; raises InvalidInput unless an export has written it."""
         content = parse_json_object(data, self.about, recorded=True)
         if content.get("kind") != KIND:
@@ -104,7 +110,7 @@ class Format:
                 "import it with the version that made it, or a later one",
             )
         try:
-            manifest = Manifest.read(content)
+            manifest = ArchiveManifest.read(content)
         except InvalidInput as error:
             raise InvalidInput(f"{self.about} is incomplete: {error.message}", "export the archive again") from None
         if self.number == 1 and manifest.checksums is None:
@@ -112,12 +118,12 @@ class Format:
         return manifest
 
 
-FIRST = Format(1, "manifest.json", "SHA256SUMS", frozenset(("manifest.json", "SHA256SUMS")))
+FIRST = ArchiveFormat(1, "manifest.json", "SHA256SUMS", frozenset(("manifest.json", "SHA256SUMS")))
 
 
-def bag_format(folder: str) -> Format:
+def bag_format(folder: str) -> ArchiveFormat:
     """The format of today, for a bag in ``folder``."""
-    return Format(
+    return ArchiveFormat(
         number=2,
         about=ABOUT,
         checksums=CHECKSUMS,
@@ -127,7 +133,7 @@ def bag_format(folder: str) -> Format:
     )
 
 
-def format_of(names: list[str]) -> Format:
+def format_of(names: list[str]) -> ArchiveFormat:
     """The format of an archive with these members."""
     for name in names:
         folder, slash, rest = name.partition("/")
@@ -177,3 +183,72 @@ def _safe_part(part: str) -> bool:
         return False
     plain = part.isprintable() and "\\" not in part
     return plain and part not in ("", ".", "..") and length <= _LONGEST_PART_BYTES
+
+
+# The files of a run folder that an archive holds.
+
+
+ODD_NAMES = "files with names that no archive holds"
+STRANGE_FILES = "files that do not belong to a run folder"
+
+
+class ArchivePart(StrEnum):
+    """Files of runs that an export may go without."""
+
+    TRAJECTORIES = "trajectories"
+    MAPS = "maps"
+    LOGS = "logs"
+    PICTURES = "pictures"
+
+
+_OF_TRAJECTORIES = (
+    ".tum",
+    "/traj.txt",
+    "/traj.live.txt",
+    "/traj.final.txt",
+    "/keyframe.txt",
+    "/errors.csv",
+    "pe.zip",
+    "kitti_poses.txt",
+)
+_LEFT_OUT: dict[ArchivePart, Callable[[str], bool]] = {
+    ArchivePart.TRAJECTORIES: lambda name: name.endswith(_OF_TRAJECTORIES),
+    ArchivePart.MAPS: lambda name: name.endswith(".pcd"),
+    ArchivePart.LOGS: lambda name: name in ("log.txt", "preparation.txt"),
+    ArchivePart.PICTURES: lambda name: name.endswith(".png"),
+}
+
+
+def files_of_run(root: Path, without: Sequence[ArchivePart], left_out: Counter[str]) -> Iterator[tuple[str, Path]]:
+    """The files of a run folder by name, sorted; not its owner, what is scratch, or a write that was cut off.
+
+    What an algorithm left that no archive can hold is counted in ``left_out``.
+    """
+    for name, path in _files(root, left_out):
+        if not any(_LEFT_OUT[part](name) for part in without):
+            yield name, path
+
+
+def _files(root: Path, left_out: Counter[str]) -> Iterator[tuple[str, Path]]:
+    for top in sorted(root.iterdir()):
+        if top.name.startswith(".") or top.name in STAYING:
+            continue
+        found: list[tuple[str, str | None]] = [(top.name, "")] if top.is_file() and not top.is_symlink() else []
+        entries = walk(top) if top.is_dir() and not top.is_symlink() else ()
+        found += [(f"{top.name}/{entry.place}", _unfit(entry)) for entry in entries]
+        for name, unfit in sorted(found):
+            cut_off = "/." in name and not travels(name)
+            if unfit is None or cut_off:
+                continue
+            problem = unfit or (ODD_NAMES if not is_safe(name) else STRANGE_FILES if not travels(name) else "")
+            if problem:
+                left_out[problem] += 1
+            else:
+                yield name, root / name
+
+
+def _unfit(entry: FolderEntry) -> str | None:
+    """Why something below a run folder cannot be a member, empty if it can; None for a folder, which is none."""
+    if entry.is_folder:
+        return None if entry.entered else "folders too deep to be looked into"
+    return "" if entry.is_file else "links, pipes and other things that are no files"

@@ -13,14 +13,23 @@ from calendar import timegm
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from slamhive.errors import InvalidInput, NotFound, Unavailable
-from slamhive.fetch.archive import zip_directory_bytes
-from slamhive.fetch.unpack import UnpackLimits
-from slamhive.input_bounds import parse_json_object
-from slamhive.schema.archive import Manifest
+from slamhive.base.bounds import parse_json_object
+from slamhive.base.errors import InvalidInput, NotFound, Unavailable
+from slamhive.base.files import temporary_folder
+from slamhive.documents.archive import AlgorithmLine, ArchiveManifest, RunLine
+from slamhive.documents.record import RunFile
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.names import check_name, plural
+from slamhive.downloads.unpack import UnpackLimits, zip_directory_bytes
+from slamhive.experiments.file import parse_experiment
+from slamhive.packages.dataset_file import DATASET_FILE, load_dataset
+from slamhive.recordings.staging import PLAY_SCRIPT
+from slamhive.run_folder.folder import travels
+from slamhive.services.archive import layout, writing
 from slamhive.services.archive.layout import (
     FIRST,
     LARGEST_DIRECTORY_BYTES,
@@ -28,10 +37,13 @@ from slamhive.services.archive.layout import (
     LARGEST_TEXT_BYTES,
     ROWS,
     TAG_CHECKSUMS,
-    Format,
+    ArchiveFormat,
     format_of,
     shown,
 )
+from slamhive.services.datasets import REPORT_FILE
+from slamhive.services.experiments import RECORD, SOURCE
+from slamhive.store.records import ExperimentRecord
 
 _BLOCK_BYTES = 1 << 20
 _SUM = re.compile(r"([0-9a-f]{64})  (.+)")
@@ -64,7 +76,7 @@ class ArchiveReader:
         self._path = path
         self._format = format_of([info.orig_filename for info in file.infolist()])
         self._members = _checked_members(file, path, self._format)
-        self.manifest: Manifest = self._format.manifest(self.read(self._format.about))
+        self.manifest: ArchiveManifest = self._format.manifest(self.read(self._format.about))
 
     @property
     def names(self) -> list[str]:
@@ -236,7 +248,7 @@ def _check_directory(stream: IO[bytes], path: Path) -> None:
     stream.seek(0)
 
 
-def _checked_members(file: zipfile.ZipFile, path: Path, format_: Format) -> dict[str, zipfile.ZipInfo]:
+def _checked_members(file: zipfile.ZipFile, path: Path, format_: ArchiveFormat) -> dict[str, zipfile.ZipInfo]:
     """The members by their names in the first format; raises InvalidInput if no export wrote such a list."""
     members: dict[str, zipfile.ZipInfo] = {}
     for info in file.infolist():
@@ -271,3 +283,155 @@ def _check_kind(info: zipfile.ZipInfo, path: Path) -> None:
         raise InvalidInput(f"{path}: {name} is encrypted or packed in a way that no export uses", _REFUSED)
     if info.file_size > LARGEST_RATIO * max(info.compress_size, 1):
         raise InvalidInput(f"{path}: {name} claims {info.file_size} bytes, more than it can hold", _REFUSED)
+
+
+# Everything in an archive that will be filed is read once before anything is filed.
+
+
+_MOST_SHOWN = 5
+
+CheckProgress = Callable[[float, str], None]
+"""Called with the share done (0..1) and what is being done."""
+
+
+@dataclass
+class Contents:
+    """What is known of an archive that was checked.
+
+    Attributes:
+        runs: {uid: number}.
+        datasets: Those that are described, None for the others, by name.
+        experiments: As they are stated.
+        runs_of_experiment: {name: how many runs of it there are}.
+        left_out: Members that are not taken over: no run folder or dataset has such a file, or it says what only the
+            installation itself decides, such as who sees a run.
+    """
+
+    runs: dict[str, int] = field(default_factory=dict)
+    datasets: dict[str, Dataset | None] = field(default_factory=dict)
+    experiments: list[ExperimentRecord] = field(default_factory=list)
+    runs_of_experiment: dict[str, int] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+
+    @property
+    def note(self) -> str | None:
+        """In words, what is not taken over; None if everything is."""
+        if not self.left_out:
+            return None
+        shown = ", ".join(map(layout.shown, self.left_out[:_MOST_SHOWN]))
+        more = f" and {len(self.left_out) - _MOST_SHOWN} more" if len(self.left_out) > _MOST_SHOWN else ""
+        return f"{plural(len(self.left_out), 'file')} left out, which no export writes: {shown}{more}"
+
+
+def check_archive(archive: ArchiveReader, progress: CheckProgress, place: Place = not_unpacked) -> Contents:
+    """Compare every member with its checksum and read every row; raises InvalidInput for the first that is wrong.
+
+    Members for which ``place`` returns a path are unpacked on the way.
+    """
+    archive.verify(lambda done, total: progress(0.8 * done / max(total, 1), "comparing checksums"), place)
+    contents = Contents()
+    _check_runs(archive, contents, progress)
+    _check_datasets(archive, contents)
+    algorithms = {writing.read_line(AlgorithmLine, content).name for content in archive.lines(layout.ALGORITHMS)}
+    configurations = set()
+    for content in archive.lines(layout.CONFIGURATIONS):
+        line = writing.configuration_from_line(content)
+        if line.configuration.algorithm not in algorithms or line.configuration.dataset not in contents.datasets:
+            raise InvalidInput(f"configuration {line.id} of the archive refers to what it lacks", "export it again")
+        configurations.add(line.id)
+    contents.experiments = [writing.experiment_from_line(content) for content in archive.lines(layout.EXPERIMENTS)]
+    names = {record.name for record in contents.experiments}
+    if len(names) < len(contents.experiments):
+        raise InvalidInput("the archive has two experiments of one name", "export it again")
+    for record in contents.experiments:
+        parse_experiment(record.source, f"experiment {record.name} of the archive")
+    cells: set[tuple[str, int]] = set()
+    for content in archive.lines(layout.CELLS):
+        experiment, cell = writing.cell_from_line(content)
+        if (experiment, cell.number) in cells:
+            raise InvalidInput(f"the archive has cell {cell.number} of {experiment[:64]} twice", "export it again")
+        cells.add((experiment, cell.number))
+        if experiment not in names or cell.configuration_id not in configurations:
+            raise InvalidInput(f"a cell of the archive refers to what it lacks: {experiment[:64]}, {cell.name}")
+    for content in archive.lines(layout.SEARCHES):
+        writing.search_from_line(content)
+    for content in archive.lines(layout.ANALYSES):
+        writing.analysis_from_line(content)
+    _check_folders(archive, contents, names)
+    return contents
+
+
+def _check_runs(archive: ArchiveReader, contents: Contents, progress: CheckProgress) -> None:
+    expected = max(archive.manifest.counts.get("runs", 0), 1)
+    numbers: set[int] = set()
+    for line, _ in recorded_runs(archive):
+        if line.uid in contents.runs or line.id in numbers:
+            raise InvalidInput(f"the archive has run {line.id} twice", "export it again")
+        contents.runs[line.uid] = line.id
+        numbers.add(line.id)
+        if line.experiment is not None:
+            name = check_name("experiment", line.experiment)
+            contents.runs_of_experiment[name] = contents.runs_of_experiment.get(name, 0) + 1
+        progress(0.8 + 0.2 * min(len(numbers) / expected, 1.0), "reading records")
+    if len(numbers) != archive.manifest.counts.get("runs", 0):
+        raise InvalidInput(f"the archive has {len(numbers)} runs and says to have another number", "export it again")
+
+
+def recorded_runs(archive: ArchiveReader) -> Iterator[tuple[RunLine, RunFile]]:
+    """Every run with its record; raises InvalidInput for one that is not whole."""
+    for content in archive.lines(layout.RUNS):
+        line = writing.read_line(RunLine, content)
+        record = archive.json(f"runs/{line.id}/run.json") if line.record is None else line.record
+        yield line, writing.check_record(record, line)
+
+
+def _check_datasets(archive: ArchiveReader, contents: Contents) -> None:
+    for content in archive.lines(layout.DATASETS):
+        name, _ = writing.dataset_from_line(content)
+        contents.datasets[name] = archived_dataset(archive, name)
+
+
+def archived_dataset(archive: ArchiveReader, name: str) -> Dataset | None:
+    """The dataset as the archive describes it, None if it does not; its folder does not exist. Raises InvalidInput."""
+    description = f"datasets/{check_name('dataset', name)}/{DATASET_FILE}"
+    if not archive.has(description):
+        return None
+    with temporary_folder() as folder:
+        archive.unpack(description, folder / name / DATASET_FILE)
+        dataset = load_dataset(folder / name)
+    if dataset.name != name:
+        raise InvalidInput(f"dataset {name} of the archive is described as {dataset.name}")
+    return dataset
+
+
+def _check_folders(archive: ArchiveReader, contents: Contents, experiments: set[str]) -> None:
+    """Check that no member is outside the folders of what is filed, and note those that are not taken over."""
+    numbers, datasets = set(contents.runs.values()), contents.datasets
+    for name in archive.names:
+        kind, *rest = PurePosixPath(name).parts
+        file = "/".join(rest[1:])
+        known = (
+            (kind == "runs" and int(rest[0]) in numbers and travels(file))
+            or (kind == "datasets" and rest[0] in datasets and _of_dataset(file, datasets[rest[0]]))
+            or (kind == "experiments" and rest[0] in experiments and file in (SOURCE, RECORD))
+        )
+        if not rest or kind in ("rows", layout.VERSIONS) or known:
+            continue
+        if (kind == "runs" and int(rest[0]) in numbers) or (
+            kind == "datasets" and rest[0] in datasets and "/" not in file
+        ):
+            contents.left_out.append(name)
+        else:
+            raise InvalidInput(f"{layout.shown(name)} belongs to nothing in the archive", "it is not imported")
+
+
+def _of_dataset(file: str, dataset: Dataset | None) -> bool:
+    """Return whether archives hold this file of a dataset: those that its description names, and its recording.
+
+    What a check has found, and the script that plays the recording in a run, are always those of the installation.
+    """
+    if dataset is None or file in (REPORT_FILE, PLAY_SCRIPT):
+        return False
+    truth = dataset.groundtruth
+    named = {DATASET_FILE, dataset.relations, *(() if truth is None else (truth.file, truth.kitti_poses))}
+    return file in named or (bool(dataset.bag) and dataset.bag in (file, file.rpartition("/")[0]))

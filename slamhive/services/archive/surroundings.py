@@ -8,23 +8,22 @@ from dataclasses import asdict, replace
 from itertools import count, islice
 from typing import Any, TypeVar
 
-from slamhive.bags.staging import new_dataset_folder
-from slamhive.catalogue.dataset_file import DATASET_FILE, load_dataset
+from slamhive.base.errors import Conflict, SlamHiveError
+from slamhive.base.settings import Settings
+from slamhive.documents.archive import AlgorithmLine, ConfigurationLine
+from slamhive.domain.accounts import Visibility, taken_over
 from slamhive.domain.parameters import Parameter
-from slamhive.domain.visibility import Visibility, taken_over
-from slamhive.errors import Conflict, SlamHiveError
-from slamhive.schema.archive import AlgorithmLine, ConfigurationLine
-from slamhive.services.analyses import AnalysisFolder
-from slamhive.services.archive import layout, lines
-from slamhive.services.archive.checking import Contents
-from slamhive.services.archive.reading import ArchiveReader
+from slamhive.experiments.file import parse_experiment
+from slamhive.packages.dataset_file import DATASET_FILE, load_dataset
+from slamhive.recordings.staging import new_dataset_folder
+from slamhive.services.archive import layout, writing
+from slamhive.services.archive.reading import ArchiveReader, Contents
 from slamhive.services.datasets import Catalogue
 from slamhive.services.experiments import ExperimentFolder, StoredExperiment
-from slamhive.settings import Settings
+from slamhive.services.stored_analyses import AnalysisFolder
 from slamhive.store import Store, Transaction
-from slamhive.store.experiment_records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
+from slamhive.store.records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
 from slamhive.store.same_cpu import NOT_KNOWN
-from slamhive.sweep.experiment_file import parse_experiment
 
 T = TypeVar("T")
 _CHUNK = 500
@@ -80,7 +79,7 @@ class Surroundings:
             self._notes.append("the analyses of the archive are not imported: runs have other numbers here")
         known = {record.name: record for record in self._store.read(lambda t: t.searches.saved())}
         for content in self._archive.lines(layout.SEARCHES):
-            record, at = lines.search_from_line(content)
+            record, at = writing.search_from_line(content)
             if record.name not in known:
                 self._store.write(lambda t: t.archive.saved_search_if_absent(record, at))  # noqa: B023
                 counts["saved_searches"] += 1
@@ -90,7 +89,7 @@ class Surroundings:
     def _analyses(self, counts: Counter[str]) -> None:
         """Under the addresses that they have, to be computed by the worker."""
         for content in self._archive.lines(layout.ANALYSES):
-            stated, source = lines.analysis_from_line(content)
+            stated, source = writing.analysis_from_line(content)
             shared = taken_over(self._store.maker, stated.visibility)
             record = replace(stated, owner=shared.owner, visibility=shared.visibility)
             folder = AnalysisFolder(self._settings.analyses_folder / record.token)
@@ -111,7 +110,7 @@ class Surroundings:
 
     def _datasets(self, counts: Counter[str]) -> None:
         for content in self._archive.lines(layout.DATASETS):
-            name, values = lines.dataset_from_line(content)
+            name, values = writing.dataset_from_line(content)
             counts["datasets"] += self._dataset_folder(name)
             folder = self._settings.datasets_folder / name
             values = {**values, "folder": str(folder)}
@@ -135,7 +134,7 @@ class Surroundings:
         return True
 
     def _algorithms(self) -> None:
-        known = [lines.read_line(AlgorithmLine, content) for content in self._archive.lines(layout.ALGORITHMS)]
+        known = [writing.read_line(AlgorithmLine, content) for content in self._archive.lines(layout.ALGORITHMS)]
 
         def work(t: Transaction) -> None:
             for line in known:
@@ -172,7 +171,7 @@ class Surroundings:
 
     def _configuration_lines(self) -> Iterator[ConfigurationLine]:
         for content in self._archive.lines(layout.CONFIGURATIONS):
-            yield lines.configuration_from_line(content)
+            yield writing.configuration_from_line(content)
 
     def _labels(self) -> None:
         """Names, notes and groups; a name or note that is here already stays."""
@@ -247,7 +246,7 @@ class Surroundings:
         for part in _batched(self._archive.lines(layout.CELLS)):
             cells: dict[str, list[NewCell]] = {}
             for content in part:
-                name, cell = lines.cell_from_line(content)
+                name, cell = writing.cell_from_line(content)
                 cells.setdefault(self._experiment_names[name], []).append(
                     replace(cell, configuration_id=self._configurations[cell.configuration_id])
                 )

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from slamhive.budget import Lent, Share
-from slamhive.domain.challenge import Format
-from slamhive.domain.numbers import plural
-from slamhive.errors import InvalidInput, nearest
-from slamhive.schema.challenge import PhaseEntry, SequenceEntry, StoredFile
+from slamhive.base.budget import BudgetShare, Lent, unbounded
+from slamhive.base.errors import InvalidInput, NotFound, nearest
+from slamhive.base.files import temporary_folder
+from slamhive.documents.challenge import PhaseEntry, SequenceEntry, StoredFile, StoredRun
+from slamhive.domain.challenge import Format, RunFailure
+from slamhive.domain.collection import FileKind
+from slamhive.domain.names import plural
+from slamhive.downloads.unpack import UnpackLimits, unpack
+from slamhive.packages.collection_file import kind_of
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.challenges.definition import Definition
+from slamhive.services.challenges.folder import ChallengeFolder, SubmissionFolder
 from slamhive.trajectory.completeness import measure_completeness
-from slamhive.trajectory.kitti import parse_kitti_matrices
-from slamhive.trajectory.tum import parse_tum
+from slamhive.trajectory.layout import format_tum, parse_tum
+from slamhive.trajectory.model import FloatArray
+from slamhive.trajectory.pose_file import parse_kitti_matrices
+from slamhive.trajectory.table import read_bounded
+from slamhive.trajectory.transforms import quats_from_rotations
 
 MOST_BYTES = 200_000_000
 """All files of a submission together."""
@@ -42,7 +52,7 @@ class CheckedFile:
 
 
 def check_files(
-    definition: Definition, phase: PhaseEntry, files: Mapping[str, Path], share: Share
+    definition: Definition, phase: PhaseEntry, files: Mapping[str, Path], share: BudgetShare
 ) -> list[CheckedFile]:
     """Check the files of a submission by name, such as ``room-1.txt`` for the sequence room-1, one after the other.
 
@@ -86,7 +96,7 @@ def _check_complete(definition: Definition, wanted: Sequence[str], found: Mappin
         )
 
 
-def _checked(definition: Definition, entry: SequenceEntry, name: str, path: Path, share: Share) -> CheckedFile:
+def _checked(definition: Definition, entry: SequenceEntry, name: str, path: Path, share: BudgetShare) -> CheckedFile:
     kind = definition.preset.format
     with in_memory(path, name, kind, share) as data:
         if kind is Format.KITTI:
@@ -97,7 +107,7 @@ def _checked(definition: Definition, entry: SequenceEntry, name: str, path: Path
 
 
 @contextmanager
-def in_memory(path: Path, name: str, kind: Format, share: Share) -> Iterator[bytes]:
+def in_memory(path: Path, name: str, kind: Format, share: BudgetShare) -> Iterator[bytes]:
     """The content of a file for the block, with enough memory to read it as a trajectory of this format.
 
     Raises InvalidInput if it is not there or too large, and as Share.take.
@@ -137,3 +147,136 @@ def _check_frames(entry: SequenceEntry, name: str, data: bytes) -> StoredFile:
     if len(matrices) != entry.poses:
         raise InvalidInput(f"{name} has {len(matrices)} poses, {entry.name} has {entry.poses} frames", "write them all")
     return StoredFile(poses=len(matrices), coverage=None, enough=True)
+
+
+# Finds the files of a submission: trajectories, folders of them, and archives. They stay on the disk.
+
+
+MOST_FILES = 1000
+_LIMITS = UnpackLimits(ratio=50.0, always_bytes=20_000_000, total_bytes=MOST_BYTES, files=MOST_FILES)
+"""Text of digits shrinks to a third, and to a twentieth where nothing moves."""
+
+
+@contextmanager
+def opened_files(paths: Iterable[Path], share: BudgetShare | None = None) -> Iterator[dict[str, Path]]:
+    """The files of a submission by name, for the block. A folder, or a zip or tar archive, stands for the files in it.
+
+    Args:
+        paths: What was sent.
+        share: What is unpacked is taken out of it; None for no limit but those of a submission.
+
+    Raises InvalidInput for what cannot be read or is too large, and for two files of one name; and as Share.take.
+    """
+    share = share or unbounded("a submission")
+    found: dict[str, Path] = {}
+    total = 0
+    with ExitStack() as unpacked:
+        for path in paths:
+            for file in _files(path, share, unpacked):
+                if file.name in found:
+                    raise InvalidInput(f"two files are called {file.name}", "send one of them")
+                found[file.name] = file
+                total += _size_bytes(file)
+                if total > MOST_BYTES or len(found) > MOST_FILES:
+                    raise InvalidInput(f"{path.name} holds too much", "send trajectories only")
+        yield found
+
+
+def _files(path: Path, share: BudgetShare, unpacked: ExitStack) -> Iterator[Path]:
+    kind = kind_of(path.name)
+    if path.is_dir():
+        yield from (file for file in sorted(path.rglob("*")) if file.is_file() and not file.name.startswith("."))
+    elif kind in (FileKind.ZIP, FileKind.TAR):
+        folder = unpacked.enter_context(temporary_folder())
+        unpack(path, kind, folder, limits=_LIMITS, room=partial(share.take, Lent.DISK))
+        yield from _files(folder, share, unpacked)
+    else:
+        yield path
+
+
+def _size_bytes(path: Path) -> int:
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise InvalidInput(f"{path} cannot be read: {error.strerror}") from None
+    if size > MOST_BYTES:
+        raise InvalidInput(f"{path.name} has more than {MOST_BYTES:,} bytes", "send trajectories only")
+    return size
+
+
+# The trajectories of a submission that can be evaluated, and why others cannot.
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A trajectory to evaluate; ``frames`` is the same in the KITTI format."""
+
+    id: str
+    sequence: str
+    path: Path
+    frames: Path | None = None
+
+
+@dataclass
+class Estimates:
+    """What there is of a submission: trajectories, and by sequence why others do not count."""
+
+    found: list[Estimate] = field(default_factory=list)
+    failures: dict[str, list[RunFailure]] = field(default_factory=dict)
+
+    def fail(self, sequence: str, failure: RunFailure) -> None:
+        """One trajectory of ``sequence`` does not count."""
+        self.failures.setdefault(sequence, []).append(failure)
+
+
+def estimates_of(folder: ChallengeFolder, found: SubmissionFolder) -> Estimates:
+    """The trajectories of a submission; of an image whose runs have ended, those that they left."""
+    made = Estimates()
+    if found.sent.image is not None:
+        ended = folder.ended_runs(found.root.name)
+        assert ended is not None  # it is asked for only then
+        runs = folder.installation(found.root.name) / "runs"
+        for run in ended.runs:
+            _add_run(made, folder.full_definition, found.sent.id, runs, run)
+        return made
+    kitti = folder.definition.preset.format is Format.KITTI
+    for name, facts in found.sent.files.items():
+        if facts.enough:
+            frames = found.root / f"{name}.kitti" if kitti else None
+            made.found.append(Estimate(f"{found.sent.id}/{name}", name, found.root / f"{name}.tum", frames))
+        else:
+            made.fail(name, RunFailure.TOO_LITTLE)
+    return made
+
+
+def _add_run(made: Estimates, definition: Definition, submission_id: str, runs: Path, run: StoredRun) -> None:
+    if run.failure is not None or run.run is None:
+        made.fail(run.sequence, _known(run.failure))
+        return
+    path = RunFolder(runs / str(run.run)).trajectory
+    try:
+        enough = check_trajectory(definition, definition.sequences[run.sequence], path.name, read_bounded(path)).enough
+    except (InvalidInput, NotFound):
+        made.fail(run.sequence, RunFailure.NO_TRAJECTORY)
+        return
+    if enough:
+        made.found.append(Estimate(f"{submission_id}/{run.sequence}/{run.run}", run.sequence, path))
+    else:
+        made.fail(run.sequence, RunFailure.TOO_LITTLE)
+
+
+def _known(failure: str | None) -> RunFailure:
+    return next((entry for entry in RunFailure if entry == failure), RunFailure.ORGANISER)
+
+
+# Trajectories without timestamps, one pose a frame, as the evaluation takes them.
+
+
+FRAME_S = 0.1
+"""Poses are matched by index, so any interval will do; the scanner of KITTI turns ten times a second."""
+
+
+def frame_trajectory(matrices: FloatArray) -> bytes:
+    """The text of a TUM file of poses, shape (n, 4, 4), that are equally spaced in time."""
+    stamps_s = FRAME_S * np.arange(len(matrices), dtype=np.float64)
+    return format_tum(stamps_s, matrices[:, :3, 3], quats_from_rotations(matrices[:, :3, :3])).encode()

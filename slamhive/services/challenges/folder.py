@@ -17,15 +17,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from slamhive.errors import Unavailable, unknown
-from slamhive.files import remedy_of, sweep_folder
-from slamhive.input_bounds import read_record
-from slamhive.schema.challenge import (
+from slamhive.base.bounds import read_record
+from slamhive.base.errors import Unavailable, unknown
+from slamhive.base.files import remedy_of, sweep_folder
+from slamhive.documents.challenge import (
     ChallengeChanges,
     PhaseEntry,
     SecretTimes,
     StoredResult,
-    StoredRuns,
+    StoredRunsDocument,
     StoredSubmission,
 )
 from slamhive.services.challenges.definition import Definition, load_definition
@@ -123,10 +123,10 @@ class ChallengeFolder:
         """The data root in which the image of a submission runs."""
         return self.secret / RUNS / submission_id
 
-    def ended_runs(self, submission_id: str) -> StoredRuns | None:
+    def ended_runs(self, submission_id: str) -> StoredRunsDocument | None:
         """The runs of an image; None until all have ended."""
         path = self.installation(submission_id) / ENDED_RUNS
-        return StoredRuns.read(read_record(path)) if path.exists() else None
+        return StoredRunsDocument.read(read_record(path)) if path.exists() else None
 
     @property
     def changes(self) -> ChallengeChanges:

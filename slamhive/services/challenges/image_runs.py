@@ -1,26 +1,53 @@
-"""The runs of one image on the recordings of a phase, in an installation of their own that only its owner can read.
-
-All of it can be repeated after a kill: what is there already is not made again.
-"""
+"""Runs submitted images, one run at a time. Nothing of a run on a secret recording leaves its installation."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+import logging
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
 
+from slamhive.base.clock import monotonic_s, utc_now
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.base.files import write_aside
+from slamhive.base.settings import Settings
+from slamhive.base.tree import remove_tree
+from slamhive.documents.challenge import ImageRules, SequenceEntry, StoredResult, StoredRun, StoredRunsDocument
+from slamhive.documents.submission import Submission
 from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.challenge import RunFailure
+from slamhive.domain.challenge import Failure, RunFailure
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.files import write_aside
-from slamhive.runs.log_line import read_tail
-from slamhive.schema.challenge import ImageRules, SequenceEntry, StoredRun, StoredRuns
-from slamhive.schema.submission import Submission
-from slamhive.services.challenges.folder import ENDED_RUNS, LOGS, ChallengeFolder, SubmissionFolder
-from slamhive.services.challenges.image_loading import Installation
-from slamhive.services.challenges.recordings import link_folder
+from slamhive.run_folder.outcome import read_tail
+from slamhive.services.challenges.folder import (
+    ENDED_RUNS,
+    LOGS,
+    RESULT,
+    ChallengeFolder,
+    SubmissionFolder,
+    challenge_folder,
+    challenge_names,
+)
+from slamhive.services.challenges.images import (
+    ImageRefused,
+    Installation,
+    algorithm_of,
+    executor_of,
+    forget_image,
+    link_folder,
+    load_image,
+)
+from slamhive.services.challenges.views import shown_at
+from slamhive.services.datasets import check_writable
 from slamhive.store import RunRecord
+
+# The runs of one image on the recordings of a phase, in an installation of their own that only its owner can read.
+#
+# All of it can be repeated after a kill: what is there already is not made again.
+
 
 _PAGE = 500
 _MOST_LOST = 3
@@ -126,7 +153,7 @@ class ImageRunsOfPhase:
             ended.append(StoredRun(sequence=name, run=None if run is None else run.id, failure=_failure(run)))
             if run is not None and not entries[name].secret:
                 self._keep_log(run)
-        content = json.dumps(StoredRuns(runs=tuple(ended)).content)
+        content = json.dumps(StoredRunsDocument(runs=tuple(ended)).content)
         write_aside(self.folder.installation(self.found.root.name) / ENDED_RUNS, content, 0o600)
 
     def _keep_log(self, run: RunRecord) -> None:
@@ -153,3 +180,219 @@ def _failure(run: RunRecord | None) -> str | None:
 def _without_controls(text: str) -> str:
     """``text`` without what could steer a terminal."""
     return "".join(character for character in text if character.isprintable() or character in "\n\t")
+
+
+logger = logging.getLogger(__name__)
+
+LOOK_S = 2.0
+"""How often an idle worker looks for images."""
+TROUBLE_S = 30.0
+"""When it tries again after engine, database or disk have refused; other work goes on meanwhile."""
+WATCH_S = 0.5
+"""How often it looks whether a submission was cancelled."""
+SETTLE_S = 60.0
+"""What a run may take besides its time limit, to be prepared and collected, before others can see how long it took."""
+
+
+class ImageWork:
+    """Works through the images that wait.
+
+    Args:
+        settings: Where challenges are.
+        opened: Opens the installation in a folder.
+        clock: The time.
+    """
+
+    def __init__(
+        self, settings: Settings, opened: Callable[[Path], Installation], clock: Callable[[], datetime] = utc_now
+    ) -> None:
+        self._settings = settings
+        self._opened = opened
+        self._clock = clock
+        self._done: set[Path] = set()
+        self._told: set[tuple[str, str]] = set()
+        self._next_look_s = 0.0
+
+    def work_once(self, stopping: threading.Event, cores: tuple[int, ...] | None = None) -> int:
+        """Load one image, do one of its runs, or note that all have ended; returns whether there was anything to do.
+
+        What engine, database or disk refuse is tried again later.
+        """
+        if monotonic_s() < self._next_look_s:
+            return 0
+        pause_s = LOOK_S
+        for name in challenge_names(self._settings.challenges_folder):
+            try:
+                if self._work_on(ChallengeFolder(self._settings.challenges_folder / name), stopping, cores):
+                    return 1
+            except SlamHiveError as error:
+                self._tell_once(name, str(error))
+                pause_s = TROUBLE_S
+        self._next_look_s = monotonic_s() + pause_s
+        return 0
+
+    def remove(self, name: str) -> None:
+        """Remove a challenge with all that belongs to it, and its images from the engine.
+
+        Raises NotFound, Conflict while one of its images runs, and Unavailable if the engine or the disk refuses.
+        """
+        check_writable(self._settings)
+        folder = challenge_folder(self._settings.challenges_folder, name)
+        try:
+            with folder.running() as free:
+                if not free:
+                    raise Conflict(f"an image of challenge {name} runs", "stop the worker, then try again")
+                for submission_id in folder.submission_ids():
+                    root = folder.installation(submission_id)
+                    if root.is_dir() and folder.ended_runs(submission_id) is None:
+                        self._leave(folder, folder.submission(submission_id), root)
+                aside = folder.root.with_name(f".{name}")
+                folder.root.rename(aside)
+                remove_tree(aside)
+        except OSError as error:
+            raise Unavailable(f"{folder.root} cannot be removed: {error.strerror}", "remove it as its owner") from None
+
+    def _leave(self, folder: ChallengeFolder, found: SubmissionFolder, root: Path) -> None:
+        """End what a submission still runs, and forget its image."""
+        with closing(self._opened(root)) as installation:
+            rules = folder.full_definition.file.images
+            assert rules is not None  # it has an installation
+            runs = ImageRunsOfPhase(folder, found, installation, rules)
+            for run in runs.cancel():
+                self._drive(runs, run, threading.Event(), None)
+            forget_image(installation)
+
+    def _work_on(self, folder: ChallengeFolder, stopping: threading.Event, cores: tuple[int, ...] | None) -> bool:
+        try:
+            if next(self._waiting(folder), None) is None:
+                return False
+            with folder.running() as free:
+                found = next(self._waiting(folder), None) if free else None
+                if found is not None:
+                    self._advance(folder, found, stopping, cores)
+                return found is not None
+        except (FileNotFoundError, PermissionError):
+            self._tell_once(folder.root.name, "this user cannot read its recordings; run the worker as its owner")
+        return False
+
+    def _waiting(self, folder: ChallengeFolder) -> Iterator[SubmissionFolder]:
+        for submission_id in folder.submission_ids():
+            found = folder.submission(submission_id)
+            if found.root in self._done:
+                continue
+            if (found.root / RESULT).exists() or self._is_over(folder, found):
+                self._done.add(found.root)
+            else:
+                yield found
+
+    def _is_over(self, folder: ChallengeFolder, found: SubmissionFolder) -> bool:
+        """Whether there is nothing to run; a damaged submission is left to the next worker, and holds up nobody."""
+        try:
+            return found.sent.image is None or folder.ended_runs(found.root.name) is not None
+        except SlamHiveError as error:
+            logger.warning("submission %s: %s", found.root.name, error)
+            return True
+
+    def _tell_once(self, name: str, problem: str) -> None:
+        if (name, problem) not in self._told:
+            self._told.add((name, problem))
+            logger.warning("challenge %s: %s", name, problem)
+
+    def _advance(
+        self,
+        folder: ChallengeFolder,
+        found: SubmissionFolder,
+        stopping: threading.Event,
+        cores: tuple[int, ...] | None,
+    ) -> None:
+        rules = folder.full_definition.file.images
+        assert rules is not None  # no phase took an image otherwise
+        root = folder.installation(found.root.name)
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with closing(self._opened(root)) as installation:
+            runs = ImageRunsOfPhase(folder, found, installation, rules)
+            if found.cancelled:
+                self._end_cancelled(runs, stopping, cores)
+                return
+            try:
+                version = load_image(installation, found, self._settings.versions_folder)
+                assert found.sent.image is not None
+                algorithm = algorithm_of(installation, version, found.sent.image, rules)
+            except ImageRefused as error:
+                self._end(found, str(error))
+                forget_image(installation)
+                return
+            runs.queue(algorithm, executor_of(installation).name)
+            run = runs.next()
+            if run is None:
+                runs.finish()
+                forget_image(installation)
+                logger.info("challenge %s: the runs of submission %s have ended", folder.root.name, found.root.name)
+            else:
+                self._do(runs, run, stopping, cores)
+
+    def _do(
+        self,
+        runs: ImageRunsOfPhase,
+        run: RunRecord,
+        stopping: threading.Event,
+        cores: tuple[int, ...] | None,
+    ) -> None:
+        """Take one run to its end, and with constant time keep the slot for as long as the longest run."""
+        began = run.started_at or self._clock()
+        self._drive(runs, run, stopping, cores)
+        if not runs.rules.constant_time:
+            return
+        ends_s = runs.rules.time_limit_s + SETTLE_S
+        while (self._clock() - began).total_seconds() < ends_s and not runs.found.cancelled:
+            if stopping.wait(WATCH_S):
+                return
+
+    def _drive(
+        self, runs: ImageRunsOfPhase, run: RunRecord, stopping: threading.Event, cores: tuple[int, ...] | None
+    ) -> None:
+        worker = runs.installation.worker([run.id])
+
+        def look() -> None:
+            if stopping.is_set():
+                worker.stop()
+            elif runs.found.cancelled:
+                runs.cancel()
+
+        with _meanwhile(look):
+            worker.run(until_idle=True, cores=cores)
+
+    def _end_cancelled(self, runs: ImageRunsOfPhase, stopping: threading.Event, cores: tuple[int, ...] | None) -> None:
+        for run in runs.cancel():
+            self._drive(runs, run, stopping, cores)
+            if stopping.is_set():
+                return
+        forget_image(runs.installation)
+        self._end(runs.found, Failure.CANCELLED.value)
+
+    def _end(self, found: SubmissionFolder, failure: str) -> None:
+        """Keep why an image has no runs. That can be shown soon, since it has seen no recording."""
+        result = StoredResult(shown_at=shown_at(self._clock(), None), values={}, weights={}, failure=failure)
+        write_aside(found.root / RESULT, json.dumps(result.content), 0o640)
+        logger.info("challenge: submission %s has no runs: %s", found.root.name, failure)
+
+
+@contextmanager
+def _meanwhile(look: Callable[[], None]) -> Iterator[None]:
+    """Call ``look`` again and again during the block, in a thread of its own."""
+    ends = threading.Event()
+
+    def work() -> None:
+        while not ends.wait(WATCH_S):
+            try:
+                look()
+            except (SlamHiveError, OSError) as error:
+                logger.info("looking after the runs of an image: %s", error)
+
+    thread = threading.Thread(target=work, name="image-watch", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ends.set()
+        thread.join()

@@ -10,25 +10,24 @@ from datetime import datetime
 from itertools import islice
 from pathlib import Path
 
-from slamhive.clock import monotonic_s, utc_now
+from slamhive.base.clock import monotonic_s, utc_now
+from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.base.files import write_aside
+from slamhive.base.settings import Settings
+from slamhive.documents.challenge import StoredResult, StoredSubmission
 from slamhive.domain.challenge import Failure, RunFailure, rounded
-from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.evaluation.evaluators.base import KITTI_ESTIMATE, KITTI_REFERENCE
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask
-from slamhive.files import write_aside
-from slamhive.schema.challenge import StoredResult, StoredSubmission
-from slamhive.services.challenges.answering import shown_at
-from slamhive.services.challenges.definition import Definition
-from slamhive.services.challenges.estimates import Estimate, Estimates, estimates_of
+from slamhive.services.challenges.checking import Estimate, Estimates, estimates_of
+from slamhive.services.challenges.definition import WEIGHT, Definition
 from slamhive.services.challenges.folder import (
     RESULT,
     ChallengeFolder,
     SubmissionFolder,
     challenge_names,
 )
-from slamhive.services.challenges.presets import WEIGHT
+from slamhive.services.challenges.views import shown_at
 from slamhive.services.evaluations import NO_ENGINE, Evaluations, scratch_folder
-from slamhive.settings import Settings
 
 logger = logging.getLogger(__name__)
 

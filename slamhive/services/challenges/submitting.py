@@ -15,19 +15,17 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from slamhive.budget import Share
+from slamhive.base.budget import BudgetShare
+from slamhive.base.errors import Conflict, Forbidden, InvalidInput, SlamHiveError, TooManyRequests, Unavailable
+from slamhive.base.files import held_folder, remedy_of, share_with_group, write_aside
+from slamhive.documents.challenge import PhaseEntry, StoredImage, StoredSubmission
 from slamhive.domain.challenge import Format, PhaseState, Taken, phase_state
-from slamhive.domain.names import check_name
-from slamhive.domain.numbers import plural
-from slamhive.errors import Conflict, Forbidden, InvalidInput, SlamHiveError, TooManyRequests, Unavailable
-from slamhive.files import held_folder, remedy_of, share_with_group, write_aside
-from slamhive.schema.challenge import PhaseEntry, StoredImage, StoredSubmission
-from slamhive.services.challenges.checking import CheckedFile, check_files, in_memory
+from slamhive.domain.names import check_name, plural
+from slamhive.services.challenges.checking import CheckedFile, check_files, frame_trajectory, in_memory
 from slamhive.services.challenges.definition import Definition
 from slamhive.services.challenges.folder import IMAGE, SENT, ChallengeFolder, SubmissionFolder
-from slamhive.services.challenges.frames import frame_trajectory
-from slamhive.services.challenges.packed_images import check_image
-from slamhive.trajectory.kitti import parse_kitti_matrices
+from slamhive.services.challenges.images import check_image
+from slamhive.trajectory.pose_file import parse_kitti_matrices
 
 DAY = "%Y%m%d"
 _BLOCK_BYTES = 1 << 20
@@ -81,7 +79,7 @@ def enter(
     entrant: Entrant,
     files: Mapping[str, Path],
     now: datetime,
-    share: Share,
+    share: BudgetShare,
 ) -> SubmissionFolder:
     """Keep a submission, which then waits for its evaluation. What a team sends twice on one day is kept once.
 
@@ -215,7 +213,7 @@ def _store(
     return final
 
 
-def _write_files(aside: Path, checked: Sequence[CheckedFile], share: Share) -> None:
+def _write_files(aside: Path, checked: Sequence[CheckedFile], share: BudgetShare) -> None:
     for entry in checked:
         _copy(entry.path, aside / f"{entry.sequence}.{entry.format}")
         if entry.format is Format.KITTI:

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from slamhive.bags.staging import Progress
-from slamhive.bags.variants.cache import CacheLimits, VariantCache, VariantEntry
-from slamhive.bags.variants.manifest import VariantPlan
-from slamhive.bags.variants.plan import plan_variant
-from slamhive.bags.variants.rules import RegisteredSteps, on_all_sensors
-from slamhive.catalogue.dataset_file import dataset_to_yaml
-from slamhive.domain.dataset import Dataset
+from slamhive.base.bounds import read_record
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError
+from slamhive.base.files import write_aside
+from slamhive.base.settings import Mode, Settings
+from slamhive.documents.catalogue import DatasetCheck
+from slamhive.domain.configuration import Variant
+from slamhive.domain.dataset import VERSION, Dataset
 from slamhive.domain.run import RunState
-from slamhive.domain.variant import Variant
-from slamhive.errors import Conflict, SlamHiveError
 from slamhive.executors.spec import VariantOrder
-from slamhive.runs.folder import RunFolder
-from slamhive.search.build import matching
-from slamhive.settings import Settings
+from slamhive.experiments.binding import resolve_variant, seen_dataset
+from slamhive.filters.words import matching
+from slamhive.packages.dataset_file import DATASET_FILE, dataset_to_yaml
+from slamhive.recordings.staging import Progress
+from slamhive.recordings.variants.cache import CacheLimits, VariantCache, VariantEntry, VariantPlan
+from slamhive.recordings.variants.plan import plan_variant
+from slamhive.recordings.variants.rules import RegisteredSteps, on_all_sensors
+from slamhive.run_folder.folder import RunFolder
 from slamhive.store import Store
-from slamhive.sweep.variants import resolve_variant, seen_dataset
 
 logger = logging.getLogger(__name__)
 
@@ -48,7 +52,7 @@ class UsedVariant:
     order: VariantOrder | None = None
 
 
-class Variants:
+class VariantService:
     """The variants of one installation.
 
     Args:
@@ -108,7 +112,7 @@ class Variants:
             return
 
         def build(folder: Path, on_progress: Progress) -> Dataset:
-            from slamhive.bags.variants.build import build_variant  # noqa: PLC0415 - loads OpenCV
+            from slamhive.recordings.variants.build import build_variant  # noqa: PLC0415 - loads OpenCV
 
             return build_variant(dataset, variant, folder, on_progress)
 
@@ -176,3 +180,62 @@ def variant_key(record: dict[str, object]) -> str | None:
     dataset = record.get("dataset")
     key = dataset.get("variant") if isinstance(dataset, dict) else None
     return key if isinstance(key, str) else None
+
+
+# Checks datasets, and keeps the last report beside each dataset.
+
+
+REPORT_FILE = "check.json"
+
+
+class DatasetChecks:
+    """The checks of the datasets of one installation.
+
+    Args:
+        settings: Whether reports may be stored.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+
+    def check(self, dataset: Dataset, progress: Progress) -> DatasetCheck:
+        """Check ``dataset``, and store the report unless this installation is view-only.
+
+        Raises:
+            InvalidInput: it has no recording, or the recording is damaged.
+            Unavailable: the report cannot be written.
+        """
+        # OpenCV and rosbags take half a second to import, which other commands should not pay.
+        from slamhive.recordings.checks.registry import check_dataset  # noqa: PLC0415
+
+        files = _files(dataset)
+        report = DatasetCheck.of(check_dataset(dataset, progress), files=files)
+        if self._settings.mode is not Mode.VIEW_ONLY:
+            write_aside(_path(dataset), json.dumps(report.content, indent=1) + "\n")
+        return report
+
+    def stored(self, dataset: Dataset) -> DatasetCheck | None:
+        """The last report; None if there is none, or if the data or the checks have changed since."""
+        try:
+            report = DatasetCheck.read(read_record(_path(dataset)))
+        except (NotFound, InvalidInput):
+            return None
+        current = (dataset.checksum, _files(dataset), VERSION)
+        return report if (report.checksum, report.files, report.version) == current else None
+
+
+def _path(dataset: Dataset) -> Path:
+    return dataset.folder / REPORT_FILE
+
+
+def _files(dataset: Dataset) -> str:
+    """Changes with ``dataset.yaml`` and the ground truth, which the checksum of the recording does not cover."""
+    digest = hashlib.sha256()
+    try:
+        digest.update((dataset.folder / DATASET_FILE).read_bytes())
+        if dataset.groundtruth_path is not None:
+            status = dataset.groundtruth_path.stat()
+            digest.update(f"{status.st_size} {status.st_mtime_ns}".encode())
+    except OSError:
+        digest.update(b"absent")
+    return f"sha256:{digest.hexdigest()}"

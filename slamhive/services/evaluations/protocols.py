@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from slamhive.catalogue.protocol_file import load_protocol
+from slamhive.base.errors import InvalidInput, NotFound, unknown
+from slamhive.base.settings import Settings
+from slamhive.documents import protocol as schema
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.protocol import Alignment, Protocol, default_alignment
-from slamhive.domain.protocol_request import ProtocolRequest, exactly
-from slamhive.errors import InvalidInput, NotFound, unknown
+from slamhive.domain.protocol import Alignment, Protocol, ProtocolRequest, default_alignment, exactly
 from slamhive.evaluation.presets import BY_SENSORS, PRESETS, Preset
-from slamhive.settings import Settings
+from slamhive.packages.protocol_file import load_protocol
 from slamhive.store import Store
 from slamhive.trajectory.alignment import MINIMUM_POSES
 
@@ -90,7 +90,7 @@ def reference_path(dataset: Dataset, protocol: Protocol) -> Path | None:
     return path
 
 
-class Protocols:
+class ProtocolService:
     """Protocols by name: presets, and those in use."""
 
     def __init__(self, store: Store) -> None:
@@ -136,3 +136,30 @@ class Protocols:
 def presets() -> Sequence[tuple[str, Preset]]:
     """The presets, by name."""
     return list(PRESETS)
+
+
+# Protocols as JSON shows them.
+
+
+def preset_documents() -> dict[str, schema.PresetDocument]:
+    """The presets by name."""
+    return {
+        name: schema.PresetDocument.of(
+            preset,
+            name=name,
+            fingerprint=preset.protocol.fingerprint,
+            values=preset.protocol,
+            figures=preset.metrics,
+        )
+        for name, preset in presets()
+    }
+
+
+def protocols_document(used: Iterable[UsedProtocol]) -> schema.ProtocolsDocument:
+    """All presets, and the protocols in use."""
+    return schema.ProtocolsDocument(
+        presets=tuple(preset_documents().values()),
+        used=tuple(
+            schema.UsedProtocolDocument.of(entry.protocol, values=entry.protocol, runs=entry.runs) for entry in used
+        ),
+    )

@@ -4,30 +4,129 @@ from __future__ import annotations
 
 import json
 import logging
+import stat
 import threading
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from slamhive.clock import utc_now
-from slamhive.domain.external import IMPORTED
-from slamhive.domain.protocol import Protocol
-from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.base.files import sweep_folder, temporary_folder, write_aside
+from slamhive.base.settings import Settings
+from slamhive.domain.algorithm import IMPORTED
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.protocol import Protocol, ProtocolRequest
 from slamhive.domain.sensors import IDENTITY4, Matrix4
-from slamhive.errors import SlamHiveError, Unavailable
-from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask, failed_result
+from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.verdict import Hint
+from slamhive.evaluation.evaluators.base import (
+    COVARIANCES,
+    KITTI_ESTIMATE,
+    KITTI_REFERENCE,
+    MAP,
+    REFERENCE_MAP,
+    RELATIONS,
+)
+from slamhive.evaluation.job import (
+    RESULT_FILE,
+    Artefacts,
+    EvaluationResult,
+    EvaluationTask,
+    failed_result,
+    result_from_json,
+)
 from slamhive.evaluation.runner import EvaluationRunner
-from slamhive.executors.identity import owner_is_dead
-from slamhive.files import write_aside
-from slamhive.runs.folder import RunFolder
+from slamhive.executors.host import owner_is_dead
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.datasets import Catalogue, algorithm_here_or_elsewhere, check_writable
-from slamhive.services.evaluations.files import evaluation_files
-from slamhive.services.evaluations.protocols import Protocols, fitting_protocol, reference_path
-from slamhive.services.evaluations.scratch import scratch_folder
-from slamhive.services.evaluations.trajectories import estimate_of, protocols_of_all
-from slamhive.settings import Settings
+from slamhive.services.evaluations.protocols import ProtocolService, fitting_protocol, reference_path
 from slamhive.store import Store
 from slamhive.store.records import EvaluationRecord, LeaseLost, RunRecord
+
+# The files that an evaluation may read besides the two trajectories.
+
+
+def evaluation_files(folder: RunFolder, dataset: Dataset) -> dict[str, Path]:
+    """The files by the names that evaluators use; missing files and links are left out."""
+    truth = dataset.groundtruth
+    named = {
+        COVARIANCES: folder.covariances,
+        MAP: folder.map,
+        RELATIONS: None if dataset.relations is None else dataset.folder / dataset.relations,
+        REFERENCE_MAP: None if dataset.reference_map is None else dataset.folder / dataset.reference_map,
+        KITTI_ESTIMATE: folder.kitti_poses,
+        KITTI_REFERENCE: None if truth is None or truth.kitti_poses is None else dataset.folder / truth.kitti_poses,
+    }
+    return {name: path for name, path in named.items() if path is not None and _is_file(path)}
+
+
+def _is_file(path: Path) -> bool:
+    """Whether it is a regular file: an algorithm may have replaced it with a link."""
+    try:
+        return stat.S_ISREG(path.lstat().st_mode)
+    except OSError:
+        return False
+
+
+# Which file of a run an evaluation reads.
+
+
+def protocols_of_all(run: RunRecord, folder: RunFolder, protocol: Protocol) -> list[Protocol]:
+    """``protocol``, and the same for each other trajectory that the run left."""
+    if protocol.trajectory is not None:
+        return [protocol]
+    return [protocol, *(replace(protocol, trajectory=kind) for kind in other_trajectories(run, folder))]
+
+
+def other_trajectories(run: RunRecord, folder: RunFolder) -> list[TrajectoryKind]:
+    """The kinds that the run left besides ``traj.txt``."""
+    return [kind for kind in TrajectoryKind if kind is not run.trajectory and _has_poses(folder.trajectory_of(kind))]
+
+
+def estimate_of(run: RunRecord, folder: RunFolder, protocol: Protocol) -> Path:
+    """The trajectory that ``protocol`` judges; raises InvalidInput if the run has none of that kind."""
+    kind = protocol.trajectory
+    if kind is None or kind is run.trajectory:
+        return folder.trajectory
+    others = other_trajectories(run, folder)
+    if kind not in others:
+        has = ", ".join(filter(None, (run.trajectory or "traj.txt, whose kind is not stated", *others)))
+        raise InvalidInput(
+            f"run {run.id} has no {kind.adjective} trajectory; it has {has}",
+            "evaluate under a protocol without 'trajectory'",
+        )
+    return folder.trajectory_of(kind)
+
+
+def _has_poses(path: Path) -> bool:
+    try:
+        return path.stat().st_size > 0
+    except OSError:
+        return False
+
+
+# Temporary folders for batches of evaluations, removed even if a batch is killed.
+
+
+_PREFIX = ".evaluation-"
+
+
+@contextmanager
+def scratch_folder(data: Path) -> Iterator[Path]:
+    """A folder below ``data``, removed at the end; leftovers of killed processes are removed first."""
+    sweep_scratch(data)
+    with temporary_folder(_PREFIX, data) as folder:
+        yield folder
+
+
+def sweep_scratch(data: Path) -> None:
+    """Remove the folders of killed batches."""
+    for left in data.glob(f"{_PREFIX}*"):
+        sweep_folder(left)
+
 
 logger = logging.getLogger(__name__)
 
@@ -55,7 +154,7 @@ class Evaluations:
         settings: Settings,
         store: Store,
         catalogue: Catalogue,
-        protocols: Protocols,
+        protocols: ProtocolService,
         runner: Callable[[], EvaluationRunner],
     ) -> None:
         self._settings = settings
@@ -316,3 +415,29 @@ def _refused(entry: EvaluationRecord, reason: str) -> EvaluationResult:
     """The result of an evaluation that could not start."""
     nowhere = Path()
     return failed_result(EvaluationTask(str(entry.id), nowhere, None, nowhere, entry.protocol), reason, NO_ENGINE)
+
+
+# Notes of an evaluation in the run folder: why metrics are missing, and hints at mistakes.
+
+
+_MAX_RESULT_BYTES = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationNotes:
+    """``missing``: {metric key: why it has no value}. ``hints``: likely mistakes that the errors point to."""
+
+    missing: Mapping[str, str] = field(default_factory=dict)
+    hints: tuple[Hint, ...] = ()
+
+
+def evaluation_notes(folder: RunFolder, fingerprint: str | None) -> EvaluationNotes:
+    """The notes of the evaluation under the protocol with this fingerprint; empty if there are none."""
+    if fingerprint is None:
+        return EvaluationNotes()
+    try:
+        with (folder.evaluation(fingerprint) / RESULT_FILE).open(encoding="utf-8") as stream:
+            result = result_from_json(stream.read(_MAX_RESULT_BYTES))
+    except (OSError, ValueError, InvalidInput):
+        return EvaluationNotes()
+    return EvaluationNotes(result.missing, result.hints)

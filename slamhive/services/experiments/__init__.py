@@ -4,70 +4,40 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive.lazy import lazy_names
+from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.experiments.context import ExperimentContext, Progress
-    from slamhive.services.experiments.expected import GUESSED_START_S, guessed_duration_s
+    from slamhive.services.experiments.context import GUESSED_START_S, ExperimentContext, Progress, guessed_duration_s
     from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, StoredExperiment
-    from slamhive.services.experiments.ranking import RANKED_BY, RankedCell, Ranking
-    from slamhive.services.experiments.reporting import NO_FIGURES, csv_text, failures_text, varying
-    from slamhive.services.experiments.restoring import Restored
-    from slamhive.services.experiments.service import Experiments
-    from slamhive.services.experiments.status import METRICS, is_failing, status_of
+    from slamhive.services.experiments.progress import METRICS, is_failing, status_of
+    from slamhive.services.experiments.ranking import (
+        NO_FIGURES,
+        RANKED_BY,
+        RankedCell,
+        Ranking,
+        csv_text,
+        failures_text,
+        varying,
+    )
+    from slamhive.services.experiments.service import ExperimentService
+    from slamhive.services.experiments.starting import Restored
     from slamhive.services.experiments.views import (
         ENDED,
         Cell,
         CellFigures,
+        ConfigurationStanding,
+        ExperimentGrid,
         ExperimentPreview,
         ExperimentSource,
         ExperimentStatus,
         Failure,
-        Grid,
         GridCell,
+        MetricSpread,
         NodesPlan,
         Phase,
-        Spread,
-        Standing,
         failure_words,
     )
 
-__all__ = [
-    "ENDED",
-    "GUESSED_START_S",
-    "METRICS",
-    "NO_FIGURES",
-    "RANKED_BY",
-    "RECORD",
-    "SOURCE",
-    "Cell",
-    "CellFigures",
-    "ExperimentContext",
-    "ExperimentFolder",
-    "ExperimentPreview",
-    "ExperimentSource",
-    "ExperimentStatus",
-    "Experiments",
-    "Failure",
-    "Grid",
-    "GridCell",
-    "NodesPlan",
-    "Phase",
-    "Progress",
-    "RankedCell",
-    "Ranking",
-    "Restored",
-    "Spread",
-    "Standing",
-    "StoredExperiment",
-    "csv_text",
-    "failure_words",
-    "failures_text",
-    "guessed_duration_s",
-    "is_failing",
-    "status_of",
-    "varying",
-]
 
 if not TYPE_CHECKING:
     __getattr__ = lazy_names(__name__)

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
+from slamhive.base.settings import Settings
+from slamhive.domain.configuration import Playback, PlaybackMode
+from slamhive.domain.placement import Remaining
 from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.services.experiments.views import ExperimentSource
-from slamhive.settings import Settings
+from slamhive.store import Transaction
+from slamhive.store.durations import Measured, Pairing
 
-# Lists and reports expand nothing. They need no steps of variants, and those load OpenCV.
 if TYPE_CHECKING:
-    from slamhive.services.datasets import Catalogue, Variants
+    from slamhive.experiments.expansion import Expansion
+    from slamhive.experiments.experiment import Experiment
+    from slamhive.services.datasets import Catalogue, VariantService
     from slamhive.services.executors import Executors
     from slamhive.store import Store
-    from slamhive.sweep.expand import Expansion
-    from slamhive.sweep.experiment import Experiment
+
+# Lists and reports expand nothing. They need no steps of variants, and those load OpenCV.
 
 Progress = Callable[[int, int], None]
 """Called with the number done and the total."""
@@ -34,7 +40,7 @@ class ExperimentContext:
     settings: Settings
     store: Store
     catalogue: Catalogue
-    variants: Variants
+    variants: VariantService
     executors: Executors
 
     def folder(self, name: str) -> ExperimentFolder:
@@ -46,8 +52,8 @@ class ExperimentContext:
 
         Only datasets with a recording are chosen. Raises InvalidInput naming file and line.
         """
-        from slamhive.search.datasets import matching_datasets  # noqa: PLC0415
-        from slamhive.sweep.dataset_choice import name_datasets  # noqa: PLC0415
+        from slamhive.experiments.check import name_datasets  # noqa: PLC0415
+        from slamhive.filters.datasets import matching_datasets  # noqa: PLC0415
 
         recorded = [dataset for dataset in self.catalogue.datasets() if dataset.bag]
 
@@ -61,10 +67,10 @@ class ExperimentContext:
 
         Raises NotFound or InvalidInput naming file and line, with the reason if a folder cannot be read.
         """
-        from slamhive.bags.variants.rules import RegisteredSteps  # noqa: PLC0415
+        from slamhive.experiments.binding import CatalogueView  # noqa: PLC0415
+        from slamhive.experiments.expansion import expand  # noqa: PLC0415
+        from slamhive.recordings.variants.rules import RegisteredSteps  # noqa: PLC0415
         from slamhive.services.configurations import find_map  # noqa: PLC0415
-        from slamhive.sweep.expand import expand  # noqa: PLC0415
-        from slamhive.sweep.view import CatalogueView  # noqa: PLC0415
 
         self._explain_broken(experiment)
         view = CatalogueView(
@@ -76,7 +82,7 @@ class ExperimentContext:
         return expand(experiment, view)
 
     def _explain_broken(self, experiment: Experiment) -> None:
-        from slamhive.sweep.binding import at  # noqa: PLC0415
+        from slamhive.experiments.binding import at  # noqa: PLC0415
 
         broken = {entry.name for entry in self.catalogue.broken()}
         for axis, look_up in (
@@ -89,3 +95,136 @@ class ExperimentContext:
                         look_up(name)
                     except InvalidInput as error:
                         raise at(axis.place, error) from None
+
+
+# How long runs take, and what lies between them: measured in this installation, else guesses.
+#
+# Plans and the time left use the same values.
+
+
+GUESSED_START_S = 5.0
+"""Starting an algorithm and writing its trajectory, in addition to the recording."""
+GUESSED_OVERHEAD_S = 1.5
+"""Preparing a run and collecting its results."""
+GUESSED_EVALUATION_S = 4.0
+"""One evaluation in a container of its own."""
+GUESSED_BUILD_S = 120.0
+"""Building the image or environment of a package."""
+ASSUMED_SPREAD = 0.25
+"""Relative standard deviation of durations, before any was measured. It weighs as much as one measurement."""
+GUESS_FACTOR = 2.0
+"""Where others are measured, a guess counts in an interval from its value over this to its value times this."""
+_NINE_TENTHS = 1.645
+"""So many standard deviations to both sides hold nine tenths of a normal distribution."""
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """The time of one run, evaluation or build.
+
+    ``own_s2`` is the variance from one to the next. ``common_s2`` is the variance of the mean, which all share.
+    ``guessed_s`` of ``seconds`` were not measured.
+    """
+
+    seconds: float
+    own_s2: float = 0.0
+    common_s2: float = 0.0
+    guessed_s: float = 0.0
+
+    @classmethod
+    def of(cls, measured: Measured) -> Expected:
+        """By measurements."""
+        squares = (measured.n - 1) * measured.std_s**2 + (ASSUMED_SPREAD * measured.seconds) ** 2
+        own_s2 = squares / measured.n
+        return cls(measured.seconds, own_s2, own_s2 / measured.n)
+
+    @classmethod
+    def guess(cls, seconds: float) -> Expected:
+        """Without a measurement."""
+        return cls(seconds, guessed_s=seconds)
+
+    @classmethod
+    def mean(cls, groups: Sequence[tuple[int, Expected]]) -> Expected:
+        """Of one among groups of so many each."""
+        count = max(1, sum(number for number, _ in groups))
+        return cls(
+            sum(number * each.seconds for number, each in groups) / count,
+            sum(number * each.own_s2 for number, each in groups) / count,
+            sum(number**2 * each.common_s2 for number, each in groups) / count**2,
+            sum(number * each.guessed_s for number, each in groups) / count,
+        )
+
+    def __add__(self, other: Expected) -> Expected:
+        """One and the other."""
+        return Expected(
+            self.seconds + other.seconds,
+            self.own_s2 + other.own_s2,
+            self.common_s2 + other.common_s2,
+            self.guessed_s + other.guessed_s,
+        )
+
+    def times(self, count: float, elapsed_s: float = 0.0) -> Amount:
+        """Of so many, of which ``elapsed_s`` have passed."""
+        whole_s = count * self.seconds
+        left_s = max(0.0, whole_s - elapsed_s)
+        guessed_s = count * self.guessed_s * (left_s / whole_s) if whole_s else 0.0
+        return Amount(left_s, count * self.own_s2 + count**2 * self.common_s2, guessed_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Amount:
+    """A sum of times with its variance; ``guessed_s`` of ``seconds`` were not measured."""
+
+    seconds: float
+    variance_s2: float
+    guessed_s: float
+
+    def __add__(self, other: Amount) -> Amount:
+        return Amount(
+            self.seconds + other.seconds, self.variance_s2 + other.variance_s2, self.guessed_s + other.guessed_s
+        )
+
+    def remaining(self, at_a_time: int) -> Remaining:
+        """With its interval, for so many runs at a time.
+
+        The logarithm of what was measured is taken as normal: a time is never negative, and long ones are more frequent
+        than as short ones.
+        """
+        known_s = self.seconds - self.guessed_s
+        factor = 1.0
+        if known_s > 0:
+            factor = math.exp(_NINE_TENTHS * math.sqrt(math.log1p(self.variance_s2 / known_s**2)))
+        low_s, high_s = (
+            known_s / factor + self.guessed_s / GUESS_FACTOR,
+            known_s * factor + self.guessed_s * GUESS_FACTOR,
+        )
+        return Remaining(self.seconds / at_a_time, low_s / at_a_time, high_s / at_a_time)
+
+
+@dataclass(frozen=True, slots=True)
+class Costs:
+    """What is added to the runs themselves: overhead of the worker for each, an evaluation, building a package."""
+
+    overhead: Expected
+    evaluation: Expected
+    build: Expected
+
+    @classmethod
+    def look(cls, t: Transaction) -> Costs:
+        """What was measured in this installation; guesses for what was not."""
+        return cls(
+            overhead=_or(t.durations.overhead(), GUESSED_OVERHEAD_S),
+            evaluation=_or(t.durations.evaluation(), GUESSED_EVALUATION_S),
+            build=_or(t.durations.build(), GUESSED_BUILD_S),
+        )
+
+
+def guessed_duration_s(pairing: Pairing, recording_s: float) -> float:
+    """The assumed duration of a run without measurements: a start, and the recording at the speed of its playback."""
+    playback = Playback(PlaybackMode(pairing[2]), pairing[3])
+    rate = playback.rate if playback.mode is PlaybackMode.REALTIME else 1.0
+    return GUESSED_START_S + recording_s / rate
+
+
+def _or(measured: Measured | None, guessed_s: float) -> Expected:
+    return Expected.guess(guessed_s) if measured is None else Expected.of(measured)

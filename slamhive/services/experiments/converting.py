@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 
+from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.algorithm import Algorithm
-from slamhive.errors import InvalidInput, unknown
-from slamhive.foreign.combination import Combination, read_combinations
-from slamhive.foreign.experiment import Converted, convert, other_text
-from slamhive.foreign.numbers import HERE
+from slamhive.experiments.file import parse_experiment
+from slamhive.packages.published.combination import HERE, Combination, read_combinations
+from slamhive.packages.published.experiment import Converted, convert, other_text
 from slamhive.services.datasets import Catalogue
 from slamhive.services.experiments.views import ExperimentSource
-from slamhive.sweep.experiment_file import parse_experiment
 
 
 def convert_published(

@@ -9,14 +9,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from slamhive import strict_yaml
-from slamhive.domain.visibility import Sharing, Visibility
-from slamhive.errors import Conflict, InvalidInput, Unavailable
-from slamhive.files import make_shared_folder, remedy_of, write_aside
-from slamhive.input_bounds import read_record
-from slamhive.schema.model import Document
-from slamhive.schema.types import Moment
-from slamhive.store.experiment_records import ExperimentState
+from slamhive.base import strict_yaml
+from slamhive.base.bounds import read_record
+from slamhive.base.errors import Conflict, InvalidInput, Unavailable
+from slamhive.base.files import make_shared_folder, remedy_of, write_aside
+from slamhive.documents.model import Document, Moment
+from slamhive.domain.accounts import Sharing, Visibility
+from slamhive.store.records import ExperimentState
 
 SOURCE = "experiment.yaml"
 RECORD = "experiment.json"

@@ -2,22 +2,259 @@
 
 from __future__ import annotations
 
+import shutil
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from heapq import nlargest
 from itertools import groupby
+from statistics import median
 
-from slamhive.domain.configuration import Configuration
+from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.base.files import size_bytes
+from slamhive.base.tree import folder_bytes
+from slamhive.domain.configuration import Configuration, Variant
 from slamhive.domain.matching import Origin, match_of, shown
+from slamhive.domain.placement import DataRuns, makespan_s, place
+from slamhive.domain.protocol import Protocol
+from slamhive.experiments.binding import at
+from slamhive.experiments.expansion import Expansion, PlannedRun
+from slamhive.experiments.experiment import Experiment
+from slamhive.recordings.variants.cache import VariantEntry
 from slamhive.services.configurations import unwatchable
-from slamhive.services.experiments.checks import Pair, disk_space_problems, find_disk_space, pair_problems, warnings
-from slamhive.services.experiments.context import ExperimentContext, Progress
-from slamhive.services.experiments.expected import Costs, guessed_duration_s
-from slamhive.services.experiments.planning import Workload, bytes_of_data
-from slamhive.services.experiments.views import ExperimentPreview, PreviewRow, Standing
+from slamhive.services.evaluations import protocol_for
+from slamhive.services.experiments.context import Costs, ExperimentContext, Progress, guessed_duration_s
+from slamhive.services.experiments.views import (
+    ConfigurationStanding,
+    ExperimentPreview,
+    NodesPlan,
+    PreviewRow,
+    VariantNeed,
+)
+from slamhive.services.runs import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
+from slamhive.services.versions import check_version
 from slamhive.store.durations import Pairing
-from slamhive.store.experiment_records import KnownConfiguration
-from slamhive.sweep.expand import Expansion, PlannedRun
-from slamhive.sweep.experiment import Experiment
+from slamhive.store.records import KnownConfiguration
+
+# Checks before an experiment is stored: everything that would keep it from running.
+
+
+UNMEASURED_RUN_BYTES = 500_000
+"""The assumed size of a run folder if none was measured: log, samples, trajectory and plots of one minute."""
+
+UNMEASURED_BYTES_PER_S = 100_000_000.0
+"""Of a recording, read while a variant of it is made, as long as none was: what a slow disk takes up."""
+
+_MEASURED_RUNS = 20
+_ANY_DATASET = ""
+Pair = tuple[str, str]
+"""Names of algorithm and dataset."""
+
+
+@dataclass(frozen=True, slots=True)
+class DiskSpace:
+    """Required and available disk space of an experiment, in bytes.
+
+    With ``variants_elsewhere``, the nodes of a cluster make the variants, so they take no space here.
+    """
+
+    variants: tuple[VariantNeed, ...]
+    run_bytes: int
+    free_bytes: int
+    unused_bytes: int
+    cache_bytes: int
+    variants_elsewhere: bool = False
+
+    @property
+    def variant_bytes(self) -> int:
+        """The size of all variants that must still be made."""
+        return sum(need.needed_bytes for need in self.variants if not need.made)
+
+    @property
+    def variant_s(self) -> float:
+        """The time for making them one after the other."""
+        return sum(need.make_s for need in self.variants if not need.made)
+
+
+def pair_problems(
+    context: ExperimentContext, experiment: Experiment, expansion: Expansion, executor: str
+) -> Iterator[SlamHiveError]:
+    """Problems of recordings, packages and alignment, each reported once with its place in the file."""
+    recorded: dict[str, Mapping[str, int] | None] = {}
+    packages: set[str] = set()
+    asked = RunLimits(experiment.limits.cpu_cores, experiment.limits.memory_mb)
+    for algorithm, dataset in expansion.pairs:
+        if dataset.name not in recorded:
+            try:
+                recorded[dataset.name] = recorded_topics(dataset)
+            except SlamHiveError as error:
+                recorded[dataset.name] = None
+                yield at(experiment.datasets.place, error)
+        topics = recorded[dataset.name]
+        try:
+            if topics is not None:
+                check_recorded(dataset, algorithm, topics)
+            if algorithm.package.name not in packages:
+                packages.add(algorithm.package.name)
+                check_executor(context.executors.get(executor), algorithm.package, asked)
+            check_version(context.store, context.executors.get(executor), algorithm)
+            protocol_of_pair(context, experiment, expansion, (algorithm.name, dataset.name))
+        except SlamHiveError as error:
+            yield at(experiment.datasets.place, error)
+
+
+def protocol_of_pair(
+    context: ExperimentContext, experiment: Experiment, expansion: Expansion, pair: Pair
+) -> Protocol | None:
+    """The protocol that the experiment requests; None for the default of the sensors."""
+    if experiment.evaluation.alignment is None:
+        return None
+    algorithm, dataset = next((a, d) for a, d in expansion.pairs if (a.name, d.name) == pair)
+    return protocol_for(algorithm, dataset, context.settings, experiment.evaluation.alignment)
+
+
+def find_disk_space(context: ExperimentContext, expansion: Expansion, executor: str | None) -> DiskSpace:
+    """The required variants, and the disk space for them and for run folders. ``executor`` is that of the runs."""
+    entries = context.variants.entries()
+    made = {entry.key for entry in entries}
+    datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
+    speeds = _speeds(entries)
+    needs: list[VariantNeed] = []
+    for name, variants in expansion.variants.items():
+        for variant in sorted(variants, key=str):
+            plan = context.variants.plan(datasets[name], variant)
+            if plan is not None:
+                make_s = plan.source_bytes / speeds.get(name, speeds[_ANY_DATASET])
+                needs.append(VariantNeed(name, variant, plan.key, plan.needed_bytes, make_s, plan.key in made))
+    return DiskSpace(
+        variants=tuple(needs),
+        run_bytes=expansion.size.runs * _bytes_of_a_run(context),
+        free_bytes=shutil.disk_usage(context.settings.data).free,
+        unused_bytes=sum(entry.size_bytes for entry in entries if not entry.in_use),
+        cache_bytes=context.settings.variant_cache_bytes,
+        variants_elsewhere=executor is not None and context.executors.get(executor).capabilities.makes_variants,
+    )
+
+
+def disk_space_problems(
+    context: ExperimentContext, experiment: Experiment, space: DiskSpace
+) -> Iterator[SlamHiveError]:
+    """What does not fit even if all unused variants are removed; runs on the same variant follow each other."""
+    try:
+        check_disk(context.settings)
+    except Unavailable as error:
+        yield error
+    here = () if space.variants_elsewhere else space.variants
+    largest = max((need.needed_bytes for need in here if not need.made), default=0)
+    if largest > space.cache_bytes:
+        yield InvalidInput(
+            f"{experiment.place}: a variant takes {_mb(largest)}, the cache holds {_mb(space.cache_bytes)}",
+            "raise VARIANT_CACHE_BYTES",
+        )
+    kept = context.settings.min_free_disk_mb * 1_000_000
+    needed = largest + space.run_bytes + kept
+    if needed > space.free_bytes + space.unused_bytes:
+        yield Unavailable(
+            f"{experiment.place}: the experiment needs {_mb(needed)} (largest variant {_mb(largest)}, run folders "
+            f"{_mb(space.run_bytes)}, kept free {_mb(kept)}), {context.settings.data} has {_mb(space.free_bytes)} free",
+            "free some space, or vary less at once",
+        )
+
+
+def warnings(space: DiskSpace) -> Sequence[str]:
+    """Warnings about variants that do not fit into the cache together."""
+    total = sum(need.needed_bytes for need in space.variants)
+    limit = min(space.cache_bytes, space.free_bytes + sum(need.needed_bytes for need in space.variants if need.made))
+    if total <= limit or space.variants_elsewhere:
+        return ()
+    takes = f"its variants take up to {_mb(total)}, there is room for {_mb(limit)}"
+    return (f"{takes}: those used longest ago are removed, and made again if a run needs them",)
+
+
+def _speeds(entries: Sequence[VariantEntry]) -> dict[str, float]:
+    """The median speed of making variants, in bytes of the recording per s, for each dataset and for all."""
+    known: dict[str, list[float]] = {}
+    for entry in entries:
+        if entry.bytes_per_s is not None:
+            for name in (entry.dataset, _ANY_DATASET):
+                known.setdefault(name, []).append(entry.bytes_per_s)
+    return {_ANY_DATASET: UNMEASURED_BYTES_PER_S} | {name: median(speeds) for name, speeds in known.items()}
+
+
+def _bytes_of_a_run(context: ExperimentContext) -> int:
+    """The mean size of the latest run folders, in bytes."""
+    numbered = (entry for entry in context.settings.runs_folder.iterdir() if entry.name.isdigit())
+    latest = nlargest(_MEASURED_RUNS, numbered, key=lambda entry: int(entry.name))
+    sizes = [folder_bytes(folder) for folder in latest]
+    return sum(sizes) // len(sizes) if sizes else UNMEASURED_RUN_BYTES
+
+
+def _mb(count: int) -> str:
+    return f"{count / 1e6:,.0f} MB"
+
+
+# How long planned runs take on one machine or on the nodes of a cluster, and what data each node gets.
+
+
+NODE_BYTES_PER_S = 100_000_000.0
+"""How fast a node gets data: 1 Gbit/s."""
+
+Data = tuple[str, Variant]
+"""What a run reads: a variant of a dataset, or the dataset as it is."""
+
+
+@dataclass(slots=True)
+class Workload:
+    """The expected time of each run (s), by the data that it reads."""
+
+    by_data: dict[Data, list[float]] = field(default_factory=lambda: defaultdict(list))
+
+    def add(self, configuration: Configuration, run_s: float, runs: int) -> None:
+        """Add ``runs`` runs of one configuration."""
+        self.by_data[configuration.dataset, configuration.variant] += [run_s] * runs
+
+    @property
+    def total_s(self) -> float:
+        """Of all runs, one after the other."""
+        return sum(map(sum, self.by_data.values()))
+
+    def on_nodes(self, nodes: int, data_bytes: Mapping[Data, int], *, recordings_only: bool = False) -> NodesPlan:
+        """The plan for so many nodes, each of which executes one run at a time and gets the data of its runs once.
+
+        With ``recordings_only``, nodes make variants, so of each dataset only the recording moves.
+        """
+        keys = {str(number): data for number, data in enumerate(self.by_data)}
+        groups = [
+            DataRuns(name, data_bytes[data] / NODE_BYTES_PER_S, tuple(self.by_data[data]))
+            for name, data in keys.items()
+        ]
+        plans = place(groups, nodes)
+        moved = [_moved_bytes([keys[name] for name in plan.data], data_bytes, recordings_only) for plan in plans]
+        return NodesPlan(
+            nodes=nodes,
+            used_nodes=sum(bool(plan.runs) for plan in plans),
+            time_s=makespan_s(plans),
+            moved_bytes=sum(moved),
+            node_bytes=max(moved),
+            bytes_per_s=NODE_BYTES_PER_S,
+        )
+
+
+def _moved_bytes(data: Sequence[Data], data_bytes: Mapping[Data, int], recordings_only: bool) -> int:
+    moved = {dataset: (dataset, variant) for dataset, variant in data}.values() if recordings_only else data
+    return sum(data_bytes[entry] for entry in moved)
+
+
+def bytes_of_data(expansion: Expansion, space: DiskSpace) -> dict[Data, int]:
+    """What a node gets for each dataset and variant that runs read; of variants the most that they can have."""
+    moved = () if space.variants_elsewhere else space.variants
+    sizes: dict[Data, int] = {(need.dataset, need.variant): need.needed_bytes for need in moved}
+    for dataset in {dataset.name: dataset for _, dataset in expansion.pairs}.values():
+        recording_bytes = size_bytes(dataset.bag_path) if dataset.bag else 0
+        for variant in ((), *expansion.variants.get(dataset.name, ())):
+            sizes.setdefault((dataset.name, variant), recording_bytes)
+    return sizes
+
 
 ROWS = 20
 CHUNK = 1000
@@ -60,7 +297,7 @@ def preview(
     context: ExperimentContext,
     experiment: Experiment,
     executor: str | None,
-    standing: Standing | None,
+    standing: ConfigurationStanding | None,
     progress: Progress,
     nodes: int | None = None,
 ) -> ExperimentPreview:

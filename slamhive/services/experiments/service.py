@@ -6,33 +6,32 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from slamhive.base.errors import Conflict, SlamHiveError
 from slamhive.domain.parameters import Value
-from slamhive.errors import Conflict, SlamHiveError
 from slamhive.services.datasets import check_writable
-from slamhive.services.experiments import status as statuses
-from slamhive.services.experiments.axis_table import AxisTables
+from slamhive.services.experiments import progress as statuses
 from slamhive.services.experiments.context import ExperimentContext, Progress, silent
-from slamhive.services.experiments.time_left import TimeLeft
+from slamhive.services.experiments.progress import AxisTables, TimeLeft
 from slamhive.services.experiments.views import (
     Cell,
     CellPage,
+    ConfigurationStanding,
+    ExperimentGrid,
     ExperimentPreview,
     ExperimentSource,
     ExperimentStatus,
-    Grid,
-    Standing,
 )
 from slamhive.store import Transaction
-from slamhive.store.experiment_records import ExperimentState
+from slamhive.store.records import ExperimentState
 
 if TYPE_CHECKING:
-    from slamhive.domain.visibility import Visibility
-    from slamhive.foreign.experiment import Converted
+    from slamhive.domain.accounts import Visibility
+    from slamhive.packages.published.experiment import Converted
     from slamhive.services.experiments.ranking import Ranking
-    from slamhive.services.experiments.restoring import Restored
+    from slamhive.services.experiments.starting import Restored
 
 
-class Experiments:
+class ExperimentService:
     """The experiments of one installation.
 
     Args:
@@ -61,9 +60,9 @@ class Experiments:
 
         Raises InvalidInput or NotFound, naming file and line, if the file is not valid.
         """
+        from slamhive.experiments.file import parse_experiment  # noqa: PLC0415
         from slamhive.services.experiments.previewing import preview  # noqa: PLC0415 - lists and reports need neither
         from slamhive.services.experiments.starting import check_same  # noqa: PLC0415
-        from slamhive.sweep.experiment_file import parse_experiment  # noqa: PLC0415
 
         context = self._context
         source = context.with_datasets(source)
@@ -138,10 +137,10 @@ class Experiments:
         """The next ``limit`` cells (1 to 1000) after number ``after``, with their runs and metrics."""
         return self._context.store.read(lambda t: statuses.cell_page(t, name, after, limit))
 
-    def grid(self, name: str, row_axis: str, column_axis: str) -> Grid:
+    def grid(self, name: str, row_axis: str, column_axis: str) -> ExperimentGrid:
         """The number of runs in each phase, for each pair of values of two axes."""
 
-        def work(t: Transaction) -> Grid:
+        def work(t: Transaction) -> ExperimentGrid:
             record = t.experiments.get(name)
             counts = t.experiment_counts.by_cell(record.id)
             return self._tables.get(t, record).grid((row_axis, column_axis), counts, name)
@@ -173,14 +172,14 @@ class Experiments:
 
     def restore_rows(self) -> Iterator[Restored]:
         """First part of reindexing: a row for each experiment folder."""
-        from slamhive.services.experiments.restoring import restore_rows  # noqa: PLC0415
+        from slamhive.services.experiments.starting import restore_rows  # noqa: PLC0415
 
         check_writable(self._context.settings)
         return restore_rows(self._context)
 
     def restore_runs(self) -> Iterator[Restored]:
         """Second part of reindexing, after the run folders are filed: cells, and runs that no worker has started."""
-        from slamhive.services.experiments.restoring import restore_runs  # noqa: PLC0415
+        from slamhive.services.experiments.starting import restore_runs  # noqa: PLC0415
 
         check_writable(self._context.settings)
         return restore_runs(self._context)
@@ -188,7 +187,7 @@ class Experiments:
     def pause(self, name: str) -> ExperimentStatus:
         """Hold queued runs; active runs continue. Raises Conflict if all runs have ended."""
         check_writable(self._context.settings)
-        if self.status(name).standing is Standing.FINISHED:
+        if self.status(name).standing is ConfigurationStanding.FINISHED:
             raise Conflict(f"experiment {name} has finished", "there is nothing to pause")
         return self._put(name, ExperimentState.PAUSED)
 
@@ -202,7 +201,7 @@ class Experiments:
 
     def retry_failed(self, name: str) -> int:
         """Queue a new run for each failed one; returns their number. A second call finds none left to retry."""
-        from slamhive.services.experiments.changing import retry_failed  # noqa: PLC0415
+        from slamhive.services.experiments.starting import retry_failed  # noqa: PLC0415
 
         check_writable(self._context.settings)
         return retry_failed(self._context, name)
@@ -219,7 +218,7 @@ class Experiments:
         return self.status(name)
 
     def _put(self, name: str, state: ExperimentState) -> ExperimentStatus:
-        from slamhive.services.experiments.changing import put_state  # noqa: PLC0415
+        from slamhive.services.experiments.starting import put_state  # noqa: PLC0415
 
         check_writable(self._context.settings)
         put_state(self._context, name, state)

@@ -2,23 +2,257 @@
 
 from __future__ import annotations
 
+import logging
 import uuid
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import datetime
 
-from slamhive.clock import utc_now
-from slamhive.domain.visibility import Sharing, Visibility
-from slamhive.errors import Conflict, InvalidInput
-from slamhive.schema.submission import MAX_REPEATS
-from slamhive.services.experiments.changing import changing, write_record
-from slamhive.services.experiments.checks import disk_space_problems, find_disk_space, pair_problems
-from slamhive.services.experiments.context import ExperimentContext, Progress
-from slamhive.services.experiments.folder import ExperimentFolder, StoredExperiment
-from slamhive.services.experiments.storing import fill, put_experiment
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, InvalidInput, SlamHiveError
+from slamhive.documents.submission import MAX_REPEATS
+from slamhive.domain.accounts import Sharing, Visibility
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.placement import run_affinity
+from slamhive.domain.protocol import Protocol
+from slamhive.experiments.expansion import Expansion, PlannedRun
+from slamhive.experiments.experiment import Experiment
+from slamhive.experiments.file import parse_experiment
+from slamhive.services.experiments.context import ExperimentContext, Progress, silent
+from slamhive.services.experiments.folder import ExperimentFolder, StoredExperiment, experiment_folders
+from slamhive.services.experiments.previewing import (
+    Pair,
+    chunks_of,
+    disk_space_problems,
+    find_disk_space,
+    pair_problems,
+    protocol_of_pair,
+)
 from slamhive.services.experiments.views import ExperimentSource
-from slamhive.store.experiment_records import ExperimentRecord, ExperimentState
-from slamhive.sweep.expand import Expansion
-from slamhive.sweep.experiment import Experiment
-from slamhive.sweep.experiment_file import parse_experiment
+from slamhive.services.runs import repeat_if_disturbed, retry_request, run_uid
+from slamhive.store import Transaction
+from slamhive.store.records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration, RunRequest
+from slamhive.store.same_cpu import NOT_KNOWN
+
+# Store an experiment: cells and runs in chunks, one transaction each; a second call completes the first.
+
+
+logger = logging.getLogger(__name__)
+
+CHUNK = 2000
+"""Runs in one transaction, which may block a worker of the same SQLite file for at most a second."""
+
+
+def put_experiment(
+    context: ExperimentContext, stored: StoredExperiment, source: str, experiment: Experiment, *, cells: int, runs: int
+) -> ExperimentRecord:
+    """Add the row of an experiment, or return the existing one."""
+    values = {
+        "description": experiment.description,
+        "content_hash": stored.content_hash,
+        "source": source,
+        "state": stored.state,
+        "executor": stored.executor,
+        "priority": experiment.priority,
+        "repeats": stored.repeats,
+        "cells": cells,
+        "runs": runs,
+        "complete": False,
+        "created_at": stored.created_at,
+        "cpu_model": NOT_KNOWN if experiment.same_cpu else None,
+        "owner": stored.owner,
+        "visibility": stored.visibility,
+    }
+    return context.store.write(lambda t: t.experiments.get_or_create(stored.uid, stored.name, **values))
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Ids of algorithms (by label) and datasets, the protocol of each pair, and whether only cells are stored."""
+
+    algorithms: Mapping[str, tuple[int, Algorithm]]
+    datasets: Mapping[str, int]
+    protocols: Mapping[Pair, Protocol | None]
+    cells_only: bool
+
+
+def fill(
+    context: ExperimentContext,
+    record: ExperimentRecord,
+    experiment: Experiment,
+    expansion: Expansion,
+    progress: Progress,
+    *,
+    cells_only: bool = False,
+) -> None:
+    """Store all missing cells and runs of ``expansion``, and mark the experiment as complete.
+
+    ``cells_only`` adds no runs, for restoring a cancelled experiment. Raises Conflict if stored cells differ, because
+    the catalogue has changed, or if the experiment is cancelled meanwhile.
+    """
+    rows = _prepare(context, experiment, expansion, cells_only=cells_only)
+    cells = runs = 0
+    for chunk in chunks_of(expansion, CHUNK):
+        now = utc_now()
+        context.store.write(lambda t, chunk=chunk, now=now: _store(t, record, experiment, rows, chunk, now))  # type: ignore[misc]
+        cells += len(chunk)
+        runs += sum(map(len, chunk))
+        progress(runs, expansion.size.runs)
+    context.store.write(lambda t: t.experiments.change(record.id, cells=cells, runs=runs, complete=True))
+    context.store.refresh_if_grown()  # a database that plans for few runs reads them all for each configuration
+    logger.info("experiment %s: %d cells, %d runs", record.name, cells, runs)
+
+
+def _prepare(context: ExperimentContext, experiment: Experiment, expansion: Expansion, *, cells_only: bool) -> _Rows:
+    algorithms = {algorithm.label: algorithm for algorithm, _ in expansion.pairs}
+    datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
+    pairs = [(algorithm.name, dataset.name) for algorithm, dataset in expansion.pairs]
+    now = utc_now()
+
+    def work(transaction: Transaction) -> _Rows:
+        return _Rows(
+            {label: (transaction.catalogue.put_algorithm(entry), entry) for label, entry in algorithms.items()},
+            {name: transaction.catalogue.put_dataset(dataset, now) for name, dataset in datasets.items()},
+            {pair: protocol_of_pair(context, experiment, expansion, pair) for pair in pairs},
+            cells_only,
+        )
+
+    return context.store.write(work)
+
+
+def _store(
+    t: Transaction,
+    record: ExperimentRecord,
+    experiment: Experiment,
+    rows: _Rows,
+    chunk: Sequence[Sequence[PlannedRun]],
+    now: datetime,
+) -> None:
+    current = t.experiments.locked(record.name)
+    if current.state is ExperimentState.CANCELLED and not rows.cells_only:
+        raise Conflict(f"experiment {record.name} was cancelled while it was being stored")
+    heads = [cell[0] for cell in chunk]
+    stored = t.experiments.cell_hashes(record.id, heads[0].cell, heads[-1].cell)
+    for head in heads:
+        if stored.get(head.cell, head.content_hash) != head.content_hash:
+            raise Conflict(
+                f"experiment {record.name}: {head.name} is another configuration now than the one stored",
+                "algorithm.yaml or dataset.yaml has changed since; start the file under another name",
+            )
+    ids = [found for found, _ in t.configurations.get_or_create_many([_new_rows(head, rows) for head in heads], now)]
+    t.experiments.add_cells(
+        record.id,
+        [
+            NewCell(head.cell, head.name, configuration_id, head.values)
+            for head, configuration_id in zip(heads, ids, strict=True)
+            if head.cell not in stored
+        ],
+    )
+    if rows.cells_only:
+        return
+    held = current.state is ExperimentState.PAUSED
+    requests = [
+        request
+        for cell, configuration_id in zip(chunk, ids, strict=True)
+        for request in _requests(record, experiment, rows, cell, configuration_id, held=held)
+    ]
+    t.runs.add_runs(requests, now, deleted_too=False)
+
+
+def _new_rows(head: PlannedRun, rows: _Rows) -> NewConfiguration:
+    algorithm_id, algorithm = rows.algorithms[head.configuration.algorithm_label]
+    dataset_id = rows.datasets[head.configuration.dataset]
+    return NewConfiguration(head.configuration, head.content_hash, algorithm_id, dataset_id, algorithm.parameters)
+
+
+def _requests(
+    record: ExperimentRecord,
+    experiment: Experiment,
+    rows: _Rows,
+    cell: Sequence[PlannedRun],
+    configuration_id: int,
+    *,
+    held: bool,
+) -> Iterator[RunRequest]:
+    configuration = cell[0].configuration
+    package = rows.algorithms[configuration.algorithm_label][1].package.name
+    affinity = run_affinity(configuration.dataset, configuration.variant, package)
+    for run in cell:
+        yield RunRequest(
+            uid=run_uid(record.uid, run.cell, run.seed, run.repeat),
+            configuration_id=configuration_id,
+            executor=record.executor,
+            seed=run.seed,
+            priority=record.priority,
+            evaluate=experiment.evaluation.enabled,
+            cpu_cores=experiment.limits.cpu_cores,
+            memory_mb=experiment.limits.memory_mb,
+            timeout_s=experiment.limits.timeout_s,
+            protocol=rows.protocols[configuration.algorithm, configuration.dataset],
+            experiment_id=record.id,
+            cell=run.cell,
+            held=held,
+            affinity=affinity,
+            stop_when=experiment.stop_when,
+            repeat_disturbed=experiment.repeat_disturbed,
+        )
+
+
+# Changes of a stored experiment: pause, resume, cancel, retry failed runs.
+
+
+WHY_CANCELLED = "cancelled with its experiment"
+_AT_ONCE = 500
+
+
+@contextmanager
+def changing(context: ExperimentContext, name: str) -> Iterator[ExperimentRecord]:
+    """Lock an experiment against other processes on this machine; raises NotFound, Conflict if it was cancelled."""
+    context.store.read(lambda t: t.experiments.get(name))
+    with context.folder(name).locked():
+        record = context.store.read(lambda t: t.experiments.get(name))
+        if record.state is ExperimentState.CANCELLED:
+            raise Conflict(f"experiment {name} was cancelled", "start its file under another name to run it again")
+        yield record
+
+
+def write_record(context: ExperimentContext, record: ExperimentRecord) -> None:
+    """Write the requested state to the folder, which is the truth; the database is its index."""
+    folder = context.folder(record.name)
+    known = folder.read() is not None
+    folder.write(StoredExperiment.of(record), None if known else record.source)
+
+
+def put_state(context: ExperimentContext, name: str, state: ExperimentState) -> None:
+    """Pause, resume or cancel; setting the same state again has no effect."""
+    with changing(context, name) as record:
+        write_record(context, replace(record, state=state))
+        now = utc_now()
+
+        def work(t: Transaction) -> None:
+            t.experiments.change(record.id, state=state)
+            if state is ExperimentState.CANCELLED:
+                t.experiments.cancel(record.id, now, WHY_CANCELLED)
+            else:
+                t.experiments.hold(record.id, held=state is ExperimentState.PAUSED)
+
+        context.store.write(work)
+
+
+def retry_failed(context: ExperimentContext, name: str) -> int:
+    """Queue a new run for each failed one; returns their number."""
+    with changing(context, name) as record:
+        failed = context.store.read(lambda t: t.experiments.failed(record.id))
+        for begin in range(0, len(failed), _AT_ONCE):
+            part, now = failed[begin : begin + _AT_ONCE], utc_now()
+            context.store.write(lambda t, part=part, now=now: _retry(t, part, now))  # type: ignore[misc]
+    return len(failed)
+
+
+def _retry(t: Transaction, run_ids: Sequence[int], now: datetime) -> None:
+    requests = [retry_request(t, run, run_uid(run.uid, "retry")) for run in t.runs.get_many(run_ids)]
+    t.runs.add_runs(requests, now)
 
 
 def start(
@@ -126,3 +360,93 @@ def _settled(folder: ExperimentFolder, known: StoredExperiment, source: Experime
         return found
     folder.write(known, source.text)
     return known
+
+
+# Restore experiments from their folders: rows before the runs are filed, cells and waiting runs after that.
+
+
+@dataclass(frozen=True, slots=True)
+class Restored:
+    """A restored experiment: the number of runs queued again, and the problem if it is incomplete."""
+
+    folder: ExperimentFolder
+    queued: int = 0
+    problem: str | None = None
+
+
+def restore_rows(context: ExperimentContext) -> Iterator[Restored]:
+    """Add or update the row of each experiment from its folder."""
+    for folder in sorted(experiment_folders(context.settings.experiments_folder), key=_first_stored):
+        try:
+            stored, source = folder.read(), folder.source()
+            if stored is None:
+                continue
+            record = put_experiment(
+                context, stored, source, parse_experiment(source, str(folder.root)), cells=0, runs=0
+            )
+            if (record.state, record.repeats) != (stored.state, stored.repeats):
+                values = {"state": stored.state, "repeats": stored.repeats, "complete": False}
+                context.store.write(lambda t, i=record.id, v=values: t.experiments.change(i, **v))  # type: ignore[misc]
+            if record.sharing != stored.sharing:
+                shared = (record.id, stored.sharing)
+                context.store.write(lambda t, shared=shared: t.sharing.share_experiment(*shared))  # type: ignore[misc]
+        except SlamHiveError as error:
+            yield Restored(folder, problem=str(error))
+        else:
+            yield Restored(folder)
+
+
+def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
+    """Store the cells, and queue all runs without a folder, unless the experiment was cancelled."""
+    for record in context.store.read(lambda t: t.experiments.all()):
+        if record.complete:
+            _follow(context, record)
+            continue
+        folder = context.folder(record.name)
+        before = _run_count(context, record)
+        problem = None
+        try:
+            experiment = replace(parse_experiment(record.source, str(folder.root)), repeats=record.repeats)
+            cancelled = record.state is ExperimentState.CANCELLED
+            fill(context, record, experiment, context.expand(experiment), silent, cells_only=cancelled)
+            context.store.write(lambda t, i=record.id: _repeat_disturbed(t, i))  # type: ignore[misc]
+            other = context.store.read(lambda t, i=record.id: t.experiments.strangers(i))  # type: ignore[misc]
+            if other:
+                problem = f"{other} runs have another configuration than their cell has now: the catalogue has changed"
+        except SlamHiveError as error:
+            problem = str(error)
+        _follow(context, record)
+        yield Restored(folder, _run_count(context, record) - before, problem)
+
+
+def _repeat_disturbed(t: Transaction, experiment_id: int) -> None:
+    """Queue the repetitions of disturbed runs that no worker had started."""
+    for run in t.runs.get_many(t.experiments.to_repeat(experiment_id)):
+        repeat_if_disturbed(t, run, utc_now())
+
+
+def _follow(context: ExperimentContext, record: ExperimentRecord) -> None:
+    """Hold or cancel its runs if the experiment is paused or cancelled; they stay on the CPU model of earlier ones."""
+    now = utc_now()
+
+    def work(t: Transaction) -> None:
+        t.same_cpu.settle(record.id)
+        if record.state is ExperimentState.CANCELLED:
+            t.experiments.cancel(record.id, now, WHY_CANCELLED)
+        else:
+            t.experiments.hold(record.id, held=record.state is ExperimentState.PAUSED)
+
+    context.store.write(work)
+
+
+def _first_stored(folder: ExperimentFolder) -> tuple[str, str]:
+    """The sort key: experiments are listed in the order in which they were stored."""
+    try:
+        stored = folder.read()
+    except SlamHiveError:
+        stored = None
+    return "" if stored is None else stored.created_at.isoformat(), folder.root.name
+
+
+def _run_count(context: ExperimentContext, record: ExperimentRecord) -> int:
+    return len(context.store.read(lambda t: t.experiments.run_ids(record.id)))

@@ -9,14 +9,14 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
 
-from slamhive import strict_yaml
+from slamhive.base import strict_yaml
+from slamhive.domain.accounts import Visibility
+from slamhive.domain.configuration import Variant
 from slamhive.domain.parameters import Value
-from slamhive.domain.remaining import Remaining
+from slamhive.domain.placement import Remaining
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.variant import Variant
 from slamhive.domain.verdict import VerdictKind
-from slamhive.domain.visibility import Visibility
-from slamhive.store.experiment_records import CellRun
+from slamhive.store.records import CellRun
 
 MOST_LISTED = 200
 """A grid cell lists at most this many configurations: a longer URL is too long for some servers."""
@@ -92,7 +92,7 @@ def failure_words(failure: Failure) -> str:
     return failure.label if isinstance(failure, VerdictKind) else failure.value.replace("_", " ")
 
 
-class Standing(StrEnum):
+class ConfigurationStanding(StrEnum):
     """The state of an experiment. ``storing``: its start is under way or was interrupted."""
 
     STORING = "storing"
@@ -180,7 +180,7 @@ class ExperimentPreview:
     free_bytes: int
     warnings: tuple[str, ...]
     refusals: tuple[str, ...]
-    standing: Standing | None
+    standing: ConfigurationStanding | None
     repeat_disturbed: int = 0
     build_time_s: float = 0.0
     between_s: float = 0.0
@@ -202,7 +202,7 @@ class ExperimentStatus:
     id: int
     name: str
     description: str
-    standing: Standing
+    standing: ConfigurationStanding
     executor: str
     priority: int
     repeats: int
@@ -248,7 +248,7 @@ class ExperimentStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class MetricSpread:
     """Mean, median and sample standard deviation of ``n`` values; a single value has no deviation."""
 
     n: int
@@ -267,7 +267,7 @@ class CellFigures:
     protocol: str | None
     runs: int
     disturbed: int
-    metrics: Mapping[str, Spread]
+    metrics: Mapping[str, MetricSpread]
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,7 +313,7 @@ class GridCell:
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class ExperimentGrid:
     """Progress over two axes. A value is None if the axis does not apply (``features`` for a LiDAR algorithm).
 
     ``cells``: {(row, column) as indices of ``rows`` and ``columns``: cell}, without combinations that do not exist.

@@ -3,28 +3,128 @@
 from __future__ import annotations
 
 import json
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slamhive import __version__
-from slamhive.clock import utc_now
-from slamhive.domain.names import check_name
-from slamhive.domain.numbers import plural
+from slamhive.base.bounds import MOST_RECORD_BYTES, parse_json_object, read_text
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, InvalidInput, Unavailable, unknown
+from slamhive.base.files import make_shared_folder, remedy_of, write_aside
+from slamhive.base.settings import Settings
+from slamhive.documents.gate import LARGEST_VALUE, Baseline, BaselineBrief, BaselineConfiguration, MeasuredRun
+from slamhive.documents.record import ConfigurationContent
+from slamhive.domain.gate import Margin
+from slamhive.domain.metrics import METRICS, Direction
+from slamhive.domain.names import check_name, plural
+from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import RunState
-from slamhive.errors import Conflict, InvalidInput, Unavailable, unknown
-from slamhive.files import make_shared_folder, remedy_of, write_aside
-from slamhive.input_bounds import MOST_RECORD_BYTES, parse_json_object, read_text
-from slamhive.schema.gate import Baseline, BaselineBrief, BaselineConfiguration
-from slamhive.schema.record import ConfigurationContent
+from slamhive.domain.verdict import FROM_REPEATS, VerdictKind
 from slamhive.services.datasets import check_writable
-from slamhive.services.gates.measuring import measured_runs
-from slamhive.services.gates.pairing import pairing_key
 from slamhive.services.searches import Searches
-from slamhive.settings import Settings
 from slamhive.store import RunRecord, Store, Transaction
+from slamhive.store.metrics import VERDICT, kind_of
+
+# The values of runs under one protocol, as baselines hold them and checks compare them.
+
+
+def measured_runs(t: Transaction, runs: Sequence[RunRecord], fingerprint: str) -> dict[int, MeasuredRun]:
+    """{run: its values} of runs that have ended; one that was not evaluated under the protocol is left out.
+
+    A failed run needs no evaluation: it has failed under every protocol.
+    """
+    known = fingerprint in t.searches.protocols()
+    protocol_id = t.run_table.protocol_id(fingerprint) if known else None
+    run_ids = [run.id for run in runs]
+    values = t.metrics.for_runs(run_ids, protocol_id=protocol_id, verdicts=True) if known else {}
+    found: dict[int, MeasuredRun] = {}
+    for run in runs:
+        own = values.get(run.id, {})
+        failed = _failed(run, own)
+        if failed is not None or VERDICT in own:
+            found[run.id] = _measured(run, own, failed)
+    return found
+
+
+def _failed(run: RunRecord, values: Mapping[str, float]) -> VerdictKind | None:
+    """Why a run counts as failed; None for one that is good or was not evaluated."""
+    kind = VerdictKind.ENDED_BADLY if run.state is RunState.FAILED else kind_of(values.get(VERDICT))
+    return kind if kind is not None and kind.failed else None
+
+
+def _measured(run: RunRecord, values: Mapping[str, float], failed: VerdictKind | None) -> MeasuredRun:
+    return MeasuredRun.of(
+        run,
+        version=run.version_label,
+        cpu_model=None if run.host is None else run.host.cpu_model,
+        disturbed=None if run.disturbance is None else run.disturbance.disturbed,
+        failed=failed,
+        metrics={key: value for key, value in values.items() if _can_become_worse(key) and abs(value) <= LARGEST_VALUE},
+    )
+
+
+def _can_become_worse(key: str) -> bool:
+    metric = METRICS.entries.get(key)
+    if metric is None or key in FROM_REPEATS:
+        return False
+    return metric.direction is not Direction.NEUTRAL
+
+
+# Which configuration of a baseline a run belongs to. The version of the package is what may differ.
+
+
+_ALIKE = ("algorithm", "dataset", "playback", "variant", "sensors")
+_MOST_NAMED = 3
+
+
+def pairing_key(content: ConfigurationContent) -> str:
+    """What configurations that differ in their version alone have in common."""
+    return replace(content.configuration, version=None).content_hash
+
+
+def find_pair(
+    held: Sequence[BaselineConfiguration], found: ConfigurationContent, ignored: Collection[str] = ()
+) -> int | str:
+    """The place in ``held`` of the configuration that ``found`` is compared with, or why there is none.
+
+    A parameter that only one of them has was added to the package or removed from it, and does not count. Neither do
+    the parameters ``ignored``.
+    """
+    alike = [place for place, entry in enumerate(held) if _alike(entry, found)]
+    fitting = [place for place in alike if not _differences(held[place], found, ignored)]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        return f"fits {len(fitting)} configurations of the baseline"
+    if not alike:
+        return "no such configuration is in the baseline"
+    fewest = min((_differences(held[place], found, ignored) for place in alike), key=len)
+    more = f" and {len(fewest) - _MOST_NAMED} more" if len(fewest) > _MOST_NAMED else ""
+    return f"differs from the baseline in {', '.join(fewest[:_MOST_NAMED])}{more}"
+
+
+def _alike(held: ConfigurationContent, found: ConfigurationContent) -> bool:
+    """Whether all but the parameters is equal."""
+    maps = [None if entry.map is None else entry.map.content for entry in (held, found)]
+    return maps[0] == maps[1] and all(getattr(held, name) == getattr(found, name) for name in _ALIKE)
+
+
+def _differences(held: ConfigurationContent, found: ConfigurationContent, ignored: Collection[str]) -> list[str]:
+    """The parameters in which they differ, with both values."""
+    common = [key for key in found.parameters if key in held.parameters and key not in ignored]
+    return [
+        f"{key} ({_text(held.parameters[key])}, here {_text(found.parameters[key])})"
+        for key in common
+        if held.parameters[key] != found.parameters[key]
+    ]
+
+
+def _text(value: Value) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
 
 ENDING = ".json"
 _LIST = "slamhive gate list shows them"
@@ -212,3 +312,123 @@ def frozen_configuration(
         protocol=protocols[fingerprint],
         runs=tuple(measured[run.id] for run in kept),
     )
+
+
+# The runs that a gate checks, beside those of the baseline.
+
+
+_CANDIDATES_MOST_NAMED = 10
+
+
+@dataclass(frozen=True, slots=True)
+class GateCheck:
+    """What is compared with what.
+
+    Attributes:
+        baseline: The runs to compare with.
+        margins: By how much each metric may become worse.
+        ignored: Parameters that may differ.
+        partial: Whether a check can pass although configurations of the baseline have no runs.
+        both_ways: Whether better values than those of the baseline count as worse ones do.
+    """
+
+    baseline: Baseline
+    margins: Mapping[str, Margin]
+    ignored: frozenset[str] = frozenset()
+    partial: bool = False
+    both_ways: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RunPair:
+    """One configuration of the baseline, and the runs to check.
+
+    ``words`` is the name of the configuration; ``measured`` are the values of the runs, in the same order.
+    """
+
+    words: str
+    held: BaselineConfiguration
+    runs: tuple[RunRecord, ...]
+    measured: tuple[MeasuredRun, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PairedRuns:
+    """Runs by the place of their configuration in the baseline, and why others were left out."""
+
+    runs: Mapping[int, Sequence[RunRecord]]
+    left_out: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def notes(self) -> list[str]:
+        """A sentence for each reason to leave out runs."""
+        return [f"{plural(count, 'run')} left out: {reason}." for reason, count in self.left_out.items()]
+
+
+def pair_runs(check: GateCheck, runs: Iterable[RunRecord]) -> PairedRuns:
+    """Find the configuration of the baseline for each run; raises InvalidInput if no run has one."""
+    own = {run.uid for entry in check.baseline.configurations for run in entry.runs}
+    groups: dict[int, list[RunRecord]] = defaultdict(list)
+    left_out: Counter[str] = Counter()
+    for run in runs:
+        if run.uid in own:
+            left_out["the baseline holds them"] += 1
+        elif run.state not in (RunState.SUCCEEDED, RunState.FAILED):
+            left_out["cancelled" if run.state is RunState.CANCELLED else "not ended"] += 1
+        else:
+            place = find_pair(check.baseline.configurations, ConfigurationContent.of(run), check.ignored)
+            if isinstance(place, str):
+                left_out[f"{run.algorithm} on {run.dataset} {place}"] += 1
+            else:
+                groups[place].append(run)
+    if not groups:
+        found = "; ".join(
+            f"{reason} ({plural(count, 'run')})" for reason, count in left_out.most_common(_CANDIDATES_MOST_NAMED)
+        )
+        raise InvalidInput(
+            f"no run can be compared with baseline {check.baseline.name}: {found or 'no run matches the filter'}",
+            "slamhive gate show names its configurations",
+        )
+    return PairedRuns(dict(sorted(groups.items())), left_out)
+
+
+def lacking(t: Transaction, check: GateCheck, paired: PairedRuns) -> dict[Protocol, list[int]]:
+    """{protocol of the baseline: runs that succeeded and were not evaluated under it}."""
+    found: dict[Protocol, list[int]] = defaultdict(list)
+    for place, runs in paired.runs.items():
+        protocol = check.baseline.configurations[place].protocol
+        measured = measured_runs(t, runs, protocol.fingerprint)
+        if len(measured) < len(runs):
+            found[protocol] += [run.id for run in runs if run.id not in measured]
+    return dict(found)
+
+
+def measured_pairs(t: Transaction, check: GateCheck, paired: PairedRuns) -> list[RunPair]:
+    """The pairs with the values of their runs.
+
+    Raises InvalidInput for runs of another protocol or another content of the dataset: they are not comparable.
+    """
+    pairs = []
+    names = check.baseline.names
+    for place, runs in paired.runs.items():
+        held, words = check.baseline.configurations[place], names[place]
+        measured = measured_runs(t, runs, held.protocol.fingerprint)
+        missing = [run.id for run in runs if run.id not in measured]
+        if missing:
+            named = ", ".join(map(str, missing[:_CANDIDATES_MOST_NAMED])) + (
+                ", ..." if len(missing) > _CANDIDATES_MOST_NAMED else ""
+            )
+            raise InvalidInput(
+                f"run {named} of {words} was not evaluated under the protocol of the baseline, "
+                f"{held.protocol.label} ({held.protocol.fingerprint})",
+                "give --evaluate to do that now",
+            )
+        checksum = one_checksum(runs, words)
+        if None not in (checksum, held.dataset_checksum) and checksum != held.dataset_checksum:
+            raise InvalidInput(
+                f"dataset {held.dataset} differs from that of the baseline: its checksum is {checksum}, "
+                f"that of the baseline {held.dataset_checksum}",
+                "freeze a new baseline on this dataset",
+            )
+        pairs.append(RunPair(words, held, tuple(runs), tuple(measured[run.id] for run in runs)))
+    return pairs

@@ -3,43 +3,85 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
-from slamhive.analysis.equivalence import failure_equivalence, rank_equivalence
 from slamhive.analysis.regression import (
     Change,
     Evidence,
     FailureCounts,
     Sample,
     decide,
+    failure_equivalence,
     failure_evidence,
     over_configurations,
+    rank_equivalence,
     rank_evidence,
     typical_change,
 )
 from slamhive.analysis.statistics import Numbers
-from slamhive.domain.gate import FAILURES, Answer, Margin
+from slamhive.base.clock import monotonic_s
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.gate import GateAnswer, GateConfiguration, GateMetric, GateValues, MeasuredRun
+from slamhive.documents.run import ProtocolName
+from slamhive.domain.gate import FAILURES, SIGNIFICANCE, Answer, GateBudget, Margin
 from slamhive.domain.metrics import Direction, Metric, described
-from slamhive.domain.numbers import plural
-from slamhive.schema.gate import (
-    GateAnswer,
-    GateConfiguration,
-    GateMetric,
-    GateValues,
-    MeasuredRun,
-)
-from slamhive.schema.run import ProtocolName
-from slamhive.services.gates.candidates import GateCheck, Pair
-from slamhive.services.gates.remarks import remarks
+from slamhive.domain.names import plural
+from slamhive.services.gates.baselines import GateCheck, RunPair
+from slamhive.services.gates.service import Gates
+
+# What limits the answer of a gate: few runs, other machines, disturbed runs.
+
+
+_MEASURED = "CPU, memory and latency"
+
+
+def remarks(pairs: Sequence[RunPair], significance: float) -> Iterator[str]:
+    """One sentence each."""
+    for pair in pairs:
+        counts = len(pair.held.runs), len(pair.runs)
+        if min(counts) < 2 or 1 / math.comb(sum(counts), counts[0]) > significance:
+            yield (
+                f"{pair.words} has too few runs to decide on its own: {plural(counts[1], 'run')} against "
+                f"{counts[0]} of the baseline."
+            )
+    baseline = [*chain.from_iterable(pair.held.runs for pair in pairs)]
+    candidates = [*chain.from_iterable(pair.measured for pair in pairs)]
+    yield from _machines(baseline, candidates)
+    disturbed = [sum(run.disturbed is True for run in runs) for runs in (baseline, candidates)]
+    if any(disturbed):
+        yield (
+            f"{plural(disturbed[1], 'run')}, and {disturbed[0]} of the baseline, ran on a disturbed machine: "
+            f"{_MEASURED} may be wrong."
+        )
+
+
+def _machines(baseline: Sequence[MeasuredRun], candidates: Sequence[MeasuredRun]) -> Iterator[str]:
+    """Where the good runs of the two were not measured in the same way."""
+    baseline, candidates = ([run for run in runs if run.failed is None] for runs in (baseline, candidates))
+    models = [_texts(run.cpu_model for run in runs) for runs in (baseline, candidates)]
+    if all(models) and models[0] != models[1]:
+        yield f"{_MEASURED} are of different processors: {', '.join(models[1])}; the baseline {', '.join(models[0])}."
+    executors = [_texts(run.executor for run in runs) for runs in (baseline, candidates)]
+    if all(executors) and executors[0] != executors[1]:
+        yield f"The executors differ: {', '.join(executors[1])}; the baseline {', '.join(executors[0])}."
+    limits = [{(run.limits.cpu_cores, run.limits.memory_mb) for run in runs} for runs in (baseline, candidates)]
+    if all(limits) and limits[0] != limits[1]:
+        yield f"The runs had other limits of CPU or memory than the baseline, so {_MEASURED} may differ."
+
+
+def _texts(values: Iterable[str | None]) -> list[str]:
+    return sorted({value for value in values if value is not None})
+
 
 _FAILED_RUNS = Metric(FAILURES, "Failed runs", "", Direction.LOWER, "Share of the runs that failed.")
 
 
 def answer_of(
-    check: GateCheck, pairs: Sequence[Pair], notes: Sequence[str], significance: float, looks: int = 1
+    check: GateCheck, pairs: Sequence[RunPair], notes: Sequence[str], significance: float, looks: int = 1
 ) -> GateAnswer:
     """The answer for these pairs.
 
@@ -67,7 +109,7 @@ def answer_of(
     )
 
 
-def compared(check: GateCheck, pairs: Sequence[Pair], significance: float) -> list[GateMetric]:
+def compared(check: GateCheck, pairs: Sequence[RunPair], significance: float) -> list[GateMetric]:
     """The answer for each metric that the baseline has values of."""
     tested = {key: found for key in check.margins if (found := _test(key, check, pairs))}
     decided = decide({key: entry.evidence for key, entry in tested.items()}, significance)
@@ -82,7 +124,7 @@ class _Tested:
     parts: Sequence[tuple[int, Evidence]]
 
 
-def _test(key: str, check: GateCheck, pairs: Sequence[Pair]) -> _Tested | None:
+def _test(key: str, check: GateCheck, pairs: Sequence[RunPair]) -> _Tested | None:
     """The evidence on one metric; None if the baseline has no value of it in any pair."""
     parts = [(place, found) for place, pair in enumerate(pairs) if (found := _evidence(key, check, pair))]
     if not parts:
@@ -92,7 +134,7 @@ def _test(key: str, check: GateCheck, pairs: Sequence[Pair]) -> _Tested | None:
     return _Tested(over_configurations([entry for _, entry in parts], weights), parts)
 
 
-def _evidence(key: str, check: GateCheck, pair: Pair) -> Evidence | None:
+def _evidence(key: str, check: GateCheck, pair: RunPair) -> Evidence | None:
     margin = check.margins[key]
     if key == FAILURES:
         return (failure_equivalence if check.both_ways else failure_evidence)(_failures(pair), margin)
@@ -120,7 +162,7 @@ def ranked_values(key: str, runs: Sequence[MeasuredRun]) -> Numbers:
     return np.array(values, dtype=float)
 
 
-def _failures(pair: Pair) -> FailureCounts:
+def _failures(pair: RunPair) -> FailureCounts:
     counts = [sum(run.failed is not None for run in runs) for runs in (pair.held.runs, pair.measured)]
     return FailureCounts(counts[0], len(pair.held.runs), counts[1], len(pair.measured))
 
@@ -131,7 +173,7 @@ def good_values(key: str, runs: Sequence[MeasuredRun]) -> Numbers:
 
 
 def _compared(
-    key: str, margin: Margin, decision: tuple[Answer, float], tested: _Tested, pairs: Sequence[Pair]
+    key: str, margin: Margin, decision: tuple[Answer, float], tested: _Tested, pairs: Sequence[RunPair]
 ) -> GateMetric:
     metric = _FAILED_RUNS if key == FAILURES else described(key)
     change = _change(key, margin, [pairs[place] for place, _ in tested.parts])
@@ -153,14 +195,14 @@ def _compared(
     )
 
 
-def _change(key: str, margin: Margin, pairs: Sequence[Pair]) -> Change | None:
+def _change(key: str, margin: Margin, pairs: Sequence[RunPair]) -> Change | None:
     if key == FAILURES:
         return Change(sum(_failures(pair).excess for pair in pairs) / len(pairs), None)
     values = [(good_values(key, pair.held.runs), good_values(key, pair.measured)) for pair in pairs]
     return typical_change([pair for pair in values if all(map(len, pair))], relative=margin.relative)
 
 
-def _values(key: str, place: int, evidence: Evidence, pair: Pair) -> GateValues:
+def _values(key: str, place: int, evidence: Evidence, pair: RunPair) -> GateValues:
     if key == FAILURES:
         counts = _failures(pair)
         baseline: float | None = counts.baseline_failed / counts.baseline
@@ -177,7 +219,7 @@ def _values(key: str, place: int, evidence: Evidence, pair: Pair) -> GateValues:
     )
 
 
-def _configuration(pair: Pair) -> GateConfiguration:
+def _configuration(pair: RunPair) -> GateConfiguration:
     protocol = pair.held.protocol
     return GateConfiguration(
         algorithm=pair.held.algorithm,
@@ -214,3 +256,68 @@ def _open_questions(metrics: Sequence[GateMetric], missing: Sequence[str]) -> It
         yield f"Chance may explain what was found: {', '.join(named) or 'no metric has values'}."
     if missing:
         yield f"The baseline has {plural(len(missing), 'configuration')} without runs to check."
+
+
+# Runs of a gate, repeated until it can decide or its budget is spent.
+
+
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """How runs are repeated: ``first`` of each configuration, then more within ``budget``; None: no more."""
+
+    first: int
+    budget: GateBudget | None = None
+    executor: str | None = None
+
+    def check(self, configurations: int) -> None:
+        """Raise InvalidInput if the first repeats exceed the budget."""
+        runs = self.first * configurations
+        if self.budget is not None and self.budget.runs_left(0, 0.0) < runs:
+            raise InvalidInput(
+                f"{plural(self.first, 'repeat')} of {plural(configurations, 'configuration')} are {runs} runs; the "
+                f"budget is {self.budget.words}",
+                "give fewer --repeats or a larger --budget",
+            )
+
+    def significance(self, look: int) -> float:
+        """The chance of a false alarm that look number ``look`` may have.
+
+        Who looks again after each run finds something in the end. So with a budget each look has half the chance of the
+        one before, and all looks together stay below :data:`SIGNIFICANCE`.
+        """
+        return SIGNIFICANCE if self.budget is None else SIGNIFICANCE / 2**look
+
+
+def repeat_until_decided(
+    gates: Gates,
+    check: GateCheck,
+    algorithms: Sequence[str],
+    repeats: Repeats,
+    work: Callable[[Sequence[int]], None],
+    clock: Callable[[], float] = monotonic_s,
+) -> GateAnswer:
+    """Run the configurations of the baseline that belong to ``algorithms``, and compare.
+
+    The number of repeats doubles from look to look, so that there are few looks. ``work`` runs the runs with these
+    numbers to their end, evaluations included. Raises as :meth:`Gates.reruns` and :meth:`Gates.answer`.
+    """
+    reruns = gates.reruns(check, algorithms, repeats.executor)
+    repeats.check(len(reruns))
+    chosen = check.baseline.model_copy(update={"configurations": tuple(rerun.held for rerun in reruns)})
+    check = replace(check, baseline=chosen)
+    began_s = clock()
+    run_ids: list[int] = []
+    done, more, look = 0, repeats.first, 0
+    while True:
+        new = gates.start(reruns, more, done)
+        work(new)
+        run_ids += new
+        done += more
+        look += 1
+        answer = gates.answer(check, run_ids, repeats.significance(look), look)
+        if answer.answer is not Answer.UNDECIDED or repeats.budget is None:
+            return answer
+        more = min(done, repeats.budget.runs_left(len(run_ids), clock() - began_s) // len(reruns))
+        if not more:
+            note = f"The budget of {repeats.budget.words} is spent: {plural(len(run_ids), 'run')}."
+            return answer.model_copy(update={"notes": (*answer.notes, note)})

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
-from slamhive.analysis.result import Cell, ResultTable, TableColumn
+from slamhive.analysis.report import Cell, ResultTable, TableColumn
+from slamhive.documents.gate import GateAnswer, GateConfiguration, GateMetric, MetricChange
 from slamhive.domain.gate import FAILURES, Answer
-from slamhive.domain.numbers import plural
-from slamhive.schema.gate import GateAnswer, GateConfiguration, GateMetric, MetricChange
-from slamhive.services.markdown_table import escaped, table_markdown
+from slamhive.domain.names import plural
+from slamhive.services.markdown import escaped, table_markdown
 
 _SIGNS = {Answer.PASS: "✅", Answer.WORSE: "❌", Answer.UNDECIDED: "❔"}
 METRIC_HEADS = ("Metric", "Margin", "Change", "95 % interval", "p worse", "p within", "Answer")

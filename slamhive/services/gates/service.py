@@ -7,22 +7,21 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from slamhive.base.errors import InvalidInput, SlamHiveError, unknown
+from slamhive.documents.gate import BaselineConfiguration, GateAnswer
+from slamhive.documents.submission import Submission
 from slamhive.domain.gate import SIGNIFICANCE, chosen_margins
+from slamhive.domain.packages import split_version
 from slamhive.domain.protocol import Protocol
-from slamhive.domain.versions import split_version
-from slamhive.errors import InvalidInput, SlamHiveError, unknown
-from slamhive.schema.gate import BaselineConfiguration, GateAnswer
-from slamhive.schema.submission import Submission
-from slamhive.services.gates.baselines import Baselines
-from slamhive.services.gates.candidates import GateCheck, lacking, measured_pairs, pair_runs
+from slamhive.services.gates.baselines import Baselines, GateCheck, lacking, measured_pairs, pair_runs
 from slamhive.store import Store
 
 if TYPE_CHECKING:
+    from slamhive.base.settings import Settings
     from slamhive.services.configurations import Configurations
     from slamhive.services.datasets import Catalogue
-    from slamhive.services.runs import Runs
+    from slamhive.services.runs import RunService
     from slamhive.services.searches import Searches
-    from slamhive.settings import Settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +51,7 @@ class Gates:
         searches: Searches,
         catalogue: Catalogue,
         configurations: Configurations,
-        runs: Runs,
+        runs: RunService,
     ) -> None:
         self._settings = settings
         self._store = store

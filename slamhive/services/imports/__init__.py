@@ -4,38 +4,25 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive.lazy import lazy_names
+from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.imports.exclusive import UNPACKED, one_import, sweep_imports
     from slamhive.services.imports.request import (
         DEFAULT_GROUND_TRUTH,
         DEFAULT_PATTERN,
         DEFAULT_RELATIONS,
         DEFAULT_TIMES,
+        UNPACKED,
         ImportReport,
         ImportRequest,
         Reading,
+        one_import,
+        sweep_imports,
     )
     from slamhive.services.imports.service import Imports
     from slamhive.services.imports.sources import parse_setup
     from slamhive.trajectory.pose_file import TrajectoryFormat
 
-__all__ = [
-    "DEFAULT_GROUND_TRUTH",
-    "DEFAULT_PATTERN",
-    "DEFAULT_RELATIONS",
-    "DEFAULT_TIMES",
-    "UNPACKED",
-    "ImportReport",
-    "ImportRequest",
-    "Imports",
-    "Reading",
-    "TrajectoryFormat",
-    "one_import",
-    "parse_setup",
-    "sweep_imports",
-]
 
 if not TYPE_CHECKING:
     __getattr__ = lazy_names(__name__)

@@ -3,19 +3,157 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Duplicates
-from slamhive.errors import InvalidInput
-from slamhive.services.imports.conventions import Partner, Truth, settle, settle_truth
-from slamhive.services.imports.request import Candidate, Reading
-from slamhive.trajectory.evidence import Span
-from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
+from slamhive.services.imports.request import ImportCandidate, Reading
+from slamhive.trajectory.association import orientation_spread_deg, reordered, thinned_pair
+from slamhive.trajectory.evidence import Conclusion, Span, span_of
+from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit, format_tum
 from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, read_pose_file
-from slamhive.trajectory.tum import format_tum
+from slamhive.trajectory.orientation import ZERO
+from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, decided, read_pose_file
+
+# Time unit and quaternion order of imported files: as specified, or detected; in doubt the import asks.
+
+
+_Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
+
+_PARTNERS = 5
+"""At most this many estimates are compared with a ground truth to detect its conventions."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImportTruth:
+    """A ground truth for comparison with estimates; ``rotations_known``: its orientations are meaningful."""
+
+    trajectory: Trajectory
+    rotations_known: bool
+
+    @property
+    def span(self) -> Span:
+        """First and last timestamp, in s."""
+        return float(self.trajectory.stamps_s[0]), float(self.trajectory.stamps_s[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class Partner:
+    """An estimate that belongs to a ground truth, and the conventions that the user specified."""
+
+    file: PoseFile
+    told: Convention
+
+
+def settle(
+    file: PoseFile, name: str, told: Convention, truth: ImportTruth | None, relations: Span | None = None
+) -> Reading:
+    """Determine the conventions of an estimate; raises InvalidInput with the evidence if in doubt.
+
+    ``relations`` is the time in s that relations span. It shows the unit where there is no ground truth.
+    """
+    unit = file.unit(told, relations, "the relations") if truth is None else file.unit(told, truth.span)
+    time_unit = _decided(unit, "time unit", "--time-unit", TimeUnit)
+    if not file.has_order:
+        return _reading(file, name, time_unit, unit.because, None)
+    order = file.order(told, time_unit, {} if truth is None else _spreads_deg(file, time_unit, truth))
+    _decided(order, "quaternion order", "--quaternion-order", QuaternionOrder)
+    return _reading(file, name, time_unit, unit.because, order)
+
+
+def settle_truth(file: PoseFile, name: str, told: Convention, partners: Sequence[Partner]) -> Reading:
+    """Determine the conventions of a ground truth, with the help of its estimates if necessary.
+
+    Raises as :func:`settle`.
+    """
+    asked = partners[:_PARTNERS]
+    unit = file.unit(told, None)
+    spans = (_own_span(partner) for partner in asked if unit.value is None)
+    found = (file.unit(told, span) for span in spans if span is not None)
+    unit = next((entry for entry in found if entry.value is not None), unit)
+    time_unit = _decided(unit, "time unit", "--groundtruth-time-unit", TimeUnit)
+    if not file.has_order:
+        return _reading(file, name, time_unit, unit.because, None)
+    order = _truth_order(file, told, time_unit, asked)
+    _decided(order, "quaternion order", "--groundtruth-quaternion-order", QuaternionOrder)
+    return _reading(file, name, time_unit, unit.because, order)
+
+
+def _truth_order(
+    file: PoseFile, told: Convention, unit: TimeUnit, partners: Sequence[Partner]
+) -> Conclusion[QuaternionOrder]:
+    """The quaternion order of a ground truth; estimates may contradict its header or replace a missing one."""
+    by_itself = file.order(told, unit, {})
+    if told.quaternion_order is not None:
+        return by_itself
+    spreads_deg = (_partner_spreads_deg(file, unit, partner) for partner in partners)
+    found = (file.order(told, unit, entry) for entry in spreads_deg if entry)
+    if by_itself.value is not None:
+        return next(found, by_itself)
+    return next((entry for entry in found if entry.value is not None), by_itself)
+
+
+def _own_span(partner: Partner) -> Span | None:
+    """First and last timestamp of an estimate, if its time unit is clear without a ground truth."""
+    unit = partner.file.unit(partner.told, None).value
+    return None if unit is None else span_of(partner.file.raw.times, unit)
+
+
+def _spreads_deg(file: PoseFile, unit: TimeUnit, truth: ImportTruth) -> dict[QuaternionOrder, float]:
+    """The rotation difference between estimate and ground truth for each quaternion order."""
+    if not truth.rotations_known:
+        return {}
+    pair = thinned_pair(truth.trajectory, file.raw.trajectory(unit, QuaternionOrder.XYZW, Duplicates.KEEP))
+    if pair is None:
+        return {}
+    reference, estimate = pair
+    found = {order: orientation_spread_deg(reference, reordered(estimate, order)) for order in QuaternionOrder}
+    return {order: spread for order, spread in found.items() if spread is not None}
+
+
+def _partner_spreads_deg(file: PoseFile, unit: TimeUnit, partner: Partner) -> dict[QuaternionOrder, float]:
+    """As :func:`_spreads_deg` for a ground truth, with the better of the two orders of its estimate.
+
+    An order that the ground truth states is contradicted only by an estimate whose order is certain.
+    """
+    stated = file.stated_order(unit) is not None
+    best: dict[QuaternionOrder, float] = {}
+    for order in QuaternionOrder:
+        truth = ImportTruth(file.raw.trajectory(unit, order, Duplicates.KEEP), rotations_known=True)
+        own_unit = partner.file.unit(partner.told, truth.span).value
+        if own_unit is None or not partner.file.has_order:
+            return {}
+        spreads = _spreads_deg(partner.file, own_unit, truth)
+        told = partner.told.quaternion_order if stated else partner.file.order(partner.told, own_unit, {}).value
+        likely = [spread for own, spread in spreads.items() if told in (None, own)]
+        if likely:
+            best[order] = min(likely)
+    return best
+
+
+def _decided(finding: Conclusion[_Choice], what: str, option: str, choices: type[_Choice]) -> _Choice:
+    return decided(finding, f"the {what}", f"say which it is with {option} ({', '.join(choices)})")
+
+
+def _reading(
+    file: PoseFile, name: str, unit: TimeUnit, because: str, order: Conclusion[QuaternionOrder] | None
+) -> Reading:
+    reasons = {"time_unit": because} | ({} if order is None else {"quaternion_order": order.because})
+    if file.raw.without:
+        reasons["orientation"] = f"{file.raw.without}, so there are positions only, and no rotation errors"
+    plain = unit is TimeUnit.S and (order is None or order.value is QuaternionOrder.XYZW)
+    return Reading(
+        name=name,
+        time_unit=unit,
+        quaternion_order=None if order is None else order.value,
+        because=reasons,
+        as_it_stands=plain and file.format is TrajectoryFormat.TUM and file.plain and file.raw.without != ZERO,
+    )
+
 
 _HALF = 16
 _FEWEST_POSES = 2
@@ -35,7 +173,7 @@ class Loaded:
         reading: Its conventions.
     """
 
-    candidate: Candidate
+    candidate: ImportCandidate
     text: bytes
     kitti_poses: bytes | None
     poses: int
@@ -62,17 +200,17 @@ class LoadedTruth:
 
     text: bytes
     kitti_poses: bytes | None
-    truth: Truth
+    truth: ImportTruth
     reading: Reading
 
 
-def trial_digits(candidate: Candidate) -> str:
+def trial_digits(candidate: ImportCandidate) -> str:
     """The common prefix of the ids of all imports of one trial."""
     names = f"{candidate.algorithm}\0{candidate.dataset}\0{candidate.trial}"
     return hashlib.sha256(names.encode()).hexdigest()[:_HALF]
 
 
-def read_candidate(candidate: Candidate) -> PoseFile:
+def read_candidate(candidate: ImportCandidate) -> PoseFile:
     """Read the numbers of a candidate; raises NotFound or InvalidInput naming file, line and value."""
     found = read_pose_file(candidate.path, candidate.format, candidate.times, columns=candidate.columns)
     _check_length(found, "trajectory")
@@ -80,7 +218,11 @@ def read_candidate(candidate: Candidate) -> PoseFile:
 
 
 def load(
-    candidate: Candidate, file: PoseFile, truth: Truth | None, duplicates: Duplicates, relations: Span | None = None
+    candidate: ImportCandidate,
+    file: PoseFile,
+    truth: ImportTruth | None,
+    duplicates: Duplicates,
+    relations: Span | None = None,
 ) -> Loaded:
     """Determine the conventions of a candidate; raises InvalidInput if they are unclear or it is no trajectory.
 
@@ -113,17 +255,17 @@ def load_truth(
     trajectory = _trajectory(file, reading, duplicates)
     kitti_poses = file.data if file.format is TrajectoryFormat.KITTI else None
     text = _text(file, reading, trajectory, positions=True)
-    return LoadedTruth(text, kitti_poses, Truth(trajectory, file.raw.orientations), reading)
+    return LoadedTruth(text, kitti_poses, ImportTruth(trajectory, file.raw.orientations), reading)
 
 
-def read_truth_here(path: Path, *, positions_only: bool) -> Truth | None:
+def read_truth_here(path: Path, *, positions_only: bool) -> ImportTruth | None:
     """The ground truth of a dataset that is here; None if it cannot be read, which an evaluation will tell."""
     try:
         file = read_pose_file(path, TrajectoryFormat.TUM, None, positions=True)
         trajectory = file.raw.trajectory(TimeUnit.S, QuaternionOrder.XYZW, Duplicates.KEEP)
     except InvalidInput:
         return None
-    return Truth(trajectory, file.raw.orientations and not positions_only)
+    return ImportTruth(trajectory, file.raw.orientations and not positions_only)
 
 
 def _check_length(file: PoseFile, kind: str) -> None:
@@ -145,3 +287,60 @@ def _text(file: PoseFile, reading: Reading, trajectory: Trajectory, *, positions
         rows = zip(trajectory.stamps_s.tolist(), trajectory.positions_m.tolist(), strict=True)
         return "".join(f"{stamp_s:.9f} {x:.9f} {y:.9f} {z:.9f}\n" for stamp_s, (x, y, z) in rows).encode()
     return format_tum(trajectory.stamps_s, trajectory.positions_m, trajectory.quats_xyzw).encode()
+
+
+# Path patterns such as ``<algorithm>/<dataset>/<trial>.txt``, which read fields from a file's path.
+
+
+FIELDS = ("algorithm", "dataset", "trial")
+_FIELD = re.compile(r"<([^<>]*)>")
+
+
+class PathPattern:
+    """A pattern for paths below a folder: ``<field>`` reads a part, ``*`` matches anything within one part.
+
+    Args:
+        text: The pattern, with ``/`` between parts.
+        fields: The allowed names.
+        needed: The required names.
+
+    Raises InvalidInput for an unknown field, one that is used twice or one that is missing.
+    """
+
+    def __init__(self, text: str, fields: Collection[str] = FIELDS, needed: Collection[str] = ()) -> None:
+        self.text = text
+        self.fields: list[str] = _FIELD.findall(text)
+        for name in self.fields:
+            if name not in fields:
+                raise InvalidInput(
+                    f"pattern {text!r} has an unknown field <{name}>",
+                    f"fields are {', '.join(f'<{field}>' for field in fields)}",
+                )
+            if self.fields.count(name) > 1:
+                raise InvalidInput(f"pattern {text!r} has the field <{name}> twice")
+        missing = [name for name in needed if name not in self.fields]
+        if missing:
+            raise InvalidInput(
+                f"pattern {text!r} lacks <{missing[0]}>", "for example <algorithm>/<dataset>/<trial>.txt"
+            )
+        if text.startswith("/") or ".." in text.split("/"):
+            raise InvalidInput(f"pattern {text!r} leaves the folder", "give a path below it")
+        self._expression = re.compile(_expression(text))
+
+    def match(self, path: str) -> dict[str, str] | None:
+        """The fields of ``path`` (relative, with ``/``); None if it does not match."""
+        found = self._expression.fullmatch(path)
+        return None if found is None else found.groupdict()
+
+
+def _expression(text: str) -> str:
+    parts = _FIELD.split(text)
+    literal, names = parts[0::2], parts[1::2]
+    expression = _literal(literal[0])
+    for name, after in zip(names, literal[1:], strict=True):
+        expression += f"(?P<{name}>[^/]+?){_literal(after)}"
+    return expression
+
+
+def _literal(text: str) -> str:
+    return "[^/]*".join(re.escape(part) for part in text.split("*"))

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
+from slamhive.base.clock import monotonic_s, utc_now
+from slamhive.base.errors import Conflict, Unavailable
+from slamhive.base.files import remedy_of, sweep_folder
 from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.recordings.variants.cache import Busy, exclusive
 from slamhive.trajectory.layout import UNKNOWN, Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.pose_file import TrajectoryFormat
 
@@ -56,7 +64,7 @@ class ImportRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class ImportCandidate:
     """A file that may become a run; ``name`` is its path as the user sees it."""
 
     algorithm: str
@@ -71,7 +79,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class ImportProblem:
     """A file that cannot be imported, and why, in one line."""
 
     name: str
@@ -79,20 +87,20 @@ class Problem:
 
 
 @dataclass
-class Found:
+class FoundImports:
     """The files at the source.
 
     ``truths``, ``truth_told`` and ``relations`` by dataset, "" being for all; ``setups`` by algorithm; ``left_out``
     match no pattern.
     """
 
-    candidates: list[Candidate] = field(default_factory=list)
+    candidates: list[ImportCandidate] = field(default_factory=list)
     truths: dict[str, Path] = field(default_factory=dict)
     truth_told: dict[str, Convention] = field(default_factory=dict)
     relations: dict[str, Path] = field(default_factory=dict)
     setups: dict[str, SensorSetup] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[ImportProblem] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,5 +148,88 @@ class ImportReport:
     known: int = 0
     datasets: list[str] = field(default_factory=list)
     readings: list[Reading] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[ImportProblem] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
+
+
+# One import files runs at a time, be they single or of an archive.
+
+
+logger = logging.getLogger(__name__)
+
+ASIDE = ".import-"
+"""How the names of folders begin in which imported runs are put together."""
+UNPACKED = ".archive"
+"""How the names of folders begin for what is unpacked from an archive; their import holds them."""
+WAIT_S = 10.0
+"""Longest that an import waits for its turn to file runs."""
+_LOCK = ".import.lock"
+
+Waiting = Callable[[str], None]
+"""Called with what an import waits for, in words."""
+
+
+@contextmanager
+def one_import(runs: Path, what: str, waiting: Waiting = lambda _text: None) -> Iterator[None]:
+    """Lock the runs folder against other imports and remove what killed ones have left.
+
+    An import takes the lock for each batch that it files, so that a small one gets its turn between the batches of a
+    large one. Reading, checking and unpacking need no lock.
+
+    Args:
+        runs: The folder of runs.
+        what: What is imported, for the messages of others who wait for it; neither a name nor a token of somebody.
+        waiting: Called while another import files runs.
+
+    Raises Conflict, saying what files runs and since when.
+    """
+    lock, began_s = runs / _LOCK, monotonic_s()
+
+    def wait(_share: float, _text: str) -> None:
+        text = _holder(lock)
+        if monotonic_s() - began_s >= WAIT_S:
+            raise Conflict(text, "wait for it to end")
+        waiting(f"waiting: {text}")
+
+    with exclusive(lock, wait):
+        try:
+            lock.write_text(json.dumps({"what": what, "since": utc_now().isoformat()}), encoding="utf-8")
+        except OSError as error:
+            raise Unavailable(f"{lock} cannot be written: {error.strerror}", remedy_of(error)) from None
+        _remove_leftovers(runs)
+        try:
+            yield
+        finally:
+            _remove_leftovers(runs)
+            lock.unlink(missing_ok=True)
+
+
+def _holder(lock: Path) -> str:
+    """In words, which import holds the lock, and since when."""
+    try:
+        content = json.loads(lock.read_text(encoding="utf-8"))
+        since = datetime.fromisoformat(content["since"])
+        return f"another import files {content['what']} since {since:%H:%M:%S} UTC"
+    except (OSError, ValueError, KeyError, TypeError):  # it begins or ends now, or an earlier version made it
+        return "another import files runs"
+
+
+def sweep_imports(runs: Path) -> None:
+    """Remove what killed imports have left, unless an import is under way."""
+    if not list(_leftovers(runs)):
+        return
+    try:
+        with exclusive(runs / _LOCK):
+            _remove_leftovers(runs)
+    except Busy:
+        logger.info("an import is under way: leftovers of killed imports stay until the next sweep")
+
+
+def _leftovers(runs: Path) -> Iterator[Path]:
+    yield from runs.glob(f"{ASIDE}*")
+    yield from runs.glob(f"{UNPACKED}*")
+
+
+def _remove_leftovers(runs: Path) -> None:
+    for path in list(_leftovers(runs)):
+        sweep_folder(path)

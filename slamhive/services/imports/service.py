@@ -13,29 +13,34 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
-from slamhive.clock import utc_now
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.base.settings import Settings
+from slamhive.documents.imports import OriginDocument
+from slamhive.domain.accounts import Sharing
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
-from slamhive.domain.numbers import plural
-from slamhive.domain.protocol import Duplicates, Protocol
-from slamhive.domain.protocol_request import ProtocolRequest
+from slamhive.domain.names import plural
+from slamhive.domain.protocol import Duplicates, Protocol, ProtocolRequest
 from slamhive.domain.trajectory_kind import TrajectoryKind
-from slamhive.domain.visibility import Sharing
-from slamhive.errors import InvalidInput, SlamHiveError, Unavailable
-from slamhive.runs.folder import RunFolder
-from slamhive.schema.imports import Origin
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.datasets import Catalogue, check_writable, choose_algorithm
 from slamhive.services.evaluations import fitting_protocol
-from slamhive.services.imports.conventions import Partner
-from slamhive.services.imports.exclusive import ASIDE, one_import
-from slamhive.services.imports.reading import Loaded, load, read_candidate, trial_digits
-from slamhive.services.imports.request import Candidate, Found, ImportReport, ImportRequest, Problem
+from slamhive.services.imports.reading import Loaded, Partner, load, read_candidate, trial_digits
+from slamhive.services.imports.request import (
+    ASIDE,
+    FoundImports,
+    ImportCandidate,
+    ImportProblem,
+    ImportReport,
+    ImportRequest,
+    one_import,
+)
 from slamhive.services.imports.sources import find
-from slamhive.services.imports.truths import Home, TruthFiles, Truths
+from slamhive.services.imports.truths import TruthFiles, TruthHome, Truths
 from slamhive.services.runs import begin_record, check_disk, events_to_json
-from slamhive.settings import Settings
 from slamhive.store import Store, Transaction
-from slamhive.store.imports import ImportedRun
+from slamhive.store.filed_runs import ImportedRun
 from slamhive.store.records import RunRecord
 from slamhive.trajectory.layout import UNKNOWN
 from slamhive.trajectory.pose_file import PoseFile
@@ -53,7 +58,7 @@ class _Homes:
     truths: Truths
     trajectory: TrajectoryKind | None
     algorithms: dict[str, Algorithm] = field(default_factory=dict)
-    datasets: dict[str, Home] = field(default_factory=dict)
+    datasets: dict[str, TruthHome] = field(default_factory=dict)
     lost: set[str] = field(default_factory=set)
 
 
@@ -103,7 +108,7 @@ class Imports:
         report.datasets.sort()
         return report
 
-    def _homes(self, request: ImportRequest, found: Found, report: ImportReport) -> _Homes:
+    def _homes(self, request: ImportRequest, found: FoundImports, report: ImportReport) -> _Homes:
         """Find the algorithms of the candidates; unusable ones are reported as problems."""
         truths = Truths(
             self._catalogue,
@@ -122,7 +127,7 @@ class Imports:
         return homes
 
     def _find_datasets(
-        self, read: Sequence[tuple[Candidate, PoseFile]], homes: _Homes, found: Found, report: ImportReport
+        self, read: Sequence[tuple[ImportCandidate, PoseFile]], homes: _Homes, found: FoundImports, report: ImportReport
     ) -> None:
         """Find or make missing datasets, but only for readable trajectories; an unusable one is reported once."""
         usable = [entry for entry in found.candidates if entry.algorithm in homes.algorithms]
@@ -148,7 +153,7 @@ class Imports:
                 homes.lost.add(name)
                 _note(error, "dataset", name, usable, report)
 
-    def _check_sensor_names(self, request: ImportRequest, found: Found) -> None:
+    def _check_sensor_names(self, request: ImportRequest, found: FoundImports) -> None:
         names = {entry.algorithm for entry in found.candidates}
         for name in request.sensors:
             if name and name not in names:
@@ -170,7 +175,7 @@ class Imports:
             elif other is not None:
                 trial = f"trial {entry.candidate.trial} of {entry.candidate.algorithm} on {entry.candidate.dataset}"
                 text = f"{trial} was imported as run {other} with another trajectory; give it a trial of its own"
-                report.problems.append(Problem(entry.candidate.name, text))
+                report.problems.append(ImportProblem(entry.candidate.name, text))
             else:
                 fresh.append(entry)
         report.imported += len(fresh)
@@ -236,13 +241,15 @@ class Imports:
         return RunFolder(self._settings.runs_folder / str(run_id))
 
 
-def _note(error: SlamHiveError, kind: str, name: str, candidates: Iterable[Candidate], report: ImportReport) -> None:
+def _note(
+    error: SlamHiveError, kind: str, name: str, candidates: Iterable[ImportCandidate], report: ImportReport
+) -> None:
     """One problem for all candidates of an algorithm or a dataset."""
     count = sum(getattr(entry, kind) == name for entry in candidates)
-    report.problems.append(Problem(f"{kind} {name} ({plural(count, 'file')})", str(error)))
+    report.problems.append(ImportProblem(f"{kind} {name} ({plural(count, 'file')})", str(error)))
 
 
-def _nothing(request: ImportRequest, found: Found) -> InvalidInput:
+def _nothing(request: ImportRequest, found: FoundImports) -> InvalidInput:
     if request.table:
         return InvalidInput(f"{request.source} has no rows", "give one for each trajectory")
     example = f"; the first of {len(found.left_out)} files is {found.left_out[0]!r}" if found.left_out else ""
@@ -252,23 +259,23 @@ def _nothing(request: ImportRequest, found: Found) -> InvalidInput:
     )
 
 
-def _read(candidates: Iterable[Candidate], report: ImportReport) -> Iterator[tuple[Candidate, PoseFile]]:
+def _read(candidates: Iterable[ImportCandidate], report: ImportReport) -> Iterator[tuple[ImportCandidate, PoseFile]]:
     for candidate in candidates:
         try:
             yield candidate, read_candidate(candidate)
         except SlamHiveError as error:
-            report.problems.append(Problem(candidate.name, str(error)))
+            report.problems.append(ImportProblem(candidate.name, str(error)))
 
 
 def _loaded(
-    files: Iterable[tuple[Candidate, PoseFile]], homes: _Homes, request: ImportRequest, report: ImportReport
+    files: Iterable[tuple[ImportCandidate, PoseFile]], homes: _Homes, request: ImportRequest, report: ImportReport
 ) -> Iterator[Loaded]:
     for candidate, file in files:
         try:
             home = homes.datasets[candidate.dataset]
             loaded = load(candidate, file, home.truth, request.duplicates, home.relations)
         except SlamHiveError as error:
-            report.problems.append(Problem(candidate.name, str(error)))
+            report.problems.append(ImportProblem(candidate.name, str(error)))
         else:
             report.readings.append(loaded.reading)
             yield loaded
@@ -310,4 +317,4 @@ def _origin(entry: Loaded) -> dict[str, Any]:
     """The origin of a run: the file name relative to the source, never the full path."""
     candidate = entry.candidate
     more = {"trial": candidate.trial, "format": entry.format, "checksum": entry.checksum}
-    return Origin.of(entry.reading, source=candidate.name, **more).content
+    return OriginDocument.of(entry.reading, source=candidate.name, **more).content

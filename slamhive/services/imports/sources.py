@@ -10,11 +10,11 @@ from enum import StrEnum
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
+from slamhive.base.errors import InvalidInput, SlamHiveError, nearest
 from slamhive.domain.names import check_name
 from slamhive.domain.sensors import SensorSetup
-from slamhive.errors import InvalidInput, SlamHiveError, nearest
-from slamhive.services.imports.pattern import FIELDS, PathPattern
-from slamhive.services.imports.request import Candidate, Found, ImportRequest, Problem
+from slamhive.services.imports.reading import FIELDS, PathPattern
+from slamhive.services.imports.request import FoundImports, ImportCandidate, ImportProblem, ImportRequest
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.pose_file import TrajectoryFormat
 from slamhive.trajectory.table import read_bounded
@@ -30,17 +30,17 @@ _LINK = "is a link, and links are not followed; put the file there"
 _UNPRINTABLE = "the name holds characters that cannot be printed; rename it"
 
 
-def find(request: ImportRequest) -> Found:
+def find(request: ImportRequest) -> FoundImports:
     """The files at the source, sorted by name; only a table is read.
 
     What cannot be imported is among the problems. Raises InvalidInput or NotFound if there is nothing to begin with.
     """
-    found = Found()
+    found = FoundImports()
     for candidate in _in_table(request, found) if request.table else _in_folder(request, found):
         try:
             _check(candidate)
         except SlamHiveError as error:
-            found.problems.append(Problem(candidate.name, str(error)))
+            found.problems.append(ImportProblem(candidate.name, str(error)))
         else:
             found.candidates.append(candidate)
     found.candidates = list(_without_doubles(found))
@@ -56,7 +56,7 @@ def parse_setup(text: str) -> SensorSetup:
         raise InvalidInput(f"sensors {text!r} are not known; {nearest(text, known)}") from None
 
 
-def _in_folder(request: ImportRequest, found: Found) -> Iterator[Candidate]:
+def _in_folder(request: ImportRequest, found: FoundImports) -> Iterator[ImportCandidate]:
     root = request.source
     if not root.is_dir():
         raise InvalidInput(f"{root} is no folder", "give the folder that holds the trajectories, or --table for a CSV")
@@ -83,7 +83,7 @@ def _in_folder(request: ImportRequest, found: Found) -> Iterator[Candidate]:
         if match is None:
             found.left_out.append(name)
         else:
-            yield Candidate(
+            yield ImportCandidate(
                 algorithm=match["algorithm"],
                 dataset=match["dataset"],
                 trial=match.get("trial", _ONLY_TRIAL),
@@ -96,7 +96,7 @@ def _in_folder(request: ImportRequest, found: Found) -> Iterator[Candidate]:
             )
 
 
-def _files(root: Path, found: Found) -> Iterator[tuple[str, Path]]:
+def _files(root: Path, found: FoundImports) -> Iterator[tuple[str, Path]]:
     """All regular files below ``root``. Links are not followed but reported; hidden files are skipped.
 
     Names that cannot be printed (line ends, escape sequences, bytes that are no UTF-8) are problems: they would go into
@@ -109,7 +109,7 @@ def _files(root: Path, found: Found) -> Iterator[tuple[str, Path]]:
             relative = path.relative_to(root).as_posix()
             refusal = _LINK if path.is_symlink() else _UNPRINTABLE if not name.isprintable() else None
             if refusal is not None:
-                found.problems.append(Problem(_printable(relative), refusal))
+                found.problems.append(ImportProblem(_printable(relative), refusal))
                 folders[:] = [entry for entry in folders if entry != name]
             elif name in files and not name.startswith("."):
                 yield relative, path
@@ -120,7 +120,7 @@ def _printable(name: str) -> str:
     return name if name.isprintable() else repr(name)[1:-1]
 
 
-def _in_table(request: ImportRequest, found: Found) -> Iterator[Candidate]:
+def _in_table(request: ImportRequest, found: FoundImports) -> Iterator[ImportCandidate]:
     path = request.source
     try:
         text = read_bounded(path).decode("utf-8-sig")
@@ -133,7 +133,7 @@ def _in_table(request: ImportRequest, found: Found) -> Iterator[Candidate]:
         try:
             yield _row(request, found, {key: (row.get(key) or "").strip() for key in columns}, name)
         except SlamHiveError as error:
-            found.problems.append(Problem(name, str(error)))
+            found.problems.append(ImportProblem(name, str(error)))
 
 
 def _read_table(path: Path, text: str) -> tuple[list[str], list[dict[str, str]]]:
@@ -154,7 +154,7 @@ def _check_columns(path: Path, columns: list[str]) -> None:
             raise InvalidInput(f"{path} lacks the column {name}", f"its first line has to name {', '.join(_NEEDED)}")
 
 
-def _row(request: ImportRequest, found: Found, row: dict[str, str], name: str) -> Candidate:
+def _row(request: ImportRequest, found: FoundImports, row: dict[str, str], name: str) -> ImportCandidate:
     folder = request.source.parent
     algorithm, dataset = row["algorithm"], row["dataset"]
     if row.get("sensors"):
@@ -172,7 +172,7 @@ def _row(request: ImportRequest, found: Found, row: dict[str, str], name: str) -
     truth_told = _told(row, "groundtruth_", request.truth_told)
     if found.truth_told.setdefault(dataset, truth_told) != truth_told:
         raise InvalidInput(f"dataset {dataset} has another unit or order of its ground truth in a row above")
-    return Candidate(
+    return ImportCandidate(
         algorithm=algorithm,
         dataset=dataset,
         trial=row.get("trial") or _ONLY_TRIAL,
@@ -222,12 +222,12 @@ def _inside(folder: Path, text: str) -> Path:
     return path
 
 
-def _check(candidate: Candidate) -> None:
+def _check(candidate: ImportCandidate) -> None:
     for kind in FIELDS:
         check_name(kind, getattr(candidate, kind))
 
 
-def _without_doubles(found: Found) -> Iterator[Candidate]:
+def _without_doubles(found: FoundImports) -> Iterator[ImportCandidate]:
     """Keep one file for each trial; report a second one as a problem."""
     seen: dict[tuple[str, str, str], str] = {}
     for candidate in found.candidates:
@@ -237,4 +237,4 @@ def _without_doubles(found: Found) -> Iterator[Candidate]:
             yield candidate
         else:
             text = f"trial {candidate.trial} of {candidate.algorithm} on {candidate.dataset} is there twice"
-            found.problems.append(Problem(candidate.name, f"{text}: {first} is the other; number the trials"))
+            found.problems.append(ImportProblem(candidate.name, f"{text}: {first} is the other; number the trials"))

@@ -7,16 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from slamhive.bags.staging import GROUND_TRUTH_FILE, new_dataset_folder
-from slamhive.catalogue.dataset_file import DATASET_FILE, dataset_to_yaml
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.domain.dataset import RELATIONS_FILE, Dataset, GroundTruth
 from slamhive.domain.names import check_name
 from slamhive.domain.protocol import Duplicates
-from slamhive.errors import InvalidInput, NotFound
 from slamhive.evaluation.evaluators.relations import parse_relations
+from slamhive.packages.dataset_file import DATASET_FILE, dataset_to_yaml
+from slamhive.recordings.staging import GROUND_TRUTH_FILE, new_dataset_folder
 from slamhive.services.datasets import Catalogue
-from slamhive.services.imports.conventions import Partner, Truth
-from slamhive.services.imports.reading import LoadedTruth, load_truth, read_truth_here
+from slamhive.services.imports.reading import ImportTruth, LoadedTruth, Partner, load_truth, read_truth_here
 from slamhive.services.imports.request import Reading
 from slamhive.trajectory.evidence import Span
 from slamhive.trajectory.layout import UNKNOWN, Convention
@@ -45,7 +44,7 @@ class TruthFiles:
 
 
 @dataclass(frozen=True, slots=True)
-class Home:
+class TruthHome:
     """The dataset of imported trajectories.
 
     Attributes:
@@ -58,7 +57,7 @@ class Home:
 
     dataset: Dataset
     new: bool
-    truth: Truth | None = None
+    truth: ImportTruth | None = None
     reading: Reading | None = None
     relations: Span | None = None
 
@@ -81,7 +80,7 @@ class Truths:
         self._gravity_aligned = gravity_aligned
         self._duplicates = duplicates
 
-    def home(self, name: str, files: TruthFiles, *, dry_run: bool) -> Home:
+    def home(self, name: str, files: TruthFiles, *, dry_run: bool) -> TruthHome:
         """The dataset called ``name``; with ``dry_run`` a new one is not made.
 
         Raises InvalidInput for a file that is damaged, missing, or differs from that of the known dataset.
@@ -90,7 +89,7 @@ class Truths:
         known = self._known(name)
         if known is not None:
             reading = self._check_same(known, files)
-            return Home(known, False, _truth_here(known), reading, _relations_here(known))
+            return TruthHome(known, False, _truth_here(known), reading, _relations_here(known))
         if files.trajectory is None and files.relations is None:
             raise InvalidInput(
                 f"dataset {name} is not here, and no ground truth was found for it",
@@ -105,8 +104,8 @@ class Truths:
                 (aside / DATASET_FILE).write_text(dataset_to_yaml(dataset), encoding="utf-8")
         span = None if files.relations is None else _read_relations(files.relations)[1]
         if loaded is None:
-            return Home(dataset, True, relations=span)
-        return Home(dataset, True, loaded.truth, loaded.reading, span)
+            return TruthHome(dataset, True, relations=span)
+        return TruthHome(dataset, True, loaded.truth, loaded.reading, span)
 
     def _load(self, dataset: str, path: Path, files: TruthFiles) -> LoadedTruth:
         name = f"the ground truth of {dataset}"
@@ -172,7 +171,7 @@ class Truths:
         return reading
 
 
-def _truth_here(known: Dataset) -> Truth | None:
+def _truth_here(known: Dataset) -> ImportTruth | None:
     path = known.groundtruth_path
     if path is None or known.groundtruth is None:
         return None

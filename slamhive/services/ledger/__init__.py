@@ -4,20 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive.lazy import lazy_names
+from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.ledger.files import LedgerFiles
+    from slamhive.services.ledger.book import LedgerFiles
     from slamhive.services.ledger.keeping import Ledger
     from slamhive.services.ledger.lines import shared_line
     from slamhive.services.ledger.restoring import LedgerRestore
 
-__all__ = [
-    "Ledger",
-    "LedgerFiles",
-    "LedgerRestore",
-    "shared_line",
-]
 
 if not TYPE_CHECKING:
     __getattr__ = lazy_names(__name__)

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from slamhive.errors import Unavailable
-from slamhive.files import make_shared_folder, remedy_of, write_aside
+from slamhive.base.errors import Unavailable
+from slamhive.base.files import make_shared_folder, remedy_of, write_aside
 
 logger = logging.getLogger(__name__)
 
@@ -130,3 +130,47 @@ def _decoded(text: bytes) -> Line | None:
     except ValueError:
         return None
     return line if isinstance(line, dict) else None
+
+
+# The files of the ledger.
+
+
+class LedgerFiles:
+    """``<data>/ledger/``.
+
+    Args:
+        folder: The folder, created with its first line.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @property
+    def configurations(self) -> Book:
+        """Configurations with their numbers, labels, and deletions."""
+        return Book(self.folder / "configurations.jsonl")
+
+    @property
+    def runs(self) -> Book:
+        """Queued runs, and cancellations."""
+        return Book(self.folder / "runs.jsonl")
+
+    @property
+    def cells(self) -> Book:
+        """Cells of experiments, and the number of cells and runs of each."""
+        return Book(self.folder / "cells.jsonl")
+
+    @property
+    def evaluations(self) -> Book:
+        """Requested evaluations, and how they ended."""
+        return Book(self.folder / "evaluations.jsonl")
+
+    @property
+    def catalogue(self) -> Book:
+        """Algorithms with their versions, and datasets; a small file that is always replaced."""
+        return Book(self.folder / "catalogue.jsonl")
+
+    @property
+    def searches(self) -> Book:
+        """Saved searches; a small file that is always replaced."""
+        return Book(self.folder / "searches.jsonl")

@@ -3,28 +3,200 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from datetime import datetime
 
-from slamhive.domain.external import IMPORTED
-from slamhive.errors import SlamHiveError
-from slamhive.services.ledger.book import Book, Line
-from slamhive.services.ledger.evaluation_lines import asked_line, ended_lines
-from slamhive.services.ledger.files import LedgerFiles
+from slamhive.base.errors import SlamHiveError
+from slamhive.base.settings import Settings
+from slamhive.documents.archive import DatasetLine, LedgerAlgorithmLine, SearchLine, VersionLine
+from slamhive.domain.algorithm import IMPORTED
+from slamhive.domain.run import RunState
+from slamhive.run_folder.folder import RunFolder
+from slamhive.services.ledger.book import Book, LedgerFiles, Line
 from slamhive.services.ledger.lines import (
     NOT_A_LINE,
+    asked_line,
     cancelled_line,
     cell_line,
     configuration_lines,
+    ended_lines,
     label_line,
     live_configurations,
+    read_evaluations,
+    record_line,
     run_lines,
 )
-from slamhive.services.ledger.missing import Missing, catalogue_lines, search_lines
-from slamhive.settings import Settings
-from slamhive.store import Store
-from slamhive.store.changes import Changes
+from slamhive.store import Store, Transaction
+from slamhive.store.changes import AskedEvaluations, Changes
+from slamhive.store.configuration_listing import ConfigurationRecord
+from slamhive.store.filed_runs import EndedEvaluation
+from slamhive.store.records import NewCell
+
+# Finds what the database has and the ledger lacks. Lines are only added, since the database may be the older one.
+
 
 logger = logging.getLogger(__name__)
+
+_AT_ONCE = 500
+
+
+class Missing:
+    """The lines that each book lacks.
+
+    Args:
+        settings: Where run folders lie.
+        store: The database.
+        files: The books.
+    """
+
+    def __init__(self, settings: Settings, store: Store, files: LedgerFiles) -> None:
+        self._settings = settings
+        self._store = store
+        self._files = files
+
+    def configurations(self) -> Iterator[Line]:
+        """Configurations, and what users say about them."""
+        told: set[int] = set()
+        said: dict[int, Line] = {}
+        for line in self._files.configurations.read():
+            told.update(entry[0] for entry in line.get("configurations", ()))
+            for number in line.get("deleted", ()):
+                told.discard(number)
+                said.pop(number, None)
+            if "label" in line:
+                said[line["label"]] = line
+        stored, described = self._store.read(lambda t: (t.ledger.configurations(), t.ledger.described()))
+        if told - stored:
+            logger.warning(
+                "%s lists %d configurations that the database does not know: slamhive reindex restores them",
+                self._files.configurations.path,
+                len(told - stored),
+            )
+        for record in self._records(sorted(stored - told)):
+            yield record_line(record)
+        for record in self._records(sorted({*described, *(stored & said.keys())})):
+            if said.get(record.id) != (line := label_line(record)):
+                yield line
+
+    def cells(self) -> Iterator[Line]:
+        """Cells of experiments, and how many there are."""
+        told: dict[str, set[int]] = defaultdict(set)
+        sizes: dict[str, Line] = {}
+        for line in self._files.cells.read():
+            told[line["experiment"]].update(entry[0] for entry in line.get("cells", ()))
+            if "size" in line:
+                sizes[line["experiment"]] = line["size"]
+        stored, counted = self._store.read(lambda t: (t.ledger.stored_cells(), t.ledger.sizes()))
+        for record in self._store.read(lambda t: t.experiments.all()):
+            if stored.get(record.uid, 0) > len(told[record.uid]):
+                yield from self._cells_of(record.id, record.uid)
+            if sizes.get(record.uid) != counted[record.uid]:
+                yield {"experiment": record.uid, "size": counted[record.uid]}
+
+    def runs(self) -> Iterator[Line]:
+        """Runs that wait, those that were cancelled before they had a folder, and active ones that are to end."""
+        told: dict[RunState, set[int]] = {RunState.QUEUED: set(), RunState.CANCELLED: set()}
+        asked: set[int] = set()
+        for line in self._files.runs.read():
+            told[RunState.QUEUED].update(entry[0] for entry in line.get("runs", ()))
+            told[RunState.CANCELLED].update(line.get("cancelled", ()))
+            asked.update(line.get("asked_to_end", ()))
+        waiting, to_end, experiments = self._store.read(
+            lambda t: (
+                t.ledger.waiting(),
+                t.ledger.asked_to_end(),
+                t.ledger.experiments(),
+            )
+        )
+        untold = [run_id for run_id, state in waiting.items() if self._untold(run_id, state, told[state])]
+        for part in _parts(sorted(set(untold) - told[RunState.QUEUED])):
+            yield from run_lines(self._store.read(lambda t: t.ledger.requests(part)), experiments)  # noqa: B023
+        yield from self._cancelled([run_id for run_id in untold if waiting[run_id] is RunState.CANCELLED])
+        if new := sorted(set(to_end) - asked):
+            yield {"asked_to_end": new}
+
+    def evaluations(self) -> Iterator[Line]:
+        """Evaluations that wait, and those that have ended."""
+        told = read_evaluations(self._files.evaluations.read())
+        ended, waiting = self._store.read(lambda t: t.ledger.evaluation_counts())
+        known = {key for entries in told.ended.values() for key in entries}
+        if ended > len(known):
+            protocols = set(told.protocols)
+            for run_id, entry in self._ended():
+                if (run_id, entry.protocol.fingerprint, entry.created_at) not in known:
+                    if entry.protocol.fingerprint not in protocols:
+                        protocols.add(entry.protocol.fingerprint)
+                        yield asked_line(AskedEvaluations(entry.protocol, entry.artefacts, entry.created_at, ()))
+                    yield from ended_lines({run_id: [entry]})
+        if waiting:
+            for asked in self._store.read(lambda t: t.ledger.open()):
+                new = [run for run in asked.run_ids if (run, asked.protocol.fingerprint, asked.at) not in told.asked]
+                if new:
+                    yield asked_line(AskedEvaluations(asked.protocol, asked.artefacts, asked.at, new))
+
+    def _records(self, ids: list[int]) -> Iterator[ConfigurationRecord]:
+        for part in _parts(ids):
+            yield from self._store.read(lambda t: t.configuration_book.records(part))  # noqa: B023
+
+    def _cells_of(self, experiment: int, uid: str) -> Iterator[Line]:
+        after = -1
+        while cells := self._store.read(lambda t: t.experiments.cells(experiment, after, _AT_ONCE)):  # noqa: B023
+            yield cell_line(
+                uid, [NewCell(cell.number, cell.name, cell.configuration_id, cell.values) for cell in cells]
+            )
+            after = cells[-1].number
+
+    def _cancelled(self, run_ids: list[int]) -> Iterator[Line]:
+        together: dict[tuple[datetime, str], list[int]] = defaultdict(list)
+        for part in _parts(run_ids):
+            found = self._store.read(lambda t: t.ledger.cancellations(part))  # noqa: B023
+            for run_id, when in found.items():
+                together[when].append(run_id)
+        for (at, why), members in together.items():
+            yield cancelled_line(members, at, why)
+
+    def _ended(self) -> Iterator[tuple[int, EndedEvaluation]]:
+        after = 0
+        while found := self._store.read(lambda t: t.ledger.ended(after=after)):  # noqa: B023
+            yield from ((run_id, entry) for _, run_id, entry in found)
+            after = found[-1][0]
+
+    def _untold(self, run_id: int, state: RunState, told: set[int]) -> bool:
+        """Whether neither the book nor the run's folder says that it is in ``state``."""
+        if run_id in told:
+            return False
+        folder = RunFolder(self._settings.runs_folder / str(run_id))
+        try:
+            return not folder.record.exists() or folder.read_record().get("state") != state.value
+        except SlamHiveError:
+            return True
+
+
+def catalogue_lines(store: Store) -> Iterator[Line]:
+    """Algorithms, versions of packages, and datasets."""
+
+    def work(t: Transaction) -> list[Line]:
+        algorithms = [LedgerAlgorithmLine.of(entry, versions=()).content for entry in t.catalogue.algorithms()]
+        versions = [VersionLine.of(entry, version=entry.version).content for entry in t.versions.all()]
+        datasets = [
+            {"dataset": DatasetLine.of(entry).content, "folder": entry.folder} for entry in t.catalogue.datasets()
+        ]
+        return [*algorithms, *versions, *datasets]
+
+    yield from store.read(work)
+
+
+def search_lines(store: Store) -> Iterator[Line]:
+    """Saved searches."""
+    for record, at in store.read(lambda t: t.archive.saved_searches()):
+        yield SearchLine.of(record, created_at=at).content
+
+
+def _parts(ids: Iterable[int]) -> Iterator[list[int]]:
+    wanted = list(ids)
+    for start in range(0, len(wanted), _AT_ONCE):
+        yield wanted[start : start + _AT_ONCE]
 
 
 class Ledger:

@@ -3,37 +3,40 @@
 from __future__ import annotations
 
 import logging
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from itertools import groupby
 from operator import attrgetter
 from typing import Any
 
-from slamhive.domain.configuration import Configuration, InputMap
-from slamhive.domain.parameters import Parameter
-from slamhive.domain.variant import Variant
-from slamhive.domain.visibility import NOT_SHARED, Sharing
-from slamhive.errors import InvalidInput
-from slamhive.schema.ledger import (
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.archive import (
+    AskedLine,
     CancelledLine,
     CellRow,
     CellsLine,
-    ConfigurationRow,
     ConfigurationsLine,
+    EndedLine,
     LabelLine,
+    LedgerConfigurationLine,
     RunRow,
     RunsLine,
     SharedLine,
     SharedRequest,
 )
-from slamhive.schema.model import dump
-from slamhive.schema.types import defined
+from slamhive.documents.model import defined, dump
+from slamhive.domain.accounts import NOT_SHARED, Sharing
+from slamhive.domain.configuration import Configuration, InputMap, Variant
+from slamhive.domain.parameters import Parameter
+from slamhive.domain.protocol import Protocol
+from slamhive.evaluation.job import Artefacts
 from slamhive.services.ledger.book import Book, Line
-from slamhive.store.changes import NewRow
-from slamhive.store.configuration_records import ConfigurationRecord
-from slamhive.store.experiment_records import NewCell, NewConfiguration
-from slamhive.store.records import RunRequest
+from slamhive.store.changes import AskedEvaluations, NewRow
+from slamhive.store.configuration_listing import ConfigurationRecord
+from slamhive.store.filed_runs import EndedEvaluation
+from slamhive.store.records import EvaluationState, NewCell, NewConfiguration, RunRequest
 
 logger = logging.getLogger(__name__)
 
@@ -78,7 +81,7 @@ def _configuration_line(
     at: datetime, definitions: Mapping[str, Any], configurations: Iterable[tuple[int, Configuration]]
 ) -> Line:
     rows = (
-        ConfigurationRow(
+        LedgerConfigurationLine(
             number,
             entry.algorithm,
             entry.dataset,
@@ -200,3 +203,80 @@ def last_shared(book: Book) -> dict[int, Sharing]:
             numbers = line["shared"] if isinstance(line["shared"], list) else []
             found.update((number, NOT_SHARED) for number in numbers if isinstance(number, int))
     return found
+
+
+# Evaluations in the ledger: those requested, and how they ended.
+
+
+Key = tuple[int, str, datetime]
+"""Run, protocol fingerprint and time of the request, which together identify an evaluation."""
+
+
+@dataclass
+class LedgerEvaluations:
+    """All evaluations of the ledger: those ``asked`` for, with protocols, and those that have ``ended``, by run."""
+
+    protocols: dict[str, Protocol] = field(default_factory=dict)
+    asked: dict[Key, Artefacts] = field(default_factory=dict)
+    ended: dict[int, dict[Key, EndedEvaluation]] = field(default_factory=lambda: defaultdict(dict))
+
+    def open(self) -> list[AskedEvaluations]:
+        """Requested evaluations that have not ended, grouped as they were requested, oldest first."""
+        together: dict[tuple[datetime, str, Artefacts], list[int]] = defaultdict(list)
+        for (run_id, fingerprint, at), artefacts in self.asked.items():
+            if (run_id, fingerprint, at) not in self.ended.get(run_id, ()):
+                together[at, fingerprint, artefacts].append(run_id)
+        return [
+            AskedEvaluations(self.protocols[fingerprint], artefacts, at, run_ids)
+            for (at, fingerprint, artefacts), run_ids in sorted(together.items(), key=lambda entry: entry[0][0])
+        ]
+
+    def of(self, run_id: int) -> list[EndedEvaluation]:
+        """The ended evaluations of a run, in the order of their requests."""
+        return sorted(self.ended.get(run_id, {}).values(), key=lambda entry: entry.created_at)
+
+
+def asked_line(asked: AskedEvaluations) -> Line:
+    """One line for evaluations that were queued together."""
+    return AskedLine.of(asked, asked=asked.run_ids).content
+
+
+def ended_lines(found: Mapping[int, Sequence[EndedEvaluation]]) -> Iterator[Line]:
+    """Lines for ended evaluations, by run; the line of the request holds the protocol."""
+    for run_id, entries in found.items():
+        for entry in entries:
+            times = (entry.created_at, entry.started_at, entry.ended_at)
+            yield EndedLine.of(entry, ended=run_id, protocol=entry.protocol.fingerprint, times=times).content
+
+
+def read_evaluations(lines: Iterable[Line]) -> LedgerEvaluations:
+    """Read all evaluations in ``lines``; malformed lines are skipped."""
+    found = LedgerEvaluations()
+    for line in lines:
+        try:
+            _read(line, found)
+        except NOT_A_LINE as error:
+            logger.warning("a malformed line of an evaluation is skipped: %r", error)
+    return found
+
+
+def _read(line: Line, found: LedgerEvaluations) -> None:
+    if "asked" in line:
+        asked = AskedLine.read(line)
+        found.protocols[asked.protocol.fingerprint] = asked.protocol
+        for run_id in asked.asked:
+            found.asked[run_id, asked.protocol.fingerprint, asked.at] = Artefacts(asked.artefacts)
+        return
+    ended = EndedLine.read(line)
+    created_at, started_at, ended_at = ended.times
+    found.ended[ended.ended][ended.ended, ended.protocol, created_at] = EndedEvaluation(
+        protocol=found.protocols[ended.protocol],
+        state=EvaluationState(ended.state),
+        reason=ended.reason,
+        artefacts=Artefacts(ended.artefacts),
+        engine=ended.engine,
+        created_at=created_at,
+        started_at=started_at,
+        ended_at=ended_at,
+        attempt=ended.attempt,
+    )

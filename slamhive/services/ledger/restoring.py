@@ -10,33 +10,32 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from slamhive.clock import utc_now
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import SlamHiveError
+from slamhive.documents.archive import CancelledLine, LabelLine, LedgerAlgorithmLine, VersionLine, VersionRow
+from slamhive.domain.accounts import Sharing
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.run import RunEvent, RunState
-from slamhive.domain.visibility import Sharing
-from slamhive.errors import SlamHiveError
-from slamhive.runs.folder import RunFolder
-from slamhive.schema.ledger import AlgorithmLine, CancelledLine, LabelLine, VersionLine, VersionRow
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.archive import dataset_from_line, search_from_line
 from slamhive.services.datasets import Catalogue
-from slamhive.services.ledger.book import Book, Line
-from slamhive.services.ledger.evaluation_lines import LedgerEvaluations, read_evaluations
-from slamhive.services.ledger.files import LedgerFiles
+from slamhive.services.ledger.book import Book, LedgerFiles, Line
 from slamhive.services.ledger.lines import (
     NOT_A_LINE,
     LedgerConfiguration,
+    LedgerEvaluations,
     LedgerRun,
     cells_of,
     configurations_of,
     last_shared,
     live_configurations,
+    read_evaluations,
     runs_of,
 )
 from slamhive.services.runs import dataset_of
 from slamhive.store import Store, Transaction
-from slamhive.store.experiment_records import NewConfiguration
 from slamhive.store.filed_runs import FiledRun
-from slamhive.store.records import AlgorithmVersion, RunFields, RunSnapshot, VersionRecord
+from slamhive.store.records import AlgorithmVersion, NewConfiguration, RunFields, RunSnapshot, VersionRecord
 from slamhive.store.runs import queued_event
 
 _AT_ONCE = 500
@@ -135,7 +134,7 @@ class LedgerRestore:
             record = VersionRecord(version.versions_of, **{name: getattr(version, name) for name in _VERSION_FIELDS})
             self._store.write(lambda t: t.versions.restore(record))
             return
-        stated = AlgorithmLine.read(line)
+        stated = LedgerAlgorithmLine.read(line)
         self._unnumbered += [(stated.package, entry) for entry in stated.versions]
         self._store.write(lambda t: t.archive.algorithm_if_absent(stated.algorithm, stated.package, stated.mode))
 

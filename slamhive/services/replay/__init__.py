@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive.lazy import lazy_names
+from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.replay.reporting import (
+    from slamhive.services.replay.answer import (
         CONFIGURATION_HEADS,
         METRIC_HEADS,
         VALUE_HEADS,
@@ -16,20 +16,9 @@ if TYPE_CHECKING:
         metric_rows,
         value_rows,
     )
-    from slamhive.services.replay.request import ReplayRequest
+    from slamhive.services.replay.needs import ReplayRequest
     from slamhive.services.replay.service import Replays
 
-__all__ = [
-    "CONFIGURATION_HEADS",
-    "METRIC_HEADS",
-    "VALUE_HEADS",
-    "ReplayRequest",
-    "Replays",
-    "answer_markdown",
-    "configuration_rows",
-    "metric_rows",
-    "value_rows",
-]
 
 if not TYPE_CHECKING:
     __getattr__ = lazy_names(__name__)

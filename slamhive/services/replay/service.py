@@ -5,26 +5,22 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 
-from slamhive.domain.gate import chosen_margins
-from slamhive.domain.numbers import plural
-from slamhive.domain.replay import DEFAULT_MARGINS
-from slamhive.domain.versions import version_label
-from slamhive.errors import InvalidInput, NotFound, SlamHiveError
+from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError
+from slamhive.base.settings import Settings
+from slamhive.documents.gate import BaselineConfiguration, ReplayAnswer
+from slamhive.documents.record import ConfigurationContent
+from slamhive.documents.submission import Submission
+from slamhive.domain.gate import REPLAY_MARGINS, chosen_margins
+from slamhive.domain.names import plural
+from slamhive.domain.packages import version_label
 from slamhive.executors.base import Executor
-from slamhive.schema.gate import BaselineConfiguration
-from slamhive.schema.record import ConfigurationContent
-from slamhive.schema.replay import ReplayAnswer
-from slamhive.schema.submission import Submission
 from slamhive.services.archive import ArchiveImport, ArchiveReader, open_archive
 from slamhive.services.datasets import Catalogue, check_writable
 from slamhive.services.executors import Executors
 from slamhive.services.gates import frozen_configuration, pairing_key
-from slamhive.services.replay.packages import Packages
-from slamhive.services.replay.recordings import Recordings
-from slamhive.services.replay.request import Needs, Prepared, Recorded, ReplayRequest, needs_of
-from slamhive.services.runs import Runs
+from slamhive.services.replay.needs import Needs, Packages, Prepared, Recorded, Recordings, ReplayRequest, needs_of
+from slamhive.services.runs import RunService
 from slamhive.services.versions import Versions
-from slamhive.settings import Settings
 from slamhive.store import RunRecord, Store, Transaction
 
 Progress = Callable[[float, str], None]
@@ -49,7 +45,7 @@ class Replays:
         settings: Settings,
         store: Store,
         catalogue: Catalogue,
-        runs: Runs,
+        runs: RunService,
         versions: Versions,
         executors: Executors,
     ) -> None:
@@ -78,7 +74,7 @@ class Replays:
         measured = frozenset(
             key for entry in configurations for run in entry.held.runs if run.failed is None for key in run.metrics
         )
-        margins = chosen_margins(request.margins, measured, DEFAULT_MARGINS)
+        margins = chosen_margins(request.margins, measured, REPLAY_MARGINS)
         return Prepared(request, margins, configurations, (*notes, *report.notes))
 
     def start(self, prepared: Prepared) -> list[list[int]]:
@@ -102,7 +98,7 @@ class Replays:
 
         Raises InvalidInput if one was cancelled, was not evaluated, or ran another version than it should.
         """
-        from slamhive.services.replay.answering import answer_of  # noqa: PLC0415 - loads scipy
+        from slamhive.services.replay.answer import answer_of  # noqa: PLC0415 - loads scipy
 
         def work(t: Transaction) -> ReplayAnswer:
             repeats = [t.runs.get_many(numbers) for numbers in run_ids]

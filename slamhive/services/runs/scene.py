@@ -9,18 +9,27 @@ from pathlib import Path
 
 import numpy as np
 
+from slamhive.base.bounds import read_record
+from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.domain.protocol import protocol_from_content
 from slamhive.domain.trajectory_kind import TrajectoryKind
-from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.input_bounds import read_record
-from slamhive.runs.folder import RunFolder
+from slamhive.run_folder.folder import RunFolder
+from slamhive.run_folder.untrusted import read_numeric_columns
 from slamhive.services.evaluations import PROTOCOL_FILE
-from slamhive.services.kept_views import KeptViews
-from slamhive.services.runs.series import MAX_POINTS, Array, Track, gap_of, read_errors, read_whole_track
+from slamhive.services.kept_answers import KeptViews
+from slamhive.services.runs.series import (
+    LIMIT_BYTES,
+    MAX_POINTS,
+    Array,
+    PathSeries,
+    gap_of,
+    read_errors,
+    read_whole_track,
+)
 from slamhive.store.records import RunRecord
 from slamhive.trajectory.alignment import IDENTITY, Similarity, align_umeyama
 from slamhive.trajectory.model import Poses
-from slamhive.trajectory.motion import motion_of
+from slamhive.trajectory.transforms import motion_of
 
 TIME_OFFSET = "alignment.time_offset"
 _ALIGNED = "traj.tum"
@@ -44,7 +53,7 @@ class ScenePath:
     """
 
     kind: str
-    track: Track
+    track: PathSeries
     speeds_mps: Array
     errors_m: Array | None = None
 
@@ -170,12 +179,12 @@ def _judged_kind(evaluation: Path, run: RunRecord) -> str:
     return _own_kind(run) if judged is None else judged.value
 
 
-def _read(files: dict[str, Path], gap_s: float) -> dict[str, Track]:
+def _read(files: dict[str, Path], gap_s: float) -> dict[str, PathSeries]:
     found = {kind: read_whole_track(path, gap_s) for kind, path in files.items()}
     return {kind: track for kind, track in found.items() if track is not None}
 
 
-def _transform(raw: Track | None, aligned: Track, offset_s: float) -> tuple[Similarity | None, str]:
+def _transform(raw: PathSeries | None, aligned: PathSeries, offset_s: float) -> tuple[Similarity | None, str]:
     """What moved the trajectory of the algorithm to the ground truth; otherwise None, and why.
 
     The evaluation files the moved poses, not the transform. All matched poses are moved by one transform, so that a fit
@@ -197,17 +206,17 @@ def _transform(raw: Track | None, aligned: Track, offset_s: float) -> tuple[Simi
     return (found, "") if fits else (None, why)
 
 
-def _moved(track: Track, to_scene: Similarity, offset_s: float) -> Track:
+def _moved(track: PathSeries, to_scene: Similarity, offset_s: float) -> PathSeries:
     return replace(track, times_s=track.times_s + offset_s, positions_m=to_scene.points(track.positions_m))
 
 
-def _path(kind: str, whole: Track, errors: Array | None = None) -> ScenePath:
+def _path(kind: str, whole: PathSeries, errors: Array | None = None) -> ScenePath:
     track = whole.thinned(MAX_POINTS)
     errors_m = None if errors is None else _near(errors[:, 0], errors[:, 1], track.times_s, _SAME_TIME_S)
     return ScenePath(kind, track, _speeds_mps(whole, track.times_s), errors_m)
 
 
-def _speeds_mps(whole: Track, times_s: Array) -> Array:
+def _speeds_mps(whole: PathSeries, times_s: Array) -> Array:
     """The speed at some times, from all poses."""
     order = np.argsort(whole.times_s, kind="stable")
     no_turns = np.tile((0.0, 0.0, 0.0, 1.0), (len(order), 1))
@@ -226,3 +235,66 @@ def _near(known_at_s: Array, values: Array, times_s: Array, most_s: float) -> Ar
     nearest = np.where(times_s - stamps_s[before] < stamps_s[after] - times_s, before, after)
     found: Array = np.where(np.abs(stamps_s[nearest] - times_s) <= most_s, ordered[nearest], np.nan)
     return found
+
+
+# One moment of a run: the error there, and what happened to the frame.
+
+
+NEAR_S = 0.5
+"""A frame or a pose that is further away says nothing about the moment."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFate:
+    """A frame that the algorithm was given: ``latency_s`` from its arrival to its result, None if it has none."""
+
+    timestamp_s: float
+    dropped: bool
+    latency_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What is known of a run at ``timestamp_s``, a header timestamp: the nearest matched pose and the nearest frame."""
+
+    timestamp_s: float
+    error_m: float | None
+    frame: FrameFate | None
+
+    @property
+    def shown_at_s(self) -> float:
+        """The timestamp of what the sensors saw then: the frame's, if there is one."""
+        return self.timestamp_s if self.frame is None else self.frame.timestamp_s
+
+
+def moment_at(run: RunRecord, folder: RunFolder, timestamp_s: float) -> Moment:
+    """What the files of a run say of the moment ``timestamp_s``; unreadable files say nothing."""
+    error_m = None
+    if run.protocol is not None:
+        path = folder.evaluation(run.protocol.fingerprint) / "errors.csv"
+        errors = read_numeric_columns(path, ("timestamp", "ape_m"), LIMIT_BYTES)
+        row = _nearest(errors, timestamp_s)
+        error_m = None if row is None else _known(row[1])
+    frames = read_numeric_columns(folder.frames, ("timestamp", "received", "done", "dropped"), LIMIT_BYTES)
+    row = _nearest(frames, timestamp_s)
+    return Moment(timestamp_s, error_m, None if row is None else _fate(row))
+
+
+def _nearest(rows: Array, timestamp_s: float) -> Array | None:
+    """The row whose first column is nearest, None if none is near."""
+    if len(rows) == 0:
+        return None
+    apart_s = np.nan_to_num(np.abs(rows[:, 0] - timestamp_s), nan=np.inf)
+    place = int(apart_s.argmin())
+    found: Array = rows[place]
+    return found if apart_s[place] <= NEAR_S else None
+
+
+def _fate(row: Array) -> FrameFate:
+    latency_s = _known(row[2] - row[1])
+    dropped = bool(row[3] == 1)
+    return FrameFate(float(row[0]), dropped, None if dropped or latency_s is None or latency_s < 0 else latency_s)
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slamhive.base.bounds import read_record
+from slamhive.base.errors import SlamHiveError
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.protocol import protocol_from_content
-from slamhive.errors import SlamHiveError
-from slamhive.input_bounds import read_record
-from slamhive.runs.folder import RunFolder
-from slamhive.runs.played_frames import PlayedFrames, RecordingClock, read_played_frames
-from slamhive.runs.untrusted import read_numeric_columns, read_untrusted_lines
+from slamhive.run_folder.folder import RunFolder
+from slamhive.run_folder.played_frames import PlayedFrames, RecordingClock, read_played_frames
+from slamhive.run_folder.untrusted import read_numeric_columns, read_untrusted_lines
 from slamhive.services.evaluations import PROTOCOL_FILE
 from slamhive.store.records import RunRecord
 
@@ -30,7 +30,7 @@ LIMIT_BYTES = 64_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class PathSeries:
     """A path: ``times_s`` (n,), ``positions_m`` (n, 3). ``poses`` counts the poses before thinning.
 
     ``pieces`` (n,) numbers the pieces between gaps, so that a plot does not connect poses across a gap.
@@ -41,10 +41,10 @@ class Track:
     poses: int
     pieces: Places
 
-    def thinned(self, most: int) -> Track:
+    def thinned(self, most: int) -> PathSeries:
         """At most ``most`` poses, evenly spaced, with the first and the last."""
         kept = self.even_places(most)
-        return Track(self.times_s[kept], self.positions_m[kept], self.poses, self.pieces[kept])
+        return PathSeries(self.times_s[kept], self.positions_m[kept], self.poses, self.pieces[kept])
 
     def even_places(self, most: int) -> Places:
         """Which poses :meth:`thinned` keeps."""
@@ -84,8 +84,8 @@ class RunSeries:
     known when they were played.
     """
 
-    estimate: Track | None
-    groundtruth: Track | None
+    estimate: PathSeries | None
+    groundtruth: PathSeries | None
     aligned: bool
     gap_s: float
     error: Samples | None
@@ -131,7 +131,7 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
     )
 
 
-def _recording_start(frames: PlayedFrames | None, groundtruth: Track | None, errors: Array | None) -> float:
+def _recording_start(frames: PlayedFrames | None, groundtruth: PathSeries | None, errors: Array | None) -> float:
     """The header timestamp at which the recording's time is 0: its first frame, or what is known of it otherwise."""
     if frames is not None:
         return float(frames.timestamps_s[0])
@@ -195,13 +195,13 @@ def _explanations(run: RunRecord) -> dict[str, str]:
     }
 
 
-def read_dataset_path(dataset: Dataset) -> Track | None:
+def read_dataset_path(dataset: Dataset) -> PathSeries | None:
     """The ground-truth path of a dataset; None if it has none or it cannot be read."""
     path = dataset.groundtruth_path
     return None if path is None else read_track(path)
 
 
-def read_track(path: Path, gap_s: float = math.inf) -> Track | None:
+def read_track(path: Path, gap_s: float = math.inf) -> PathSeries | None:
     """The TUM trajectory at ``path``, thinned for plotting; None if it is missing or malformed.
 
     A gap longer than ``gap_s`` starts a new piece.
@@ -210,7 +210,7 @@ def read_track(path: Path, gap_s: float = math.inf) -> Track | None:
     return None if whole is None else whole.thinned(MAX_POINTS)
 
 
-def read_whole_track(path: Path, gap_s: float = math.inf) -> Track | None:
+def read_whole_track(path: Path, gap_s: float = math.inf) -> PathSeries | None:
     """As :func:`read_track`, with every pose."""
     data = read_untrusted_lines(path, LIMIT_BYTES)
     if not data:
@@ -225,7 +225,7 @@ def read_whole_track(path: Path, gap_s: float = math.inf) -> Track | None:
     rows = rows[np.isfinite(rows).all(axis=1)]
     if len(rows) == 0:
         return None
-    return Track(rows[:, 0], rows[:, 1:], len(rows), _pieces(rows[:, 0], gap_s))
+    return PathSeries(rows[:, 0], rows[:, 1:], len(rows), _pieces(rows[:, 0], gap_s))
 
 
 def thin_keeping_extremes(values: Array, most: int = MAX_POINTS) -> Places:

@@ -2,46 +2,104 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import uuid
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from slamhive.clock import utc_now
-from slamhive.domain.affinity import run_affinity
-from slamhive.domain.protocol import Protocol
-from slamhive.domain.protocol_request import exactly
-from slamhive.domain.run import RunState
-from slamhive.domain.visibility import Visibility
-from slamhive.errors import SlamHiveError
-from slamhive.files import temporary_folder
-from slamhive.runs.log_line import read_tail
-from slamhive.schema.submission import Submission
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, SlamHiveError
+from slamhive.base.files import temporary_folder
+from slamhive.base.settings import Settings
+from slamhive.documents.submission import Submission
+from slamhive.domain.accounts import Visibility
+from slamhive.domain.algorithm import IMPORTED
+from slamhive.domain.placement import run_affinity
+from slamhive.domain.protocol import Protocol, exactly
+from slamhive.domain.run import NotesChange, RunNotes, RunState
+from slamhive.run_folder.folder import RunFolder
+from slamhive.run_folder.outcome import read_tail
 from slamhive.services.configurations import Checked, Configurations, put_configuration
 from slamhive.services.datasets import check_writable
 from slamhive.services.evaluations import fitting_protocol, protocol_for
 from slamhive.services.executors import Executors
-from slamhive.services.runs.moments import Moment, moment_at
-from slamhive.services.runs.progress import RunProgress, run_progress
+from slamhive.services.runs.files import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json
-from slamhive.services.runs.retrying import check_retriable, retry_request
-from slamhive.services.runs.scene import RunScene, SceneFrame, SceneFrames, run_scene
+from slamhive.services.runs.scene import Moment, RunScene, SceneFrame, SceneFrames, moment_at, run_scene
 from slamhive.services.runs.series import RunSeries, Samples, error_over_time, gap_of, run_series
 from slamhive.services.runs.specification import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
 from slamhive.services.runs.stored import StoredRuns
 from slamhive.services.versions import check_version
 from slamhive.services.weights import WeightsStore
-from slamhive.settings import Settings
 from slamhive.store import RunRecord, RunRequest, Store, Transaction
+from slamhive.store.records import ExperimentState
+
+# Retry runs: a new run takes over the request of an old one.
+
+
+def check_retriable(old: RunRecord) -> None:
+    """Raise Conflict for a run that has not ended or was imported."""
+    if old.executor == IMPORTED:
+        raise Conflict(f"run {old.id} was imported: it cannot be run again here", "import its next trial")
+    if not old.state.ended:
+        raise Conflict(f"run {old.id} is {old.state}", "only a run that has ended can be retried")
+
+
+def retry_request(t: Transaction, old: RunRecord, uid: str) -> RunRequest:
+    """The request for a new run with the options of ``old``; held if its experiment is paused."""
+    experiment = None if old.experiment is None else t.experiments.locked(old.experiment)
+    return RunRequest(
+        uid=uid,
+        configuration_id=old.configuration_id,
+        executor=old.executor,
+        seed=old.seed,
+        priority=old.priority,
+        evaluate=old.evaluate,
+        cpu_cores=old.cpu_cores,
+        memory_mb=old.memory_mb,
+        timeout_s=old.timeout_s,
+        retry_of=old.id,
+        protocol=old.protocol_override,
+        experiment_id=old.experiment_id,
+        cell=old.cell,
+        held=experiment is not None and experiment.state is ExperimentState.PAUSED,
+        affinity=old.affinity,
+        stop_when=old.stop_when,
+        repeat_disturbed=old.repeat_disturbed,
+    )
+
+
+def repeat_if_disturbed(t: Transaction, run: RunRecord, now: datetime) -> None:
+    """Queue a repetition of ``run`` if it ended disturbed and may be repeated; a second call adds nothing.
+
+    The repetition may be repeated one time less. It is stored in the transaction that ends the run, so that a worker
+    that dies leaves both changes or none.
+    """
+    wanted = run.disturbance is not None and run.disturbance.disturbed and run.repeat_disturbed > 0
+    if not wanted or run.state not in (RunState.SUCCEEDED, RunState.FAILED):
+        return
+    if run.experiment is not None and t.experiments.locked(run.experiment).state is ExperimentState.CANCELLED:
+        return
+    request = retry_request(t, run, run_uid(run.uid, "undisturbed"))
+    t.runs.add_runs([replace(request, repeat_disturbed=run.repeat_disturbed - 1)], now, deleted_too=False)
+
+
+def run_uid(origin: str, *parts: object) -> str:
+    """The uid of a run, from its place in an experiment or the run that it repeats: no run is stored twice."""
+    text = "/".join(map(str, (origin, *parts)))
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
 
 logger = logging.getLogger(__name__)
 
 LOG_TAIL_BYTES = 200_000
 
 
-class Runs(StoredRuns):
+class RunService(StoredRuns):
     """The runs of one installation.
 
     Args:
@@ -204,3 +262,48 @@ def _requests(
         )
         for index in range(submission.repeat)
     ]
+
+
+# Notes and tags of runs: written to their folders, which are the truth, and filed in the database.
+
+
+class Notes:
+    """Changes notes and tags.
+
+    Args:
+        settings: Mode, and where the folders of runs are.
+        store: The database.
+    """
+
+    def __init__(self, settings: Settings, store: Store) -> None:
+        self._settings = settings
+        self._store = store
+
+    def change(self, run_ids: Sequence[int], change: NotesChange) -> dict[int, RunNotes]:
+        """Apply a change to these runs; their notes afterwards.
+
+        Raises NotFound for an unknown run, InvalidInput for what cannot be kept, Conflict for a run without a folder;
+        nothing is changed then.
+        """
+        check_writable(self._settings)
+        runs = self._store.read(lambda t: t.runs.get_many(run_ids))
+        changed = {run.id: change.applied(run.notes) for run in runs}
+        folders = {run_id: RunFolder(self._settings.runs_folder / str(run_id)) for run_id in changed}
+        for run_id, folder in folders.items():
+            if not folder.record.exists():
+                raise Conflict(f"run {run_id} has no folder yet", "wait until a worker has prepared it")
+        for run_id, notes in changed.items():
+            folders[run_id].write_notes(notes)
+        self._store.write(lambda t: t.notes.put(changed))
+        return changed
+
+    def replace(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> RunNotes:
+        """Replace the note and the tags of a run; None keeps them. Raises as :meth:`change`."""
+        before = self._store.read(lambda t: t.runs.get(run_id)).notes.tags
+        kept = before if tags is None else tuple(tags)
+        removed = tuple(tag for tag in before if tag not in kept)
+        return self.change([run_id], NotesChange(note, kept, removed))[run_id]
+
+    def tags(self) -> list[str]:
+        """Every tag that some run has."""
+        return self._store.read(lambda t: t.notes.tags())

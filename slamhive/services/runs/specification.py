@@ -9,29 +9,36 @@ from pathlib import Path
 from typing import Any
 
 from slamhive import __version__
-from slamhive.bags.reader import inspect_bag
-from slamhive.bags.staging import PLAY_SCRIPT, checksum, current_script, shipped_script
-from slamhive.catalogue.algorithm_file import package_hash
-from slamhive.catalogue.dataset_file import DATASET_FILE
-from slamhive.catalogue.run_config import build_run_config
-from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
+from slamhive.base.errors import InvalidInput, Unavailable
+from slamhive.base.files import hash_files, write_aside
+from slamhive.base.settings import Settings
+from slamhive.documents.catalogue import MatchDocument
+from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Gpu, GpuNeed
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.gpu import Gpu, GpuNeed
 from slamhive.domain.matching import match_of
-from slamhive.domain.sensor_choice import BY_RULE, Chosen
-from slamhive.errors import InvalidInput, Unavailable
+from slamhive.domain.roles import BY_RULE, Chosen
 from slamhive.executors.base import Capabilities, EngineUnavailable, Executor, ImageMissing
-from slamhive.executors.spec import DATASET_TARGET, RECORDING, Limits, RunInput, RunOutput, RunSpec, VariantOrder
-from slamhive.files import hash_files, write_aside
-from slamhive.runs.folder import RunFolder
+from slamhive.executors.spec import (
+    DATASET_TARGET,
+    RECORDING,
+    ResourceLimits,
+    RunInput,
+    RunOutput,
+    RunSpec,
+    VariantOrder,
+)
+from slamhive.packages.algorithm_file import package_hash
+from slamhive.packages.dataset_file import DATASET_FILE
+from slamhive.packages.run_config import build_run_config
+from slamhive.recordings.reader import inspect_bag
+from slamhive.recordings.staging import PLAY_SCRIPT, checksum, current_script, shipped_script
+from slamhive.run_folder.folder import RunFolder
 from slamhive.runtime.config import to_yaml
 from slamhive.runtime.paths import MAP_VARIABLE, ORB_VOCABULARY_VARIABLE, WEIGHTS_VARIABLE
-from slamhive.schema.matching import Match as MatchDocument
 from slamhive.services.configurations import FoundMap
 from slamhive.services.datasets import IDENTITY, UsedVariant
 from slamhive.services.weights import StoredWeights
-from slamhive.settings import Settings
 
 CONTAINER_ROOT = "/slamhive"
 COMMAND = ("python3", f"{CONTAINER_ROOT}/mapping.py")
@@ -126,7 +133,7 @@ def check_executor(executor: Executor, package: AlgorithmPackage, asked: RunLimi
         raise InvalidInput(error.message, error.remedy) from None
     check_gpu(executor, package)
     memory_bytes = None if asked.memory_mb is None else asked.memory_mb * 1_000_000
-    limits = Limits(asked.cpu_cores, memory_bytes, pids=None)
+    limits = ResourceLimits(asked.cpu_cores, memory_bytes, pids=None)
     refusal = executor.capabilities.refusal(executor.name, limits)
     if refusal is not None:
         raise InvalidInput(refusal, "leave the limit out, or choose another executor")
@@ -291,9 +298,9 @@ def _input(name: str, source: Path, target: str, *, content: str | None = None, 
     return RunInput(name, source, target, size_bytes, content, own_copy)
 
 
-def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None) -> Limits:
+def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None) -> ResourceLimits:
     memory_mb = job.limits.memory_mb or settings.run_memory_mb or job.algorithm.package.memory_mb
-    return Limits(
+    return ResourceLimits(
         cpu_cores=job.limits.cpu_cores or settings.run_cpu_cores or None,
         memory_bytes=memory_mb * 1_000_000,
         pids=settings.run_pids,

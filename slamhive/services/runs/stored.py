@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive.runs.folder import RunFolder
-from slamhive.search.binding import Search
-from slamhive.settings import Settings
+from slamhive.base.settings import Settings
+from slamhive.filters.binding import Search
+from slamhive.run_folder.folder import RunFolder
 from slamhive.store import Page, RunRecord, RunSort, Store, Transaction
 
 if TYPE_CHECKING:
+    from slamhive.documents.run import RunWith
     from slamhive.domain.run import RunEvent, RunState
-    from slamhive.schema.run import RunWith
 
 
 class StoredRuns:
@@ -38,7 +38,7 @@ class StoredRuns:
 
     def in_full(self, run_id: int) -> RunWith:
         """A run with its moves and evaluations, as JSON shows it; raises NotFound."""
-        from slamhive.services.runs.documents import run_in_full  # noqa: PLC0415 - lists need no documents
+        from slamhive.services.runs.files import run_in_full  # noqa: PLC0415 - lists need no documents
 
         def work(t: Transaction) -> RunWith:
             run, evaluations = t.runs.get(run_id, with_metrics=True), t.evaluations.for_run(run_id)

@@ -6,24 +6,28 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from slamhive.catalogue.algorithm_file import load_algorithms, package_hash
-from slamhive.catalogue.version_folders import version_folder
-from slamhive.clock import utc_now
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError, unknown
+from slamhive.base.settings import Mode, Settings
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.domain.versions import split_version
-from slamhive.errors import Conflict, InvalidInput, NotFound, SlamHiveError, unknown
+from slamhive.domain.packages import split_version
 from slamhive.executors.base import Executor, ImageMissing, PackageNeed
+from slamhive.packages.algorithm_file import load_algorithms, package_hash
+from slamhive.packages.folders import version_folder
 from slamhive.services.datasets import Catalogue, check_writable
 from slamhive.services.executors import Executors
-from slamhive.services.versions.exporting import export_version
-from slamhive.services.versions.importing import ImportedVersion, import_version
-from slamhive.services.versions.keeping import find_version, keep_version
-from slamhive.settings import Mode, Settings
+from slamhive.services.versions.exchange import (
+    ImportedVersion,
+    export_version,
+    find_version,
+    import_version,
+    keep_version,
+)
 from slamhive.store import AlgorithmVersion, Store, VersionRecord
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class VersionFinding:
     """Something about a version that is not as it was: a short ``kind``, and what was found in words."""
 
     version: str
@@ -113,7 +117,7 @@ class Versions:
 
     # -- verifying -------------------------------------------------------------------------------------------------
 
-    def verify(self, name: str | None = None) -> list[Finding]:
+    def verify(self, name: str | None = None) -> list[VersionFinding]:
         """What has changed or vanished: images, environments, kept folders, and the packages themselves."""
         wanted = None if name is None else self.package_of(name)
         records = self._store.read(lambda t: t.versions.all())
@@ -126,34 +130,36 @@ class Versions:
             findings += self._verify_package(package, versions, executors)
         return findings
 
-    def _verify_one(self, record: VersionRecord, executors: list[Executor]) -> list[Finding]:
+    def _verify_one(self, record: VersionRecord, executors: list[Executor]) -> list[VersionFinding]:
         findings = []
         if not any(self._has(executor, record) for executor in executors):
             asked = ", ".join(executor.name for executor in executors) or "no executor"
             words = f"{record.identity[:19]} is gone ({asked} asked); {record.runs} runs used it"
-            findings.append(Finding(record.label, "missing", words))
+            findings.append(VersionFinding(record.label, "missing", words))
         folder = self._folder(record)
         if folder.is_dir() and package_hash(folder) != record.package_hash:
-            findings.append(Finding(record.label, "edited", f"the kept folder {folder} was changed"))
+            findings.append(VersionFinding(record.label, "edited", f"the kept folder {folder} was changed"))
         return findings
 
-    def _verify_package(self, package: str, versions: list[VersionRecord], executors: list[Executor]) -> list[Finding]:
+    def _verify_package(
+        self, package: str, versions: list[VersionRecord], executors: list[Executor]
+    ) -> list[VersionFinding]:
         """Whether the folder was edited after the last build, and whether a name leads to an unknown image."""
         try:
             here = self._catalogue.package(package)
         except SlamHiveError as error:
-            return [Finding(package, "no folder", f"the folder of the package cannot be used: {error.message}")]
+            return [VersionFinding(package, "no folder", f"the folder of the package cannot be used: {error.message}")]
         findings = []
         now = package_hash(here.folder)
         if versions and now not in {record.package_hash for record in versions}:
             words = f"{here.folder} was edited since {versions[-1].label} was built; the next run makes a new version"
-            findings.append(Finding(package, "folder edited", words))
+            findings.append(VersionFinding(package, "folder edited", words))
         known = {record.identity for record in versions}
         for executor in executors:
             found = executor.named_image(here)
             if found is not None and found not in known:
                 words = f"{here.image} names {found[:19]} on {executor.name}, which is no known version"
-                findings.append(Finding(package, "tag moved", words))
+                findings.append(VersionFinding(package, "tag moved", words))
         return findings
 
     # -- removing --------------------------------------------------------------------------------------------------

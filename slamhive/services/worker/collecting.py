@@ -7,22 +7,22 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields
 from datetime import datetime
 
-from slamhive.domain.disturbance import Disturbance, DisturbanceLimits, judge
+from slamhive.base.errors import SlamHiveError
+from slamhive.base.settings import Settings
+from slamhive.documents.model import exact
 from slamhive.domain.protocol import Protocol
-from slamhive.errors import SlamHiveError
+from slamhive.domain.run import RunState
+from slamhive.domain.trust import Disturbance, DisturbanceLimits, judge
 from slamhive.executors.status import Exited
-from slamhive.runs.folder import RunFolder
-from slamhive.runs.host_load import read_host_load
-from slamhive.runs.outcome import Evidence, Outcome, decide
-from slamhive.runs.profiling import limit_metrics, measure_run, write_plots
+from slamhive.run_folder.folder import RunFolder
+from slamhive.run_folder.outcome import Evidence, Outcome, decide
+from slamhive.run_folder.profiling import limit_metrics, measure_run, plots_are_missing, read_host_load, write_plots
 from slamhive.services.evaluations import protocols_of_all
-from slamhive.services.json_values import exact
 from slamhive.services.runs import repeat_if_disturbed
-from slamhive.services.worker.disk import remove_scratch, settle_result
-from slamhive.services.worker.evidence import gather_evidence, read_about
+from slamhive.services.worker.evidence import gather_evidence, read_about, remove_scratch, settle_result
 from slamhive.services.worker.run_in_hand import RunInHand
-from slamhive.settings import Settings
-from slamhive.store import Transaction
+from slamhive.store import Store, Transaction
+from slamhive.store.records import RunRecord
 
 logger = logging.getLogger(__name__)
 
@@ -133,3 +133,32 @@ def judge_run(folder: RunFolder, metrics: Mapping[str, float], settings: Setting
     )
     lag_s = metrics.get("playback.lag_max")
     return judge(read_host_load(folder.host), metrics["duration"], lag_s, limits)
+
+
+# Make again what follows from the stored outcome of a run, when a worker starts.
+#
+# It is written after the outcome, so a worker that is killed between the two, or whose disk is full then, leaves it
+# out.
+
+
+_COLLECTED = (RunState.SUCCEEDED, RunState.FAILED)
+
+
+def make_missing(settings: Settings, store: Store, latest: int) -> None:
+    """Make what is missing in the folders of the ``latest`` runs."""
+    for run in store.read(lambda t: t.runs.get_many(t.queue.lately(latest))):
+        folder = RunFolder(settings.runs_folder / str(run.id))
+        if not folder.record.exists():  # in the trash, or elsewhere
+            continue
+        try:
+            _make_missing(run, folder)
+        except (SlamHiveError, OSError) as error:
+            logger.warning("plots or the current protocol of run %d are still missing: %s", run.id, error)
+
+
+def _make_missing(run: RunRecord, folder: RunFolder) -> None:
+    if run.state in _COLLECTED and plots_are_missing(folder):
+        write_plots(folder)
+    current = run.protocol
+    if current is not None and folder.read_current_protocol() is None and folder.current_protocol.parent.is_dir():
+        folder.write_current_protocol(current.fingerprint)

@@ -9,22 +9,19 @@ from dataclasses import asdict
 from datetime import datetime
 from typing import Any
 
-from slamhive.domain.gpu import Gpu
+from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.documents.model import exact, json_timestamp
+from slamhive.domain.algorithm import Gpu
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.executors.base import EngineUnavailable, GpuGiver, ImageMissing, StartFailed
 from slamhive.executors.status import RunHandle
 from slamhive.services.datasets import variant_key
-from slamhive.services.json_values import exact, timestamp
 from slamhive.services.runs import handle_to_json, with_made_variant
 from slamhive.services.worker.collecting import Collecting
-from slamhive.services.worker.context import DriverContext
-from slamhive.services.worker.disk import remove_scratch, settle_result
-from slamhive.services.worker.evidence import ENGINE_AWAY
-from slamhive.services.worker.gpu import hold_gpu
-from slamhive.services.worker.placing import leave_other_cpu, place
+from slamhive.services.worker.evidence import ENGINE_AWAY, remove_scratch, settle_result
 from slamhive.services.worker.preparing import Preparing
-from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
+from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, DriverContext, RunInHand, hold_gpu
+from slamhive.services.worker.turns import leave_other_cpu, place
 from slamhive.services.worker.watching import Watch
 from slamhive.store.records import RunRecord
 
@@ -67,7 +64,7 @@ class RunDriver:
                 except EngineUnavailable:
                     if hand.run.state in (RunState.STARTING, RunState.RUNNING, RunState.COLLECTING):
                         # While starting, too: the answer to a start that succeeded may have been lost.
-                        hand.save({ENGINE_AWAY: timestamp(self._context.now())})
+                        hand.save({ENGINE_AWAY: json_timestamp(self._context.now())})
                     raise
         return hand.run
 

@@ -6,22 +6,26 @@ Files that a running process uses are locked and stay.
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from slamhive.bags.staging import sweep_partial_folders
+from slamhive.base.clock import monotonic_s
+from slamhive.base.errors import SlamHiveError
+from slamhive.base.files import sweep_asides, sweep_folder, sweep_temporary
+from slamhive.base.settings import Settings
 from slamhive.domain.run import RunState
-from slamhive.errors import SlamHiveError
 from slamhive.executors.base import Executor
-from slamhive.files import sweep_asides, sweep_folder, sweep_temporary
-from slamhive.runs.folder import RunFolder
+from slamhive.executors.registry import candidates
+from slamhive.filters.words import matching
+from slamhive.recordings.staging import sweep_partial_folders
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.challenges import sweep_challenges
-from slamhive.services.datasets import Variants
+from slamhive.services.datasets import VariantService
 from slamhive.services.evaluations import sweep_scratch
 from slamhive.services.imports import sweep_imports
 from slamhive.services.runs import handle_from_json
-from slamhive.services.worker.disk import sweep_scratch as sweep_run_scratch
-from slamhive.settings import Settings
+from slamhive.services.worker.evidence import sweep_scratch as sweep_run_scratch
 from slamhive.store import Store
 from slamhive.store.records import RunRecord
 
@@ -31,7 +35,9 @@ LATEST = 1000
 """The number of latest runs to check: a dead worker had only a few."""
 
 
-def sweep_leftovers(settings: Settings, store: Store, variants: Variants, executors: Callable[[str], Executor]) -> None:
+def sweep_leftovers(
+    settings: Settings, store: Store, variants: VariantService, executors: Callable[[str], Executor]
+) -> None:
     """Remove leftovers of killed processes from the data root and the folder for temporary files."""
     data = settings.data
     sweep_scratch(data)
@@ -71,3 +77,81 @@ def _sweep_run(run: RunRecord, folder: RunFolder, executors: Callable[[str], Exe
 
 def _folders(root: Path) -> Iterable[Path]:
     return [entry for entry in root.iterdir() if entry.is_dir() and not entry.is_symlink()] if root.is_dir() else []
+
+
+# Remove what ended runs and dead processes have left in executors, such as containers.
+#
+# A start of the worker alone is not enough: an engine may finish what a killed worker asked for after the next worker
+# has started.
+
+
+INTERVAL_S = 60.0
+MOST_ACTIVE = 1000
+
+
+class EngineSweep:
+    """Sweeps the executors that active runs use, and those that the settings allow. Safe to share between threads.
+
+    Args:
+        setting: The executor of the settings, or ``auto``.
+        store: Knows the active runs.
+        executors: The executor for a name.
+        interval_s: Time between two sweeps of :meth:`sweep_if_due`.
+        elsewhere: The settings allow executors of other machines only.
+    """
+
+    def __init__(
+        self,
+        setting: str,
+        store: Store,
+        executors: Callable[[str], Executor],
+        interval_s: float = INTERVAL_S,
+        *,
+        elsewhere: bool = False,
+    ) -> None:
+        self._setting = setting
+        self._elsewhere = elsewhere
+        self._store = store
+        self._executors = executors
+        self._interval_s = interval_s
+        self._lock = threading.Lock()
+        self._due_s = 0.0
+        self._failures: dict[str, str] = {}
+
+    def sweep_if_due(self) -> None:
+        """Sweep unless another thread does so now, or the last sweep is less than the interval ago."""
+        if monotonic_s() < self._due_s or not self._lock.acquire(blocking=False):
+            return
+        try:
+            self._sweep()
+        finally:
+            self._lock.release()
+
+    def sweep(self) -> None:
+        """Sweep now."""
+        with self._lock:
+            self._sweep()
+
+    def _sweep(self) -> None:
+        self._due_s = monotonic_s() + self._interval_s
+        names = {record.executor for record in self._active()}
+        allowed = candidates(self._setting, self._executors, elsewhere=self._elsewhere)
+        names.update(executor.name for executor in allowed)
+        for name in sorted(names):
+            try:
+                removed = self._executors(name).sweep(self._live_keys)
+            except SlamHiveError as error:
+                if self._failures.get(name) != str(error):
+                    logger.info("what runs have left in %s is not removed now: %s", name, error)
+                self._failures[name] = str(error)
+            else:
+                self._failures.pop(name, None)
+                if removed:
+                    logger.info("removed %s, which nobody needs any more", ", ".join(removed))
+
+    def _live_keys(self) -> set[str]:
+        return {record.uid for record in self._active()}
+
+    def _active(self) -> tuple[RunRecord, ...]:
+        active = matching(states=tuple(state for state in RunState if state.active))
+        return self._store.read(lambda t: t.runs.page(active, limit=MOST_ACTIVE)).records

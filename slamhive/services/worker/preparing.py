@@ -7,15 +7,14 @@ import logging
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 
-from slamhive.catalogue.algorithm_file import package_hash
-from slamhive.domain.gpu import GpuNeed
-from slamhive.domain.host import Host
+from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.domain.algorithm import GpuNeed
 from slamhive.domain.parameters import check_stored
-from slamhive.domain.run import FailureReason, RunState
-from slamhive.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.domain.run import FailureReason, Host, RunState
 from slamhive.executors.base import EngineUnavailable, GpuGiver, ImageMissing
 from slamhive.executors.host import describe_host
-from slamhive.runs.early_end import EarlyEnd, skipped
+from slamhive.packages.algorithm_file import package_hash
+from slamhive.run_folder.outcome import EarlyEnd, skipped
 from slamhive.services.configurations import find_map
 from slamhive.services.runs import (
     Job,
@@ -31,8 +30,7 @@ from slamhive.services.runs import (
 from slamhive.services.versions import identity_of_version, keep_version
 from slamhive.services.weights import WeightsStore
 from slamhive.services.worker.evidence import STARTED_BY
-from slamhive.services.worker.gpu import hold_gpu
-from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
+from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand, hold_gpu
 from slamhive.store import Transaction
 from slamhive.store.records import AlgorithmVersion
 

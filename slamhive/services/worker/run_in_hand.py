@@ -3,24 +3,109 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from typing import Any, Unpack
 
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError
+from slamhive.base.settings import Settings
+from slamhive.base.shown_paths import relative_paths
+from slamhive.documents.model import exact
+from slamhive.domain.accounts import NO_SHARING, Sharing
+from slamhive.domain.algorithm import Gpu
+from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import FailureReason, RunEvent, RunState
-from slamhive.domain.visibility import NO_SHARING, Sharing
-from slamhive.errors import Conflict, InvalidInput, NotFound
 from slamhive.executors.base import Executor
+from slamhive.executors.gpu import lease_gpu
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import RunHandle
-from slamhive.runs.folder import RunFolder
-from slamhive.services.json_values import exact
+from slamhive.run_folder.folder import RunFolder
+from slamhive.services.datasets import Catalogue, VariantService
 from slamhive.services.runs import RecordKeeper, handle_from_json, spec_from_json
-from slamhive.services.worker.context import DriverContext, WorkerStopping
-from slamhive.shown_paths import relative_paths
-from slamhive.store import Transaction
+from slamhive.store import Store, Transaction
 from slamhive.store.records import LeaseLost, RunFields, RunRecord
+
+# The runs that a worker holds.
+
+
+@dataclass
+class HeldRuns:
+    """Shared between slots and heartbeat; ``cancel`` holds the runs that a user has asked to cancel."""
+
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    runs: set[int] = field(default_factory=set)
+    cancel: set[int] = field(default_factory=set)
+
+    def add(self, run_id: int) -> None:
+        """A slot has claimed the run."""
+        with self.lock:
+            self.runs.add(run_id)
+
+    def discard(self, run_id: int) -> None:
+        """The run has ended or belongs to another worker now."""
+        with self.lock:
+            self.runs.discard(run_id)
+            self.cancel.discard(run_id)
+
+    def snapshot(self) -> set[int]:
+        """The runs held now."""
+        with self.lock:
+            return set(self.runs)
+
+
+# Knowledge of a worker about nodes on which no run of its own was measured.
+
+
+class OtherCpus:
+    """The CPU models of nodes that runs came to, but did not stay on. Safe to share between threads.
+
+    Nobody else notes them: a run that leaves a node leaves nothing there. After a restart the worker learns them again.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._models: dict[tuple[str, str], str] = {}
+
+    def note(self, executor: str, node: str, cpu_model: str) -> None:
+        """Note the CPU model of a node."""
+        with self._lock:
+            self._models[executor, node] = cpu_model
+
+    def of(self, executor: str) -> dict[str, str]:
+        """{node: CPU model} of the nodes of an executor."""
+        with self._lock:
+            return {node: model for (name, node), model in self._models.items() if name == executor}
+
+
+# Objects that all run drivers of a worker share.
+
+
+class WorkerStopping(SlamHiveError):
+    """The worker is stopping; the run continues, and the next worker adopts it."""
+
+
+@dataclass(frozen=True)
+class DriverContext:
+    """Objects that all run drivers of a worker share."""
+
+    settings: Settings
+    store: Store
+    catalogue: Catalogue
+    executors: Callable[[str], Executor]
+    owner: str
+    stopping: threading.Event
+    still_held: Callable[[int], bool]
+    cancel_requested: Callable[[int], bool]
+    protocol_of: Callable[[RunRecord], Protocol]
+    variants: VariantService
+    other_cpus: OtherCpus = field(default_factory=OtherCpus)
+    now: Callable[[], datetime] = utc_now
+
 
 logger = logging.getLogger(__name__)
 
@@ -214,3 +299,30 @@ class RunInHand:
             raise WorkerStopping(f"run {self.run.id} is held by another worker now")
         if self.context.stopping.is_set():
             raise WorkerStopping(f"run {self.run.id} continues without this worker")
+
+
+# The GPU of a run, leased for as long as a driver has the run in hand.
+
+
+_PAUSE_S = 0.5
+
+
+def hold_gpu(
+    hand: RunInHand, gpus: Sequence[Gpu], check: Callable[[], None] = lambda: None
+) -> AbstractContextManager[Gpu]:
+    """Lease one of ``gpus``; waits while other runs have them all.
+
+    ``check`` is called meanwhile and may raise. Raises WorkerStopping if this worker is stopping or lost the run.
+    """
+    said = False
+
+    def wait() -> None:
+        nonlocal said
+        if not said:
+            said = True
+            logger.info("run %d waits for a GPU", hand.run.id)
+        check()
+        hand.check_still_ours()
+        hand.context.stopping.wait(_PAUSE_S)
+
+    return lease_gpu(gpus, lambda: hand.executor.gpus_in_use(hand.run.uid), wait)

@@ -8,17 +8,21 @@ from datetime import datetime
 from typing import Any
 
 from slamhive.domain.run import RunState
-from slamhive.executors.energy import POWERCAP, EnergyLog
 from slamhive.executors.gpu import GpuLog
-from slamhive.executors.host_counters import HostCounters, HostReader
+from slamhive.executors.host_counters import POWERCAP, EnergyLog, HostCounters, HostReader
 from slamhive.executors.host_log import HostLog, ReadHost
 from slamhive.executors.sampler import MachineLogs, Sampler
 from slamhive.executors.status import Gone, Running, UsageSource
-from slamhive.runs.early_end import Observation, broken_rule
-from slamhive.runs.outcome import is_finished
+from slamhive.run_folder.outcome import Observation, broken_rule, is_finished
 from slamhive.services.runs import untracked_s
-from slamhive.services.worker.disk import DiskWatch, disk_limits
-from slamhive.services.worker.evidence import DISK_LIMIT, ENGINE_AWAY, STOP_RULE, STOPPED_BECAUSE
+from slamhive.services.worker.evidence import (
+    DISK_LIMIT,
+    ENGINE_AWAY,
+    STOP_RULE,
+    STOPPED_BECAUSE,
+    DiskWatch,
+    disk_limits,
+)
 from slamhive.services.worker.run_in_hand import CANCELLED_BY_USER, RunInHand
 from slamhive.store.records import LeaseLost
 

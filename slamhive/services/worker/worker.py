@@ -10,36 +10,115 @@ import contextlib
 import logging
 import os
 import threading
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 
-from slamhive.clock import monotonic_s
-from slamhive.errors import SlamHiveError, Unavailable
+from slamhive.base.clock import monotonic_s
+from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
+from slamhive.base.settings import Settings
 from slamhive.executors.base import EngineUnavailable, Executor
-from slamhive.executors.identity import owner_is_dead, worker_identity
+from slamhive.executors.host import owner_is_dead, worker_identity
 from slamhive.executors.node_store.server import serving_nodes
 from slamhive.executors.registry import AUTO
-from slamhive.services.datasets import Catalogue, Variants
+from slamhive.services.challenges import ChallengeJudge, ImageWork
+from slamhive.services.datasets import Catalogue, VariantService
 from slamhive.services.evaluations import Evaluations
-from slamhive.services.notices import notices_of
-from slamhive.services.worker.chores import Chores
-from slamhive.services.worker.context import DriverContext, WorkerStopping
-from slamhive.services.worker.cpu_type import CpuType
-from slamhive.services.worker.derived import make_missing
+from slamhive.services.notices import Notices, notices_of
+from slamhive.services.stored_analyses import AnalysisJobs
+from slamhive.services.worker.collecting import make_missing
 from slamhive.services.worker.driver import RunDriver
-from slamhive.services.worker.engine_sweep import EngineSweep
-from slamhive.services.worker.heartbeat import Heartbeat
-from slamhive.services.worker.held_runs import HeldRuns
-from slamhive.services.worker.leftovers import LATEST, sweep_leftovers
-from slamhive.services.worker.lock import WorkerLock
-from slamhive.services.worker.noticing import noticing
-from slamhive.services.worker.run_in_hand import RunInHand
-from slamhive.services.worker.slots import share_cores
-from slamhive.services.worker.turns import AbsentExecutors, OneAtATime, Turns
-from slamhive.settings import Settings
+from slamhive.services.worker.holding import Heartbeat, WorkerLock
+from slamhive.services.worker.leftovers import LATEST, EngineSweep, sweep_leftovers
+from slamhive.services.worker.run_in_hand import DriverContext, HeldRuns, RunInHand, WorkerStopping
+from slamhive.services.worker.turns import AbsentExecutors, CpuType, OneAtATime, Turns
 from slamhive.store import Store, Transaction
 from slamhive.store.records import LeaseLost, RunRecord
 
+# The CPU cores of each slot of the worker.
+
+
+def share_cores(slots: int, usable: Collection[int] | None = None) -> list[tuple[int, ...] | None]:
+    """Share cores between slots: disjoint sets of nearly equal size; None (all cores) for a single slot.
+
+    Args:
+        slots: Number of slots.
+        usable: Numbers of the cores to share; None for those that this process may use.
+
+    Raises:
+        InvalidInput: There are fewer cores than slots.
+    """
+    if slots == 1:
+        return [None]
+    cores = sorted(os.sched_getaffinity(0) if usable is None else usable)
+    count = len(cores)
+    if slots > count:
+        raise InvalidInput(f"WORKER_SLOTS={slots} exceeds the {count} cores that this process may use", "lower it")
+    return [tuple(cores[slot * count // slots : (slot + 1) * count // slots]) for slot in range(slots)]
+
+
+# Work done between runs, pinned to one slot's cores, so that it disturbs no other slot.
+
+
+@dataclass(frozen=True, slots=True)
+class Chores:
+    """The work between runs.
+
+    Attributes:
+        analyses: Computes analyses.
+        images: Runs images that were submitted to challenges.
+        judge: Evaluates submissions to challenges.
+    """
+
+    analyses: AnalysisJobs
+    images: ImageWork
+    judge: ChallengeJudge
+
+    def work_once(self, owner: str, stopping: threading.Event, cores: tuple[int, ...] | None) -> bool:
+        """Do at most one thing of each kind; returns whether there was any."""
+        analysed = self.analyses.work_once(owner, stopping)
+        ran = self.images.work_once(stopping, cores) > 0
+        return self.judge.work_once(stopping, cores) > 0 or ran or analysed
+
+
+# Sends notices beside the work of a worker. No run waits for a mail server.
+
+
 logger = logging.getLogger(__name__)
+
+EVERY_S = 15.0
+
+
+@contextmanager
+def noticing(notices: Notices | None) -> Iterator[None]:
+    """Send what is to be sent during the block, and once more at its end."""
+    if notices is None:
+        yield
+        return
+    ended = threading.Event()
+
+    def work() -> None:
+        while not ended.wait(EVERY_S):
+            _once(notices)
+
+    thread = threading.Thread(target=work, name="notices", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+    _once(notices)
+
+
+def _once(notices: Notices) -> None:
+    try:
+        notices.work_once()
+    except (SlamHiveError, OSError) as error:
+        logger.warning("notices wait: %s", error)
+    except Exception:
+        logger.exception("notices wait because of an internal error")
+
 
 IDLE_PAUSE_S = 0.25
 TROUBLE_PAUSE_S = 5.0
@@ -94,7 +173,7 @@ class Worker:
             still_held=lambda run_id: run_id in self._held.runs,
             cancel_requested=lambda run_id: run_id in self._held.cancel,
             protocol_of=evaluations.protocol_of,
-            variants=Variants(settings, store),
+            variants=VariantService(settings, store),
         )
 
     def stop(self) -> None:

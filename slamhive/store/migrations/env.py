@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from alembic import context
 
-from slamhive.store.schema import METADATA
+from slamhive.store.migrate import METADATA
 
 context.configure(
     connection=context.config.attributes["connection"],

@@ -7,39 +7,23 @@ from __future__ import annotations
 
 from flask import Blueprint
 
-from slamhive.web.api import (
-    algorithms,
-    analyses,
-    challenges,
-    configurations,
-    datasets,
-    experiments,
-    nodes,
-    run_changes,
-    runs,
-    searches,
-    server,
-    uploads,
-)
-from slamhive.web.api.operation import PREFIX
-from slamhive.web.api.table import TABLE
+from slamhive.web.api import catalogue, experiments, runs, uploads
+from slamhive.web.api.operation import PREFIX, TABLE
 from slamhive.web.security import require_api_header
-
-__all__ = ["TABLE", "blueprint"]
 
 _FILLING = (
     runs,
-    run_changes,
-    searches,
+    runs,
+    runs,
     experiments,
-    configurations,
-    algorithms,
-    datasets,
+    catalogue,
+    catalogue,
+    catalogue,
     uploads,
-    analyses,
-    challenges,
-    nodes,
-    server,
+    experiments,
+    experiments,
+    catalogue,
+    catalogue,
 )
 """Each adds its operations when it is imported."""
 

@@ -10,10 +10,10 @@ from typing import Any
 
 from flask import Response, request
 
-from slamhive.errors import SlamHiveError
-from slamhive.services.kept_answers import Answer
+from slamhive.base.errors import SlamHiveError
+from slamhive.services.kept_answers import KeptAnswer
 from slamhive.web.context import caller, hive
-from slamhive.web.json_exchange import answer
+from slamhive.web.request_input import answer
 
 KEY_HEADER = "Idempotency-Key"
 REPEATED_HEADER = "Idempotency-Replayed"
@@ -38,7 +38,7 @@ def once(view: Callable[..., Response]) -> Callable[..., Response]:
         except SlamHiveError:
             kept.release(key)  # a refusal changes nothing, so the request may be sent again
             raise
-        kept.keep(key, Answer(response.status_code, response.get_data(as_text=True)))
+        kept.keep(key, KeptAnswer(response.status_code, response.get_data(as_text=True)))
         return response
 
     return respond

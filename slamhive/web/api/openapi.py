@@ -11,11 +11,11 @@ from pydantic import TypeAdapter
 from pydantic.json_schema import JsonSchemaMode
 
 from slamhive import __version__
-from slamhive.schema.api_answers import Problem
-from slamhive.schema.model import adapter
-from slamhive.schema.uploads import OCTETS
+from slamhive.documents.api_answers import ProblemDocument
+from slamhive.documents.imports import OCTETS
+from slamhive.documents.model import adapter
 from slamhive.web.api.idempotency import KEY_HEADER
-from slamhive.web.api.operation import PREFIX, Argument, Bytes, Operation, Place, Table
+from slamhive.web.api.operation import PREFIX, ApiOperation, Argument, ArgumentPlace, Bytes, Table
 from slamhive.web.security import API_HEADER
 
 Schemas: TypeAlias = Mapping[tuple[Any, JsonSchemaMode], dict[str, Any]]
@@ -79,9 +79,11 @@ def description(table: Table) -> dict[str, Any]:
     }
 
 
-def _schemas(operations: Iterable[Operation]) -> tuple[Schemas, dict[str, Any]]:
+def _schemas(operations: Iterable[ApiOperation]) -> tuple[Schemas, dict[str, Any]]:
     """The schema of each model by (model, mode), and the definitions that they refer to."""
-    kinds: dict[tuple[Any, JsonSchemaMode], TypeAdapter[Any]] = {(Problem, "serialization"): adapter(Problem)}
+    kinds: dict[tuple[Any, JsonSchemaMode], TypeAdapter[Any]] = {
+        (ProblemDocument, "serialization"): adapter(ProblemDocument)
+    }
     for operation in operations:
         if operation.body is not None and not isinstance(operation.body, Bytes):
             kinds[operation.body, "validation"] = adapter(operation.body)
@@ -92,7 +94,7 @@ def _schemas(operations: Iterable[Operation]) -> tuple[Schemas, dict[str, Any]]:
     return schemas, dict(sorted(definitions.get("$defs", {}).items()))
 
 
-def _operation(operation: Operation, places: Mapping[str, Place], schemas: Schemas) -> dict[str, Any]:
+def _operation(operation: ApiOperation, places: Mapping[str, ArgumentPlace], schemas: Schemas) -> dict[str, Any]:
     changes = operation.method == "POST"
     parameters = [_place(name, places[name]) for name in operation.places]
     parameters += [_argument(entry) for entry in operation.arguments]
@@ -114,7 +116,7 @@ def _operation(operation: Operation, places: Mapping[str, Place], schemas: Schem
     }
 
 
-def _success(operation: Operation, schemas: Schemas) -> dict[str, Any]:
+def _success(operation: ApiOperation, schemas: Schemas) -> dict[str, Any]:
     if isinstance(operation.answer, tuple):
         return {"description": "The file.", "content": {kind: {} for kind in operation.answer}}
     kind = operation.answer
@@ -122,7 +124,7 @@ def _success(operation: Operation, schemas: Schemas) -> dict[str, Any]:
     return {"description": said, "content": {_JSON: {"schema": schemas[kind, "serialization"]}}}
 
 
-def _place(name: str, place: Place) -> dict[str, Any]:
+def _place(name: str, place: ArgumentPlace) -> dict[str, Any]:
     return {"name": name, "in": "path", "required": True, "description": place.help, "schema": dict(place.schema)}
 
 
@@ -162,5 +164,5 @@ def _body(kind: Any, schemas: Schemas) -> dict[str, Any]:
 
 
 def _problems(schemas: Schemas) -> dict[str, Any]:
-    content = {_PROBLEM: {"schema": schemas[Problem, "serialization"]}}
+    content = {_PROBLEM: {"schema": schemas[ProblemDocument, "serialization"]}}
     return {name: {"description": words, "content": content} for name, words in _PROBLEMS.values()}

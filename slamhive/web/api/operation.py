@@ -13,11 +13,25 @@ from typing import IO, Any, ParamSpec, TypeAlias, cast
 from flask import Blueprint, Response, request
 from werkzeug.wsgi import LimitedStream
 
-from slamhive.errors import InvalidInput
-from slamhive.schema.model import Document
-from slamhive.schema.uploads import OCTETS
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.api_requests import LARGEST_RUN_ID
+from slamhive.documents.imports import HEXADECIMAL, LARGEST_UPLOAD_BYTES, OCTETS
+from slamhive.documents.model import Document
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.trust import TrustLevel
+from slamhive.services.exports import ExportFormat
 from slamhive.web.api.idempotency import once
-from slamhive.web.json_exchange import answer, read_body
+from slamhive.web.figures import PLOTS_WITH_DATA
+from slamhive.web.queries import (
+    CELLS_LENGTH,
+    DEFAULT_LIMIT,
+    EXPORT_LIMIT,
+    LARGEST_PAGE,
+    MOST_CELLS,
+    MOST_NUMBER,
+    PAGE_LENGTH,
+)
+from slamhive.web.request_input import answer, read_body
 
 PREFIX = "/api/v1"
 P = ParamSpec("P")
@@ -61,7 +75,7 @@ class Argument:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ArgumentPlace:
     """A part of a path that varies: the converter of Flask, the JSON Schema, and what it is."""
 
     converter: str
@@ -93,7 +107,7 @@ class Bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Operation:
+class ApiOperation:
     """One method at one path.
 
     Attributes:
@@ -133,7 +147,7 @@ class Operation:
         """The names of the places in its path."""
         return _PLACE.findall(self.path)
 
-    def rule(self, places: Mapping[str, Place]) -> str:
+    def rule(self, places: Mapping[str, ArgumentPlace]) -> str:
         """The rule of Flask for its path."""
         return _PLACE.sub(lambda found: f"<{places[found[1]].converter}:{found[1]}>", self.path)
 
@@ -144,12 +158,12 @@ class Table:
     A view returns a document, or a response for a file; a view with a body takes it as ``body``.
     """
 
-    def __init__(self, places: Mapping[str, Place]) -> None:
+    def __init__(self, places: Mapping[str, ArgumentPlace]) -> None:
         self.places = places
-        self.entries: list[tuple[Operation, Callable[..., Response]]] = []
+        self.entries: list[tuple[ApiOperation, Callable[..., Response]]] = []
 
     @property
-    def operations(self) -> list[Operation]:
+    def operations(self) -> list[ApiOperation]:
         """All operations, section by section, each in order of definition."""
         order = list(Section)
         return sorted((operation for operation, _ in self.entries), key=lambda entry: order.index(entry.section))
@@ -160,7 +174,7 @@ class Table:
         """Declare an operation that changes nothing."""
 
         def declare(view: View[P]) -> View[P]:
-            self._add(view, Operation(*_said(view, "GET", path, section), tuple(arguments), None, answers, 200))
+            self._add(view, ApiOperation(*_said(view, "GET", path, section), tuple(arguments), None, answers, 200))
             return view
 
         return declare
@@ -178,7 +192,7 @@ class Table:
         """Declare an operation that changes something."""
 
         def declare(view: View[P]) -> View[P]:
-            self._add(view, Operation(*_said(view, "POST", path, section), tuple(arguments), body, answers, status))
+            self._add(view, ApiOperation(*_said(view, "POST", path, section), tuple(arguments), body, answers, status))
             return view
 
         return declare
@@ -194,7 +208,7 @@ class Table:
         for operation, view in self.entries:
             blueprint.add_url_rule(operation.rule(self.places), operation.name, view, methods=[operation.method])
 
-    def _add(self, view: Callable[..., Document | Response], operation: Operation) -> None:
+    def _add(self, view: Callable[..., Document | Response], operation: ApiOperation) -> None:
         @wraps(view)
         def respond(**values: Any) -> Response:
             if isinstance(operation.body, Bytes):
@@ -210,3 +224,126 @@ class Table:
 def _said(view: Callable[..., Any], method: str, path: str, section: Section) -> tuple[str, str, str, Section, str]:
     """The first fields of an operation: name and words are those of its view."""
     return view.__name__, method, path, section, inspect.cleandoc(view.__doc__ or "")
+
+
+# The arguments that several operations share, and the places in paths.
+
+
+TEXT: Mapping[str, Any] = {"type": "string"}
+_NUMBER: Mapping[str, Any] = {"type": "integer", "minimum": 0, "maximum": LARGEST_RUN_ID}
+_YES_OR_NO: Mapping[str, Any] = {"type": "string", "enum": ["yes", "no"]}
+_CHANGES = ("pause", "resume", "cancel", "retry-failed")
+
+
+def _choice(*values: str) -> dict[str, Any]:
+    return {"type": "string", "enum": list(values)}
+
+
+def _limit(default: int, most: int) -> Argument:
+    schema = {"type": "integer", "minimum": 1, "maximum": most, "default": default}
+    return Argument("limit", "Entries on a page.", schema)
+
+
+PLACES = {
+    "run_id": ArgumentPlace(f"int(max={LARGEST_RUN_ID})", _NUMBER, "Number of the run."),
+    "configuration_id": ArgumentPlace(f"int(max={LARGEST_RUN_ID})", _NUMBER, "Number of the configuration."),
+    "name": ArgumentPlace("string", TEXT, "The name."),
+    "key": ArgumentPlace("string", TEXT, "The key, from the list."),
+    "token": ArgumentPlace("string", {"type": "string", "pattern": "^[0-9a-f]{32}$"}, "The token of the analysis."),
+    "upload": ArgumentPlace("string", {"type": "string", "pattern": f"^{HEXADECIMAL}$"}, "The token of the upload."),
+    "submission": ArgumentPlace("string", TEXT, "The id of the submission."),
+    "plot": ArgumentPlace("string", _choice(*PLOTS_WITH_DATA), "The plot."),
+    "sensor": ArgumentPlace("string", TEXT, "The name of the sensor."),
+    "action": ArgumentPlace(f"any({', '.join(map(repr, _CHANGES))})", _choice(*_CHANGES), "What to do."),
+    "format": ArgumentPlace(f"any({','.join(ExportFormat)})", _choice(*ExportFormat), "The format of the file."),
+}
+AFTER = Argument("after", "The page after this cursor, which `next` of the page before contains.", TEXT)
+SORTED = (
+    Argument("sort", "A column, metric or parameter.", {"type": "string", "default": "id"}),
+    Argument("order", "Largest or smallest first; by default the newest first.", _choice("asc", "desc")),
+)
+FILTER = (
+    Argument("where", "A filter, such as `ate.rmse < 0.1 and dataset ~ MH_0*`.", TEXT),
+    Argument("state", "Only these states.", _choice(*RunState), many=True),
+    Argument("reason", "Only these failures.", _choice(*FailureReason), many=True),
+    Argument("verdict", "Only these verdicts.", TEXT, many=True),
+    Argument("trust", "Only these levels of trust.", _choice(*TrustLevel), many=True),
+    Argument("algorithm", "Only these algorithms.", TEXT, many=True),
+    Argument("dataset", "Only these datasets.", TEXT, many=True),
+    Argument("sensor", "Only algorithms with these sensors.", TEXT, many=True),
+    Argument("executor", "Only these executors.", TEXT, many=True),
+    Argument("experiment", "Only runs of these experiments.", TEXT, many=True),
+    Argument("configuration", "Only runs of this configuration.", _NUMBER),
+    Argument("from", "Created at this time or later, as 2026-05-04 or 2026-05-04T12:00.", TEXT),
+    Argument("to", "Created at this time or earlier.", TEXT),
+    Argument("evaluated", "Only evaluated runs, or only others.", _YES_OR_NO),
+    Argument("disturbed", "Only disturbed runs, or only others.", _YES_OR_NO),
+)
+RUN_ARGUMENTS = (*FILTER, *SORTED, _limit(DEFAULT_LIMIT, EXPORT_LIMIT), AFTER)
+EXPORT_ARGUMENTS = (
+    *FILTER,
+    *SORTED,
+    Argument("columns", "Keys of columns, metrics and parameters, with commas.", TEXT),
+    Argument("group", "One row for each configuration, with mean and spread.", _choice("configuration")),
+)
+CONFIGURATION_ARGUMENTS = (
+    Argument("algorithm", "Only these algorithms.", TEXT, many=True),
+    Argument("dataset", "Only these datasets.", TEXT, many=True),
+    Argument("group", "Only those in this group.", TEXT),
+    Argument("text", "A part of the name or the note.", TEXT),
+    Argument("used", "Only those with runs, or only others.", _YES_OR_NO),
+    Argument("where", "A condition such as `features>=1000`.", TEXT, many=True),
+    _limit(PAGE_LENGTH, LARGEST_PAGE),
+    AFTER,
+)
+CELL_ARGUMENTS = (
+    _limit(CELLS_LENGTH, MOST_CELLS),
+    Argument(
+        "after", "Those after this number.", {"type": "integer", "minimum": 0, "maximum": MOST_NUMBER, "default": 0}
+    ),
+)
+GRID_ARGUMENTS = (
+    Argument("rows", "The axis of the rows; by default one that says much.", TEXT),
+    Argument("columns", "The axis of the columns; by default one that says much.", TEXT),
+)
+COMPARISON_ARGUMENTS = (
+    Argument("runs", "Numbers of 2 to 20 runs, with commas.", TEXT, required=True),
+    Argument("protocol", "Fingerprint; by default the protocol that most of the runs have.", TEXT),
+    Argument("group", "One column for all repeats.", _choice("configuration")),
+)
+FIND_ARGUMENTS = (
+    Argument("q", "Words of names and descriptions, the number of a run, a tag or a filter.", TEXT, required=True),
+)
+PUBLIC_ARGUMENTS = (Argument("words", "Only sequences that all these words fit.", TEXT),)
+TIMESTAMP_ARGUMENTS = (
+    Argument("timestamp", "A header timestamp in s.", {"type": "number", "minimum": 0}, required=True),
+)
+TIME_ARGUMENTS = (
+    Argument("time", "From the start of the recording, in s; its middle by default.", {"type": "number", "minimum": 0}),
+)
+PART_ARGUMENTS = (
+    Argument(
+        "offset",
+        "Where the part begins: `received_bytes` of the upload.",
+        {"type": "integer", "minimum": 0, "maximum": LARGEST_UPLOAD_BYTES},
+        required=True,
+    ),
+)
+PHASE_ARGUMENTS = (Argument("phase", "The phase; by default the last that has started.", TEXT),)
+ENTRY_ARGUMENTS = (
+    Argument("team", "The team; by default the account.", TEXT),
+    Argument("phase", "The phase; by default the only one that is open.", TEXT),
+)
+LOG_ARGUMENTS = (
+    Argument(
+        "bytes",
+        "How much of the end of the log.",
+        {"type": "integer", "minimum": 1, "maximum": 200_000, "default": 200_000},
+    ),
+)
+
+
+# The table of all operations of the web API. The modules beside it fill it.
+
+
+TABLE = Table(PLACES)

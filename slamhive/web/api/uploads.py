@@ -6,29 +6,27 @@ from typing import IO
 
 from flask import request
 
-from slamhive.input_bounds import whole_number
-from slamhive.schema.api_answers import Removal
-from slamhive.schema.uploads import (
+from slamhive.base.bounds import whole_number
+from slamhive.documents.api_answers import Removal
+from slamhive.documents.imports import (
     LARGEST_UPLOAD_BYTES,
     AlgorithmUpload,
     DatasetUpload,
     RunsUpload,
     Upload,
     UploadRequest,
-    Uploads,
+    UploadsDocument,
 )
 from slamhive.services.uploads import PART_BYTES
-from slamhive.web.api.arguments import PART_ARGUMENTS
-from slamhive.web.api.operation import Bytes, Section
-from slamhive.web.api.table import TABLE
+from slamhive.web.api.operation import PART_ARGUMENTS, TABLE, Bytes, Section
 from slamhive.web.context import hive, upload_work
-from slamhive.web.upload_work import document, owner, shown
+from slamhive.web.long_work import document, owner, shown
 
 
-@TABLE.get(Section.UPLOADS, "/uploads", Uploads)
-def uploads() -> Uploads:
+@TABLE.get(Section.UPLOADS, "/uploads", UploadsDocument)
+def uploads() -> UploadsDocument:
     """The uploads of the caller, the newest first."""
-    return Uploads(uploads=tuple(map(document, hive().uploads.listed(owner()))))
+    return UploadsDocument(uploads=tuple(map(document, hive().uploads.listed(owner()))))
 
 
 @TABLE.get(Section.UPLOADS, "/uploads/{upload}", Upload)

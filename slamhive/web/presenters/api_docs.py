@@ -19,7 +19,7 @@ class Type:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class FieldRow:
     """An argument, or a field of a model."""
 
     name: str
@@ -37,7 +37,7 @@ class ShownOperation:
     path: str
     summary: str
     words: str
-    arguments: tuple[Row, ...]
+    arguments: tuple[FieldRow, ...]
     body: Type | None
     status: str
     answer: Type
@@ -49,7 +49,7 @@ class ShownModel:
 
     name: str
     help: str
-    fields: tuple[Row, ...]
+    fields: tuple[FieldRow, ...]
     type: Type
 
 
@@ -77,7 +77,7 @@ def _operation(path: str, method: str, entry: Mapping[str, Any]) -> ShownOperati
         summary=entry["summary"],
         words=entry["description"],
         arguments=tuple(
-            Row(argument["name"], _type(argument["schema"]), argument["description"], argument["required"])
+            FieldRow(argument["name"], _type(argument["schema"]), argument["description"], argument["required"])
             for argument in entry["parameters"]
             if argument["in"] != "header"
         ),
@@ -95,7 +95,7 @@ def _content(content: Mapping[str, Any]) -> Type:
 def _model(name: str, schema: Mapping[str, Any]) -> ShownModel:
     required = schema.get("required", ())
     fields = tuple(
-        Row(key, _type(entry), entry.get("description", ""), key in required)
+        FieldRow(key, _type(entry), entry.get("description", ""), key in required)
         for key, entry in schema.get("properties", {}).items()
     )
     return ShownModel(name, schema.get("description", ""), fields, _type(schema))

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
-from slamhive.bags.variants.rules import OptionInfo, RegisteredSteps, describe_options, describe_step
+from slamhive.analysis.chart import OKABE_ITO
+from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.documents.catalogue import MatchDocument
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter, ParameterType
 from slamhive.domain.sensors import IDENTITY4, Sensor
-from slamhive.errors import InvalidInput
-from slamhive.web.formatting import DASH, value_text
+from slamhive.recordings.variants.rules import OptionInfo, RegisteredSteps, describe_options, describe_step
+from slamhive.services.datasets import ground_truth_motion
+from slamhive.services.hive import Hive
+from slamhive.services.runs import read_dataset_path
+from slamhive.trajectory.transforms import WINDOW_S
+from slamhive.web.figures import best_plane, motion_figures, path_figures
+from slamhive.web.formatting import DASH, plural, value_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,3 +99,53 @@ def calibration_rows(sensor: Sensor) -> list[tuple[str, str]]:
         lines = [" ".join(f"{value: .6g}" for value in matrix[row : row + 4]) for row in range(0, 16, 4)]
         found.append(("T_body_sensor", "\n".join(lines)))
     return found
+
+
+# How an algorithm fits a dataset, for pages.
+
+
+def match_of_run(services: Hive, record: dict[str, Any], configuration_id: int) -> MatchDocument | None:
+    """What the record of a run says, or what its configuration says now if the run has not started."""
+    if "match" not in record:
+        return match_of_configuration(services, configuration_id)
+    try:
+        return MatchDocument.read(record["match"])
+    except InvalidInput:
+        return None
+
+
+def match_of_configuration(services: Hive, configuration_id: int) -> MatchDocument | None:
+    """How the algorithm fits the dataset now; None if one of them is gone, or if they do not fit any more."""
+    try:
+        return MatchDocument.of_match(services.configurations.match(configuration_id))
+    except SlamHiveError:
+        return None
+
+
+# The ground truth of a dataset as plots.
+
+
+_COLOUR = OKABE_ITO[0]
+
+
+def ground_truth_figures(dataset: Dataset, most_points: int | None = None) -> dict[str, Any] | None:
+    """The path in all planes and in 3D, speed and angular rate, with captions and the reasons for missing plots.
+
+    ``most_points`` thins the path. None for a dataset without a ground truth that can be read.
+    """
+    track, motion = read_dataset_path(dataset), ground_truth_motion(dataset)
+    if track is None or motion is None or dataset.groundtruth is None:
+        return None
+    positions_only = dataset.groundtruth.positions_only
+    unknown = "The ground truth has no orientations." if positions_only else "The poses are too far apart in time."
+    path = track if most_points is None else track.thinned(most_points)
+    return {
+        "figures": path_figures(path, None) | motion_figures(motion, _COLOUR, positions_only=positions_only),
+        "captions": {
+            "path": f"Ground truth, {plural(track.poses, 'pose')}.",
+            "speed": f"Mean over {WINDOW_S:g} s.",
+            "angular_rate": "" if positions_only else f"Mean over {WINDOW_S:g} s.",
+        },
+        "reasons": {"speed": "The poses are too far apart in time.", "angular_rate": unknown},
+        "best_plane": best_plane(track),
+    }

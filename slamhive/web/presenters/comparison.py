@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from slamhive.analysis.chart import Chart, Line
-from slamhive.analysis.colours import RUN_COLOURS
+from slamhive.analysis.chart import RUN_COLOURS, Chart, Line
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.report import Plot
 from slamhive.domain.metrics import Direction, Group, Metric
-from slamhive.domain.numbers import plural
+from slamhive.domain.names import plural
 from slamhive.services.run_comparison import Figure, MetricLine, RunColumn, RunComparison, SettingLine
-from slamhive.web.formatting import DASH, Cell, DisplayUnit, display_unit, significant
+from slamhive.web.formatting import DASH, DisplayUnit, TableCell, display_unit, significant
 
 _PLACES = {
     "trajectories_xy": "path_2d",
@@ -53,17 +52,17 @@ class SettingRow:
     name: str
     is_parameter: bool
     differs: bool
-    cells: tuple[Cell, ...]
+    cells: tuple[TableCell, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class MetricRow:
+class ComparedMetric:
     """One metric: a cell for each column; ``best`` is the column to mark."""
 
     metric: Metric
     unit: str
     better: str
-    cells: tuple[Cell, ...]
+    cells: tuple[TableCell, ...]
     best: int | None
 
 
@@ -81,7 +80,7 @@ def setting_rows(compared: RunComparison) -> list[SettingRow]:
     return sorted(rows, key=lambda row: not row.differs)
 
 
-def metric_groups(compared: RunComparison) -> dict[str, list[MetricRow]]:
+def metric_groups(compared: RunComparison) -> dict[str, list[ComparedMetric]]:
     """The metrics by group, in the order of the catalogue; those that were measured during the run come last."""
     accuracy = [line for line in compared.metrics if line.metric.needs_protocol]
     groups = {group.value: [line for line in accuracy if line.metric.group is group] for group in Group}
@@ -145,22 +144,24 @@ def _note(column: RunColumn, *, grouped: bool) -> str:
 
 
 def _setting_row(line: SettingLine) -> SettingRow:
-    cells = tuple(Cell(DASH, "not stated", missing=True) if text is None else Cell(text) for text in line.texts)
+    cells = tuple(
+        TableCell(DASH, "not stated", missing=True) if text is None else TableCell(text) for text in line.texts
+    )
     return SettingRow(line.key.removeprefix(_PARAMETER), line.key.startswith(_PARAMETER), line.differs, cells)
 
 
-def _metric_row(line: MetricLine) -> MetricRow:
+def _metric_row(line: MetricLine) -> ComparedMetric:
     unit = display_unit(line.metric)
     better = {Direction.LOWER: "lower is better", Direction.HIGHER: "higher is better"}.get(line.metric.direction, "")
     cells = tuple(_metric_cell(figure, unit, line.metric) for figure in line.figures)
-    return MetricRow(line.metric, unit.unit, better, cells, line.best)
+    return ComparedMetric(line.metric, unit.unit, better, cells, line.best)
 
 
-def _metric_cell(figure: Figure | None, unit: DisplayUnit, metric: Metric) -> Cell:
+def _metric_cell(figure: Figure | None, unit: DisplayUnit, metric: Metric) -> TableCell:
     if figure is None:
-        return Cell(DASH, f"no {metric.label} known", missing=True)
+        return TableCell(DASH, f"no {metric.label} known", missing=True)
     text, exact = significant(figure.mean * unit.factor), f"{figure.mean!r} {metric.unit}".strip()
     if figure.low is None or figure.high is None:
-        return Cell(text, exact)
+        return TableCell(text, exact)
     ends = f"{significant(figure.low * unit.factor, 3)} to {significant(figure.high * unit.factor, 3)}"
-    return Cell(text, f"mean of {figure.count}: {exact}", note=ends)
+    return TableCell(text, f"mean of {figure.count}: {exact}", note=ends)

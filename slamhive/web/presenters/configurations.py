@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.catalogue import BoundParameter, MatchDocument
+from slamhive.documents.submission import Submission
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.matching import Origin
 from slamhive.domain.parameters import Parameter, check_stored
-from slamhive.errors import InvalidInput
-from slamhive.schema.matching import BoundParameter, Match
-from slamhive.schema.submission import Submission
 from slamhive.services.configurations import Label, Stored
 from slamhive.store import ConfigurationRecord, RunRecord
-from slamhive.web.columns import Column, column
-from slamhive.web.formatting import DASH, Cell, plural, value_text
-from slamhive.web.presenters.runs import Row, changed_cell
+from slamhive.web.columns import ListColumn, column
+from slamhive.web.formatting import DASH, TableCell, plural, value_text
+from slamhive.web.presenters.runs import ListRow, changed_cell
 from slamhive.web.presenters.runs import rows as rows_of_runs
 
 Store = Callable[[Submission, Label], Stored]
@@ -23,11 +23,11 @@ _RUN_COLUMNS = ("id", "state", "seed", "executor", "created_at", "ate.rmse", "rp
 
 
 @dataclass(frozen=True, slots=True)
-class ConfigurationRow:
+class ListedConfiguration:
     """One configuration in a table: parameters that differ from their defaults, and the steps."""
 
     record: ConfigurationRecord
-    parameters: Cell
+    parameters: TableCell
     variant: str
 
 
@@ -45,11 +45,11 @@ class StoredParameterRow:
     changed: bool
 
 
-def rows(records: Iterable[ConfigurationRecord], algorithms: Mapping[str, Algorithm]) -> list[ConfigurationRow]:
+def rows(records: Iterable[ConfigurationRecord], algorithms: Mapping[str, Algorithm]) -> list[ListedConfiguration]:
     """Table rows."""
     definitions = {name: algorithm.parameters for name, algorithm in algorithms.items()}
     return [
-        ConfigurationRow(
+        ListedConfiguration(
             record,
             changed_cell(record.configuration.algorithm, record.configuration.parameters, definitions),
             "; ".join(map(str, record.configuration.variant)),
@@ -58,18 +58,18 @@ def rows(records: Iterable[ConfigurationRecord], algorithms: Mapping[str, Algori
     ]
 
 
-def run_columns() -> list[Column]:
+def run_columns() -> list[ListColumn]:
     """The columns of the runs of one configuration."""
     return [column(key) for key in _RUN_COLUMNS]
 
 
-def run_rows(runs: Iterable[RunRecord], algorithms: Iterable[Algorithm]) -> list[Row]:
+def run_rows(runs: Iterable[RunRecord], algorithms: Iterable[Algorithm]) -> list[ListRow]:
     """The runs of one configuration."""
     return rows_of_runs(runs, run_columns(), algorithms)
 
 
 def parameter_rows(
-    record: ConfigurationRecord, algorithm: Algorithm | None, match: Match | None
+    record: ConfigurationRecord, algorithm: Algorithm | None, match: MatchDocument | None
 ) -> list[StoredParameterRow]:
     """All values, with those that differ from the default, or from what the sensors say, marked."""
     bound = {} if match is None else match.parameters

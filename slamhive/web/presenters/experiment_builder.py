@@ -2,27 +2,44 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
-from slamhive.bags.variants.rules import OptionInfo, describe_options, describe_step
-from slamhive.bags.variants.steps import STEPS
+from werkzeug.datastructures import MultiDict
+
+from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError
+from slamhive.documents.api_requests import LONGEST_YAML
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
-from slamhive.errors import NotFound
-from slamhive.web.experiment_fields import ExperimentFields, StepFields
+from slamhive.recordings.variants.rules import OptionInfo, describe_options, describe_step
+from slamhive.recordings.variants.steps import STEPS
+from slamhive.services.experiments import ExperimentPreview, ExperimentSource
+from slamhive.services.hive import Hive
+from slamhive.web.experiment_fields import (
+    SOURCE,
+    ExperimentFields,
+    StepFields,
+    field_at,
+    fields_from_form,
+    fields_from_yaml,
+    line_of,
+    renamed,
+    yaml_from_fields,
+)
 from slamhive.web.formatting import value_text
 from slamhive.web.presenters.catalogue import lacking
+from slamhive.web.request_input import form_text, uploaded_text
 
 ANY_SENSOR = "any sensor"
 _AXIS_PREFIX = {SensorKind.CAMERA: "image", SensorKind.DEPTH: "image", SensorKind.LIDAR: "lidar", SensorKind.IMU: "imu"}
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class ValueChoice:
     """A checkbox with a note or a warning."""
 
     name: str
@@ -63,8 +80,8 @@ class Builder:
     """
 
     fields: ExperimentFields
-    algorithms: Mapping[str, list[Choice]]
-    datasets: list[Choice]
+    algorithms: Mapping[str, list[ValueChoice]]
+    datasets: list[ValueChoice]
     shared: list[ParameterField]
     own: Mapping[str, list[ParameterField]]
     strange: list[str]
@@ -142,14 +159,14 @@ def _sensor_kinds(kind: str) -> list[SensorKind]:
     return [entry for entry in SensorKind if step.applies_to(Sensor("", entry, "", 1.0))]
 
 
-def _algorithm_choices(fields: ExperimentFields, algorithms: Iterable[Algorithm]) -> dict[str, list[Choice]]:
-    groups: dict[str, list[Choice]] = {}
+def _algorithm_choices(fields: ExperimentFields, algorithms: Iterable[Algorithm]) -> dict[str, list[ValueChoice]]:
+    groups: dict[str, list[ValueChoice]] = {}
     by_setup = sorted(algorithms, key=lambda algorithm: list(SensorSetup).index(algorithm.setup))
     for algorithm in by_setup:
-        choice = Choice(algorithm.name, algorithm.title, algorithm.name in fields.algorithms)
+        choice = ValueChoice(algorithm.name, algorithm.title, algorithm.name in fields.algorithms)
         groups.setdefault(algorithm.setup.value, []).append(choice)
     known = {algorithm.name for algorithm in by_setup}
-    unknown = [Choice(name, "", True, warning="not installed") for name in fields.algorithms]
+    unknown = [ValueChoice(name, "", True, warning="not installed") for name in fields.algorithms]
     if missing := [choice for choice in unknown if choice.name not in known]:
         groups["unknown"] = missing
     return groups
@@ -157,16 +174,18 @@ def _algorithm_choices(fields: ExperimentFields, algorithms: Iterable[Algorithm]
 
 def _dataset_choices(
     fields: ExperimentFields, chosen: Sequence[Algorithm], datasets: Iterable[Dataset]
-) -> list[Choice]:
+) -> list[ValueChoice]:
     choices = []
     for dataset in datasets:
         unfit = [algorithm.name for algorithm in chosen if lacking(algorithm, dataset) is not None]
         warning = f"missing sensors for {', '.join(unfit)}" if unfit else ""
         kinds = ", ".join(dict.fromkeys(sensor.kind.value for sensor in dataset.sensors))
         note = f"{dataset.duration_s:.0f} s; {kinds or 'no sensors'}"
-        choices.append(Choice(dataset.name, "", dataset.name in fields.datasets, note, warning))
+        choices.append(ValueChoice(dataset.name, "", dataset.name in fields.datasets, note, warning))
     known = {choice.name for choice in choices}
-    choices += [Choice(name, "", chosen=True, warning="not installed") for name in fields.datasets if name not in known]
+    choices += [
+        ValueChoice(name, "", chosen=True, warning="not installed") for name in fields.datasets if name not in known
+    ]
     return choices
 
 
@@ -205,3 +224,111 @@ def _step_row(step: StepFields) -> StepRow:
         options, summary = (), str(error)
     known = {option.name for option in options}
     return StepRow(step, summary, options, tuple(name for name in step.options if name not in known))
+
+
+# An experiment being edited: its YAML, the fields, and the preview or the error.
+
+
+MOST_TEXT = LONGEST_YAML
+"""Characters in the YAML of an experiment."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentDraft:
+    """The content of the page. ``text`` is what starts; ``fields`` is None if the text cannot be shown in fields.
+
+    A draft has either a ``preview`` or an ``error``. ``line``, ``excerpt`` and ``field`` locate the error, if known.
+    An empty draft has neither.
+    """
+
+    text: str
+    fields: ExperimentFields | None
+    preview: ExperimentPreview | None = None
+    error: str = ""
+    line: int | None = None
+    excerpt: str = ""
+    field: str | None = None
+
+
+def empty_draft() -> ExperimentDraft:
+    """A draft without content."""
+    return ExperimentDraft("", ExperimentFields())
+
+
+def copied(hive: Hive, name: str) -> ExperimentDraft:
+    """A copy of the experiment ``name`` under an unused name; raises NotFound."""
+    text = hive.experiments.source(name).text
+    taken = {status.name for status in hive.experiments.list()}
+    stem = name[:56]
+    free = next(new for number in itertools.count(2) if (new := f"{stem}-{number}") not in taken)
+    return draft_from_text(hive, renamed(text, free))
+
+
+def draft_from_form(hive: Hive, form: MultiDict[str, str]) -> ExperimentDraft:
+    """The edited draft: ``from`` names the side that was edited, ``do`` the button that was pressed."""
+    action = form.get("do", "")
+    if form.get("from") == "fields":
+        fields = _changed(fields_from_form(form), action, form.get("kind", ""))
+        text = yaml_from_fields(fields)
+        return _checked(hive, text, fields)
+    return draft_from_text(hive, _opened() if action == "open" else form_text("yaml"))
+
+
+def draft_from_text(hive: Hive, text: str) -> ExperimentDraft:
+    """A draft from YAML. Text that is too long is rejected."""
+    if len(text) > MOST_TEXT:
+        return ExperimentDraft(
+            "", None, error=f"the text has more than {MOST_TEXT:,} characters; is this the right file?"
+        )
+    if not text.strip():
+        return empty_draft()
+    try:
+        text = hive.experiments.with_datasets(ExperimentSource(text, SOURCE)).text
+        fields = fields_from_yaml(text)
+    except InvalidInput as error:
+        return with_error(ExperimentDraft(text, None), error)
+    return _checked(hive, text, fields)
+
+
+def with_error(draft: ExperimentDraft, error: SlamHiveError) -> ExperimentDraft:
+    """The draft with an error and its location."""
+    line = line_of(error.message)
+    lines = draft.text.splitlines()
+    return ExperimentDraft(
+        draft.text,
+        draft.fields,
+        error=str(error) if line is None else str(error).removeprefix(f"{SOURCE} line {line}: "),
+        line=line,
+        excerpt=lines[line - 1].strip() if line is not None and line <= len(lines) else "",
+        field=None if line is None or draft.fields is None else field_at(draft.text, line, draft.fields),
+    )
+
+
+def _checked(hive: Hive, text: str, fields: ExperimentFields) -> ExperimentDraft:
+    draft = ExperimentDraft(text, fields)
+    try:
+        preview = hive.experiments.preview(ExperimentSource(text, SOURCE))
+    except SlamHiveError as error:
+        return with_error(draft, error)
+    return ExperimentDraft(text, fields, preview)
+
+
+def _changed(fields: ExperimentFields, action: str, kind: str) -> ExperimentFields:
+    """The fields after one of their buttons was pressed."""
+    what, _, number = action.partition(":")
+    index = int(number) if number.isascii() and number.isdigit() and len(number) < 4 else -1
+    if what == "add":
+        STEPS.get(kind)
+        return fields.with_step(new_step(kind))
+    if what == "drop" and 0 <= index < len(fields.steps):
+        return fields.without_step(index)
+    if what == "earlier":
+        return fields.with_step_earlier(index)
+    return fields
+
+
+def _opened() -> str:
+    uploaded = uploaded_text("file", 4 * MOST_TEXT)
+    if uploaded is None:
+        raise InvalidInput("no file is selected", "select one, then press the button again")
+    return uploaded[1]

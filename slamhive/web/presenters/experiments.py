@@ -4,30 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from slamhive.domain.metrics import Metric
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import RunState
+from slamhive.filters.words import matching
 from slamhive.services.experiments import (
     ENDED,
     NO_FIGURES,
     CellFigures,
+    ExperimentGrid,
     ExperimentPreview,
     ExperimentStatus,
     Failure,
-    Grid,
     GridCell,
+    MetricSpread,
     Phase,
-    Spread,
     failure_words,
 )
-from slamhive.services.experiments import (
-    Cell as ExperimentCell,
-)
+from slamhive.services.experiments import Cell as ExperimentCell
+from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import MOST_RUNS
+from slamhive.services.runs import RunProgress
+from slamhive.store.records import RunRecord, RunSort
 from slamhive.web.formatting import (
     DASH,
-    Cell,
+    TableCell,
     display_unit,
     duration,
     mean_text,
@@ -100,7 +103,7 @@ class CellLine:
     failures: str
     protocol: str
     evaluated: bool
-    figures: tuple[Cell, ...]
+    figures: tuple[TableCell, ...]
 
 
 def segments(counts: Mapping[Phase, int]) -> tuple[Segment, ...]:
@@ -159,7 +162,7 @@ def axis_text(value: Value | None) -> str:
     return DASH if value is None else value_text(value)
 
 
-def grid_view(grid: Grid, search: Search) -> GridView:
+def grid_view(grid: ExperimentGrid, search: Search) -> GridView:
     """The grid cut to the limits of a page. ``search`` finds the runs with given values."""
     rows, columns = grid.rows[:MOST_ROWS], grid.columns[:MOST_COLUMNS]
     lines = tuple(
@@ -310,13 +313,53 @@ def _entry(found: GridCell | None, values: Mapping[str, Value | None], search: S
     )
 
 
-def _figure(metric: Metric, spread: Spread | None) -> Cell:
+def _figure(metric: Metric, spread: MetricSpread | None) -> TableCell:
     """Mean, standard deviation and median of several runs; all digits and the number of runs on hover."""
     if spread is None:
-        return Cell(DASH, f"no {metric.label} known", missing=True)
+        return TableCell(DASH, f"no {metric.label} known", missing=True)
     factor = display_unit(metric).factor
     text = mean_text(spread.mean * factor, None if spread.std is None else spread.std * factor)
     exact = f"mean {spread.mean!r} {metric.unit} of {plural(spread.n, 'run')}"
     if spread.std is not None:
         exact += f", standard deviation {spread.std!r}, median {spread.median!r}"
-    return Cell(text, exact, note=median_text(spread.n, spread.median * factor))
+    return TableCell(text, exact, note=median_text(spread.n, spread.median * factor))
+
+
+# The current activity as JSON for open pages.
+
+
+ACTIVE_STATES = tuple(state for state in RunState if state.active)
+MOST_ACTIVE = 50
+
+
+def active_runs(hive: Hive) -> tuple[RunRecord, ...]:
+    """The active runs, oldest first."""
+    return hive.runs.page(matching(states=ACTIVE_STATES), RunSort("id", descending=False), None, MOST_ACTIVE).records
+
+
+def snapshot(hive: Hive) -> dict[str, Any]:
+    """Counts by state, whether a worker runs, and the progress of active runs."""
+    return {
+        "counts": {state.value: count for state, count in sorted(hive.runs.counts().items())},
+        "unevaluated": hive.searches.unevaluated(),
+        "worker": hive.worker_alive(),
+        "active": [
+            {"id": run.id, "state": run.state.value} | progress_json(hive.runs.progress(run.id))
+            for run in active_runs(hive)
+        ],
+    }
+
+
+def progress_json(progress: RunProgress | None) -> dict[str, Any]:
+    """Progress as texts for the page; ``percent`` is None while unknown."""
+    if progress is None:
+        return {"percent": None, "text": "", "elapsed": DASH, "left": DASH, "cpu": DASH, "memory": DASH}
+    cores = progress.cpu_cores
+    return {
+        "percent": None if progress.fraction is None else round(100 * progress.fraction, 1),
+        "text": progress.text,
+        "elapsed": duration(progress.elapsed_s),
+        "left": duration(progress.left_s),
+        "cpu": DASH if cores is None else f"{cores:.2f} cores",
+        "memory": size(progress.memory_bytes),
+    }

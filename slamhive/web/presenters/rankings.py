@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-from slamhive.analysis.colours import algorithm_colours
+from slamhive.analysis.chart import algorithm_colours
 from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.domain.parameters import Value
 from slamhive.domain.trust import TrustLevel
@@ -16,7 +16,7 @@ from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from slamhive.web.formatting import (
     DASH,
-    Cell,
+    TableCell,
     display_unit,
     mean_text,
     metric_cell,
@@ -26,7 +26,7 @@ from slamhive.web.formatting import (
     value_text,
 )
 from slamhive.web.presenters.experiments import selection, varying
-from slamhive.web.strips import Axis, axis_of, failure_places
+from slamhive.web.small_plots import StripAxis, axis_of, failure_places
 
 LARGEST = 5000
 """An experiment with more configurations has no ranking: reading their runs takes too long for a page."""
@@ -54,10 +54,10 @@ class RankRow:
     colour: str
     dots: tuple[Mark, ...]
     crosses: tuple[Mark, ...]
-    mean: Cell
+    mean: TableCell
     good: str
     failed: int
-    beside: tuple[Cell, ...]
+    beside: tuple[TableCell, ...]
     trust: tuple[str, str, str]
     selects: str
     words: str
@@ -69,7 +69,7 @@ class RankingView:
 
     dataset: str
     protocol: str
-    axis: Axis | None
+    axis: StripAxis | None
     ticks: tuple[tuple[float, str], ...]
     has_failures: bool
     rows: tuple[RankRow | None, ...]
@@ -151,7 +151,7 @@ def _notes(ranking: Ranking) -> Iterable[str]:
 
 
 def _row(
-    ranked: RankedCell, ranking: Ranking, axis: Axis | None, axes: Sequence[str], colours: Mapping[str, str]
+    ranked: RankedCell, ranking: Ranking, axis: StripAxis | None, axes: Sequence[str], colours: Mapping[str, str]
 ) -> RankRow:
     metric = CATALOGUE[RANKED_BY]
     shown = display_unit(metric)
@@ -206,16 +206,16 @@ def _failed(ranked: RankedCell) -> list[RunRecord]:
     return [run for run in ranked.runs if run.verdict is not None and run.verdict.failed]
 
 
-def _mean(metric: Metric, ranked: RankedCell) -> Cell:
+def _mean(metric: Metric, ranked: RankedCell) -> TableCell:
     if ranked.good is None:
         return metric_cell(metric, None)
     shown = display_unit(metric)
     std = None if ranked.good.n < 2 else ranked.good.variance**0.5 * shown.factor
     exact = f"mean of {plural(ranked.good.n, 'good run')} {shown.unit}".strip()
-    return Cell(mean_text(ranked.good.mean * shown.factor, std), exact)
+    return TableCell(mean_text(ranked.good.mean * shown.factor, std), exact)
 
 
-def _mean_of(metric: Metric, runs: Sequence[RunRecord]) -> Cell:
+def _mean_of(metric: Metric, runs: Sequence[RunRecord]) -> TableCell:
     values = [run.metrics[metric.key] for run in runs if run.metrics and metric.key in run.metrics]
     return metric_cell(metric, fmean(values) if values else None)
 

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from slamhive.domain.algorithm import Algorithm
+from slamhive.documents.catalogue import BoundParameter, MatchDocument
+from slamhive.domain.algorithm import IMPORTED, Algorithm
 from slamhive.domain.configuration import PlaybackMode
-from slamhive.domain.external import IMPORTED
 from slamhive.domain.matching import Origin
-from slamhive.domain.metrics import Metric, with_unknown
+from slamhive.domain.metrics import Group, Metric, described, with_unknown
 from slamhive.domain.parameters import Parameter, Value, default_values
+from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.domain.run import REMEDIES, RunState
 from slamhive.domain.trust import DISTURBED
 from slamhive.domain.verdict import Verdict, VerdictKind, not_evaluable
-from slamhive.schema.matching import BoundParameter, Match
-from slamhive.store.records import EvaluationRecord, RunRecord
-from slamhive.web.columns import Column, Kind
-from slamhive.web.formatting import DASH, Cell, display_unit, duration, metric_cell, plural, significant, value_text
+from slamhive.services.evaluations import NOT_EVALUATED, ToolFigures, presets
+from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
+from slamhive.web.columns import ColumnKind, ListColumn
+from slamhive.web.formatting import (
+    DASH,
+    TableCell,
+    display_unit,
+    duration,
+    metric_cell,
+    plural,
+    significant,
+    value_text,
+)
 
 _PROTECTIONS = {
     "held_by": "Enforced by",
@@ -35,11 +45,11 @@ _MEASURED_STILLS = {"cpu": "profiling_cpu.png", "memory": "profiling_ram.png"}
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ListRow:
     """One run in a table: the record, and its cells in column order."""
 
     run: RunRecord
-    cells: tuple[tuple[Column, Cell], ...]
+    cells: tuple[tuple[ListColumn, TableCell], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,27 +65,27 @@ class ParameterRow:
 
 
 @dataclass(frozen=True, slots=True)
-class MetricRow:
+class RunMetricRow:
     """One metric of a run; ``sample`` says how many pairs or segments it uses, empty if it uses none."""
 
     metric: Metric
-    cell: Cell
+    cell: TableCell
     unit: str
     sample: str = ""
 
 
-def rows(runs: Iterable[RunRecord], columns: Iterable[Column], algorithms: Iterable[Algorithm]) -> list[Row]:
+def rows(runs: Iterable[RunRecord], columns: Iterable[ListColumn], algorithms: Iterable[Algorithm]) -> list[ListRow]:
     """Table rows. ``algorithms`` define the default parameter values."""
     defaults = {algorithm.name: algorithm.parameters for algorithm in algorithms}
     chosen = tuple(columns)
     return [
-        Row(
+        ListRow(
             run,
             tuple(
                 (
                     column,
                     changed_cell(run.algorithm, run.parameters, defaults)
-                    if column.kind is Kind.PARAMETERS
+                    if column.kind is ColumnKind.PARAMETERS
                     else column.cell(run),
                 )
                 for column in chosen
@@ -85,7 +95,7 @@ def rows(runs: Iterable[RunRecord], columns: Iterable[Column], algorithms: Itera
     ]
 
 
-def parameter_rows(run: RunRecord, algorithm: Algorithm | None, match: Match | None) -> list[ParameterRow]:
+def parameter_rows(run: RunRecord, algorithm: Algorithm | None, match: MatchDocument | None) -> list[ParameterRow]:
     """All parameters of the run, with those that differ from the default, or from what the sensors say, marked."""
     known = {} if algorithm is None else {parameter.key: parameter for parameter in algorithm.parameters}
     bound = {} if match is None else match.parameters
@@ -93,7 +103,7 @@ def parameter_rows(run: RunRecord, algorithm: Algorithm | None, match: Match | N
     return [*stated, *(_bound_row(key, entry, known.get(key)) for key, entry in bound.items())]
 
 
-def metric_rows(run: RunRecord, *, needs_protocol: bool) -> list[MetricRow]:
+def metric_rows(run: RunRecord, *, needs_protocol: bool) -> list[RunMetricRow]:
     """Metrics of the evaluation (``needs_protocol``), or those measured during the run.
 
     Numbers of pairs and segments are shown next to their metrics and have no row of their own.
@@ -102,7 +112,7 @@ def metric_rows(run: RunRecord, *, needs_protocol: bool) -> list[MetricRow]:
     shown = [metric for metric in with_unknown(values) if metric.needs_protocol is needs_protocol]
     numbers = {metric.counted_by for metric in shown}
     return [
-        MetricRow(metric, metric_cell(metric, values[metric.key]), display_unit(metric).unit, metric.sample(values))
+        RunMetricRow(metric, metric_cell(metric, values[metric.key]), display_unit(metric).unit, metric.sample(values))
         for metric in shown
         if metric.key not in numbers
     ]
@@ -161,18 +171,18 @@ def trust_words(run: RunRecord) -> list[str]:
     ]
 
 
-def machine(run: RunRecord) -> Cell | None:
+def machine(run: RunRecord) -> TableCell | None:
     """Whether a finished run was disturbed, and what was not recorded, with the reasons on hover."""
     if run.executor == IMPORTED or run.state not in (RunState.SUCCEEDED, RunState.FAILED):
         return None
     if run.disturbance is None:
-        return Cell("disturbance not recorded")
+        return TableCell("disturbance not recorded")
     not_measured, exact = run.disturbance.not_measured, "; ".join(run.disturbance.not_measured)
     if run.disturbance.disturbed is None:
-        return Cell(f"disturbance unknown: {not_measured[0]}" if not_measured else "disturbance unknown", exact)
+        return TableCell(f"disturbance unknown: {not_measured[0]}" if not_measured else "disturbance unknown", exact)
     words = "disturbed" if run.disturbance.disturbed else "undisturbed"
     missing = ", ".join(text.partition(":")[0] for text in not_measured)
-    return Cell(f"{words} (not recorded: {missing})" if missing else words, exact)
+    return TableCell(f"{words} (not recorded: {missing})" if missing else words, exact)
 
 
 def protections(record: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -187,7 +197,7 @@ def protections(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def gpu(record: Mapping[str, Any]) -> Cell | None:
+def gpu(record: Mapping[str, Any]) -> TableCell | None:
     """The GPU that the run had; None if it had none."""
     told = record.get("gpu")
     if not isinstance(told, Mapping):
@@ -196,7 +206,7 @@ def gpu(record: Mapping[str, Any]) -> Cell | None:
     place = f"GPU{'' if number is None else f' {number}'} of node {node}" if node else ""
     driver = f"driver {told['driver']}" if told.get("driver") else ""
     known = [str(part) for part in (place, driver, told.get("uuid")) if part]
-    return Cell(str(told.get("model") or place or "GPU"), ", ".join(known))
+    return TableCell(str(told.get("model") or place or "GPU"), ", ".join(known))
 
 
 def wall_time_s(run: RunRecord) -> float | None:
@@ -242,16 +252,16 @@ def _success(run: RunRecord) -> str:
 
 def changed_cell(
     algorithm: str, parameters: Mapping[str, Value], definitions: Mapping[str, tuple[Parameter, ...]]
-) -> Cell:
+) -> TableCell:
     """Parameters that differ from their defaults; all of them on hover."""
     everything = ", ".join(f"{key}={value_text(value)}" for key, value in parameters.items())
     known = definitions.get(algorithm)
     if known is None:
-        return Cell(everything or DASH, everything)
+        return TableCell(everything or DASH, everything)
     default = default_values(known)
     changed = {key: value for key, value in parameters.items() if default.get(key) != value}
     text = ", ".join(f"{key}={value_text(value)}" for key, value in changed.items())
-    return Cell(text or "defaults", everything, missing=not changed)
+    return TableCell(text or "defaults", everything, missing=not changed)
 
 
 def _parameter_row(key: str, value: Value, definition: Parameter | None) -> ParameterRow:
@@ -281,3 +291,94 @@ def stills(files: Collection[str], fingerprint: str | None) -> dict[str, str]:
     """The pictures to show without scripts, {plot: its file}, as far as they are among ``files``."""
     wanted = _MEASURED_STILLS | {plot: f"{fingerprint}-{name}" for plot, name in _STILLS.items()}
     return {plot: key for plot, key in wanted.items() if key in files}
+
+
+# Metrics of a run by protocol and by published tool, for its page.
+
+
+@dataclass(frozen=True, slots=True)
+class ProtocolChoice:
+    """A protocol under which a run has metrics.
+
+    ``preset``: its name, or empty. ``current``: lists show it. ``chosen``: this page shows it.
+    """
+
+    fingerprint: str
+    label: str
+    preset: str
+    current: bool
+    chosen: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ToolRow:
+    """The metrics that one tool would report."""
+
+    tool: ToolFigures
+    figures: tuple[RunMetricRow, ...]
+
+
+def protocol_choices(
+    run: RunRecord, evaluations: Iterable[EvaluationRecord], asked: str | None
+) -> list[ProtocolChoice]:
+    """The protocols under which the run has metrics, oldest first. The requested or the current one is chosen."""
+    succeeded = (entry.protocol for entry in evaluations if entry.state is EvaluationState.SUCCEEDED)
+    labels = {protocol.fingerprint: protocol.label for protocol in succeeded}
+    current = None if run.protocol is None else run.protocol.fingerprint
+    chosen = asked if asked in labels else current
+    names = {preset.protocol.fingerprint: name for name, preset in presets()}
+    return [
+        ProtocolChoice(key, label, names.get(key, ""), key == current, key == chosen) for key, label in labels.items()
+    ]
+
+
+def accuracy_rows(
+    run: RunRecord, choices: Iterable[ProtocolChoice], figures: Mapping[str, dict[str, float]]
+) -> dict[str, list[RunMetricRow]]:
+    """The metrics of the chosen protocol by group, in the order of the catalogue."""
+    chosen = next((entry.fingerprint for entry in choices if entry.chosen), None)
+    if chosen is None:
+        return {}
+    rows = metric_rows(replace(run, metrics=figures.get(chosen, {})), needs_protocol=True)
+    groups = ((group.value, [row for row in rows if row.metric.group is group]) for group in Group)
+    return {name: members for name, members in groups if members}
+
+
+def missing_by_reason(missing: Mapping[str, str]) -> dict[str, list[str]]:
+    """{reason: keys of the missing metrics}."""
+    keys: dict[str, list[str]] = {}
+    for key, reason in missing.items():
+        keys.setdefault(reason, []).append(key)
+    return keys
+
+
+def tool_rows(tools: Iterable[ToolFigures]) -> list[ToolRow]:
+    """The metrics of each tool, in display units."""
+    return [
+        ToolRow(
+            tool,
+            tuple(
+                RunMetricRow(
+                    described(key),
+                    metric_cell(described(key), value),
+                    display_unit(described(key)).unit,
+                    tool.samples.get(key, ""),
+                )
+                for key, value in tool.figures.items()
+            ),
+        )
+        for tool in tools
+    ]
+
+
+def waiting(tools: Iterable[ToolFigures]) -> int:
+    """Number of tools whose protocol has not been evaluated for the run."""
+    return sum(tool.note == NOT_EVALUATED for tool in tools)
+
+
+def protocol_groups() -> dict[str, dict[str, str]]:
+    """Protocols to evaluate under: {group: {name: label}}."""
+    return {
+        "alignment, otherwise defaults": {alignment.value: label for alignment, label in ALIGNMENT_LABELS.items()},
+        "published tools": {name: preset.title for name, preset in presets()},
+    }

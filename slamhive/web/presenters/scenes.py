@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from flask import url_for
 
-from slamhive.analysis.colours import OKABE_ITO, colour_of, on_dark
-from slamhive.analysis.plotly_values import numbers
+from slamhive.analysis.chart import OKABE_ITO, colour_of, on_dark
+from slamhive.analysis.plotly_chart import numbers
+from slamhive.base.errors import NotFound, SlamHiveError
 from slamhive.domain.dataset import Dataset
-from slamhive.errors import NotFound
-from slamhive.runs.point_cloud import PointCloud
-from slamhive.services.runs import Array, RunScene, ScenePath, Track
+from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.run_folder.point_cloud import MapCloud
+from slamhive.services.hive import Hive
+from slamhive.services.runs import Array, FrameFate, Moment, PathSeries, RunScene, ScenePath
+from slamhive.store import RunRecord
 from slamhive.trajectory.alignment import IDENTITY, Similarity
 from slamhive.web.figures import best_plane
-
-if TYPE_CHECKING:
-    from slamhive.services.hive import Hive
+from slamhive.web.formatting import significant
+from slamhive.web.presenters.catalogue import match_of_run
 
 TRUTH = "ground truth"
 TRUTH_COLOUR, TRUTH_ON_DARK = "#3d4247", "#c3c9d0"
@@ -135,7 +139,7 @@ def is_z_up(dataset: Dataset | None) -> bool:
     return dataset is not None and dataset.groundtruth is not None and dataset.groundtruth.gravity_aligned
 
 
-def cloud_bytes(cloud: PointCloud, to_scene: Similarity = IDENTITY) -> bytes:
+def cloud_bytes(cloud: MapCloud, to_scene: Similarity = IDENTITY) -> bytes:
     """Points for the page: the length of a JSON header, the header, positions, and values of the points.
 
     The length is a uint32, positions are float32 x, y, z in m from ``origin_m``. Each of ``values`` is uint16 for each
@@ -176,7 +180,7 @@ def _path(shown: ShownPath, centre_m: Array, from_s: float) -> Json:
     }
 
 
-def _centre_m(tracks: Sequence[Track]) -> Array:
+def _centre_m(tracks: Sequence[PathSeries]) -> Array:
     if not tracks:
         return np.zeros(3)
     ends = [part for track in tracks for part in (track.positions_m.min(axis=0), track.positions_m.max(axis=0))]
@@ -198,3 +202,62 @@ def _levels(values: Array) -> bytes:
     shares = (np.where(np.isfinite(values), values, low) - low) / ((high - low) or 1.0)
     content = np.round(shares * _LEVELS).astype("<u2").tobytes()
     return content + b"\0" * (-len(content) % _ALIGNMENT_BYTES)
+
+
+# A moment of a run: what is known of it in words, and where the images and sweeps of that moment are.
+
+
+_IMAGES = frozenset({SensorKind.CAMERA, SensorKind.DEPTH})
+
+
+def words(moment: Moment) -> str:
+    """The error and the fate of the frame, as a sentence each."""
+    error = "No matched pose is near"
+    if moment.error_m is not None:
+        error = f"The position error is {significant(moment.error_m, 3)} m"
+    return f"{error}. {_fate(moment.frame)}."
+
+
+def _fate(frame: FrameFate | None) -> str:
+    if frame is None:
+        return "The algorithm reported no frame near this time"
+    if frame.dropped:
+        return "This frame was dropped"
+    if frame.latency_s is None:
+        return "This frame gave no result"
+    return f"The frame took {significant(1e3 * frame.latency_s, 3)} ms"
+
+
+def sensor_views(services: Hive, run: RunRecord, timestamp_s: float) -> list[dict[str, Any]]:
+    """For each camera and LiDAR of the run: its name, and the address of its frame or sweep, or why there is none.
+
+    They show the recording, before any pre-processing.
+    """
+    match = match_of_run(services, services.runs.record(run.id), run.configuration_id)
+    try:
+        dataset = services.catalogue.dataset(run.dataset)
+        sensors = dataset.sensors  # an imported run does not say which it used
+        if match is not None:
+            sensors = tuple(
+                dataset.sensor(name) for name in dict.fromkeys(used.name for used in match.sensors.values())
+            )
+    except SlamHiveError as error:
+        return [{"sensor": run.dataset, "problem": error.message}]
+    shown = [sensor for sensor in sensors if sensor.kind in _IMAGES or sensor.kind is SensorKind.LIDAR]
+    return [_view(services, dataset, sensor, timestamp_s) for sensor in shown]
+
+
+def _view(services: Hive, dataset: Dataset, sensor: Sensor, timestamp_s: float) -> dict[str, Any]:
+    try:
+        time_s = services.dataset_views.received_s(dataset, sensor.name, timestamp_s)
+    except SlamHiveError as error:
+        return {"sensor": sensor.name, "problem": error.message}
+    if time_s is None:
+        return {"sensor": sensor.name, "problem": "the recording has nothing at this time or later"}
+    kind = "frame" if sensor.kind in _IMAGES else "sweep"
+    time = f"{math.floor(time_s * 1e6) / 1e6:.6f}"  # rounding up would skip the message
+    return {
+        "sensor": sensor.name,
+        kind: url_for(f"datasets.{kind}", name=dataset.name, sensor=sensor.name, time=time),
+        "time_s": time_s,
+    }

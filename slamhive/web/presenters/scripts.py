@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from urllib.parse import quote
 
-from slamhive.settings import Settings
+from slamhive.base.settings import Settings
 from slamhive.store.records import RunSort
 
 

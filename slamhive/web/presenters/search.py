@@ -2,32 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections import Counter
+from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+from urllib.parse import quote
 
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.metrics import CATALOGUE, Metric
+from slamhive.domain.finding import MOST_PINNED
+from slamhive.domain.metrics import CATALOGUE, Direction, Metric
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.verdict import GROUPS, VerdictKind
 from slamhive.executors.registry import EXECUTORS
-from slamhive.search.fields import TRUST, Kind, Vocabulary
+from slamhive.filters.fields import PARAMETER_PREFIX, TRUST, VARIANT_PREFIX, FieldKind, Vocabulary
 from slamhive.services.exports import by_protocol
 from slamhive.services.hive import Hive
 from slamhive.store.records import GroupRecord, ProtocolLabel, Repeats, RunRecord, SavedSearchRecord, Spread
-from slamhive.web.formatting import DASH, Cell, display_unit, mean_text, median_text, plural, significant, value_text
-from slamhive.web.look import Look
-from slamhive.web.run_query import RunQuery
-from slamhive.web.sparks import repeats_path, repeats_words
+from slamhive.web.columns import ListColumn, ListLook, all_columns, column
+from slamhive.web.formatting import (
+    DASH,
+    TableCell,
+    display_unit,
+    mean_text,
+    median_text,
+    plural,
+    significant,
+    value_text,
+)
+from slamhive.web.presenters.runs import ListRow
+from slamhive.web.queries import RunListQuery
+from slamhive.web.small_plots import repeats_path, repeats_words
 
 GONE = "no longer exists"
 """Group of the names that runs refer to but no folder provides."""
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class FilterChoice:
     """A selection list: {group: values}, with "" for values without a group."""
 
     name: str
@@ -64,7 +78,7 @@ class GroupRow:
     group: GroupRecord
     protocol: ProtocolLabel | None
     parameters: str
-    cells: tuple[Cell, ...]
+    cells: tuple[TableCell, ...]
     means: tuple[float | None, ...]
     first: bool
     sparks: tuple[tuple[str, str] | None, ...] = ()
@@ -75,7 +89,7 @@ def choices(
     algorithms: Sequence[Algorithm],
     datasets: Sequence[Dataset],
     stored: tuple[list[str], list[str]],
-) -> list[Choice]:
+) -> list[FilterChoice]:
     """The selection lists, grouped. Names in ``stored`` without a folder stay selectable."""
     there = ({entry.name for entry in algorithms}, {entry.name for entry in datasets})
     gone = [[(GONE, name, name) for name in stored[place] if name not in there[place]] for place in (0, 1)]
@@ -113,13 +127,13 @@ def saved_args(record: SavedSearchRecord) -> dict[str, Any]:
     args["order"] = "desc" if record.sort.descending else "asc"
     if record.grouped:
         args["group"] = "configuration"
-    return {name: text for name, text in args.items() if text} | Look.of(record).args()
+    return {name: text for name, text in args.items() if text} | ListLook.of(record).args()
 
 
-def place_of(query: RunQuery, saved: Sequence[SavedSearchRecord]) -> int | None:
+def place_of(query: RunListQuery, saved: Sequence[SavedSearchRecord]) -> int | None:
     """The place of the saved search that the page shows; None if it shows another one."""
     shown = (query.search.text, query.columns, query.sort, query.grouped, query.look)
-    known = [(entry.filter_text, entry.columns, entry.sort, entry.grouped, Look.of(entry)) for entry in saved]
+    known = [(entry.filter_text, entry.columns, entry.sort, entry.grouped, ListLook.of(entry)) for entry in saved]
     return known.index(shown) if shown in known else None
 
 
@@ -131,7 +145,7 @@ def filter_fields(vocabulary: Vocabulary, names: Mapping[str, Sequence[str]]) ->
     found = []
     for name in dict.fromkeys(vocabulary.names()):
         field = vocabulary.fields(name)[0]
-        values = ("yes", "no") if field.kind is Kind.FLAG else names.get(name, field.choices)
+        values = ("yes", "no") if field.kind is FieldKind.FLAG else names.get(name, field.choices)
         found.append({"name": name, "label": field.label, "unit": field.unit, "values": list(values)})
     return found
 
@@ -204,21 +218,23 @@ def _rows_of(group: GroupRecord, columns: Sequence[GroupColumn]) -> list[GroupRo
     return rows
 
 
-def _spread_cell(metric: Metric, spread: Spread | None) -> Cell:
+def _spread_cell(metric: Metric, spread: Spread | None) -> TableCell:
     """Mean, standard deviation and median of the good runs; their number and range on hover."""
     if spread is None:
-        return Cell(DASH, f"no {metric.label} known", missing=True)
+        return TableCell(DASH, f"no {metric.label} known", missing=True)
     shown = display_unit(metric)
     text = mean_text(spread.mean * shown.factor, None if spread.std is None else spread.std * shown.factor)
     low, high = (significant(value * shown.factor) for value in (spread.minimum, spread.maximum))
     exact = f"mean of {plural(spread.n, 'good run')}, {low} to {high} {shown.unit}".strip()
-    return Cell(text, exact, note=median_text(spread.n, spread.median * shown.factor))
+    return TableCell(text, exact, note=median_text(spread.n, spread.median * shown.factor))
 
 
-def _choice(name: str, title: str, groups: dict[str, tuple[tuple[str, str], ...]], chosen: tuple[str, ...]) -> Choice:
+def _choice(
+    name: str, title: str, groups: dict[str, tuple[tuple[str, str], ...]], chosen: tuple[str, ...]
+) -> FilterChoice:
     known = {value for entries in groups.values() for value, _ in entries}
     lost = tuple((value, value) for value in chosen if value not in known)
-    return Choice(name, title, {**groups, **({"": (*groups.get("", ()), *lost)} if lost else {})}, chosen)
+    return FilterChoice(name, title, {**groups, **({"": (*groups.get("", ()), *lost)} if lost else {})}, chosen)
 
 
 def _plain(values: Iterable[str]) -> dict[str, tuple[tuple[str, str], ...]]:
@@ -244,3 +260,195 @@ def _algorithm(algorithm: Algorithm) -> tuple[str, str, str]:
 def _sensors(dataset: Dataset) -> str:
     """The group of a dataset: its kinds of sensors."""
     return " + ".join(sorted({sensor.kind.value for sensor in dataset.sensors})) or "no sensors"
+
+
+# The columns that the list of runs offers, in groups: of the run, metrics by family, parameters by algorithm.
+
+
+OF_RUN = "Run"
+SHARED = "Parameters that several algorithms share"
+OTHERS = "Parameters of algorithms that are not installed"
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnGroup:
+    """Columns that are not shown, under one title."""
+
+    title: str
+    columns: tuple[ListColumn, ...]
+
+
+def column_groups(
+    shown: Collection[str], algorithms: Iterable[Algorithm], vocabulary: Vocabulary, used: Collection[str]
+) -> list[ColumnGroup]:
+    """All columns but those ``shown``, each once, without empty groups.
+
+    ``used`` are the parameters that configurations have, by key and by general name: others would be empty columns.
+    """
+    known = {name for name in used if name in vocabulary.parameters and not name.startswith(VARIANT_PREFIX)}
+    parameters = ((title, _columns(sorted(keys), vocabulary)) for title, keys in _parameters(algorithms, known))
+    left = ((t, tuple(entry for entry in columns if entry.key not in shown)) for t, columns in (*_fixed(), *parameters))
+    return [ColumnGroup(title, columns) for title, columns in left if columns]
+
+
+def _fixed() -> list[tuple[str, list[ListColumn]]]:
+    """The columns that every installation has."""
+    groups: dict[str, list[ListColumn]] = {OF_RUN: []}
+    for entry in all_columns().values():
+        metric = CATALOGUE.get(entry.key)
+        title = OF_RUN if metric is None else f"Metrics: {metric.group.value}"
+        groups.setdefault(title, []).append(entry)
+    return list(groups.items())
+
+
+def _parameters(algorithms: Iterable[Algorithm], known: Collection[str]) -> Iterator[tuple[str, set[str]]]:
+    """The parameters by package, whose modes share them; then what several packages have, then what none has."""
+    packages: dict[str, set[str]] = {}
+    general: set[str] = set()
+    for algorithm in algorithms:
+        own = packages.setdefault(algorithm.package.name, set())
+        own.update(entry.key for entry in algorithm.parameters if entry.key in known)
+        general.update(entry.general for entry in algorithm.parameters if entry.general and entry.general in known)
+    counts = Counter(key for keys in packages.values() for key in keys)
+    shared = general | {key for key, count in counts.items() if count > 1}
+    for name, keys in sorted(packages.items()):
+        yield f"Parameters: {name}", keys - shared
+    yield SHARED, shared
+    yield OTHERS, {*known} - counts.keys() - shared
+
+
+def _columns(names: Iterable[str], vocabulary: Vocabulary) -> list[ListColumn]:
+    """Their columns. A parameter that is called like another column has a prefix."""
+    fixed = all_columns()
+    return [column(PARAMETER_PREFIX + name if name in fixed else name, vocabulary) for name in names]
+
+
+# The columns that the list of runs shows, with the addresses that move and pin each of them.
+
+
+@dataclass(frozen=True, slots=True)
+class Arranged:
+    """One column. ``left`` and ``right`` are None where the column cannot move further.
+
+    ``pin`` pins the columns up to this one; on the last pinned column, it unpins all.
+    """
+
+    column: ListColumn
+    left: str | None
+    right: str | None
+    pin: str
+    pinned: bool
+    last_pinned: bool
+
+
+def arranged(base: str, columns: Sequence[ListColumn], pinned: int) -> list[Arranged]:
+    """The columns in order. ``base`` is the address of the list with all arguments but ``columns`` and ``pinned``.
+
+    It is made once and the links are appended to it, because Flask takes longer for each address than a row takes.
+    """
+    keys = [column.key for column in columns]
+
+    def link(name: str, key: str, order: Sequence[str], count: int) -> str:
+        kept = f"&pinned={count}" if count else ""
+        return f"{base}&columns={quote(','.join(order), safe=',')}{kept}#{name}-{quote(key)}"
+
+    def moved(name: str, place: int, by: int) -> str | None:
+        if not 0 <= place + by < len(keys):
+            return None
+        order = keys.copy()
+        order.insert(place + by, order.pop(place))
+        return link(name, keys[place], order, pinned)
+
+    return [
+        Arranged(
+            column,
+            left=moved("left", place, -1),
+            right=moved("right", place, 1),
+            pin=link("pin", column.key, keys, 0 if place + 1 == pinned else min(place + 1, MOST_PINNED)),
+            pinned=place < pinned,
+            last_pinned=place + 1 == pinned,
+        )
+        for place, column in enumerate(columns)
+    ]
+
+
+# Colours by value: how good each metric in a list is, compared with the others that are shown.
+#
+# Only what can be compared is compared: good runs of the same dataset, and errors under the same protocol.
+
+
+WORST = 6
+"""The largest level; half of it is neither good nor bad."""
+OUTER_SHARE = 0.1
+"""The best and the worst tenth have the full colours, so that one outlier does not take the colour of the others."""
+
+Class = Hashable
+
+
+def coloured_runs(rows: Sequence[ListRow]) -> list[ListRow]:
+    """The same rows with levels in the cells of metrics."""
+    cells = [list(row.cells) for row in rows]
+    for place, (shown, _) in enumerate(rows[0].cells if rows else ()):
+        metric = CATALOGUE.get(shown.key)
+        if metric is None:
+            continue
+        values = [_value(row.run, metric) for row in rows]
+        found = levels(values, [_class_of(row.run, metric) for row in rows], metric.direction)
+        for line, heat in zip(cells, found, strict=True):
+            line[place] = (shown, replace(line[place][1], heat=heat))
+    return [replace(row, cells=tuple(line)) for row, line in zip(rows, cells, strict=True)]
+
+
+def coloured_groups(rows: Sequence[GroupRow], columns: Sequence[GroupColumn]) -> list[GroupRow]:
+    """The same rows with levels in their cells, by the means."""
+    cells: list[list[TableCell]] = [list(row.cells) for row in rows]
+    for place, shown in enumerate(columns):
+        values = [row.means[place] for row in rows]
+        classes = [_group_class(row, shown.metric) for row in rows]
+        for line, heat in zip(cells, levels(values, classes, shown.metric.direction), strict=True):
+            line[place] = replace(line[place], heat=heat)
+    return [replace(row, cells=tuple(line)) for row, line in zip(rows, cells, strict=True)]
+
+
+def levels(values: Sequence[float | None], classes: Sequence[Class], direction: Direction) -> list[int | None]:
+    """The level of each value among those of its class: 0 is best, ``WORST`` is worst.
+
+    None for a missing value, for equal values, and for a metric of which neither direction is better.
+    """
+    found: list[int | None] = [None] * len(values)
+    if direction is Direction.NEUTRAL:
+        return found
+    known: dict[Class, list[tuple[int, float]]] = {}
+    for place, (value, kind) in enumerate(zip(values, classes, strict=True)):
+        if value is not None and math.isfinite(value):
+            known.setdefault(kind, []).append((place, value))
+    for members in known.values():
+        low, high = _ends([value for _, value in members])
+        for place, value in members if high > low else ():
+            share = min(1.0, max(0.0, (value - low) / (high - low)))
+            found[place] = round(WORST * (1 - share if direction is Direction.HIGHER else share))
+    return found
+
+
+def _ends(values: Sequence[float]) -> tuple[float, float]:
+    """Where the full colours begin; the extremes where the inner values are all equal."""
+    ordered = sorted(values)
+    last = len(ordered) - 1
+    low, high = ordered[math.floor(OUTER_SHARE * last)], ordered[math.ceil((1 - OUTER_SHARE) * last)]
+    return (low, high) if high > low else (ordered[0], ordered[-1])
+
+
+def _value(run: RunRecord, metric: Metric) -> float | None:
+    """The metric of a run that did not fail: a failed run can have a small error over the little that it tracked."""
+    failed = run.verdict is not None and run.verdict.failed
+    return None if failed else (run.metrics or {}).get(metric.key)
+
+
+def _class_of(run: RunRecord, metric: Metric) -> Class:
+    protocol = run.protocol.fingerprint if metric.needs_protocol and run.protocol is not None else None
+    return run.dataset, protocol
+
+
+def _group_class(row: GroupRow, metric: Metric) -> Class:
+    protocol = row.protocol.fingerprint if metric.needs_protocol and row.protocol is not None else None
+    return row.group.dataset, protocol

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from urllib.parse import urlsplit
 
-from flask import Blueprint, Response, flash, make_response, redirect, render_template, request, session
+from flask import Blueprint, Response, current_app, flash, make_response, redirect, render_template, request, session
 from flask import url_for as address
 
+from slamhive.base.bounds import whole_number
+from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, TooManyRequests, Unauthenticated
+from slamhive.base.settings import NewAccounts
 from slamhive.domain.accounts import Action, Role, Scope
-from slamhive.errors import InvalidInput, NotFound, SlamHiveError, TooManyRequests, Unauthenticated
-from slamhive.input_bounds import whole_number
 from slamhive.services.accounts import LONGEST_TOKEN_DAYS, TokenRequest
-from slamhive.settings import NewAccounts
-from slamhive.web import acts
+from slamhive.web import access
 from slamhive.web.access import LONGEST_NEXT
 from slamhive.web.context import caller, callers, hive, provider, sign_in_limits
 from slamhive.web.errors import status_of
-from slamhive.web.oidc import Provider
+from slamhive.web.oidc import IdentityProvider
 
 blueprint = Blueprint("accounts", __name__)
 
@@ -37,7 +37,7 @@ def sign_in() -> Response:
     """Sign in. Goes on to the page that was asked for."""
     name, services = request.form.get("name", "").strip(), hive()
     try:
-        with sign_in_limits().attempt(name, request.remote_addr or ""), acts.signing_in(services.store, name):
+        with sign_in_limits().attempt(name, request.remote_addr or ""), access.signing_in(services.store, name):
             opened = services.accounts.sign_in(name, request.form.get("password", ""))
     except (Unauthenticated, TooManyRequests) as error:
         return make_response(_login(request.form.get(_NEXT, ""), error), status_of(error))
@@ -58,7 +58,7 @@ def from_provider() -> Response:
     services, following = hive(), session.get(_NEXT, "")
     try:
         identity = _provider().returned()
-        with acts.signing_in(services.store, identity.name or identity.subject):
+        with access.signing_in(services.store, identity.name or identity.subject):
             opened = services.accounts.sign_in_as(identity, _role_of_new_accounts())
     except SlamHiveError as error:
         return make_response(_login(following, error), status_of(error))
@@ -120,7 +120,7 @@ def revoke_token(token_id: int) -> Response:
     return _to_account()
 
 
-def _provider() -> Provider:
+def _provider() -> IdentityProvider:
     """The provider of the settings; raises NotFound if there is none."""
     found = provider()
     if found is None:
@@ -182,3 +182,42 @@ def is_own_address(target: str) -> bool:
     except ValueError:
         return False
     return not parts.scheme and not parts.netloc and "\\" not in target and target.isprintable()
+
+
+# Pages for admins: the accounts, and the audit log.
+
+
+administration_blueprint = Blueprint("administration", __name__)
+
+PAGE_LENGTH = 100
+_LARGEST_ID = 2**31 - 1
+
+
+@administration_blueprint.get("/accounts")
+def accounts() -> str:
+    """List the accounts and their API tokens."""
+    services = hive().accounts
+    return render_template("accounts/index.html", accounts=services.list(), tokens=services.tokens())
+
+
+@administration_blueprint.get("/audit")
+def audit() -> str:
+    """The audit log, the newest first; ``account`` shows one account, ``before`` continues after a line."""
+    name = request.args.get("account", "").strip()[:64]
+    before = request.args.get("before", "")
+    after_line = whole_number(before, "before", 1, _LARGEST_ID) if before else None
+    lines = hive().accounts.audit(PAGE_LENGTH + 1, after_line, name or None)
+    return render_template(
+        "accounts/audit.html",
+        lines=lines[:PAGE_LENGTH],
+        more=len(lines) > PAGE_LENGTH,
+        account=name,
+        before=before,
+        in_words=in_words,
+    )
+
+
+def in_words(action: str) -> str:
+    """What an action of the audit log does: the first sentence about the view of that name, or its name."""
+    about = getattr(current_app.view_functions.get(action), "__doc__", None)
+    return action if about is None else about.partition("\n")[0].partition(". ")[0].removesuffix(".")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from flask import Blueprint, render_template
 
-from slamhive.analysis.colours import algorithm_colours
-from slamhive.search.build import matching
+from slamhive.analysis.chart import algorithm_colours
+from slamhive.filters.words import matching
 from slamhive.store.records import RunSort
 from slamhive.web.context import hive
 from slamhive.web.presenters.catalogue import dataset_choices

@@ -9,28 +9,40 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 from flask import url_for as address
 
 from slamhive.analysis.report import ReportPage
-from slamhive.domain.accounts import Action
+from slamhive.base.errors import Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.base.settings import Mode
+from slamhive.domain.accounts import Action, Visibility
 from slamhive.domain.bibliography import bibtex
-from slamhive.domain.visibility import Visibility
-from slamhive.errors import Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
-from slamhive.services.analyses import FIGURES, MAX_TEXT_BYTES, MEDIA_TYPES, MOST_PREVIEWED_RUNS, PAGE, may_analyse
 from slamhive.services.sharing import SharingChange
-from slamhive.settings import Mode
-from slamhive.store.analysis_records import AnalysisState
+from slamhive.services.stored_analyses import (
+    FIGURES,
+    MAX_TEXT_BYTES,
+    MEDIA_TYPES,
+    MOST_PREVIEWED_RUNS,
+    PAGE,
+    may_analyse,
+)
+from slamhive.store.records import AnalysisState
 from slamhive.web import context
-from slamhive.web.analysis_builder import cards, choosing
-from slamhive.web.analysis_changes import Changes
-from slamhive.web.analysis_entries import entries
-from slamhive.web.analysis_text import BOUNDS, experiment_text, first_text, selector_text
+from slamhive.web.analysis_editor import (
+    BOUNDS,
+    AnalysisChanges,
+    cards,
+    choosing,
+    entries,
+    experiment_text,
+    first_text,
+    selector_text,
+)
 from slamhive.web.context import caller, hive
 from slamhive.web.errors import status_of
-from slamhive.web.rates import CHECKS, CREATIONS
+from slamhive.web.limits import CHECKS, CREATIONS
 from slamhive.web.request_input import form_text, uploaded_text
 from slamhive.web.security import FIGURES_POLICY
 
 if TYPE_CHECKING:
-    from slamhive.services.reports import OfferedColumns
-    from slamhive.web.analysis_entries import Entry
+    from slamhive.services.analysis import OfferedColumns
+    from slamhive.web.analysis_editor import Entry
 
 blueprint = Blueprint("analyses", __name__, url_prefix="/analyses")
 
@@ -86,7 +98,7 @@ def create() -> Response:
         _count(CHECKS, "checks")
         return make_response(_editor(text, **_previews(text)))
     try:
-        changed = Changes(text, lambda: cards(_offered(text)), request.form).made(do)
+        changed = AnalysisChanges(text, lambda: cards(_offered(text)), request.form).made(do)
         if changed is not None:
             return make_response(_editor(changed.text, notice=changed.notice, editing=changed.editing))
         _count(CREATIONS, "analyses")

@@ -5,9 +5,9 @@ from __future__ import annotations
 from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
 from flask import url_for as address
 
+from slamhive.documents.challenge import ImageEntry
+from slamhive.documents.model import parse
 from slamhive.domain.challenge import shown
-from slamhive.schema.challenge_requests import ImageEntry
-from slamhive.schema.model import parse
 from slamhive.web import challenge_files
 from slamhive.web.context import caller, hive
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from flask import Blueprint, Response, jsonify, make_response, redirect, render_template, request
 from flask import url_for as address
 
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
 from slamhive.services.run_comparison import RunComparison, analysis_text, plots_of, read_run_ids
 from slamhive.web.context import hive
 from slamhive.web.presenters import comparison as presenter

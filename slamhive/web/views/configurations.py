@@ -8,17 +8,16 @@ from typing import Any
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
 from flask import url_for as address
 
+from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.documents.submission import Submission
 from slamhive.domain.algorithm import Algorithm
-from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.schema.submission import Submission
-from slamhive.services.configurations import Changes, Label, Stored
+from slamhive.services.configurations import ConfigurationChange, Label, Stored
 from slamhive.store import ConfigurationRecord
-from slamhive.web.configuration_query import CONFIGURATION_ID, ConfigurationQuery
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of
 from slamhive.web.presenters import configurations as presenter
-from slamhive.web.presenters.catalogue import dataset_choices, step_kinds
-from slamhive.web.presenters.matching import match_of_configuration
+from slamhive.web.presenters.catalogue import dataset_choices, match_of_configuration, step_kinds
+from slamhive.web.queries import CONFIGURATION_ID, ConfigurationQuery
 from slamhive.web.request_input import form_text, uploaded_text
 from slamhive.web.run_form import CONTENT_OPTIONS, RunForm, form_values, read_form
 
@@ -108,7 +107,7 @@ def modify(configuration_id: int) -> Response | tuple[str, int]:
     form = _read(request.form.to_dict())
 
     def store(submission: Submission, label: Label) -> Stored:
-        changes = Changes(
+        changes = ConfigurationChange(
             algorithm=submission.algorithm,
             dataset=submission.dataset,
             parameters={**form.cleared, **submission.parameters},

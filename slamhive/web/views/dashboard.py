@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from flask import Blueprint, Response, jsonify, make_response, render_template
 
+from slamhive.base.errors import Unavailable
 from slamhive.domain.run import RunState
-from slamhive.errors import Unavailable
-from slamhive.search.build import matching
-from slamhive.services.experiments import Standing
+from slamhive.filters.words import matching
+from slamhive.services.experiments import ConfigurationStanding
 from slamhive.store.records import RunSort
 from slamhive.web.columns import column
 from slamhive.web.context import callers, hive, live_hub
-from slamhive.web.presenters.live import active_runs, progress_json
+from slamhive.web.presenters.experiments import active_runs, progress_json
 from slamhive.web.presenters.runs import rows
 from slamhive.web.views.experiments import with_time_left
 
@@ -30,7 +30,7 @@ RESULT_COLUMNS = (
 )
 QUEUE_COLUMNS = ("id", "algorithm", "dataset", "variant", "parameters", "created_at")
 LIST_LENGTH = 10
-GOING_ON = (Standing.STORING, Standing.ACTIVE, Standing.PAUSED)
+GOING_ON = (ConfigurationStanding.STORING, ConfigurationStanding.ACTIVE, ConfigurationStanding.PAUSED)
 ENDED_STATES = tuple(state for state in RunState if state.ended)
 
 

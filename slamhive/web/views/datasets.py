@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, url_for
 
-from slamhive.analysis.colours import OKABE_ITO
-from slamhive.bags.views import FrameView
+from slamhive.analysis.chart import OKABE_ITO
+from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.documents.model import load
+from slamhive.domain.configuration import Variant
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.variant import Variant
-from slamhive.errors import InvalidInput, NotFound
-from slamhive.schema.model import load
-from slamhive.search.build import matching
+from slamhive.filters.words import matching
+from slamhive.recordings.views import FrameView
 from slamhive.services.datasets import MotionSummary, strip_times_s
 from slamhive.store.records import RunSort
-from slamhive.web import dataset_work
+from slamhive.web import long_work
 from slamhive.web.context import dataset_checker, hive, variant_maker
 from slamhive.web.figures import sweep_figure
 from slamhive.web.formatting import plural
-from slamhive.web.presenters.catalogue import lacking, step_kinds
-from slamhive.web.presenters.ground_truths import ground_truth_figures
+from slamhive.web.presenters.catalogue import ground_truth_figures, lacking, step_kinds
 from slamhive.web.presenters.scripts import dataset_scripts
 from slamhive.web.run_form import read_steps
 
@@ -96,7 +95,7 @@ def _motion(dataset: Dataset) -> MotionSummary | None:
 @blueprint.post("/<name>/check")
 def check(name: str) -> Response:
     """Start checking the dataset."""
-    dataset_work.begin_check(hive(), name)
+    long_work.begin_check(hive(), name)
     flash("The dataset is being checked. The findings appear when the check is finished.", "info")
     return make_response(redirect(url_for("datasets.show", name=name, _anchor="checks"), 303))
 
@@ -104,7 +103,7 @@ def check(name: str) -> Response:
 @blueprint.post("/<name>/variants")
 def make_variant(name: str) -> Response:
     """Start creating a variant, after all checks that are possible in advance."""
-    dataset_work.begin_variant(hive(), name, read_steps(request.form.get("steps", "")))
+    long_work.begin_variant(hive(), name, read_steps(request.form.get("steps", "")))
     flash("The variant is being created. It appears in the list when it is finished.", "info")
     return _to_variants(name)
 
@@ -112,7 +111,7 @@ def make_variant(name: str) -> Response:
 @blueprint.post("/<name>/variants/<key>/drop")
 def drop_variant(name: str, key: str) -> Response:
     """Remove a variant that nothing uses."""
-    dataset_work.drop_variant(hive(), name, key)
+    long_work.drop_variant(hive(), name, key)
     flash("The variant is removed. Runs that need it create it again.", "success")
     return _to_variants(name)
 

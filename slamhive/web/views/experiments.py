@@ -5,23 +5,37 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
+from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
 from flask import url_for as address
 
+from slamhive.base.errors import NotFound, SlamHiveError
+from slamhive.domain.accounts import Visibility
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.domain.verdict import DEFAULT_RULE
-from slamhive.domain.visibility import Visibility
-from slamhive.errors import NotFound
-from slamhive.services.experiments import METRICS, Cell, ExperimentStatus, Standing
+from slamhive.executors.registry import EXECUTORS
+from slamhive.experiments.experiment import Experiment
+from slamhive.experiments.file import parse_experiment
+from slamhive.services.experiments import METRICS, Cell, ConfigurationStanding, ExperimentSource, ExperimentStatus
 from slamhive.services.sharing import SharingChange
-from slamhive.sweep.experiment import Experiment
-from slamhive.sweep.experiment_file import parse_experiment
 from slamhive.web.context import hive
-from slamhive.web.experiment_page import CellsQuery, GridQuery, page_number, repeats_count, search_of, stated_axes
+from slamhive.web.errors import status_of, wants_json
+from slamhive.web.experiment_fields import SOURCE
 from slamhive.web.formatting import plural
 from slamhive.web.presenters import experiments as presenter
 from slamhive.web.presenters import rankings
+from slamhive.web.presenters.experiment_builder import (
+    MOST_TEXT,
+    Builder,
+    ExperimentDraft,
+    builder,
+    copied,
+    draft_from_form,
+    empty_draft,
+    with_error,
+)
 from slamhive.web.presenters.scripts import experiment_scripts
+from slamhive.web.queries import CellsQuery, GridQuery, page_number, repeats_count, search_of, stated_axes
 
 blueprint = Blueprint("experiments", __name__, url_prefix="/experiments")
 
@@ -146,7 +160,9 @@ def _grid(wanted: GridQuery, stated: Experiment) -> presenter.GridView:
 def with_time_left(found: Iterable[ExperimentStatus]) -> list[ExperimentStatus]:
     """The same experiments, with the time left for active ones."""
     experiments = hive().experiments
-    return [experiments.status(entry.name) if entry.standing is Standing.ACTIVE else entry for entry in found]
+    return [
+        experiments.status(entry.name) if entry.standing is ConfigurationStanding.ACTIVE else entry for entry in found
+    ]
 
 
 def _protocol_labels(cells: Iterable[Cell]) -> dict[str, str]:
@@ -154,3 +170,79 @@ def _protocol_labels(cells: Iterable[Cell]) -> dict[str, str]:
     runs = {run.protocol: run.id for cell in cells for run in cell.runs if run.protocol is not None}
     protocols = [hive().runs.get(run_id).protocol for run_id in runs.values()]
     return {protocol.fingerprint: protocol.label for protocol in protocols if protocol is not None}
+
+
+# The experiment builder: fields and YAML side by side, a preview, and the start.
+
+
+experiment_builder_blueprint = Blueprint("experiment_builder", __name__, url_prefix="/new-experiment")
+"""Not below ``/experiments``, where any name may be an experiment."""
+
+
+@experiment_builder_blueprint.get("")
+def new() -> str:
+    """Show an empty builder, or one with a copy of the experiment ``copy``."""
+    services = hive()
+    services.check_writable()
+    source = request.args.get("copy")
+    return _builder_page(empty_draft() if source is None else copied(services, source))
+
+
+@experiment_builder_blueprint.post("")
+def draft() -> Response | tuple[str, int]:
+    """Return the edited draft as a page, or as JSON for the open one. Only ``do=start`` saves anything."""
+    edited = draft_from_form(hive(), request.form)
+    if request.form.get("do") == "start" and request.form.get("from") == "text":
+        return _start(edited)
+    if wants_json():
+        return make_response(jsonify(_parts(edited)))
+    return _builder_page(edited), 400 if edited.error else 200
+
+
+def _start(edited: ExperimentDraft) -> Response | tuple[str, int]:
+    if edited.preview is None:
+        return _builder_page(edited), 400
+    try:
+        chosen = request.form.get("visibility")
+        seen_by = Visibility.named(chosen) if chosen else None
+        started = hive().experiments.start(ExperimentSource(edited.text, SOURCE), visibility=seen_by)
+    except SlamHiveError as error:
+        return _builder_page(with_error(edited, error)), status_of(error)
+    flash(f"Started {started.name} with {plural(started.runs, 'run')}.", "success")
+    return make_response(redirect(address("experiments.show", name=started.name), 303))
+
+
+def _builder_page(edited: ExperimentDraft) -> str:
+    visibility = request.form.get("visibility", "")
+    return render_template("experiments/new.html", **_builder_words(edited), visibility=visibility)
+
+
+def _parts(edited: ExperimentDraft) -> dict[str, Any]:
+    """The parts that the open page replaces."""
+    words = _builder_words(edited)
+    return {
+        "yaml": edited.text,
+        "builder": None if edited.fields is None else render_template("experiments/_builder.html", **words),
+        "preview": render_template("experiments/_preview.html", **words),
+        "line": edited.line,
+        "field": edited.field,
+        "error": edited.error,
+    }
+
+
+def _builder_words(edited: ExperimentDraft) -> dict[str, Any]:
+    alignments = [("", "default for the sensors"), *((entry.value, label) for entry, label in ALIGNMENT_LABELS.items())]
+    return {
+        "draft": edited,
+        "builder": _builder(edited),
+        "alignments": alignments,
+        "executors": [("", "from the settings"), *((name, name) for name in EXECUTORS.names())],
+        "most_text": MOST_TEXT,
+    }
+
+
+def _builder(edited: ExperimentDraft) -> Builder | None:
+    if edited.fields is None:
+        return None
+    catalogue = hive().catalogue
+    return builder(edited.fields, catalogue.algorithms(), catalogue.datasets())

@@ -12,8 +12,8 @@ from flask import Blueprint, Response, render_template, send_file
 from flask import url_for as address
 from markupsafe import Markup
 
+from slamhive.base.errors import Unavailable, unknown
 from slamhive.domain.finding import Found, FoundKind
-from slamhive.errors import Unavailable, unknown
 from slamhive.services.markdown import markdown_html
 from slamhive.web.context import hive
 

@@ -20,14 +20,13 @@ from flask import (
 )
 from flask import url_for as address
 
-from slamhive.domain.notes import NotesChange, split_tags
-from slamhive.domain.run import RunState
+from slamhive.base.errors import NotFound
+from slamhive.documents.api_requests import LARGEST_RUN_ID
+from slamhive.domain.run import NotesChange, RunState, split_tags
 from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.verdict import DEFAULT_RULE
-from slamhive.errors import NotFound
-from slamhive.schema.api_requests import LARGEST_RUN_ID
-from slamhive.search.fields import Vocabulary
-from slamhive.search.reader import FilterError
+from slamhive.filters.fields import Vocabulary
+from slamhive.filters.syntax import FilterError
 from slamhive.services.evaluations import ToolFigures, evaluation_notes
 from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import MOST_RUNS
@@ -37,12 +36,12 @@ from slamhive.web.columns import column
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
 from slamhive.web.formatting import plural
-from slamhive.web.presenters import arrangement, heat, matching, protocols, scripts, search
+from slamhive.web.presenters import catalogue, runs, scripts, search
 from slamhive.web.presenters import runs as presenter
-from slamhive.web.presenters.column_groups import column_groups
-from slamhive.web.presenters.live import progress_json
+from slamhive.web.presenters.experiments import progress_json
+from slamhive.web.presenters.search import column_groups
+from slamhive.web.queries import RunListQuery, filled, summary
 from slamhive.web.request_input import form_text
-from slamhive.web.run_query import RunQuery, filled, summary
 
 blueprint = Blueprint("runs", __name__, url_prefix="/runs")
 
@@ -60,12 +59,12 @@ def index() -> Response:
     services = hive()
     vocabulary = services.searches.vocabulary()
     try:
-        query = RunQuery.from_args(request.args, vocabulary)
+        query = RunListQuery.from_args(request.args, vocabulary)
     except FilterError as error:
         if wants_json():
             raise
         return make_response(
-            _search_page(services, RunQuery.unread(request.args), vocabulary, error=error), status_of(error)
+            _search_page(services, RunListQuery.unread(request.args), vocabulary, error=error), status_of(error)
         )
     if query.grouped:
         return make_response(_group_page(services, query, vocabulary))
@@ -79,7 +78,7 @@ def index() -> Response:
             services,
             query,
             vocabulary,
-            rows=heat.coloured_runs(rows) if query.look.colours else rows,
+            rows=search.coloured_runs(rows) if query.look.colours else rows,
             columns=shown,
             next_key=page.next_key,
             summary=summary(query, len(page.records), page.count, left_out),
@@ -90,7 +89,7 @@ def index() -> Response:
     )
 
 
-def _group_page(services: Hive, query: RunQuery, vocabulary: Vocabulary) -> str:
+def _group_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary) -> str:
     figures = search.group_columns(query.columns)
     page = services.searches.groups(
         query.search, query.sort, query.after, query.limit, [entry.metric.key for entry in figures]
@@ -105,7 +104,7 @@ def _group_page(services: Hive, query: RunQuery, vocabulary: Vocabulary) -> str:
         services,
         query,
         vocabulary,
-        groups=heat.coloured_groups(rows, figures) if query.look.colours else rows,
+        groups=search.coloured_groups(rows, figures) if query.look.colours else rows,
         group_columns=figures,
         columns=[column(key, vocabulary) for key in query.columns],
         next_key=page.next_key,
@@ -116,12 +115,12 @@ def _group_page(services: Hive, query: RunQuery, vocabulary: Vocabulary) -> str:
     )
 
 
-def _analysis_url(query: RunQuery) -> str:
+def _analysis_url(query: RunListQuery) -> str:
     """Address of a new analysis of these runs."""
     return address("analyses.new", where=query.search.text)
 
 
-def _search_page(services: Hive, query: RunQuery, vocabulary: Vocabulary, **content: Any) -> str:
+def _search_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary, **content: Any) -> str:
     """Render the search page. Without rows it shows why the query is invalid."""
     saved, algorithms = services.searches.saved(), services.catalogue.algorithms()
     base = list_address({**query.args(), "open": "columns", "columns": [], "pinned": []})
@@ -132,7 +131,7 @@ def _search_page(services: Hive, query: RunQuery, vocabulary: Vocabulary, **cont
         column_groups=column_groups(query.columns, algorithms, vocabulary, services.searches.parameters()),
         saved=[(entry, search.saved_args(entry)) for entry in saved],
         current_view=search.place_of(query, saved),
-        arranged=arrangement.arranged(base, content.get("columns", ()), query.look.pinned),
+        arranged=search.arranged(base, content.get("columns", ()), query.look.pinned),
         unevaluated=services.searches.unevaluated(),
         choices=search.choices(
             query.fields,
@@ -155,12 +154,12 @@ def show(run_id: int) -> str:
     run = services.runs.get(run_id)
     evaluations = services.evaluations.of_run(run_id)
     algorithm = next((entry for entry in services.catalogue.algorithms() if entry.name == run.algorithm), None)
-    choices = protocols.protocol_choices(run, evaluations, request.args.get("protocol"))
+    choices = runs.protocol_choices(run, evaluations, request.args.get("protocol"))
     chosen = next((entry for entry in choices if entry.chosen), None)
     tools = _tools(services, run)
     notes = evaluation_notes(services.runs.folder(run_id), None if chosen is None else chosen.fingerprint)
     record = services.runs.record(run_id)
-    match = matching.match_of_run(services, record, run.configuration_id)
+    match = catalogue.match_of_run(services, record, run.configuration_id)
     downloads = list_downloads(services.runs.folder(run_id), _fingerprints(evaluations))
     return render_template(
         "runs/show.html",
@@ -178,12 +177,12 @@ def show(run_id: int) -> str:
         match=match,
         protocols=choices,
         chosen=chosen,
-        accuracy=protocols.accuracy_rows(run, choices, services.current_protocols.figures(run_id)),
+        accuracy=runs.accuracy_rows(run, choices, services.current_protocols.figures(run_id)),
         hints=notes.hints,
-        missing=protocols.missing_by_reason(notes.missing),
+        missing=runs.missing_by_reason(notes.missing),
         repeats=services.run_comparisons.repeats(run, MOST_RUNS),
-        tools=protocols.tool_rows(tools),
-        tools_waiting=protocols.waiting(tools),
+        tools=runs.tool_rows(tools),
+        tools_waiting=runs.waiting(tools),
         measured=presenter.metric_rows(run, needs_protocol=False),
         protections=presenter.protections(record),
         gpu=presenter.gpu(record),
@@ -198,7 +197,7 @@ def show(run_id: int) -> str:
         stills=presenter.stills(
             {file.key for file in downloads}, None if run.protocol is None else run.protocol.fingerprint
         ),
-        protocol_groups=protocols.protocol_groups(),
+        protocol_groups=runs.protocol_groups(),
         scripts=scripts.run_scripts(run_id, services.settings),
     )
 

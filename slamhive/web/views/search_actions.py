@@ -6,17 +6,17 @@ from collections.abc import Sequence
 
 from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
 
-from slamhive.domain.notes import NotesChange, split_tags
-from slamhive.domain.visibility import Visibility
-from slamhive.errors import InvalidInput
-from slamhive.input_bounds import whole_number
+from slamhive.base.bounds import whole_number
+from slamhive.base.errors import InvalidInput
+from slamhive.domain.accounts import Visibility
+from slamhive.domain.run import NotesChange, split_tags
 from slamhive.services.search_actions import MOST_OF_A_REQUEST, Acted, as_expected
 from slamhive.services.sharing import SharingChange
 from slamhive.web.context import hive
 from slamhive.web.formatting import plural
-from slamhive.web.presenters.protocols import protocol_groups
+from slamhive.web.presenters.runs import protocol_groups
 from slamhive.web.presenters.scripts import search_commands
-from slamhive.web.run_query import RunQuery, filled
+from slamhive.web.queries import RunListQuery, filled
 from slamhive.web.views.runs import list_address
 
 blueprint = Blueprint("search_actions", __name__, url_prefix="/runs/search")
@@ -98,8 +98,8 @@ def _to_list(acted: Acted, words: str) -> Response:
     return make_response(redirect(list_address(filled(request.args)), 303))
 
 
-def _asked() -> RunQuery:
-    return RunQuery.from_args(request.args, hive().searches.vocabulary())
+def _asked() -> RunListQuery:
+    return RunListQuery.from_args(request.args, hive().searches.vocabulary())
 
 
 def _left_out(acted: Acted) -> str:

@@ -5,15 +5,15 @@ from __future__ import annotations
 from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
 from flask import url_for as address
 
-from slamhive.domain.notes import NotesChange, split_tags
-from slamhive.domain.visibility import Visibility
-from slamhive.errors import InvalidInput
-from slamhive.input_bounds import whole_number
-from slamhive.schema.api_requests import LARGEST_RUN_ID, MOST_RUNS
+from slamhive.base.bounds import whole_number
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.api_requests import LARGEST_RUN_ID, MOST_RUNS
+from slamhive.domain.accounts import Visibility
+from slamhive.domain.run import NotesChange, split_tags
 from slamhive.services.sharing import SharingChange
 from slamhive.web.context import hive
 from slamhive.web.formatting import plural
-from slamhive.web.run_query import filled
+from slamhive.web.queries import filled
 from slamhive.web.views.runs import list_address
 
 blueprint = Blueprint("selected_runs", __name__, url_prefix="/runs")

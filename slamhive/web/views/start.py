@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, url_for
 
+from slamhive.base.errors import SlamHiveError
+from slamhive.domain.accounts import VISIBILITY_LABELS
 from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.domain.run import RunState
-from slamhive.domain.visibility import VISIBILITY_LABELS
-from slamhive.errors import SlamHiveError
 from slamhive.executors.registry import EXECUTORS
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of

@@ -5,8 +5,8 @@ from __future__ import annotations
 from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
 from flask import url_for as address
 
-from slamhive.input_bounds import whole_number
-from slamhive.schema.api_requests import LARGEST_RUN_ID
+from slamhive.base.bounds import whole_number
+from slamhive.documents.api_requests import LARGEST_RUN_ID
 from slamhive.web.context import hive
 from slamhive.web.formatting import plural
 

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import psutil
 
-from slamhive.schema.submission import Submission
+from slamhive.base.tree import walk
+from slamhive.documents.submission import Submission
 from slamhive.services.hive import Hive, open_hive
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
-from slamhive.tree import walk
 from tests.end_to_end.hostile.mapping import ACTS, TRAJECTORIES
 from tests.services.tiny_project import environment, make_dataset, make_project
 from tests.waiting import eventually

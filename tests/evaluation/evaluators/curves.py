@@ -7,7 +7,7 @@ import numpy as np
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.pairing import pair
-from slamhive.evaluation.references import Reference
+from slamhive.evaluation.references import TruthReference
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.transforms import quats_from_rotations, rotations_from_quats
 
@@ -70,4 +70,4 @@ def paired(
     rotations_known: bool = True,
 ) -> Paired:
     """As an evaluation pairs them."""
-    return pair(Reference(reference, rotations_known=rotations_known), estimate, protocol, files)
+    return pair(TruthReference(reference, rotations_known=rotations_known), estimate, protocol, files)

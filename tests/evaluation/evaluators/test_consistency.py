@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN
 from slamhive.evaluation.evaluators.consistency import Consistency, read_covariances
 from slamhive.trajectory.model import Trajectory

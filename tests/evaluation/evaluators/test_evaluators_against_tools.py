@@ -11,15 +11,15 @@ from evo.core.metrics import APE, RPE, PoseRelation, Unit
 from evo.core.trajectory import PoseTrajectory3D
 
 from slamhive.domain.protocol import Alignment, Protocol, RpePairs
-from slamhive.evaluation.evaluators.absolute import RotationError
 from slamhive.evaluation.evaluators.base import Paired
-from slamhive.evaluation.evaluators.drift import StartEndDrift
-from slamhive.evaluation.evaluators.kitti import KittiProtocol, kitti_segments, mean_as_devkit
+from slamhive.evaluation.evaluators.completeness import StartEndDrift
+from slamhive.evaluation.evaluators.evo_errors import RotationError
 from slamhive.evaluation.evaluators.relations import read_relations, relation_errors
 from slamhive.evaluation.evaluators.relative import RelativeErrors
-from slamhive.trajectory.kitti import read_kitti
+from slamhive.evaluation.evaluators.segments import KittiProtocol, kitti_segments, mean_as_devkit
+from slamhive.trajectory.layout import parse_tum
 from slamhive.trajectory.model import Poses, Trajectory
-from slamhive.trajectory.tum import parse_tum
+from slamhive.trajectory.pose_file import read_kitti
 from tests.evaluation.evaluators.curves import SE3, paired
 
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data"

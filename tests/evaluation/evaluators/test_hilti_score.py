@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.errors import InvalidInput
-from slamhive.evaluation.evaluators.hilti import HILTI, HiltiScore
+from slamhive.evaluation.evaluators.completeness import HILTI, HiltiScore
 from slamhive.evaluation.pairing import pair
-from slamhive.evaluation.references import Reference
+from slamhive.evaluation.references import TruthReference
 from slamhive.trajectory.model import Trajectory
 
 RATE_HZ = 10.0
@@ -28,7 +28,7 @@ def trajectory(stamps_s, positions_m) -> Trajectory:
 
 
 def score(truth: Trajectory, estimate: Trajectory, protocol: Protocol = HILTI):
-    return HiltiScore().evaluate(pair(Reference(truth), estimate, protocol)).values
+    return HiltiScore().evaluate(pair(TruthReference(truth), estimate, protocol)).values
 
 
 def by_hand(truth: Trajectory, estimate: Trajectory) -> float:

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from slamhive.domain.metrics.maps import MAP_THRESHOLDS_M
-from slamhive.errors import InvalidInput
+from slamhive.base.errors import InvalidInput
+from slamhive.domain.metrics.references import MAP_THRESHOLDS_M
 from slamhive.evaluation.evaluators.map_quality import MapQuality, make_cloud, map_entropy, spread, thin
 from slamhive.runtime.pcd import write_pcd
 from tests.evaluation.evaluators.curves import loop, moved, paired

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.errors import InvalidInput
 from slamhive.evaluation.evaluators.relations import RelationErrors, read_relations, relation_errors
 from slamhive.trajectory.transforms import move_sensor, rotations_from_quats
 from tests.evaluation.evaluators.curves import kept, loop, moved, paired, scaled

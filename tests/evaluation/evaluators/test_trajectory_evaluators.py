@@ -9,17 +9,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import CATALOGUE, Direction
 from slamhive.domain.protocol import Alignment, Association, Protocol, RpePairs
-from slamhive.errors import InvalidInput
-from slamhive.evaluation.evaluators.absolute import RotationError
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN
-from slamhive.evaluation.evaluators.completeness import Robustness, count_losses, score_seconds
-from slamhive.evaluation.evaluators.drift import ScaleErrors, StartEndDrift
-from slamhive.evaluation.evaluators.kitti import KittiProtocol, kitti_segments
-from slamhive.evaluation.evaluators.pairs import all_pairs, consecutive_pairs
-from slamhive.evaluation.evaluators.relative import RelativeErrors
-from slamhive.evaluation.evaluators.segments import SegmentErrors
+from slamhive.evaluation.evaluators.completeness import (
+    Robustness,
+    ScaleErrors,
+    StartEndDrift,
+    count_losses,
+    score_seconds,
+)
+from slamhive.evaluation.evaluators.evo_errors import RotationError
+from slamhive.evaluation.evaluators.relative import RelativeErrors, all_pairs, consecutive_pairs
+from slamhive.evaluation.evaluators.segments import KittiProtocol, SegmentErrors, kitti_segments
 from slamhive.trajectory.model import Trajectory
 from tests.evaluation.evaluators.curves import SE3, kept, loop, moved, noisy, paired, road, rotation_z, scaled
 

@@ -5,9 +5,9 @@ import pytest
 
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.evaluation.evaluators.absolute import RelativeSize
 from slamhive.evaluation.evaluators.builtin import EVALUATORS
-from slamhive.evaluation.evaluators.completeness import Coverage
+from slamhive.evaluation.evaluators.completeness import TrackingCoverage
+from slamhive.evaluation.evaluators.evo_errors import RelativeSize
 from slamhive.trajectory.completeness import measure_own_coverage
 from slamhive.trajectory.model import Trajectory
 from tests.evaluation.evaluators.curves import loop, moved, noisy, paired, road
@@ -68,7 +68,7 @@ def test_what_was_travelled_in_a_gap_of_the_ground_truth_is_taken_from_its_mean_
     assert found.path_share == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("make", [Coverage, RelativeSize])
+@pytest.mark.parametrize("make", [TrackingCoverage, RelativeSize])
 def test_every_key_is_in_the_catalogue_and_accounted_for(make):
     evaluator = make()
     figures = evaluator.evaluate(paired(loop(), noisy(loop())))

@@ -8,9 +8,9 @@ import sys
 import threading
 from pathlib import Path
 
-from slamhive.executors.identity import worker_identity
-from slamhive.services.analyses.jobs import AnalysisJobs
+from slamhive.executors.host import worker_identity
 from slamhive.services.hive import open_hive
+from slamhive.services.stored_analyses.computing import AnalysisJobs
 
 
 def main() -> None:

@@ -9,8 +9,8 @@ import pytest
 
 from slamhive.analysis.chart import Bars
 from slamhive.analysis.report import Report
+from slamhive.services.analysis.run import AnalysisLimits
 from slamhive.services.hive import Hive
-from slamhive.services.reports.run import AnalysisLimits
 from slamhive.store import AlgorithmVersion, RunFields, Transaction
 from tests.web.web_world import NOW, add_runs, evaluate_run, finish_run, make_hive
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.bags.variants.rules import RegisteredSteps
-from slamhive.domain.variant import Variant, VariantStep
-from slamhive.schema.model import dump
-from slamhive.services.reports.seen import seen_columns
-from slamhive.sweep.variants import resolve_variant
-from tests.sweep.sweep_world import CAMERA, IMU, LIDAR, dataset
+from slamhive.documents.model import dump
+from slamhive.domain.configuration import Variant, VariantStep
+from slamhive.experiments.binding import resolve_variant
+from slamhive.recordings.variants.rules import RegisteredSteps
+from slamhive.services.analysis.table import seen_columns
+from tests.experiments.sweep_world import CAMERA, IMU, LIDAR, dataset
 
 pytestmark = pytest.mark.quick
 

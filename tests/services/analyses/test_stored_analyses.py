@@ -19,14 +19,13 @@ from pathlib import Path
 import pytest
 
 import slamhive
-from slamhive.errors import Forbidden, InvalidInput, NotFound
-from slamhive.services.analyses import jobs
-from slamhive.services.analyses.folder import FIGURES, PAGE, REPORT, SOURCE, STATE
-from slamhive.services.analyses.jobs import AnalysisJobs
-from slamhive.services.analyses.stored import StoredAnalyses
+from slamhive.base.errors import Forbidden, InvalidInput, NotFound
+from slamhive.base.settings import Mode
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
-from slamhive.settings import Mode
+from slamhive.services.stored_analyses import computing
+from slamhive.services.stored_analyses.computing import AnalysisJobs
+from slamhive.services.stored_analyses.stored import FIGURES, PAGE, REPORT, SOURCE, STATE, StoredAnalyses
 from slamhive.store import AnalysisRecord, AnalysisState, Lease, open_store
 from tests.web import web_world as world
 
@@ -156,7 +155,7 @@ def test_what_cannot_be_computed_says_why_and_harms_nobody(
 
 
 def test_deleting_ends_the_computation(hive: Hive, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(jobs, "BEAT_S", 0.05)
+    monkeypatch.setattr(computing, "BEAT_S", 0.05)
     token = hive.stored_analyses.create(TEXT).token
     folder = hive.stored_analyses.folder(token).root
     thread = threading.Thread(target=work, args=(hive,))
@@ -218,7 +217,7 @@ def test_a_lease_that_ran_out_is_taken_over(hive: Hive):
 
 def test_one_that_kills_every_worker_is_given_up(hive: Hive):
     token = hive.stored_analyses.create(TEXT).token
-    for second in range(jobs.MOST_ATTEMPTS):
+    for second in range(computing.MOST_ATTEMPTS):
         at = world.NOW + timedelta(seconds=second)
         assert hive.store.write(lambda t, at=at: t.analyses.claim(Lease("dead", at, 0.0)))  # type: ignore[misc]
     assert work(hive)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from slamhive.analysis.report import Report
-from slamhive.errors import InvalidInput
-from slamhive.services.reports.run import AnalysisLimits
+from slamhive.base.errors import InvalidInput
+from slamhive.services.analysis.run import AnalysisLimits
 from tests.web.web_world import PROTOCOL, add_runs, evaluate_run, finish_run, make_hive
 
 pytestmark = pytest.mark.integration

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from slamhive.domain.sensors import SensorSetup
-from slamhive.runs.folder import RunFolder
+from slamhive.run_folder.folder import RunFolder
 from slamhive.services.hive import open_hive
 from slamhive.services.imports.request import ImportRequest
 from slamhive.store import Store

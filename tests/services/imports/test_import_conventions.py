@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from slamhive.base.project import project_root
 from slamhive.cli import main
 from slamhive.domain.sensors import SensorSetup
-from slamhive.project import project_root
 from slamhive.services.imports.request import ImportRequest
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 from tests.services.imports.world import trajectory, write

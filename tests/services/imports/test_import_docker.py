@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.cli.batches import evaluate_to_end
+from slamhive.cli.waiting import evaluate_to_end
 from slamhive.domain.sensors import SensorSetup
 from slamhive.services.hive import open_hive
 from slamhive.services.imports.request import ImportRequest

@@ -5,15 +5,15 @@ import shutil
 
 import pytest
 
-from slamhive.cli.batches import evaluate_to_end
+from slamhive.base.project import project_root
+from slamhive.cli.waiting import evaluate_to_end
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.sensors import SensorSetup
 from slamhive.evaluation.evaluators.evo_errors import AbsoluteError
 from slamhive.evaluation.pairing import pair
-from slamhive.evaluation.references import Reference
-from slamhive.project import project_root
+from slamhive.evaluation.references import TruthReference
 from slamhive.services.imports.request import ImportRequest
-from slamhive.trajectory.tum import read_tum
+from slamhive.trajectory.layout import read_tum
 
 SOURCE = project_root().parent / "shared" / "data" / "euroc_vio_runs"
 COLUMNS = {
@@ -41,7 +41,9 @@ def test_all_runs_are_imported_and_their_errors_are_the_published_ones(hive, exp
     sensors = {"": SensorSetup.STEREO_INERTIAL, "vio_mono": SensorSetup.MONO_INERTIAL}
     report = hive.imports.carry_out(ImportRequest(SOURCE, sensors=sensors, gravity_aligned=True), lambda *_: None)
     assert (report.imported, report.problems, report.left_out) == (122, [], ["ate_rmse.csv"])
-    references = {name: Reference(read_tum(hive.catalogue.dataset(name).groundtruth_path)) for name in report.datasets}
+    references = {
+        name: TruthReference(read_tum(hive.catalogue.dataset(name).groundtruth_path)) for name in report.datasets
+    }
     seen = set()
     for run_id in report.run_ids:
         run, trial = hive.runs.get(run_id), hive.runs.record(run_id)["imported"]["trial"]

@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamhive.errors import InvalidInput
-from slamhive.project import project_root
-from slamhive.services.imports.conventions import Partner, Truth, settle, settle_truth
-from slamhive.trajectory.layout import UNKNOWN, QuaternionOrder, RawPoses, TimeUnit
+from slamhive.base.errors import InvalidInput
+from slamhive.base.project import project_root
+from slamhive.services.imports.reading import ImportTruth, Partner, settle, settle_truth
+from slamhive.trajectory.layout import UNKNOWN, QuaternionOrder, RawPoses, TimeUnit, read_tum
 from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat
 from slamhive.trajectory.table import NumberTable
-from slamhive.trajectory.tum import read_tum
 
 RUNS = project_root().parent / "shared" / "data" / "euroc_vio_runs"
 S, XYZW, WXYZ = TimeUnit.S, QuaternionOrder.XYZW, QuaternionOrder.WXYZ
@@ -46,7 +45,7 @@ def test_every_run_is_understood_in_every_unit_and_order(sequence: str) -> None:
     for path in sorted(RUNS.glob(f"v*/{sequence}/*.txt")):
         estimate = read_tum(path)
         for zero_s in (0.0, float(truth.stamps_s[0])):
-            known = Truth(counted_from(truth, zero_s), rotations_known=True)
+            known = ImportTruth(counted_from(truth, zero_s), rotations_known=True)
             for unit, order in ((unit, order) for unit in TimeUnit for order in QuaternionOrder):
                 file = as_file(estimate, unit, order, zero_s)
                 if (unit, order) == (S, WXYZ):  # it looks like a TUM file and turns otherwise

@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from slamhive.cli import main
-from slamhive.domain.hint import Hint
-from slamhive.services.evaluations.notes import evaluation_notes
+from slamhive.domain.verdict import Hint
+from slamhive.services.evaluations.service import evaluation_notes
 from tests.services.imports.world import write
 
 pytestmark = pytest.mark.integration

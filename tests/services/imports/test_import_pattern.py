@@ -1,7 +1,7 @@
 import pytest
 
-from slamhive.errors import InvalidInput
-from slamhive.services.imports.pattern import PathPattern
+from slamhive.base.errors import InvalidInput
+from slamhive.services.imports.reading import PathPattern
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from slamhive.base.errors import InvalidInput
 from slamhive.cli import main
+from slamhive.documents.submission import Submission
 from slamhive.domain.sensors import SensorSetup
-from slamhive.errors import InvalidInput
-from slamhive.schema.submission import Submission
 from slamhive.services.imports.request import ImportRequest
 from tests.cases import case
 from tests.services.imports.world import trajectory, write

@@ -10,21 +10,20 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from slamhive.base.errors import Conflict, InvalidInput
+from slamhive.base.files import write_aside
 from slamhive.cli import main
+from slamhive.documents.submission import Submission
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.run import RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.trajectory_kind import TrajectoryKind
-from slamhive.errors import Conflict, InvalidInput
-from slamhive.files import write_aside
-from slamhive.schema.submission import Submission
 from slamhive.services.hive import open_hive
-from slamhive.services.imports import exclusive, service
-from slamhive.services.imports.exclusive import one_import
-from slamhive.services.imports.request import ImportRequest
+from slamhive.services.imports import request, service
+from slamhive.services.imports.request import ImportRequest, one_import
 from slamhive.services.reindex import reindex
-from slamhive.trajectory.kitti import format_kitti
-from slamhive.trajectory.tum import parse_tum
+from slamhive.trajectory.layout import parse_tum
+from slamhive.trajectory.pose_file import format_kitti
 from tests.services.imports.world import POSES, make_source, trajectory, write
 
 pytestmark = pytest.mark.integration
@@ -304,7 +303,7 @@ def test_reindex_restores_imported_runs(hive, source):
 
 
 def test_who_waits_for_another_import_is_told_for_which_and_since_when(hive, source, monkeypatch):
-    monkeypatch.setattr(exclusive, "WAIT_S", 0.2)
+    monkeypatch.setattr(request, "WAIT_S", 0.2)
     said: list[str] = []
     with one_import(hive.settings.runs_folder, "an archive of 30,000 runs"):
         with pytest.raises(Conflict, match=r"another import files an archive of 30,000 runs since \d\d:\d\d:\d\d UTC"):
@@ -345,7 +344,7 @@ def test_a_full_disk_leaves_no_half_run(hive, source, monkeypatch):
             raise OSError(28, "No space left on device")
         write_aside(path, content)
 
-    monkeypatch.setattr("slamhive.runs.folder.write_aside", full)
+    monkeypatch.setattr("slamhive.run_folder.folder.write_aside", full)
     with pytest.raises(Exception, match="No space left"):
         carry_out(hive, source)
     monkeypatch.undo()

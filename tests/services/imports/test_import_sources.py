@@ -4,8 +4,8 @@ import os
 
 import pytest
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.sensors import SensorSetup
-from slamhive.errors import InvalidInput
 from slamhive.services.imports.request import ImportRequest
 from slamhive.services.imports.sources import find
 from slamhive.trajectory.pose_file import TrajectoryFormat

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from slamhive.errors import InvalidInput, SlamHiveError
-from slamhive.files import write_aside
+from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.base.files import write_aside
 from slamhive.runtime.config import RunConfig, load
 from slamhive.runtime.paths import find_recording, run_paths
 from slamhive.runtime.ros_poses import PoseKind, PoseLog, PoseTopic

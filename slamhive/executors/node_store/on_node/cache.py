@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional
 
-from slamhive.tree import folder_bytes
+from slamhive.base.tree import folder_bytes
 
 FILE, FOLDER, MADE = "file", "folder", "made"
 _LOCK, _PART, _UNPACKING = ".lock", ".part", ".unpacking"

@@ -5,10 +5,16 @@ from __future__ import annotations
 import contextlib
 import http.client
 import json
+import os
 import random
+import socket
+import ssl
 import time
-from typing import Any, Callable, Dict, Optional, TypeVar
+from pathlib import Path
+from typing import IO, Any, Callable, Dict, Optional, TypeVar
 from urllib.parse import quote, urlsplit
+
+from slamhive.executors.node_store.on_node.cache import Item, sha256_of
 
 FROM_HEADER = "X-From"
 TOTAL_HEADER = "X-Total"
@@ -24,7 +30,7 @@ _LONGEST_ERROR_BYTES = 10000
 T = TypeVar("T")
 
 
-class Refused(Exception):
+class NodeRefused(Exception):
     """The controller said no, and would say it again. ``answer`` holds its words and what else it said.
 
     ``over`` says that the run is over for it: what the node has of it can go.
@@ -103,11 +109,11 @@ class Connection:
         answer.close()
         self.close()
         if answer.status == 413 and "error" not in content:
-            raise Refused(413, {"error": TOO_LARGE_FOR_PROXY})
+            raise NodeRefused(413, {"error": TOO_LARGE_FOR_PROXY})
         # 413 and the like are ours. What a proxy says while the controller is down is not about this run.
         if answer.status >= 500 or (answer.status in (404, 408, 429) and "error" not in content):
             raise Away(str(content.get("error", "status " + str(answer.status))))
-        raise Refused(answer.status, content)
+        raise NodeRefused(answer.status, content)
 
     def close(self) -> None:
         """Close the connection; the next question opens it again."""
@@ -126,7 +132,7 @@ def unreached_because(url: str, timeout_s: float = 10.0) -> str:
     connection = Connection(url, "nobody", "none", timeout_s)
     try:
         connection.ask("GET", "wanted")
-    except Refused as refused:
+    except NodeRefused as refused:
         return "" if refused.status == 401 else str(refused)
     except Away as away:
         return str(away)
@@ -186,3 +192,106 @@ def _content(text: bytes) -> Dict[str, Any]:
 
 def _words(error: Exception) -> str:
     return str(error) or type(error).__name__
+
+
+# Fetches items from the controller into the cache: what has arrived before is not asked for again.
+
+
+_PIECE_BYTES = 1 << 20
+_CHANGED = 409
+_CUT = (http.client.HTTPException, ConnectionError, socket.timeout, ssl.SSLError)
+
+Progress = Callable[[Item, int], None]
+"""Gets the number of bytes of an item that have arrived."""
+
+
+class WrongContent(Exception):
+    """The controller sent something else than the run needs."""
+
+
+class Fetcher:
+    """Completes parts of items; see ``cache.Fetch``.
+
+    Args:
+        connection: To the controller.
+        patience_s: For how long the controller may be away; None for as long as it takes.
+        progress: Gets what has arrived; None if nobody asks.
+    """
+
+    def __init__(
+        self, connection: Connection, patience_s: Optional[float] = None, progress: Optional[Progress] = None
+    ) -> None:
+        self._connection = connection
+        self._patience_s = patience_s
+        self._progress = progress
+
+    def __call__(self, item: Item, part: Path) -> None:
+        """Bring ``part`` to the size and hash of ``item``. Raises WrongContent, Refused, Away, OSError."""
+        resumed = part.exists() and part.stat().st_size > 0
+        try:
+            self._complete(item, part)
+        except WrongContent:
+            part.unlink()
+            raise
+        if sha256_of(part) == item.sha256:
+            return
+        part.unlink()
+        if resumed:
+            # The rest of an earlier transfer may be what is wrong, such as after a loss of power.
+            self._complete(item, part)
+            if sha256_of(part) == item.sha256:
+                return
+            part.unlink()
+        raise WrongContent(
+            "{} has another checksum than recorded ({}...): it has changed on the controller, or the transfer damages "
+            "it; check the file on the controller".format(item.words, item.sha256[:12])
+        )
+
+    def _complete(self, item: Item, part: Path) -> None:
+        """Ask until all has arrived. Each piece that arrives renews the patience."""
+        with part.open("ab") as stream:
+            if stream.tell() > item.size_bytes:
+                _empty(stream)
+            while stream.tell() < item.size_bytes or item.size_bytes == 0:
+                patiently(lambda: self._receive(item, stream), self._patience_s)
+                if item.size_bytes == 0:
+                    break
+            stream.flush()
+            os.fsync(stream.fileno())
+
+    def _receive(self, item: Item, stream: IO[bytes]) -> None:
+        """Append what the controller sends until the connection ends."""
+        begin = stream.tell()
+        headers = {"Range": "bytes={}-".format(begin), "If-Range": '"{}"'.format(item.sha256)} if begin else {}
+        try:
+            answer = self._connection.open("GET", "items/" + item.sha256, headers=headers)
+        except NodeRefused as refused:
+            if refused.status == _CHANGED:
+                raise WrongContent(str(refused)) from None
+            raise
+        try:
+            if begin and answer.status != 206:
+                _empty(stream)
+            while True:
+                piece = answer.read(_PIECE_BYTES)
+                if not piece:
+                    break
+                if stream.tell() + len(piece) > item.size_bytes:
+                    self._connection.close()
+                    raise WrongContent("{} is longer than recorded ({} bytes)".format(item.words, item.size_bytes))
+                stream.write(piece)
+                if self._progress is not None:
+                    self._progress(item, stream.tell())
+        except _CUT as error:
+            self._connection.close()
+            raise Away(str(error)) from None
+        finally:
+            answer.close()
+        if stream.tell() == begin and begin < item.size_bytes:
+            self._connection.close()
+            raise Away("the connection was cut")
+
+
+def _empty(stream: IO[bytes]) -> None:
+    stream.seek(0)
+    stream.truncate()

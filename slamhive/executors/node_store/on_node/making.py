@@ -1,6 +1,6 @@
 """Has the variant of a dataset made on this node, from the recording in its cache.
 
-A process with an installation of SLAM Hive makes it (:mod:`slamhive.executors.node_store.variants`). So its libraries
+A process with an installation of SLAM Hive makes it (:mod:`slamhive.executors.node_store.controller`). So its libraries
 take no memory while the run goes on, and it can be ended at any time. What it says: a line for each step forwards, and
 at last why it has failed.
 """
@@ -22,7 +22,7 @@ VARIANT_FILE = "made-variant.json"
 """The same as a node reports it of a run."""
 CHECKSUM, BAG = "checksum", "bag"
 FRACTION, PROBLEM = "fraction", "problem"
-_MODULE = "slamhive.executors.node_store.variants"
+_MODULE = "slamhive.executors.node_store.controller"
 
 MadeProgress = Callable[[float], None]
 """Gets the fraction of the variant that is there."""

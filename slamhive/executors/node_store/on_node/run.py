@@ -13,12 +13,25 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence
 
+from slamhive.base.tree import remove_tree
 from slamhive.executors.node_store.on_node.cache import Cache, Held, Item, hold_all
-from slamhive.executors.node_store.on_node.connection import Away, Connection, Refused, clock_offset, patiently
-from slamhive.executors.node_store.on_node.fetch import Fetcher, Progress
-from slamhive.executors.node_store.on_node.mirror import Mirror, Watched
-from slamhive.executors.node_store.on_node.results import RESULT_FILE, Output, pack_results, send_results
-from slamhive.tree import remove_tree
+from slamhive.executors.node_store.on_node.connection import (
+    Away,
+    Connection,
+    Fetcher,
+    NodeRefused,
+    Progress,
+    clock_offset,
+    patiently,
+)
+from slamhive.executors.node_store.on_node.results import (
+    RESULT_FILE,
+    Mirror,
+    Output,
+    Watched,
+    pack_results,
+    send_results,
+)
 
 ARCHITECTURE = "architecture"
 _ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64", "armv7l": "arm", "i686": "386", "ppc64le": "ppc64le"}
@@ -177,7 +190,7 @@ class Reporter:
                     self._mirror.ask()
             except Away:
                 continue
-            except Refused as refused:
+            except NodeRefused as refused:
                 self.refused = str(refused)
                 return
             self.wanted = self._mirror.wanted

@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from alembic import op
 from sqlalchemy.dialects import mysql
 
-from slamhive.errors import Conflict
+from slamhive.base.errors import Conflict
 
 revision = "0004"
 down_revision = "0003"

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from alembic import op
 from sqlalchemy.dialects import mysql
 
-from slamhive.errors import Conflict
+from slamhive.base.errors import Conflict
 
 revision = "0005"
 down_revision = "0004"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlalchemy as sa
 from alembic import op
 
-from slamhive.store.verdicts import VerdictRepository
+from slamhive.store.metrics import VerdictRepository
 
 revision = "0009"
 down_revision = "0008"

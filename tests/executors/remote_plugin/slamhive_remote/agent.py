@@ -26,17 +26,17 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.base.files import temporary_folder, write_aside
+from slamhive.base.project import project_root
+from slamhive.base.tree import remove_tree, unpack_trusted, walk
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.errors import InvalidInput, SlamHiveError
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.packing import pack_folder
 from slamhive.executors.process.executor import ProcessExecutor
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Gone, RunHandle, Running, UsageSource
 from slamhive.executors.transfer import relocated, unpack_inputs
-from slamhive.files import temporary_folder, write_aside
-from slamhive.project import project_root
-from slamhive.tree import remove_tree, unpack_trusted, walk
 from slamhive_remote.wire import error_to_json, receive_json, receive_stream, send_json, send_stream
 
 SPEC = TypeAdapter(RunSpec)

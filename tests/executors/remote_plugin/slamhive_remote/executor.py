@@ -14,22 +14,22 @@ from typing import IO, Any
 
 from pydantic import TypeAdapter
 
-from slamhive.catalogue.algorithm_file import package_hash
+from slamhive.base.files import write_aside
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import (
     Capabilities,
     EngineUnavailable,
     Executor,
     ExecutorContext,
-    Finding,
     LiveKeys,
     PackageNeed,
     ProgressCallback,
+    ProtectionFinding,
 )
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus
 from slamhive.executors.transfer import pack_inputs, unpack_live, unpack_output
-from slamhive.files import write_aside
+from slamhive.packages.algorithm_file import package_hash
 from slamhive_remote.wire import connect, raise_error, receive_json, receive_stream, send_json, send_stream
 
 SPEC = TypeAdapter(RunSpec)
@@ -58,9 +58,9 @@ class RemoteExecutor(Executor):
             return str(error)
         return None
 
-    def examine(self) -> list[Finding]:
+    def examine(self) -> list[ProtectionFinding]:
         """What the agent says of itself."""
-        return [Finding("agent", self._ask("ping")["about"])]
+        return [ProtectionFinding("agent", self._ask("ping")["about"])]
 
     def identity(self, package: AlgorithmPackage) -> str | None:
         """The environment that the agent has made for this version of the package."""

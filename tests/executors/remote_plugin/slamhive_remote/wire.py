@@ -7,7 +7,7 @@ import json
 from multiprocessing.connection import Client, Connection
 from typing import IO, Any
 
-from slamhive.errors import SlamHiveError
+from slamhive.base.errors import SlamHiveError
 from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
 
 CHUNK_BYTES = 1 << 20

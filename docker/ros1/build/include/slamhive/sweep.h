@@ -1,5 +1,5 @@
 // The points of a LiDAR sweep with ring and time, whatever the driver calls them and in whatever unit.
-// The runtime sets the parameters below /slamhive/sweep from dataset.yaml (slamhive.runtime.ros1.sweep).
+// The runtime sets the parameters below /slamhive/sweep from dataset.yaml (slamhive.runtime.ros1.system).
 #pragma once
 
 #include <cmath>

@@ -1,0 +1,331 @@
+"""What only the web API answers: pages of lists, files of a run, and what a server can do."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import AliasChoices, AliasPath, Field
+
+from slamhive.base.settings import Mode
+from slamhive.documents import catalogue
+from slamhive.documents.catalogue import CachedVariant, FoundThing, PublicSequence
+from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument, GridDocument, StoredAnalysis
+from slamhive.documents.model import Document, Moment, described
+from slamhive.documents.run import Colours, Pinned, RunDocument, Sparks
+from slamhive.domain.metrics import Direction, Group
+from slamhive.domain.run import RunState
+
+Next = Annotated[str | None, described("Address of the next page; null on the last one.")]
+Total = Annotated[int, described("How many there are on all pages.")]
+
+
+class OldError(Document):
+    """An error as programs know it that were written before there were problem details."""
+
+    status: int
+    message: str
+    remedy: str | None
+
+
+class ProblemDocument(Document):
+    """Problem details (RFC 9457)."""
+
+    type: str = "about:blank"
+    title: Annotated[str, described("The words for the status.")]
+    status: int
+    detail: Annotated[str, described("What is wrong, in one line that names the value.")]
+    remedy: Annotated[str | None, described("What to do about it.")]
+    error: Annotated[OldError, Field(description="The same in another form.", deprecated=True)]
+
+
+class Server(Document):
+    """What a server is, and what it can do."""
+
+    software: Annotated[str, described("Version of SLAM Hive.")]
+    mode: Mode
+    changes: Annotated[bool, described("Whether it changes anything.")]
+    worker: Annotated[bool, described("Whether a worker executes runs on its machine.")]
+
+
+class RunsDocument(Document):
+    """Some runs."""
+
+    runs: tuple[RunDocument, ...]
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The document as JSON; each run writes itself, which is faster."""
+        return {**self.model_dump(mode="json", exclude={"runs"}), "runs": [run.content for run in self.runs]}
+
+
+class RunPage(RunsDocument):
+    """A page of a list of runs."""
+
+    total: Total
+    next: Next
+
+
+class RunNumbers(Document):
+    """Numbers of runs."""
+
+    runs: tuple[int, ...]
+
+
+class DownloadDocument(Document):
+    """One file of a run."""
+
+    key: Annotated[str, described("Its name in addresses.")]
+    name: Annotated[str, described("Its name in the run folder.")]
+    media_type: str
+    size_bytes: Annotated[int, described("Its size.", unit="bytes")]
+    address: str
+
+
+class RunFilesDocument(Document):
+    """The files of a run that can be downloaded."""
+
+    files: tuple[DownloadDocument, ...]
+
+
+class ProgressDocument(Document):
+    """How far a run is. What is not known is null, as it is for runs that wait or have ended."""
+
+    state: RunState
+    text: Annotated[str, described("What it does, in words.")]
+    fraction: Annotated[float | None, described("Part of the recording that was played, from 0 to 1.")] = None
+    elapsed_s: Annotated[float | None, described("Time since its start.", unit="s")] = None
+    left_s: Annotated[float | None, described("Estimated time left.", unit="s")] = None
+    cpu_cores: Annotated[float | None, described("CPU use now.", unit="cores")] = None
+    memory_bytes: Annotated[int | None, described("Memory use now.", unit="bytes")] = None
+
+
+class DeletedRunDocument(Document):
+    """A run in the trash."""
+
+    id: int = Field(validation_alias=AliasChoices(AliasPath("deleted", "run_id"), "id"))
+    algorithm: str
+    dataset: str
+    deleted_at: Moment = Field(validation_alias=AliasChoices(AliasPath("deleted", "at"), "deleted_at"))
+
+
+class TrashedRuns(Document):
+    """The runs in the trash."""
+
+    runs: tuple[DeletedRunDocument, ...]
+
+
+class Removed(Document):
+    """How many runs were removed for good."""
+
+    removed: int
+
+
+class Queued(Document):
+    """How much was queued."""
+
+    queued: int
+
+
+class ActedOn(Document):
+    """What an action on all runs of a search has changed."""
+
+    done: Annotated[int, described("Runs that were changed.")]
+    left_out: Annotated[int, described("Runs that the action does not fit.")]
+    reasons: Annotated[tuple[str, ...], described("Why runs were left out, each reason once.")] = Field(
+        validation_alias=AliasChoices("words", "reasons")
+    )
+    deleted_at: Annotated[str | None, described("Restores what was deleted together; null after other actions.")] = (
+        Field(validation_alias=AliasChoices("deleted_at_text", "deleted_at"))
+    )
+
+
+class SavedSearchDocument(Document):
+    """A search under a name."""
+
+    name: str
+    where: Annotated[str, described("The filter; empty for all runs.")] = Field(
+        validation_alias=AliasChoices("filter_text", "where")
+    )
+    columns: tuple[str, ...]
+    sort: str = Field(validation_alias=AliasChoices(AliasPath("sort", "key"), "sort"))
+    descending: bool = Field(validation_alias=AliasChoices(AliasPath("sort", "descending"), "descending"))
+    group: Annotated[bool, described("One row for each configuration.")] = Field(
+        validation_alias=AliasChoices("grouped", "group")
+    )
+    pinned: Pinned
+    colours: Colours
+    sparks: Sparks
+
+
+class SavedSearches(Document):
+    """All saved searches, sorted by name."""
+
+    searches: tuple[SavedSearchDocument, ...]
+
+
+class FilterField(Document):
+    """A name that a filter may use."""
+
+    name: str
+    label: str
+    unit: str
+    values: Annotated[tuple[str, ...], described("Values to choose from; empty if there is no list.")]
+
+
+class FilterFields(Document):
+    """All names that a filter may use."""
+
+    fields: tuple[FilterField, ...]
+
+
+class Algorithms(Document):
+    """All algorithms."""
+
+    algorithms: tuple[catalogue.AlgorithmDocument, ...]
+
+
+class PackageVersions(Document):
+    """The versions of a package, the newest first."""
+
+    versions: tuple[catalogue.Version, ...]
+
+
+class Datasets(Document):
+    """All datasets."""
+
+    datasets: tuple[catalogue.DatasetDocument, ...]
+
+
+class FoundThings(Document):
+    """What a search over everything found."""
+
+    found: Annotated[tuple[FoundThing, ...], described("The best 8 of each kind.")]
+
+
+class PublicDatasets(Document):
+    """Public sequences that can be fetched."""
+
+    sequences: tuple[PublicSequence, ...]
+
+
+class BackgroundWork(Document):
+    """Long work on a dataset that goes on, or that failed."""
+
+    dataset: str
+    details: Annotated[tuple[str, ...], described("The steps of a variant.")]
+    fraction: Annotated[float, described("How much is done, from 0 to 1.")]
+    done: bool
+    problem: Annotated[str | None, described("Why it failed.")]
+
+
+class DatasetWork(Document):
+    """What goes on with a dataset; null: nothing."""
+
+    check: BackgroundWork | None
+    variant: BackgroundWork | None
+
+
+class VariantsDocument(Document):
+    """The variants of a dataset in the cache, the last used first."""
+
+    variants: tuple[CachedVariant, ...]
+
+
+class ConfigurationPageDocument(Document):
+    """A page of configurations."""
+
+    configurations: tuple[catalogue.ConfigurationDocument, ...]
+    total: Total
+    next: Next
+
+
+class StoredConfiguration(catalogue.ConfigurationDocument):
+    """A configuration that a request stored or found."""
+
+    created: Annotated[bool, described("False if an identical one existed.")]
+    notes: Annotated[tuple[str, ...], described("What was not taken over, a line each.")]
+
+
+class Removal(Document):
+    """What was removed."""
+
+    removed: Annotated[str, described("Its number, name or address.")]
+
+
+class ExperimentsDocument(Document):
+    """All experiments, the newest first."""
+
+    experiments: tuple[ExperimentStatusDocument, ...]
+
+
+class ExperimentWithFile(ExperimentStatusDocument):
+    """An experiment with its file and its axes."""
+
+    yaml: Annotated[str, described("The experiment file.")]
+    axes: Annotated[dict[str, tuple[Any, ...]], described("The values of each axis.")]
+
+
+class CellPageDocument(Document):
+    """A page of the configurations of an experiment."""
+
+    cells: tuple[CellDocument, ...]
+    total: Total
+    next: Next
+
+
+class GridAnswer(Document):
+    """Progress over two axes; null for an experiment without axes."""
+
+    grid: GridDocument | None
+
+
+class AnalysisDocument(StoredAnalysis):
+    """A stored analysis."""
+
+    token: Annotated[str, described("Its permanent address ends with it.")]
+
+
+class AnalysesDocument(Document):
+    """The listed analyses, the newest first."""
+
+    analyses: tuple[AnalysisDocument, ...]
+
+
+class AnalysisWithFile(AnalysisDocument):
+    """A stored analysis with its text, its progress and its files."""
+
+    yaml: Annotated[str, described("The analysis file.")]
+    fraction: Annotated[float, described("How much is computed, from 0 to 1.")]
+    doing: Annotated[str, described("What is computed now; empty if nothing.")]
+    files: Annotated[tuple[str, ...], described("Names of files that can be downloaded.")]
+
+
+class CheckedFileDocument(Document):
+    """A file without mistakes."""
+
+    name: Annotated[str, described("The name in the file.")]
+
+
+class MetricDocument(Document):
+    """A metric of the catalogue."""
+
+    key: Annotated[str, described("Its name in files, filters and commands.")]
+    label: str
+    unit: Annotated[str, described("Of the stored value; empty for a pure number.")]
+    direction: Annotated[Direction, described("Which values are better.")]
+    definition: str
+    needs_protocol: Annotated[bool, described("It comes from an evaluation; others are measured during the run.")]
+    group: Group
+    source: Annotated[str, described("The paper, program or device that defines it.")]
+
+
+class Metrics(Document):
+    """The metric catalogue, in the order of pages."""
+
+    metrics: tuple[MetricDocument, ...]
+
+
+class ProtocolMetrics(Document):
+    """The metrics of a run under each protocol that it was evaluated under."""
+
+    protocols: Annotated[dict[str, dict[str, float]], described("By fingerprint of the protocol and key.")]

@@ -1,0 +1,236 @@
+"""An experiment as JSON: what starting it would do, its progress, its cells and its grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from enum import StrEnum
+from typing import Annotated, Any
+
+from pydantic import AliasChoices, BeforeValidator, Field
+
+from slamhive.documents.model import Document, Moment, Timestamp, Values, cut, described
+from slamhive.domain.accounts import Visibility
+from slamhive.domain.configuration import Variant
+from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.parameters import Value
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.verdict import DEFAULT_RULE, VerdictKind
+
+Counts = Annotated[dict[str, int], described("Runs by state.")]
+Failures = Annotated[dict[str, int], described("Failed runs by reason.")]
+
+
+class PreviewRowDocument(Document):
+    """One of the first cells."""
+
+    cell: int = Field(validation_alias=AliasChoices("number", "cell"))
+    name: str
+    values: Values
+    known: Annotated[bool, described("Its configuration is stored already.")]
+    known_runs: int
+
+
+class VariantNeedDocument(Document):
+    """A variant of a dataset that runs need."""
+
+    dataset: str
+    steps: Variant = Field(validation_alias=AliasChoices("variant", "steps"))
+    key: str
+    needed_bytes: Annotated[int, described("Space it takes at most.", unit="bytes")]
+    make_s: Annotated[float, described("Estimated time to make it.", unit="s")]
+    made: bool
+
+
+class NodesPlanDocument(Document):
+    """The runs of an experiment on the nodes of a cluster."""
+
+    nodes: int
+    used_nodes: Annotated[int, described("Nodes that have something to do.")]
+    time_s: Annotated[float, described("Estimated time of runs and of moving their data.", unit="s")]
+    moved_bytes: Annotated[int, described("Data that all nodes get.", unit="bytes")]
+    node_bytes: Annotated[int, described("The most that one node gets.", unit="bytes")]
+    bytes_per_s: Annotated[float, described("How fast a node is assumed to get data.", unit="bytes/s")]
+
+
+class ExperimentPreviewDocument(Document):
+    """What starting an experiment would do."""
+
+    name: str
+    description: str
+    combinations: Annotated[int, described("Combinations before conditions.")]
+    cells: Annotated[int, described("Different configurations that meet the conditions.")]
+    merged: Annotated[int, described("Combinations that are identical to another.")]
+    runs: int
+    axes: Annotated[dict[str, int], described("How many values each axis has.")]
+    known_cells: Annotated[int, described("Configurations that are stored already.")]
+    known_runs: int
+    time_s: Annotated[float, described("Estimated time until all is evaluated.", unit="s")]
+    variant_time_s: Annotated[float, described("The part of it that making variants takes.", unit="s")]
+    build_time_s: Annotated[float, described("The part of it that building packages takes.", unit="s")] = 0.0
+    between_s: Annotated[float, described("Added to each run: preparing, collecting, evaluating.", unit="s")] = 0.0
+    cluster: Annotated[NodesPlanDocument | None, described("Null if the plan is for the slots of this machine.")] = None
+    measured_runs: Annotated[int, described("Runs whose time is known from earlier ones.")]
+    slots: int
+    variants: tuple[VariantNeedDocument, ...]
+    variant_bytes: Annotated[int, described("Space that missing variants take at most.", unit="bytes")]
+    run_bytes: Annotated[int, described("Estimated space of the run folders.", unit="bytes")]
+    free_bytes: Annotated[int, described("Free space.", unit="bytes")]
+    warnings: tuple[str, ...]
+    refusals: Annotated[tuple[str, ...], described("Why it would be refused.")]
+    repeat_disturbed: int
+    standing: Annotated[str | None, described("State of the experiment if it is stored already.")]
+    rows: Annotated[tuple[PreviewRowDocument, ...], described("The first cells.")]
+
+
+class ExperimentStatusDocument(Document):
+    """The progress of an experiment."""
+
+    number: Annotated[int, described("Its number in this installation.")] = Field(
+        validation_alias=AliasChoices("id", "number")
+    )
+    name: str
+    description: str
+    state: str = Field(validation_alias=AliasChoices("standing", "state"))
+    executor: str
+    priority: int
+    repeats: int
+    created_at: Timestamp
+    cells: int
+    runs: int
+    missing: Annotated[int, described("Runs that are not stored because the start was interrupted.")]
+    counts: Counts
+    retried: Annotated[int, described("Failed or disturbed runs that another run replaces; not in counts.")]
+    failures: Failures
+    disturbed: Annotated[int, described("Runs that were measured on a disturbed machine.")]
+    failed_if: Annotated[str, described("When a run counts as failed.")] = DEFAULT_RULE.words
+    left_s: Annotated[float | None, described("Expected time left; null if it was not asked for.", unit="s")]
+    low_s: Annotated[float | None, described("It is longer in 19 of 20 cases; null if nothing was measured.", unit="s")]
+    high_s: Annotated[float | None, described("It is shorter in 19 of 20 cases; null as low_s.", unit="s")]
+    phase: Annotated[str, described("What happens now, such as a build; empty if nothing is left.")] = ""
+    same_cpu: Annotated[bool, described("All runs are measured on one CPU model.")] = False
+    cpu_model: Annotated[str | None, described("That CPU model; null while it is not known.")] = None
+    owner: Annotated[str | None, described("The account that it belongs to; null for nobody.")] = None
+    visibility: Annotated[Visibility, described("Who may see it and its runs, besides admins.")] = Visibility.TEAM
+
+
+class CellRunDocument(Document):
+    """A run of a cell."""
+
+    id: int
+    seed: int
+    state: RunState
+    reason: FailureReason | None
+    verdict: VerdictKind | None = Field(validation_alias=AliasChoices("judged", "verdict"))
+    retried: bool
+    disturbed: Annotated[bool | None, described("Null if that is not known.")]
+
+
+class SpreadDocument(Document):
+    """Mean and sample standard deviation of ``n`` values."""
+
+    n: int
+    mean: float
+    std: float | None
+    unit: str | None
+
+
+def _spread(key: str, found: Any) -> Any:
+    if isinstance(found, dict):
+        return found
+    return SpreadDocument.of(found, unit=CATALOGUE[key].unit if key in CATALOGUE else None)
+
+
+def _with_units(raw: Any) -> Any:
+    return {key: _spread(key, found) for key, found in raw.items()}
+
+
+class CellFiguresDocument(Document):
+    """Metrics of the runs of a cell that did not fail, under one protocol."""
+
+    protocol: Annotated[str | None, described("Fingerprint; null where no run was evaluated.")]
+    runs: int
+    disturbed: int
+    metrics: Annotated[dict[str, SpreadDocument], BeforeValidator(_with_units)]
+
+
+class CellDocument(Document):
+    """One configuration of an experiment, with its runs and metrics."""
+
+    cell: int = Field(validation_alias=AliasChoices("number", "cell"))
+    name: str
+    configuration: int = Field(validation_alias=AliasChoices("configuration_id", "configuration"))
+    values: Values
+    counts: Counts
+    failures: Failures
+    runs: tuple[CellRunDocument, ...]
+    figures: Annotated[tuple[CellFiguresDocument, ...], described("Metrics, those of each protocol by themselves.")]
+
+
+class GridCellDocument(Document):
+    """The cells that share two values. ``row`` and ``column`` are places in the lists of the grid."""
+
+    row: int
+    column: int
+    cells: int
+    first: Annotated[int, described("Number of the first of them.")]
+    counts: Counts
+    failures: Failures
+
+
+def _placed(raw: Any) -> Any:
+    if not isinstance(raw, Mapping):
+        return raw
+    return [GridCellDocument.of(cell, row=row, column=column) for (row, column), cell in raw.items()]
+
+
+class GridDocument(Document):
+    """Progress over two axes."""
+
+    row_axis: str
+    column_axis: str
+    rows: tuple[Value | None, ...]
+    columns: tuple[Value | None, ...]
+    cells: Annotated[tuple[GridCellDocument, ...], BeforeValidator(_placed)]
+
+
+# What a webhook is sent about an experiment.
+
+
+class NoticeEvent(StrEnum):
+    """What has happened."""
+
+    FINISHED = "finished"
+    FAILING = "failing"
+    TEST = "test"
+
+
+class Notice(Document):
+    """One thing that has happened to an experiment."""
+
+    event: NoticeEvent
+    experiment: Annotated[str, described("Its name; empty for a test.")]
+    words: Annotated[str, described("One sentence for people.")]
+    counts: Annotated[dict[str, int], described("Runs by phase: good, failed, queued and so on.")]
+    failures: Annotated[dict[str, int], described("Failed runs by reason.")]
+    address: Annotated[str | None, described("The page of the experiment; null unless PUBLIC_URL is set.")]
+    at: datetime
+
+
+# A stored analysis: the state that its folder holds.
+
+
+class StoredAnalysis(Document):
+    """``state.json`` in the folder of an analysis."""
+
+    format: int = 1
+    name: Annotated[str, cut(200)]
+    state: str
+    listed: Annotated[bool, described("Shown in the list of analyses.")]
+    visitor: Annotated[bool, described("A visitor of a view-only server made it.")]
+    created_at: Moment
+    ended_at: Moment | None
+    content_hash: Annotated[str | None, described("Identifies its file, runs and metrics; null until known.")]
+    reason: Annotated[str | None, described("Why it failed.")]
+    owner: Annotated[str | None, described("The account that it belongs to; null for nobody.")] = None
+    visibility: Annotated[Visibility | None, described("Who sees it; null for everybody who is signed in.")] = None

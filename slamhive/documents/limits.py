@@ -1,0 +1,86 @@
+"""What a run may use, and when it ends early. Every command that reads runs imports this."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Annotated, Any
+
+from slamhive.documents.options import Asked
+
+CpuCores = Annotated[
+    float | None,
+    Asked(
+        "CPU limit of each run; by default that of the settings.",
+        title="CPU limit",
+        unit="cores",
+        group="limits",
+        ge=0.1,
+        le=1024,
+    ),
+]
+MemoryMb = Annotated[
+    int | None,
+    Asked(
+        "Memory limit of each run; by default what the algorithm asks for.",
+        title="Memory limit",
+        unit="MB",
+        group="limits",
+        ge=16,
+        le=10_000_000,
+    ),
+]
+TimeoutS = Annotated[
+    float | None,
+    Asked(
+        "Wall-clock limit of each run; by default derived from the duration of the recording.",
+        title="Time limit",
+        unit="s",
+        group="limits",
+        ge=1,
+        le=30 * 86_400,
+    ),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What each run may use; None means the default of the settings or of the package."""
+
+    cpu_cores: CpuCores = None
+    memory_mb: MemoryMb = None
+    timeout_s: TimeoutS = None
+
+
+def _rule(title: str, description: str, unit: str = "") -> Any:
+    return Asked(description, title=title, unit=unit, group="stop_when", gt=0)
+
+
+@dataclass(frozen=True, slots=True)
+class StopWhen:
+    """When a run ends early, with the reason recorded. None never ends one."""
+
+    lost_tracking_s: Annotated[
+        float | None, _rule("No pose for", "End the run after so many seconds of the recording without a pose.", "s")
+    ] = None
+    memory_mb: Annotated[int | None, _rule("Memory above", "End the run when it uses more memory.", "MB")] = None
+    time_s: Annotated[float | None, _rule("Time above", "End the run when it takes longer.", "s")] = None
+    failures_of_configuration: Annotated[
+        int | None,
+        _rule("Failures of its configuration", "Skip the run once its configuration has failed this often."),
+    ] = None
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The rules that are set, as JSON."""
+        return {name: value for name in RULES if (value := getattr(self, name)) is not None}
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any] | None) -> StopWhen:
+        """The rules of :attr:`content`. None, for an absent column or key, is no rule; unknown rules are ignored."""
+        return cls(**{name: value for name, value in (content or {}).items() if name in RULES})
+
+
+RULES = tuple(field.name for field in fields(StopWhen))
+NEVER = StopWhen()
+"""No rule: the run ends by itself or at its limits."""

@@ -1,0 +1,157 @@
+"""The machines that execute runs, as JSON."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Literal
+
+from slamhive.documents.model import Document, Moment, Uid, described
+
+CpuModel = Annotated[str | None, described("Processor; null if unknown.")]
+
+
+class NodeRunDocument(Document):
+    """A run that a worker has claimed."""
+
+    id: int
+    algorithm: str
+    dataset: str
+    state: str
+    node: Annotated[str | None, described("Null while it is not known where it runs.")]
+    left_s: Annotated[float | None, described("By earlier runs of its configuration; null without.", unit="s")] = None
+
+
+class CacheUseDocument(Document):
+    """What data of runs takes on a node, as of the last run there."""
+
+    used_bytes: Annotated[int, described("What it takes.", unit="bytes")]
+    limit_bytes: Annotated[int, described("The most that it may take.", unit="bytes")]
+
+
+class NodeDocument(Document):
+    """One machine."""
+
+    name: str
+    state: Annotated[str, described("In the words of the engine.")]
+    takes_runs: Annotated[bool, described("A run could start there now or soon.")]
+    drained: Annotated[bool, described("Somebody keeps further runs away.")]
+    cpu_count: Annotated[int | None, described("Logical cores that runs can have; null if unknown.")]
+    memory_bytes: Annotated[int | None, described("Memory that runs can have; null if unknown.", unit="bytes")]
+    cpu_model: CpuModel
+    runs: Annotated[tuple[NodeRunDocument, ...], described("The runs of this installation there.")]
+    runs_per_hour: Annotated[float, described("Runs that ended there in the last 24 hours, by time.", unit="1/h")] = 0.0
+    left_s: Annotated[
+        float | None, described("Until its runs in progress should be over; null if not known.", unit="s")
+    ] = None
+    cache: Annotated[CacheUseDocument | None, described("Null if it keeps no data of runs, or no run was there.")] = (
+        None
+    )
+
+
+class EngineDocument(Document):
+    """The nodes of one executor."""
+
+    executor: str
+    problem: Annotated[str | None, described("Why the nodes are not known.")]
+    drains: Annotated[bool, described("Nodes can be drained.")]
+    nodes: tuple[NodeDocument, ...]
+    elsewhere: Annotated[tuple[NodeRunDocument, ...], described("Active runs on none of the nodes.")]
+
+
+class MachineDocument(Document):
+    """What machines with the same processor measured lately."""
+
+    cpu_model: str
+    cpu_count: int
+    hours: Annotated[float, described("How far back runs are counted.", unit="h")]
+    runs: Annotated[int, described("Runs that succeeded or failed.")]
+    runs_per_hour: Annotated[float, described("The same by time.", unit="1/h")]
+    disturbed_fraction: Annotated[float | None, described("Of the runs that were judged; null if none was.")]
+
+
+class OverviewDocument(Document):
+    """The machines that execute runs, and what they do."""
+
+    engines: tuple[EngineDocument, ...]
+    machines: tuple[MachineDocument, ...]
+    queued: Annotated[int, described("Runs that wait.")]
+    left_s: Annotated[float, described("Time left of all active experiments, one after the other.", unit="s")]
+    low_s: Annotated[float | None, described("The sum of the lower ends; null if nothing was measured.", unit="s")]
+    high_s: Annotated[float | None, described("The sum of the upper ends; null if nothing was measured.", unit="s")]
+    asks_engines: Annotated[bool, described("False on a view-only server, which asks no engine.")]
+
+
+# Rented machines as JSON: the plan, what is there, and the record of a cluster.
+
+
+class CloudPlanDocument(Document):
+    """What will be rented, for how long and at what price."""
+
+    name: str
+    provider: str
+    region: str
+    instance_type: str
+    nodes: int
+    disk_gb: int
+    runs: Annotated[int | None, described("Runs of the experiment; null without one.")]
+    data_bytes: Annotated[int, described("To copy to the first machine.", unit="bytes")]
+    prepare_h: Annotated[float, described("Until all machines work.", unit="h")]
+    run_h: Annotated[float, described("For the runs.", unit="h")]
+    total_h: Annotated[float, described("Until the last run has ended.", unit="h")]
+    lifetime_h: Annotated[float, described("After this, machines end themselves.", unit="h")]
+    currency: str
+    hour_price: Annotated[float, described("One machine with disk and address for an hour.")]
+    expected_cost: float
+    most_cost: Annotated[float, described("If all machines last until they end themselves.")]
+    budget: float
+    image_day_cost: Annotated[float, described("The image for a day; it does not end itself.")]
+    prices_date: str
+    roles: Annotated[tuple[str, ...], described("What is created, in this order.")]
+
+
+class CloudState(StrEnum):
+    """What a cluster is meant to be. ``ending``: something of it may be left."""
+
+    UP = "up"
+    ENDING = "ending"
+    DOWN = "down"
+
+
+class CloudRecord(Document):
+    """What this installation knows of a cluster. It is written before the provider is asked for something."""
+
+    format: Literal[1] = 1
+    name: str
+    uid: Uid
+    state: CloudState
+    made_at: Moment
+    ends_at: Annotated[Moment, described("When its machines end themselves.")]
+    order: Annotated[str, described("The cloud file.")]
+    plan: CloudPlanDocument
+    opened: Annotated[bool, described("The firewall has its rules.")] = False
+    prepared: Annotated[bool, described("The first machine has its data.")] = False
+
+
+class CloudResource(Document):
+    """Something that a provider holds."""
+
+    kind: str
+    id: str
+    state: str
+    role: str
+    address: str | None
+
+
+class CloudStatus(Document):
+    """A cluster, and what the provider holds of it."""
+
+    name: str
+    state: CloudState
+    provider: str
+    region: str
+    made_at: Moment
+    ends_at: Moment
+    currency: str
+    cost_until_now: Annotated[float, described("Estimate: all machines since the start.")]
+    most_cost: float
+    resources: tuple[CloudResource, ...]

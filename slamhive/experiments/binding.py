@@ -1,0 +1,390 @@
+"""Binds an experiment to one algorithm and one dataset: the axes that apply, with typed values."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from slamhive.base.errors import InvalidInput, SlamHiveError, unknown
+from slamhive.base.strict_yaml import YamlPlace
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.configuration import (
+    Configuration,
+    InputMap,
+    Playback,
+    PlaybackMode,
+    StepRules,
+    Variant,
+    VariantStep,
+)
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.matching import check_known
+from slamhive.domain.parameters import Parameter, Scalar, Value, default_values, find_parameter
+from slamhive.domain.roles import BY_RULE, Chosen
+from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.experiments.experiment import Experiment, ExperimentAxis, StepDeclaration
+from slamhive.experiments.values import check_distinct, plain, typed
+
+# Steps on sensors, in the canonical order and spelling that identifies a variant.
+
+
+def resolve_variant(rules: StepRules, dataset: Dataset, steps: Iterable[VariantStep]) -> Variant:
+    """``steps`` on ``dataset`` with canonical options, those left out that change nothing.
+
+    Raises NotFound or InvalidInput for a sensor, step or option that does not exist or makes no sense.
+    """
+    sensors = {sensor.name: sensor for sensor in dataset.sensors}
+    variant: list[VariantStep] = []
+    for step in steps:
+        names = [dataset.sensor(name).name for name in step.sensors]
+        variant.extend(resolve_step(rules, step.kind, step.options, names, sensors))
+    return tuple(variant)
+
+
+def seen_dataset(rules: StepRules, dataset: Dataset, variant: Variant) -> Dataset:
+    """``dataset`` with its sensors as ``variant`` leaves them; raises as :func:`resolve_variant`."""
+    sensors = {sensor.name: sensor for sensor in dataset.sensors}
+    for step in variant:
+        names = [dataset.sensor(name).name for name in step.sensors]
+        resolve_step(rules, step.kind, step.options, names, sensors)
+    return replace(dataset, sensors=tuple(sensors.values()))
+
+
+def resolve_step(
+    rules: StepRules,
+    kind: str,
+    options: Mapping[str, Scalar],
+    names: Sequence[str],
+    sensors: dict[str, Sensor],
+) -> list[VariantStep]:
+    """One step on the sensors called ``names``; sensors that it treats alike share a step.
+
+    ``sensors`` holds every sensor as the steps before have left it, and is brought up to date.
+    """
+    merged: dict[VariantStep, list[str]] = {}
+    for name in names:
+        resolved, sensors[name] = rules.resolve(kind, options, sensors[name])
+        if resolved is not None:
+            merged.setdefault(VariantStep(resolved.kind, (), resolved.options), []).append(name)
+    return [VariantStep(step.kind, tuple(treated), step.options) for step, treated in merged.items()]
+
+
+# The known algorithms, datasets and kinds of steps, against which an experiment is checked.
+
+
+def _no_maps(reference: str, algorithm: Algorithm) -> InputMap:
+    raise InvalidInput(f"there is no run {reference} with a map for {algorithm.name}")
+
+
+@dataclass(frozen=True, slots=True)
+class CatalogueView:
+    """Algorithms and datasets by name, and the rules of pre-processing steps.
+
+    ``find_map`` finds the map of the run with a number or uid for an algorithm; raises NotFound or InvalidInput.
+    """
+
+    algorithms: Mapping[str, Algorithm]
+    datasets: Mapping[str, Dataset]
+    steps: StepRules
+    find_map: Callable[[str, Algorithm], InputMap] = _no_maps
+
+
+IMAGE = "image"
+_KINDS: dict[str, tuple[SensorKind, ...]] = {
+    **{kind.value: (kind,) for kind in SensorKind},
+    IMAGE: (SensorKind.CAMERA, SensorKind.DEPTH),
+}
+
+PLAYBACK_MODE = "playback_mode"
+PLAYBACK_RATE = "playback_rate"
+
+Row = dict[str, Value]
+"""The value of each axis that applies, by axis name."""
+
+
+def at(place: YamlPlace, error: SlamHiveError) -> SlamHiveError:
+    """The same error, naming the place."""
+    return type(error)(f"{place}: {error.message}", error.remedy)
+
+
+@dataclass(frozen=True, slots=True)
+class BoundStep:
+    """A step on sensors of a dataset; ``options``: {option: name of its axis}."""
+
+    declaration: StepDeclaration
+    sensors: tuple[Sensor, ...]
+    options: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class AxisGroup:
+    """Axes that change together (often a single one), by name. Values are typed on access."""
+
+    axes: Mapping[str, BoundAxis]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.axes.values())).raw)
+
+    def rows(self) -> tuple[tuple[Value, ...], ...]:
+        """Tuples with one value for each axis; raises InvalidInput for a value that does not fit."""
+        return tuple(zip(*(axis.values() for axis in self.axes.values()), strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class BoundAxis:
+    """The values of an axis as written; ``parameter`` gives them their type, if the axis is a parameter."""
+
+    raw: tuple[Value, ...]
+    place: YamlPlace
+    parameter: Parameter | None = None
+
+    def values(self) -> tuple[Value, ...]:
+        """The typed values; raises InvalidInput that names the place."""
+        if self.parameter is None:
+            return tuple(plain(value) for value in self.raw)
+        try:
+            values = tuple(typed(self.parameter, value) for value in self.raw)
+            check_distinct(values)
+        except InvalidInput as error:
+            raise at(self.place, error) from None
+        return values
+
+
+@dataclass(slots=True)
+class ParameterPair:
+    """One algorithm on one dataset, with the axes that apply.
+
+    ``parameters``: {axis name: parameter key}. ``fixed`` are the values of names that do not vary, ``aliases`` the
+    further names of axes: {name: axis name}; conditions may use them all. ``variants`` remembers what was resolved.
+    """
+
+    algorithm: Algorithm
+    dataset: Dataset
+    groups: tuple[AxisGroup, ...]
+    parameters: Mapping[str, str]
+    steps: tuple[BoundStep, ...]
+    fixed: Mapping[str, Value]
+    aliases: Mapping[str, str]
+    rules: StepRules
+    variants: dict[tuple[Value, ...], Variant]
+    sensors: Chosen
+    map: InputMap | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of rows before conditions."""
+        size = 1
+        for group in self.groups:
+            size *= len(group)
+        return size
+
+    def rows(self) -> Iterator[Row]:
+        """All combinations; the first axis of the file varies slowest."""
+        names = [name for group in self.groups for name in group.axes]
+        for parts in itertools.product(*(group.rows() for group in self.groups)):
+            yield dict(zip(names, itertools.chain.from_iterable(parts), strict=True))
+
+    def context(self, row: Row) -> dict[str, Value]:
+        """The value of each name that a condition may use."""
+        return {**self.fixed, **row, **{alias: row[name] for alias, name in self.aliases.items()}}
+
+    def configuration(self, row: Row) -> Configuration:
+        """The configuration of a combination."""
+        parameters = default_values(self.algorithm.parameters)
+        for name, key in self.parameters.items():
+            parameters[key] = row[name]
+        playback = Playback(PlaybackMode(str(row[PLAYBACK_MODE])), float(row[PLAYBACK_RATE]))  # type: ignore[arg-type]
+        self.algorithm.package.check_playback(playback)
+        return Configuration(
+            algorithm=self.algorithm.name,
+            dataset=self.dataset.name,
+            parameters=parameters,
+            playback=playback,
+            variant=self.variant(row),
+            sensors=self.sensors,
+            version=self.algorithm.version,
+            map=self.map,
+        )
+
+    def variant(self, row: Row) -> Variant:
+        """The steps that change something; raises InvalidInput for a value the sensor cannot have."""
+        settings = tuple(row[name] for step in self.steps for name in step.options.values())
+        if settings not in self.variants:
+            self.variants[settings] = self._resolve(row)
+        return self.variants[settings]
+
+    def _resolve(self, row: Row) -> Variant:
+        sensors = {sensor.name: sensor for sensor in self.dataset.sensors}
+        variant: list[VariantStep] = []
+        for step in self.steps:
+            options: dict[str, Scalar] = {}
+            for option, name in step.options.items():
+                value = row[name]
+                assert not isinstance(value, tuple)
+                options[option] = value
+            names = [sensor.name for sensor in step.sensors]
+            try:
+                variant += resolve_step(self.rules, step.declaration.kind, options, names, sensors)
+            except SlamHiveError as error:
+                raise type(error)(
+                    f"{step.declaration.blame}: step {step.declaration.name} on dataset {self.dataset.name}: "
+                    f"{error.message}",
+                    error.remedy,
+                ) from None
+        return tuple(variant)
+
+
+Resolved = dict[tuple[object, ...], dict[tuple[Value, ...], Variant]]
+"""Variants by option values, for each dataset and choice of sensors: algorithms share them."""
+
+
+def bind(
+    experiment: Experiment, view: CatalogueView, algorithm: Algorithm, dataset: Dataset, shared: Resolved
+) -> ParameterPair:
+    """The axes of ``experiment`` that apply to ``algorithm`` on ``dataset``; raises errors that name the place."""
+    parameters = _parameter_axes(experiment, algorithm)
+    chosen = _chosen(experiment, algorithm, dataset)
+    try:
+        assigned = algorithm.assign(dataset, chosen)
+        check_known(algorithm, dataset, assigned, [parameter.key for _, parameter in parameters])
+    except InvalidInput as error:
+        raise at(experiment.datasets.place, error) from None
+    steps = tuple(
+        BoundStep(step, sensors, {axis.option: axis.name for axis in step.options})
+        for step in experiment.steps
+        if (sensors := _sensors(experiment, view, step, (algorithm, dataset, assigned)))
+    )
+    axes: dict[str, BoundAxis] = {}
+    for step in steps:
+        axes.update({axis.name: BoundAxis(axis.values, axis.place) for axis in step.declaration.options})
+    for axis, parameter in parameters:
+        axes[axis.name] = BoundAxis(axis.values, axis.place, parameter)
+    modes = tuple(mode.value for mode in experiment.playback.modes)
+    axes[PLAYBACK_MODE] = BoundAxis(modes, experiment.place)
+    axes[PLAYBACK_RATE] = BoundAxis(experiment.playback.rates, experiment.place)
+    return ParameterPair(
+        algorithm=algorithm,
+        dataset=dataset,
+        groups=tuple(_groups(experiment, axes)),
+        parameters={axis.name: parameter.key for axis, parameter in parameters},
+        steps=steps,
+        fixed=_fixed(algorithm, dataset),
+        aliases=_aliases(steps, parameters),
+        rules=view.steps,
+        variants=shared.setdefault(_treatment(dataset, steps), {}),
+        sensors=chosen,
+        map=_map(experiment, view, algorithm),
+    )
+
+
+def _map(experiment: Experiment, view: CatalogueView, algorithm: Algorithm) -> InputMap | None:
+    if experiment.map is None:
+        return None
+    try:
+        return view.find_map(experiment.map, algorithm)
+    except SlamHiveError as error:
+        raise at(experiment.place, error) from None
+
+
+def _chosen(experiment: Experiment, algorithm: Algorithm, dataset: Dataset) -> Chosen:
+    """The choice of sensors that applies to ``algorithm``; raises errors that name the place."""
+    roles = {entry.role for entry in algorithm.inputs}
+    choices = [choice for choice in experiment.sensors if choice.role in roles]
+    if not choices:
+        return BY_RULE
+    try:
+        return algorithm.stated_choice(dataset, {choice.role: choice.sensor for choice in choices})
+    except SlamHiveError as error:
+        raise at(choices[0].place, error) from None
+
+
+def _treatment(dataset: Dataset, steps: Sequence[BoundStep]) -> tuple[object, ...]:
+    treated = ((step.declaration.name, tuple(sensor.name for sensor in step.sensors)) for step in steps)
+    return (dataset.name, *treated)
+
+
+def _fixed(algorithm: Algorithm, dataset: Dataset) -> dict[str, Value]:
+    fixed: dict[str, Value] = {"algorithm": algorithm.label, "dataset": dataset.name}
+    defaults = default_values(algorithm.parameters)
+    for parameter in algorithm.parameters:
+        if parameter.key not in defaults:
+            continue
+        fixed[parameter.key] = defaults[parameter.key]
+        if parameter.general is not None:
+            fixed[parameter.general] = defaults[parameter.key]
+    return fixed
+
+
+def _aliases(steps: Sequence[BoundStep], parameters: Sequence[tuple[ExperimentAxis, Parameter]]) -> dict[str, str]:
+    aliases: dict[str, str] = {}
+    for axis, parameter in parameters:
+        aliases[parameter.key] = axis.name
+        if parameter.general is not None:
+            aliases[parameter.general] = axis.name
+    for step in steps:
+        aliases.update({f"{step.declaration.name}.{option}": name for option, name in step.options.items()})
+    return {alias: name for alias, name in aliases.items() if alias != name}
+
+
+def _sensors(
+    experiment: Experiment,
+    view: CatalogueView,
+    step: StepDeclaration,
+    pair: tuple[Algorithm, Dataset, Mapping[str, Sensor]],
+) -> tuple[Sensor, ...]:
+    """The sensors that a step treats on this dataset, each once and in the dataset's order."""
+    algorithm, dataset, assigned = pair
+    heard = {entry.kind for entry in algorithm.inputs}
+    chosen: set[str] = set()
+    for word in step.sensors:
+        named = [sensor.name for sensor in dataset.sensors if word in (sensor.name, sensor.topic)]
+        if word in _KINDS:
+            kinds = heard.intersection(_KINDS[word])
+            chosen.update(sensor.name for sensor in dataset.sensors if sensor.kind in kinds)
+        elif word in assigned:
+            chosen.add(assigned[word].name)
+        elif named:
+            chosen.update(named)
+        elif word not in _roles(experiment, view):
+            known = [*_KINDS, *_roles(experiment, view), *(sensor.name for sensor in dataset.sensors)]
+            known += [sensor.topic for sensor in dataset.sensors]
+            raise at(step.place, unknown(f"sensor or topic of dataset {dataset.name}", word, known))
+    return tuple(sensor for sensor in dataset.sensors if sensor.name in chosen)
+
+
+def _roles(experiment: Experiment, view: CatalogueView) -> set[str]:
+    names = [str(name) for name in experiment.algorithms.values]
+    return {entry.role for name in names for entry in view.algorithms[name].inputs}
+
+
+def _parameter_axes(experiment: Experiment, algorithm: Algorithm) -> list[tuple[ExperimentAxis, Parameter]]:
+    bound: list[tuple[ExperimentAxis, Parameter]] = []
+    taken: dict[str, ExperimentAxis] = {}
+    for axis in experiment.parameters:
+        if axis.algorithm not in (None, algorithm.name, algorithm.label):
+            continue
+        parameter = find_parameter(algorithm.parameters, axis.key)
+        if parameter is None:
+            continue
+        if parameter.key in taken:
+            raise InvalidInput(
+                f"{axis.place}: {taken[parameter.key].name} and {axis.name} both set {parameter.key} of "
+                f"{algorithm.name}",
+                "keep one of them",
+            )
+        taken[parameter.key] = axis
+        bound.append((axis, parameter))
+    return bound
+
+
+def _groups(experiment: Experiment, axes: Mapping[str, BoundAxis]) -> Iterator[AxisGroup]:
+    """Axes in order; a linked set takes the place of its first axis."""
+    done: set[str] = set()
+    for name in axes:
+        if name in done:
+            continue
+        link = next((link for link in experiment.links if name in link.axes), None)
+        names = (name,) if link is None else tuple(entry for entry in link.axes if entry in axes)
+        done.update(names)
+        yield AxisGroup({entry: axes[entry] for entry in names})

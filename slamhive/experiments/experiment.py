@@ -1,0 +1,185 @@
+"""An experiment as typed values, before it is bound to algorithms and datasets."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+
+from slamhive.base.strict_yaml import YamlPlace
+from slamhive.documents.limits import Limits, StopWhen
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.parameters import Value
+from slamhive.domain.protocol import Alignment
+from slamhive.experiments.condition import CombinationCondition
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentAxis:
+    """One thing that takes several values (or a single one)."""
+
+    name: str
+    values: tuple[Value, ...]
+    place: YamlPlace
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterAxis(ExperimentAxis):
+    """Values of an algorithm parameter, named by its key or its general name.
+
+    With ``algorithm`` None it holds for every algorithm of the experiment that knows the name.
+    """
+
+    key: str
+    algorithm: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StepOption(ExperimentAxis):
+    """Values of one option of a step.
+
+    The axis bears the name of the step if it is the only option that varies, ``<step>.<option>`` otherwise.
+    """
+
+    option: str
+
+
+@dataclass(frozen=True, slots=True)
+class StepDeclaration:
+    """A pre-processing step under a name that the user chose; each option is an axis.
+
+    ``sensors`` name sensor kinds (``camera``, ``image`` for cameras and depth cameras ...), roles of the algorithm
+    (``left``), sensors or topics of the dataset.
+    """
+
+    name: str
+    kind: str
+    sensors: tuple[str, ...]
+    options: tuple[StepOption, ...]
+    place: YamlPlace
+
+    @property
+    def blame(self) -> YamlPlace:
+        """The place to name when its options do not fit a sensor."""
+        return self.options[0].place if len(self.options) == 1 else self.place
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """Axes that change together, value by value. ``equal``: all have the same values (a tie)."""
+
+    axes: tuple[str, ...]
+    equal: bool
+    place: YamlPlace
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """A condition that a combination must meet, as it was written."""
+
+    condition: CombinationCondition
+    text: str
+    place: YamlPlace
+
+
+@dataclass(frozen=True, slots=True)
+class SensorChoice:
+    """The sensor for a role, in all algorithms that have it."""
+
+    role: str
+    sensor: str
+    place: YamlPlace
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationChoice:
+    """Whether runs are evaluated, and how; ``alignment`` None means that it is chosen from the sensors."""
+
+    enabled: bool = True
+    alignment: Alignment | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlaybackAxes:
+    """How the recordings are fed; both may vary."""
+
+    modes: tuple[PlaybackMode, ...] = (PlaybackMode.REALTIME,)
+    rates: tuple[float, ...] = (1.0,)
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """The content of an experiment file.
+
+    ``repeat_disturbed``: how often a run is repeated at most because it was measured on a disturbed machine.
+    ``same_cpu``: all runs are measured on one CPU model.
+    The combinations are algorithms x datasets x steps x parameters x playback, each of them run with every seed,
+    ``repeats`` times. ``algorithms`` and ``datasets`` are axes of names. ``map`` is the number or uid of the run whose
+    map all runs start with.
+    """
+
+    name: str
+    algorithms: ExperimentAxis
+    datasets: ExperimentAxis
+    place: YamlPlace
+    description: str = ""
+    parameters: tuple[ParameterAxis, ...] = ()
+    steps: tuple[StepDeclaration, ...] = ()
+    links: tuple[Link, ...] = ()
+    where: tuple[Where, ...] = ()
+    seeds: tuple[int, ...] = (0,)
+    repeats: int = 1
+    playback: PlaybackAxes = field(default_factory=PlaybackAxes)
+    stop_when: StopWhen = field(default_factory=StopWhen)
+    limits: Limits = field(default_factory=Limits)
+    evaluation: EvaluationChoice = field(default_factory=EvaluationChoice)
+    executor: str | None = None
+    priority: int = 0
+    repeat_disturbed: int = 0
+    same_cpu: bool = True
+    sensors: tuple[SensorChoice, ...] = ()
+    map: str | None = None
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 over what is stated: places and comments in the file do not count, the order of axes does."""
+        return _hash(_content(self))
+
+    def has_hash(self, content_hash: str) -> bool:
+        """Whether ``content_hash`` was taken of the same content, now or when files were read as YAML 1.1."""
+        return content_hash in {self.content_hash, _hash(_content(self, yaml_1_1=True))}
+
+
+_LATER: tuple[tuple[str, object], ...] = (
+    ("repeat_disturbed", 0),
+    ("same_cpu", True),
+    ("sensors", ()),
+    ("map", None),
+)
+"""Fields that came later, at their defaults: experiments that were stored before keep their hash."""
+
+
+_TRUTH_IN_YAML_1_1 = {"yes": True, "on": True, "no": False, "off": False}
+
+
+def _hash(content: object) -> str:
+    return hashlib.sha256(json.dumps(content, allow_nan=False).encode()).hexdigest()
+
+
+def _content(value: object, *, yaml_1_1: bool = False) -> object:
+    """``value`` as JSON without the places; numbers keep their type, since 1 and 1.0 are two values.
+
+    With ``yaml_1_1`` the values of axes are those that an experiment stored by an earlier version had.
+    """
+    if isinstance(value, Where):
+        return value.text
+    if yaml_1_1 and isinstance(value, ExperimentAxis):
+        values = tuple(_TRUTH_IN_YAML_1_1.get(str(entry).lower(), entry) for entry in value.values)
+        return _content(replace(value, values=values))
+    if is_dataclass(value):
+        parts = ((entry.name, getattr(value, entry.name)) for entry in fields(value))
+        parts = ((name, part) for name, part in parts if (name, part) not in _LATER)
+        return {name: _content(part, yaml_1_1=yaml_1_1) for name, part in parts if not isinstance(part, YamlPlace)}
+    if isinstance(value, tuple):
+        return [_content(part, yaml_1_1=yaml_1_1) for part in value]
+    return value if value is None else [type(value).__name__, str(value)]

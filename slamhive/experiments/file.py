@@ -1,0 +1,344 @@
+"""``experiment.yaml`` to :class:`~slamhive.experiments.experiment.Experiment`; every mistake names file and line."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PlainValidator,
+    Tag,
+    ValidationError,
+    WithJsonSchema,
+)
+
+from slamhive.base import strict_yaml
+from slamhive.base.errors import InvalidInput
+from slamhive.documents.limits import NEVER, Limits, StopWhen
+from slamhive.documents.submission import (
+    MAX_REPEATS,
+    OPTIONS,
+    Executor,
+    Priority,
+    RepeatDisturbed,
+    RequestedAlignment,
+    SameCpu,
+    StartingMap,
+)
+from slamhive.documents.validation import PLAIN, SECTION, explained, first_problem_at
+from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.names import NAME_PATTERN, check_name
+from slamhive.domain.parameters import Value
+from slamhive.experiments.condition import parse_condition
+from slamhive.experiments.experiment import (
+    EvaluationChoice,
+    Experiment,
+    ExperimentAxis,
+    Link,
+    ParameterAxis,
+    PlaybackAxes,
+    SensorChoice,
+    StepDeclaration,
+    StepOption,
+    Where,
+)
+from slamhive.experiments.values import check_distinct, parse_values
+
+# The structure of ``experiment.yaml``, from which its JSON Schema is generated.
+
+
+_SEED, _RATE = OPTIONS["seed"], OPTIONS["playback_rate"]
+_NAME = re.compile(NAME_PATTERN)
+
+_SCALAR_SCHEMA: dict[str, Any] = {"type": ["number", "string", "boolean"]}
+_MATRIX_SCHEMA: dict[str, Any] = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+_VALUES_SCHEMA: dict[str, Any] = {
+    "description": "One value, a | b | c, first:last:step, lin(first, last, n), log(first, last, n), or a list.",
+    "anyOf": [
+        _SCALAR_SCHEMA,
+        {"type": "array", "items": {"anyOf": [_SCALAR_SCHEMA, _MATRIX_SCHEMA]}, "minItems": 1},
+    ],
+}
+_WORDS_SCHEMA: dict[str, Any] = {
+    "description": "One name, 'a | b | c', or a list of names.",
+    "anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}, "minItems": 1}],
+}
+
+
+def _values(raw: object) -> tuple[Value, ...]:
+    try:
+        values = parse_values(raw)
+        check_distinct(values)
+    except InvalidInput as error:
+        raise explained(error) from None
+    return values
+
+
+def _words(raw: object) -> tuple[str, ...]:
+    words = [word.strip() for word in raw.split("|")] if isinstance(raw, str) else raw
+    if not isinstance(words, list) or not words or not all(isinstance(word, str) and word for word in words):
+        raise explained(
+            InvalidInput(f"expected names, found {raw!r}; write 'a | b' or a list, names of digits in quotes")
+        )
+    if len(set(words)) < len(words):
+        raise explained(InvalidInput(f"a name is given twice in {raw!r}"))
+    return tuple(words)
+
+
+def _seeds(values: tuple[Value, ...]) -> tuple[int, ...]:
+    seeds = tuple(value for value in values if type(value) is int and _SEED.allows(value))
+    if len(seeds) < len(values):
+        raise explained(InvalidInput(f"seeds are integers from {_SEED.expectation}, found {list(values)}"))
+    return seeds
+
+
+def _rates(values: tuple[Value, ...]) -> tuple[float, ...]:
+    rates = tuple(float(value) for value in values if isinstance(value, int | float) and _RATE.allows(value))
+    if len(rates) < len(values):
+        raise explained(InvalidInput(f"playback rates are numbers from {_RATE.expectation}, found {list(values)}"))
+    return rates
+
+
+def _modes(words: tuple[str, ...]) -> tuple[PlaybackMode, ...]:
+    for word in words:
+        if word not in set(PlaybackMode):
+            raise explained(InvalidInput(f"{word!r} is none of {', '.join(PlaybackMode)}"))
+    return tuple(PlaybackMode(word) for word in words)
+
+
+def _conditions(raw: object) -> tuple[str, ...]:
+    texts = [raw] if isinstance(raw, str) else raw
+    if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
+        raise explained(InvalidInput(f"expected a condition or a list of conditions, found {raw!r}"))
+    return tuple(texts)
+
+
+def _condition_text(texts: tuple[str, ...]) -> tuple[str, ...]:
+    for text in texts:
+        try:
+            parse_condition(text)
+        except InvalidInput as error:
+            raise explained(error) from None
+    return texts
+
+
+def _experiment_name(name: str) -> str:
+    try:
+        return check_name("experiment", name)
+    except InvalidInput as error:
+        raise explained(error) from None
+
+
+def _axis_name(name: str) -> str:
+    if not _NAME.fullmatch(name):
+        raise explained(
+            InvalidInput(f"{name!r} is not a name; use letters, digits, '_', '.' and '-', the first a letter or digit")
+        )
+    return name
+
+
+Values = Annotated[Any, PlainValidator(_values), WithJsonSchema(_VALUES_SCHEMA)]
+Words = Annotated[Any, PlainValidator(_words), WithJsonSchema(_WORDS_SCHEMA)]
+Seeds = Annotated[Any, PlainValidator(_values), AfterValidator(_seeds), WithJsonSchema(_VALUES_SCHEMA)]
+Rates = Annotated[Any, PlainValidator(_values), AfterValidator(_rates), WithJsonSchema(_VALUES_SCHEMA)]
+Modes = Annotated[Any, PlainValidator(_words), AfterValidator(_modes), WithJsonSchema(_WORDS_SCHEMA)]
+Conditions = Annotated[Any, PlainValidator(_conditions), AfterValidator(_condition_text), WithJsonSchema(_WORDS_SCHEMA)]
+AxisName = Annotated[str, AfterValidator(_axis_name)]
+
+
+def _shape(raw: object) -> str:
+    return SECTION if isinstance(raw, dict | BaseModel) else PLAIN
+
+
+ValuesOrSection = Annotated[
+    Annotated[Values, Tag(PLAIN)] | Annotated[dict[AxisName, Values], Tag(SECTION)], Discriminator(_shape)
+]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, defer_build=True)
+
+
+class StepModel(_Model):
+    """A pre-processing step; every further key is an option of it, and may take several values."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Values] = Field(init=False)
+    step: str = Field(description="The kind of step: rate, resolution, noise_gaussian ...")
+    sensors: Words = Field(
+        description="Kinds (camera, depth, image for both, imu, lidar), roles (left), sensors (cam0) or topics."
+    )
+
+
+class PlaybackModel(_Model):
+    """How the recording is fed."""
+
+    mode: Modes = Field(default=(PlaybackMode.REALTIME,), description="realtime, sequential, or both.")
+    rate: Rates = Field(default=(1.0,), description="Times real time.")
+
+
+class EvaluateModel(_Model):
+    """How runs are evaluated."""
+
+    alignment: RequestedAlignment = None
+
+
+SwitchOrEvaluate = Annotated[
+    Annotated[bool, Tag(PLAIN)] | Annotated[EvaluateModel, Tag(SECTION)], Discriminator(_shape)
+]
+
+
+class DatasetsWhere(_Model):
+    """Datasets that a filter describes, instead of their names."""
+
+    where: str = Field(min_length=1, description="A filter, such as: indoor and sensor = stereo.")
+
+
+WordsOrWhere = Annotated[Annotated[Words, Tag(PLAIN)] | Annotated[DatasetsWhere, Tag(SECTION)], Discriminator(_shape)]
+
+
+class ExperimentModel(_Model):
+    """An experiment: what is combined with what. Every combination becomes one configuration."""
+
+    model_config = ConfigDict(title="SLAM Hive experiment")
+    format: Literal[1] = 1
+    name: Annotated[str, AfterValidator(_experiment_name)] = Field(
+        description="Also the beginning of every configuration's name.",
+        json_schema_extra={"pattern": rf"^{NAME_PATTERN}$"},
+    )
+    description: str = ""
+    algorithms: Words
+    datasets: WordsOrWhere
+    steps: dict[AxisName, StepModel] = Field(
+        default_factory=dict, description="Pre-processing in the order of application, each under a name of yours."
+    )
+    parameters: dict[AxisName, ValuesOrSection] = Field(
+        default_factory=dict,
+        description="By key or general name, for each algorithm that knows it; below an algorithm's name for it alone.",
+    )
+    sensors: dict[str, str] = Field(
+        default_factory=dict,
+        description="The sensor for a role where several fit (left: cam2), for each algorithm that has the role.",
+    )
+    linked: list[list[str]] = Field(default_factory=list, description="Lists of axes whose values move together.")
+    tied: list[list[str]] = Field(default_factory=list, description="Lists of axes that always have the same value.")
+    where: Conditions = Field(default=(), description="Conditions that every combination must meet.")
+    seeds: Seeds = Field(default=(0,), description="Each configuration is run with each seed.")
+    repeats: int = Field(default=1, ge=1, le=MAX_REPEATS, description="How often, with each seed.")
+    repeat_disturbed: RepeatDisturbed = 0
+    same_cpu: SameCpu = True
+    playback: PlaybackModel = Field(default_factory=PlaybackModel)
+    map: StartingMap = None
+    stop_when: StopWhen = NEVER
+    limits: Limits = Limits()
+    evaluate: SwitchOrEvaluate = Field(default=True, description="false leaves the evaluation to you.")
+    executor: Executor = None
+    priority: Priority = 0
+
+
+def parse_experiment(text: str, source: str = "experiment.yaml") -> Experiment:
+    """Parse an experiment.
+
+    Args:
+        text: The YAML.
+        source: What to call it in messages, usually the path.
+
+    Raises:
+        InvalidInput: naming source, line and what is wrong. Names are not looked up here; see
+            :func:`slamhive.experiments.expansion.count`.
+    """
+    content, lines = strict_yaml.parse_with_lines(text, source)
+    places = strict_yaml.Places(source, lines)
+    try:
+        model = ExperimentModel.model_validate(content)
+    except ValidationError as error:
+        path, problem = first_problem_at(error, ExperimentModel)
+        raise InvalidInput(f"{places.of(*path)}: {problem}") from None
+    return _experiment(model, places)
+
+
+def experiment_schema() -> str:
+    """The JSON Schema of ``experiment.yaml``, as ``docs/schemas/experiment.schema.json`` holds it."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **ExperimentModel.model_json_schema()}
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
+
+
+def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experiment:
+    evaluate = model.evaluate
+    return Experiment(
+        name=model.name,
+        description=model.description,
+        place=places.of("name"),
+        algorithms=ExperimentAxis("algorithm", model.algorithms, places.of("algorithms")),
+        datasets=ExperimentAxis("dataset", _names(model.datasets), places.of("datasets")),
+        steps=tuple(_step(name, step, places) for name, step in model.steps.items()),
+        parameters=tuple(_parameters(model.parameters, places)),
+        links=(*_links("linked", model.linked, places), *_links("tied", model.tied, places)),
+        where=tuple(
+            Where(parse_condition(text), text, places.of("where", index)) for index, text in enumerate(model.where)
+        ),
+        seeds=model.seeds,
+        repeats=model.repeats,
+        repeat_disturbed=model.repeat_disturbed,
+        same_cpu=model.same_cpu,
+        map=model.map,
+        playback=PlaybackAxes(model.playback.mode, model.playback.rate),
+        stop_when=model.stop_when,
+        limits=model.limits,
+        evaluation=EvaluationChoice(alignment=evaluate.alignment)
+        if isinstance(evaluate, EvaluateModel)
+        else EvaluationChoice(enabled=evaluate),
+        executor=model.executor,
+        priority=model.priority,
+        sensors=tuple(SensorChoice(role, name, places.of("sensors", role)) for role, name in model.sensors.items()),
+    )
+
+
+def _names(datasets: tuple[str, ...] | DatasetsWhere) -> tuple[str, ...]:
+    """No names for a filter, which :func:`slamhive.experiments.check.name_datasets` replaces by names."""
+    return () if isinstance(datasets, DatasetsWhere) else datasets
+
+
+def _step(name: str, model: StepModel, places: strict_yaml.Places) -> StepDeclaration:
+    options: Mapping[str, Any] = model.__pydantic_extra__ or {}
+    varied = [option for option, values in options.items() if len(values) > 1]
+    alone = varied if len(varied) == 1 else list(options) if len(options) == 1 else []
+    return StepDeclaration(
+        name=name,
+        kind=model.step,
+        sensors=model.sensors,
+        options=tuple(
+            StepOption(
+                name=name if option in alone else f"{name}.{option}",
+                values=values,
+                place=places.of("steps", name, option),
+                option=option,
+            )
+            for option, values in options.items()
+        ),
+        place=places.of("steps", name),
+    )
+
+
+def _parameters(parameters: Mapping[str, Any], places: strict_yaml.Places) -> Iterator[ParameterAxis]:
+    for key, values in parameters.items():
+        if not isinstance(values, dict):
+            yield ParameterAxis(key, values, places.of("parameters", key), key)
+            continue
+        for own, own_values in values.items():
+            yield ParameterAxis(f"{key}.{own}", own_values, places.of("parameters", key, own), own, algorithm=key)
+
+
+def _links(section: str, entries: Sequence[Sequence[str]], places: strict_yaml.Places) -> Iterator[Link]:
+    for index, names in enumerate(entries):
+        place = places.of(section, index)
+        if len(names) < 2:
+            raise InvalidInput(f"{place}: {section} needs two axes or more, found {list(names)}")
+        yield Link(tuple(names), section == "tied", place)

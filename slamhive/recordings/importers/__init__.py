@@ -1,0 +1,1 @@
+"""Importers: one module a format, registered in ``registry``, and their common parts."""

@@ -1,0 +1,271 @@
+"""What is known of the sensors of a recording before their messages are read: from files and from topics."""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slamhive.base.errors import InvalidInput
+from slamhive.domain.calibration import COEFFICIENTS, TIME_OFFSET, CameraIntrinsics, CameraModel, ImuNoise
+from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind
+from slamhive.packages.dataset_file import load_sensors
+from slamhive.recordings.calibration_file import CalibrationFile, read_calibration_file
+from slamhive.recordings.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class KnownSensor:
+    """One sensor of a calibration.
+
+    Attributes:
+        name: What the calibration calls it.
+        kind: What it measures.
+        topic: Where its messages are, empty if the calibration does not say.
+        frame: What transforms call it; several files may have a ``cam0``.
+        intrinsics: Of a camera.
+        noise: Of an IMU.
+        more: Further keys of ``dataset.yaml``.
+    """
+
+    name: str
+    kind: SensorKind
+    topic: str
+    frame: str
+    intrinsics: CameraIntrinsics | None = None
+    noise: ImuNoise | None = None
+    more: dict[str, CalibrationValue] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
+class KnownCalibration:
+    """Sensors, and transforms ``(parent, child, T_parent_child)`` between their frames; ``body`` is the body frame.
+
+    ``notes`` say what was not read.
+    """
+
+    sensors: list[KnownSensor] = field(default_factory=list)
+    transforms: list[tuple[str, str, Array]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+# Where frames are relative to each other: rigid transforms between pairs of them, joined along the shortest path.
+
+
+class FrameGraph:
+    """Frames by name, and the transforms between them that are known."""
+
+    def __init__(self) -> None:
+        self._neighbours: dict[str, dict[str, Array]] = {}
+
+    def add(self, parent: str, child: str, T_parent_child: Array) -> None:
+        """Add ``T_parent_child`` (4, 4); the first one that is known of a pair counts."""
+        if child not in self._neighbours.get(parent, {}):
+            self._neighbours.setdefault(parent, {})[child] = T_parent_child
+            self._neighbours.setdefault(child, {})[parent] = inverse(T_parent_child)
+
+    def edges(self) -> Iterator[tuple[str, str, Array]]:
+        """All transforms: parent, child, ``T_parent_child`` (4, 4); each pair in both directions."""
+        for parent, children in self._neighbours.items():
+            for child, T_parent_child in children.items():
+                yield parent, child, T_parent_child
+
+    def __contains__(self, frame: str) -> bool:
+        return frame in self._neighbours
+
+    def find(self, parent: str, child: str) -> Array | None:
+        """``T_parent_child`` (4, 4), or None if nothing connects the two."""
+        found = {parent: np.eye(4)}
+        waiting = deque([parent])
+        while waiting and child not in found:
+            frame = waiting.popleft()
+            for other, T_frame_other in self._neighbours.get(frame, {}).items():
+                if other not in found:
+                    found[other] = found[frame] @ T_frame_other
+                    waiting.append(other)
+        return found.get(child)
+
+
+def inverse(T: Array) -> Array:
+    """The inverse of a rigid transform (4, 4)."""
+    R, t = T[:3, :3], T[:3, 3]
+    result = np.eye(4)
+    result[:3, :3] = R.T
+    result[:3, 3] = -R.T @ t
+    return result
+
+
+# Calibration files of Kalibr (Furgale, Rehder, Siegwart, IROS 2013): ``camchain.yaml``, ``camchain-imucam.yaml``,
+# ``imu.yaml``.
+#
+# https://github.com/ethz-asl/kalibr/wiki/yaml-formats describes them.
+
+
+_MODELS: dict[tuple[str, str], CameraModel] = {
+    ("pinhole", "radtan"): CameraModel.PINHOLE_RADTAN,
+    ("pinhole", "equidistant"): CameraModel.PINHOLE_EQUIDISTANT,
+    ("pinhole", "equi"): CameraModel.PINHOLE_EQUIDISTANT,
+    ("pinhole", "none"): CameraModel.PINHOLE,
+    ("ds", "none"): CameraModel.DOUBLE_SPHERE,
+}
+_MOST_SHIFT_S = 10.0
+_CAMERA_KEYS = frozenset(
+    {
+        *("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution", "rostopic"),
+        *("T_cam_imu", "T_imu_cam", "T_cn_cnm1", "timeshift_cam_imu", "cam_overlaps"),
+    }
+)
+_IMU_KEYS = frozenset({*ImuNoise.__slots__, "T_i_b", "rostopic", "update_rate", "model"})
+"""Other keys may change the result, such as the scales of an IMU, or the time in which a line is read out."""
+_CAMERA, _IMU, _SENSOR = re.compile(r"cam\d+"), re.compile(r"imu\d+"), re.compile(r"(cam|imu)\d+")
+
+
+def is_kalibr(content: Mapping[str, Any]) -> bool:
+    """Whether a YAML file is one of Kalibr's."""
+    return "accelerometer_noise_density" in content or any(_SENSOR.fullmatch(key) for key in content)
+
+
+def read_kalibr(path: Path, content: Mapping[str, Any]) -> KnownCalibration:
+    """The cameras and IMUs of one file of Kalibr's; raises InvalidInput naming the file and the field."""
+    known = KnownCalibration()
+    entries = {"imu0": content} if "accelerometer_noise_density" in content else content
+    for name, entry in entries.items():
+        part = CalibrationFile(f"{path}: {name}", entry if isinstance(entry, dict) else {})
+        if _CAMERA.fullmatch(name):
+            _add_camera(known, path, name, part)
+            _name_unread(known, path, name, part, _CAMERA_KEYS)
+        elif _IMU.fullmatch(name):
+            _add_imu(known, name, part)
+            _name_unread(known, path, name, part, _IMU_KEYS)
+        else:
+            known.notes.append(f"{name} of {path.name} is not read")
+    return known
+
+
+def _name_unread(known: KnownCalibration, path: Path, name: str, entry: CalibrationFile, read: frozenset[str]) -> None:
+    """Note the keys of a sensor that are not read. A time offset of 0 says nothing."""
+    unread = [
+        str(key) for key, value in entry.content.items() if key not in read and (key, value) != ("time_offset", 0)
+    ]
+    if unread:
+        are = "is" if len(unread) == 1 else "are"
+        known.notes.append(f"{', '.join(unread)} of {name} in {path.name} {are} not read")
+
+
+def _add_camera(known: KnownCalibration, path: Path, name: str, entry: CalibrationFile) -> None:
+    frame = f"{path}:{name}"
+    shift_s = entry.optional("timeshift_cam_imu")
+    if shift_s is not None and abs(shift_s) > _MOST_SHIFT_S:
+        raise InvalidInput(f"{entry.name}: timeshift_cam_imu is {shift_s:g} s", "expected seconds, -10 to 10")
+    more: dict[str, CalibrationValue] = {TIME_OFFSET: shift_s} if shift_s else {}
+    intrinsics = _intrinsics(entry)
+    known.sensors.append(KnownSensor(name, SensorKind.CAMERA, entry.word("rostopic", ""), frame, intrinsics, more=more))
+    T_cam_imu, T_imu_cam = _transform(entry, "T_cam_imu"), _transform(entry, "T_imu_cam")
+    if T_cam_imu is not None:
+        T_imu_cam = inverse(T_cam_imu)
+    if T_imu_cam is not None:
+        known.transforms.append(("imu0", frame, T_imu_cam))
+    T_cam_previous = _transform(entry, "T_cn_cnm1")
+    if T_cam_previous is not None:
+        known.transforms.append((f"{path}:cam{int(name[3:]) - 1}", frame, inverse(T_cam_previous)))
+
+
+def _intrinsics(entry: CalibrationFile) -> CameraIntrinsics:
+    kind, distortion = entry.word("camera_model"), entry.word("distortion_model", "none")
+    if (kind, distortion) not in _MODELS:
+        known = ", ".join(f"{first} with {second}" for first, second in _MODELS)
+        raise InvalidInput(
+            f"{entry.name}: camera model {kind} with distortion {distortion} is not read", f"known: {known}"
+        )
+    model = _MODELS[kind, distortion]
+    width, height = entry.size("resolution")
+    if model is CameraModel.DOUBLE_SPHERE:
+        xi, alpha, fx, fy, cx, cy = entry.numbers("intrinsics", 6)
+        coefficients: tuple[float, ...] = (xi, alpha)
+    else:
+        fx, fy, cx, cy = entry.numbers("intrinsics", 4)
+        coefficients = () if distortion == "none" else entry.numbers("distortion_coeffs")
+    if len(coefficients) not in COEFFICIENTS[model]:
+        raise InvalidInput(f"{entry.name}: {len(coefficients)} distortion_coeffs do not fit {distortion}")
+    return CameraIntrinsics(width, height, fx, fy, cx, cy, model, coefficients)
+
+
+def _add_imu(known: KnownCalibration, name: str, entry: CalibrationFile) -> None:
+    noise = ImuNoise(**{key: entry.optional(key) for key in ImuNoise.__slots__})
+    known.sensors.append(KnownSensor(name, SensorKind.IMU, entry.word("rostopic", ""), name, noise=noise))
+    T_imu_body = _transform(entry, "T_i_b")
+    if T_imu_body is not None and name != "imu0":
+        known.transforms.append((name, "imu0", T_imu_body))
+
+
+def _transform(entry: CalibrationFile, key: str) -> Array | None:
+    return entry.rigid(key) if key in entry.content else None
+
+
+# Calibration files that users give: those of Kalibr, and ``dataset.yaml``.
+
+
+BODY = "body"
+_CAMERAS = {SensorKind.CAMERA, SensorKind.DEPTH}
+
+
+def read_calibrations(paths: Sequence[Path]) -> KnownCalibration:
+    """All that the files say; raises InvalidInput naming the file that is none, or that says something twice."""
+    known = KnownCalibration()
+    owners: dict[tuple[SensorKind, str], Path] = {}
+    for path in paths:
+        found = read_calibration(path)
+        for sensor in found.sensors:
+            earlier = owners.setdefault((sensor.kind, sensor.topic or sensor.name), path)
+            if earlier != path:
+                raise InvalidInput(f"{earlier} and {path} both calibrate {sensor.name}", "give one of them")
+        known.sensors += found.sensors
+        known.transforms += found.transforms
+        known.notes += found.notes
+    return known
+
+
+def read_calibration(path: Path) -> KnownCalibration:
+    """What one file says; raises InvalidInput, or NotFound if there is no such file."""
+    content = read_calibration_file(path).content
+    if isinstance(content.get("sensors"), list):
+        return _of_sensors(load_sensors(path))
+    if is_kalibr(content):
+        return read_kalibr(path, content)
+    raise InvalidInput(
+        f"{path} is no calibration that is read",
+        "expected Kalibr's camchain.yaml (cam0: ...) or imu.yaml, or a dataset.yaml (sensors: ...)",
+    )
+
+
+def _of_sensors(sensors: Sequence[Sensor]) -> KnownCalibration:
+    known = KnownCalibration()
+    for sensor in sensors:
+        intrinsics = CameraIntrinsics.of(sensor) if sensor.kind in _CAMERAS else None
+        noise = ImuNoise.of(sensor) if sensor.kind is SensorKind.IMU else None
+        known.sensors.append(
+            KnownSensor(
+                sensor.name, sensor.kind, sensor.topic, sensor.name, intrinsics, noise, dict(sensor.calibration)
+            )
+        )
+        known.transforms.append((BODY, sensor.name, np.array(sensor.T_body_sensor).reshape(4, 4)))
+    return known
+
+
+# The intrinsics that users give with ``--calibration`` for a recording of one camera.
+
+
+def given_camera(paths: tuple[Path, ...]) -> CameraIntrinsics | None:
+    """The intrinsics of the first camera in the files, None without files; raises InvalidInput."""
+    if not paths:
+        return None
+    for sensor in read_calibrations(paths).sensors:
+        if sensor.kind is SensorKind.CAMERA and sensor.intrinsics is not None:
+            return sensor.intrinsics
+    names = ", ".join(str(path) for path in paths)
+    raise InvalidInput(f"{names} has no camera", "give Kalibr's camchain.yaml (cam0: ...) or a dataset.yaml")

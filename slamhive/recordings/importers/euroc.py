@@ -1,0 +1,220 @@
+"""Importer of the ASL layout of EuRoC (Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016).
+
+TUM-VI's export in this layout (Schubert et al., "The TUM VI benchmark", IROS 2018) has fisheye cameras and ``mocap0``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slamhive.base.errors import InvalidInput
+from slamhive.domain.calibration import COEFFICIENTS, CameraIntrinsics, CameraModel, ImuNoise
+from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.recordings.calibration_file import CalibrationFile, read_calibration_file
+from slamhive.recordings.ground_truth import listed_truth, matched_truth, of_body, tum_truth
+from slamhive.recordings.importing import (
+    DatasetText,
+    Detection,
+    ImportOptions,
+    ImportPlan,
+    PlannedStream,
+    PlannedTruth,
+    rate_hz,
+)
+from slamhive.recordings.streams import image_stream, imu_stream
+from slamhive.recordings.text_lists import TimedList, read_timed_list
+from slamhive.trajectory.layout import TimeUnit
+
+ROOT, LIST, SENSOR_FILE = "mav0", "data.csv", "sensor.yaml"
+_ESTIMATE = "state_groundtruth_estimate0"
+_MEASURED = {
+    "vicon0": "motion capture (Vicon)",
+    "mocap0": "motion capture (OptiTrack)",
+    "leica0": "laser tracker (Leica MS50)",
+}
+_POSE = "timestamp [ns], p_x, p_y, p_z, q_w, q_x, q_y, q_z"
+_MODELS = {
+    "radial-tangential": CameraModel.PINHOLE_RADTAN,
+    "radtan": CameraModel.PINHOLE_RADTAN,
+    "equidistant": CameraModel.FISHEYE_KB,
+}
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A folder of the layout: its list and its calibration."""
+
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        return self.folder.name
+
+    def calibration(self) -> CalibrationFile:
+        return read_calibration_file(self.folder / SENSOR_FILE)
+
+    def rows(self, layout: str) -> TimedList:
+        return read_timed_list(self.folder / LIST, layout, TimeUnit.NS, columns=layout.count(",") + 1)
+
+
+class EurocImporter:
+    """Grey images, IMU samples and poses to a dataset. The body frame is that of the IMU.
+
+    Of several ground truths, the estimate of the authors is taken: ``state_groundtruth_estimate0``. A laser tracker
+    measures the positions of its prism, which are kept as they are.
+    """
+
+    title = "EuRoC (ASL) folder: mav0 with cam0, imu0 and others, each with data.csv and sensor.yaml"
+    options = frozenset({"groundtruth"})
+    refines: frozenset[str] = frozenset()
+
+    def detect(self, path: Path) -> Detection:
+        """The parts of ``mav0``, given itself or its parent."""
+        root = _root(path)
+        found = [f"{name}/{LIST}" for name in ("cam0", "imu0", *_truths()) if (root / name / LIST).is_file()]
+        return Detection(tuple(found), () if f"cam0/{LIST}" in found else (f"cam0/{LIST}",))
+
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
+        """What the folder becomes; raises InvalidInput naming the file, the line or key, and the remedy."""
+        root = _root(source)
+        cameras = [_Part(folder) for folder in sorted(root.glob("cam[0-9]")) if folder.is_dir()]
+        if not cameras:
+            raise InvalidInput(f"{source} is no EuRoC folder: it lacks cam0", "give the folder that contains mav0")
+        streams: list[PlannedStream] = []
+        notes: list[str] = []
+        for camera in cameras:
+            stream, remarks = _camera_stream(camera)
+            streams.append(stream)
+            notes.extend(remarks)
+        if (root / "imu0").is_dir():
+            stream, remarks = _imu_stream(_Part(root / "imu0"))
+            streams.append(stream)
+            notes.extend(remarks)
+        truth, remarks = _truth(root, options)
+        fisheye = any(stream.sensor.calibration.get("model") == CameraModel.FISHEYE_KB for stream in streams)
+        return ImportPlan(
+            tuple(streams),
+            truth,
+            _text(source, tum_vi=fisheye and (root / "mocap0").is_dir()),
+            notes=(*notes, *remarks, *matched_truth(truth, streams)),
+        )
+
+
+def _root(path: Path) -> Path:
+    return path / ROOT if (path / ROOT).is_dir() else path
+
+
+def _truths() -> tuple[str, ...]:
+    return (_ESTIMATE, *_MEASURED)
+
+
+def _camera_stream(part: _Part) -> tuple[PlannedStream, tuple[str, ...]]:
+    rows = part.rows("timestamp [ns], filename")
+    kept, paths = rows.files(part.folder / "data")
+    sensor = camera_sensor(part.name, part.calibration(), rate_hz(kept.times_ns))
+    return image_stream(sensor, kept.times_ns, paths), rows.notes(kept)
+
+
+def camera_sensor(name: str, calibration: CalibrationFile, rate: float) -> Sensor:
+    """The camera that a ``sensor.yaml`` describes, its images grey; raises InvalidInput."""
+    model_name = calibration.word("distortion_model")
+    if calibration.word("camera_model") != "pinhole" or model_name not in _MODELS:
+        found = f"{calibration.word('camera_model')} with {model_name}"
+        raise InvalidInput(
+            f"{calibration.name}: camera model {found} is unknown", f"use pinhole with {' or '.join(_MODELS)}"
+        )
+    model = _MODELS[model_name]
+    width, height = calibration.size("resolution")
+    fx, fy, cx, cy = calibration.numbers("intrinsics", 4)
+    if min(fx, fy) <= 0:
+        raise InvalidInput(f"{calibration.name}: focal lengths are {fx:g}, {fy:g}", "expected numbers above 0")
+    distortion = calibration.numbers("distortion_coefficients", *COEFFICIENTS[model])
+    intrinsics = CameraIntrinsics(width, height, fx, fy, cx, cy, model, distortion)
+    return Sensor(
+        name,
+        SensorKind.CAMERA,
+        f"/{name}/image_raw",
+        rate,
+        tuple(calibration.rigid("T_BS").reshape(-1).tolist()),
+        intrinsics.calibration("mono8"),
+    )
+
+
+def _imu_stream(part: _Part) -> tuple[PlannedStream, tuple[str, ...]]:
+    rows = part.rows("timestamp [ns], w_x, w_y, w_z [rad/s], a_x, a_y, a_z [m/s^2]")
+    calibration = part.calibration()
+    noise = ImuNoise(**{key: calibration.optional(key) for key in ImuNoise.__slots__})
+    T_body_imu = tuple(calibration.rigid("T_BS").reshape(-1).tolist())
+    sensor = Sensor(part.name, SensorKind.IMU, f"/{part.name}", rate_hz(rows.times_ns), T_body_imu, noise.calibration())
+    return imu_stream(sensor, rows.times_ns, rows.numbers(0, 6)), rows.notes()
+
+
+def _truth(root: Path, options: ImportOptions) -> tuple[PlannedTruth | None, tuple[str, ...]]:
+    present = [name for name in _truths() if (root / name / LIST).is_file()]
+    if options.groundtruth is not None:
+        others = f"; {', '.join(present)} of the folder is left out" if present else ""
+        truth = tum_truth(options.groundtruth, "", gravity_aligned=True)
+        return truth, (f"ground truth is {options.groundtruth}{others}",)
+    if not present:
+        return None, ()
+    if present[0] != _ESTIMATE and len(present) > 1:
+        raise InvalidInput(
+            f"{root} has several ground truths: {', '.join(present)}", "give the right one with --groundtruth FILE"
+        )
+    left_out = (f"ground truth is {present[0]}; {', '.join(present[1:])} is left out",) if present[1:] else ()
+    readers: dict[str, Callable[[_Part], tuple[PlannedTruth, tuple[str, ...]]]] = {
+        _ESTIMATE: _estimate,
+        "leica0": _prism,
+    }
+    truth, notes = readers.get(present[0], _motion_capture)(_Part(root / present[0]))
+    return truth, (*left_out, *notes)
+
+
+def _estimate(part: _Part) -> tuple[PlannedTruth, tuple[str, ...]]:
+    return _poses(part, "motion capture or laser tracker, with the IMU, by the authors' estimator"), ()
+
+
+def _motion_capture(part: _Part) -> tuple[PlannedTruth, tuple[str, ...]]:
+    """Poses of the markers; TUM-VI, which has no ``sensor.yaml`` here, states them for the IMU."""
+    truth = _poses(part, _MEASURED[part.name])
+    if not (part.folder / SENSOR_FILE).is_file():
+        return truth, (f"{part.name} has no {SENSOR_FILE}: its poses are taken as those of the IMU",)
+    return of_body(truth, np.linalg.inv(part.calibration().rigid("T_BS"))), ()
+
+
+def _prism(part: _Part) -> tuple[PlannedTruth, tuple[str, ...]]:
+    rows = part.rows("timestamp [ns], p_x, p_y, p_z")
+    truth = listed_truth(rows, None, _MEASURED[part.name], gravity_aligned=True)
+    offset_m = float(np.linalg.norm(part.calibration().rigid("T_BS")[:3, 3]))
+    return truth, (f"ground truth is the positions of a prism, {offset_m:.3f} m from the body",)
+
+
+def _poses(part: _Part, source: str) -> PlannedTruth:
+    rows = part.rows(_POSE)
+    return listed_truth(rows, np.roll(rows.numbers(3, 4), -1, axis=1), source, gravity_aligned=True)
+
+
+def _text(source: Path, *, tum_vi: bool) -> DatasetText:
+    resolved = source.resolve()
+    name = resolved.parent.name if resolved.name == ROOT else resolved.name
+    if tum_vi:
+        return DatasetText(
+            title=f"TUM VI, {name}",
+            description="Fisheye stereo and IMU; the body is the IMU.",
+            licence="CC BY 4.0",
+            citation="Schubert et al.: The TUM VI benchmark for evaluating visual-inertial odometry. IROS 2018",
+            source="https://cvg.cit.tum.de/data/datasets/visual-inertial-dataset",
+            attributes=("real", "handheld"),
+        )
+    return DatasetText(
+        title=f"EuRoC, {name}",
+        description="Cameras and IMU of a micro aerial vehicle; the body is the IMU.",
+        licence="see the terms of ETH Zürich's Autonomous Systems Lab",
+        citation="Burri et al.: The EuRoC micro aerial vehicle datasets. IJRR 2016",
+        source="https://projects.asl.ethz.ch/datasets/euroc-mav",
+        attributes=("real", "indoor", "drone"),
+    )

@@ -1,0 +1,157 @@
+"""Dataset importers: each turns recordings of one format into dataset folders.
+
+Importers of other packages come in through the entry-point group ``slamhive.dataset_importers``;
+``docs/extend/index.md`` shows one, and ``docs/dataset-format.md`` says what a dataset folder holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from slamhive.base.errors import InvalidInput
+from slamhive.base.registry import Registry, instances_of
+from slamhive.recordings.importers.carmen import CarmenImporter
+from slamhive.recordings.importers.euroc import EurocImporter
+from slamhive.recordings.importers.evalio import EvalioImporter
+from slamhive.recordings.importers.kitti_odometry import KittiOdometryImporter
+from slamhive.recordings.importers.kitti_raw import KittiRawImporter
+from slamhive.recordings.importers.mulran import MulranImporter
+from slamhive.recordings.importers.nclt import NcltImporter
+from slamhive.recordings.importers.openloris import OpenLorisImporter
+from slamhive.recordings.importers.rawseeds import RawseedsImporter
+from slamhive.recordings.importers.replica import ReplicaImporter
+from slamhive.recordings.importers.ros import McapImporter, Ros1Importer, Ros2Importer
+from slamhive.recordings.importers.rosbag_benchmarks import Hilti2022Importer, NewerCollegeImporter, TumViImporter
+from slamhive.recordings.importers.seven_scenes import SevenScenesImporter
+from slamhive.recordings.importers.slam_hive import PublishedFolderImporter, SlamHiveImporter
+from slamhive.recordings.importers.tartanair import TartanAirImporter
+from slamhive.recordings.importers.tum_rgbd import Eth3dImporter, TumRgbdImporter
+from slamhive.recordings.importers.video import VideoImporter
+from slamhive.recordings.importers.vslam_lab import VslamLabImporter
+from slamhive.recordings.importing import Detection, ImportOptions, ImportPlan, refuse_losses
+from slamhive.trajectory.orientation import lacking
+
+
+@runtime_checkable
+class Importer(Protocol):
+    """Turns recordings of one format into dataset folders.
+
+    Attributes:
+        title: The format in one line: what it is, and which files it has.
+        options: The fields of :class:`~slamhive.recordings.importing.ImportOptions` that it takes.
+        refines: Names of more general formats. Where one of them fits as well, this one is chosen.
+    """
+
+    title: str
+    options: frozenset[str]
+    refines: frozenset[str]
+
+    def detect(self, path: Path) -> Detection:
+        """Say what at ``path`` (a file or folder) speaks for the format and what is missing, without reading much."""
+        ...
+
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
+        """What ``source`` becomes. Reads lists, calibration and ground truth, but no images or point clouds.
+
+        Raises InvalidInput naming the file, the line, the value and the remedy.
+        """
+        ...
+
+
+IMPORTERS: Registry[Importer] = Registry("dataset importer", "slamhive.dataset_importers", instances_of(Importer))
+IMPORTERS.register("slam-hive", SlamHiveImporter())
+IMPORTERS.register("slam-hive-published", PublishedFolderImporter())
+IMPORTERS.register("kitti-odometry", KittiOdometryImporter())
+IMPORTERS.register("euroc", EurocImporter())
+IMPORTERS.register("tum-rgbd", TumRgbdImporter())
+IMPORTERS.register("carmen", CarmenImporter())
+IMPORTERS.register("rawseeds", RawseedsImporter())
+IMPORTERS.register("nclt", NcltImporter())
+IMPORTERS.register("mulran", MulranImporter())
+IMPORTERS.register("ros1", Ros1Importer())
+IMPORTERS.register("ros2", Ros2Importer())
+IMPORTERS.register("mcap", McapImporter())
+IMPORTERS.register("tum-vi", TumViImporter())
+IMPORTERS.register("newer-college", NewerCollegeImporter())
+IMPORTERS.register("hilti-2022", Hilti2022Importer())
+IMPORTERS.register("evalio", EvalioImporter())
+IMPORTERS.register("kitti-raw", KittiRawImporter())
+IMPORTERS.register("7-scenes", SevenScenesImporter())
+IMPORTERS.register("eth3d", Eth3dImporter())
+IMPORTERS.register("tartanair", TartanAirImporter())
+IMPORTERS.register("replica", ReplicaImporter())
+IMPORTERS.register("openloris", OpenLorisImporter())
+IMPORTERS.register("vslam-lab", VslamLabImporter())
+IMPORTERS.register("video", VideoImporter())
+
+
+def plan_import(source: Path, options: ImportOptions, format_name: str | None = None) -> tuple[str, ImportPlan]:
+    """The format of ``source`` and what it becomes.
+
+    Args:
+        source: A file or folder.
+        options: What users say about it.
+        format_name: The name of the importer; None to detect it.
+
+    Raises:
+        NotFound: There is no such importer.
+        InvalidInput: The format is unknown or ambiguous, an option does not fit it, a file is damaged, or more is left
+            out than :data:`~slamhive.recordings.importing.MOST_LOST`.
+    """
+    chosen = None if format_name is None else IMPORTERS.get(format_name)
+    if not source.exists():
+        raise InvalidInput(f"{source} does not exist", "give the file or folder of the recording")
+    name = format_name or detect_format(source)
+    importer = chosen or IMPORTERS.get(name)
+    unfit = [option for option in options.given if option not in importer.options]
+    if unfit:
+        takes = ", ".join(sorted(importer.options)) or "none"
+        raise InvalidInput(f"importer {name} takes no option {', '.join(unfit)}", f"leave it out; it takes {takes}")
+    plan = _without_empty_orientations(importer.plan(source, options))
+    refuse_losses(plan.notes, accepted=options.accept_loss)
+    return name, plan
+
+
+def _without_empty_orientations(plan: ImportPlan) -> ImportPlan:
+    """The plan with positions only, and a note, where the orientations of its ground truth mean nothing."""
+    truth = plan.truth
+    if truth is None:
+        return plan
+    without = "" if truth.quats_xyzw is None else lacking(truth.quats_xyzw, truth.positions_m)
+    if truth.quats_xyzw is not None and not without:
+        return plan
+    reason = f" ({without})" if without else ""
+    note = f"the ground truth has positions only{reason}: runs get no rotation errors"
+    return replace(plan, truth=replace(truth, quats_xyzw=None), notes=(*plan.notes, note))
+
+
+def detect_format(path: Path) -> str:
+    """The name of the importer that can convert ``path``.
+
+    Raises InvalidInput that names the formats if several fit; if none does, what the nearest one misses.
+    """
+    detections = {name: importer.detect(path) for name, importer in IMPORTERS}
+    fitting = {name for name, detection in detections.items() if detection.complete}
+    general = {other for name in fitting for other in IMPORTERS.get(name).refines}
+    names = sorted(fitting - general)
+    if len(names) == 1:
+        return names[0]
+    if names:
+        evidence = "; ".join(f"{name} ({', '.join(detections[name].found)})" for name in names)
+        raise InvalidInput(f"{path} fits several formats: {evidence}", "choose one with --format")
+    raise _unknown_format(path, detections)
+
+
+def _unknown_format(path: Path, detections: Mapping[str, Detection]) -> InvalidInput:
+    name, nearest = max(detections.items(), key=lambda entry: (len(entry[1].found), -len(entry[1].missing)))
+    if not nearest.found:
+        return InvalidInput(
+            f"{path} is in no format that can be imported", f"known formats: {', '.join(IMPORTERS.names())}"
+        )
+    return InvalidInput(
+        f"{path} looks like {name} (found {', '.join(nearest.found)}), but lacks {', '.join(nearest.missing)}",
+        "add what is missing, or name another format with --format",
+    )

@@ -1,0 +1,237 @@
+"""Plans the import of a recording that is ROS or MCAP already: what all its importers share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from slamhive.base.errors import InvalidInput
+from slamhive.base.files import size_bytes, visible_files
+from slamhive.domain.sensors import Sensor
+from slamhive.recordings.ground_truth import check_clock
+from slamhive.recordings.importers.calibration import read_calibrations
+from slamhive.recordings.importers.lidar_drivers import livox_points
+from slamhive.recordings.importers.recording import LIVOX, Matching, SourceBag, match_topics, open_source
+from slamhive.recordings.importers.sensors import SensorBuilder
+from slamhive.recordings.importers.truth import FoundTruth, read_truth_file, read_truth_topic
+from slamhive.recordings.importing import (
+    DatasetText,
+    Detection,
+    ImportOptions,
+    ImportPlan,
+    KeptRecording,
+    RewrittenRecording,
+)
+from slamhive.recordings.ros1_writer import NS_PER_S, BagWriter
+from slamhive.recordings.staging import Progress
+
+OPTIONS = frozenset(
+    {
+        "groundtruth",
+        "groundtruth_topic",
+        "calibration",
+        "topics",
+        "typestore",
+        "message_definitions",
+        "depth_units_per_m",
+    }
+)
+"""The options that all these importers take."""
+_SAME_CLOCK_NS = NS_PER_S
+_SHOW_EVERY = 100
+
+
+def plan_recording(
+    paths: Sequence[Path], options: ImportOptions, text: DatasetText, *, truth: FoundTruth | None = None
+) -> ImportPlan:
+    """Plan the import of a recording.
+
+    Args:
+        paths: The file, the folder of a ROS 2 bag, or the parts of a ROS 1 recording.
+        options: What users say.
+        text: Title and so on.
+        truth: Ground truth that an importer found beside the recording, used unless users name another.
+
+    Raises:
+        InvalidInput: The recording, a calibration or the ground truth cannot be used, or they do not fit together.
+    """
+    if options.groundtruth is not None and options.groundtruth_topic is not None:
+        raise InvalidInput(
+            f"there are two ground truths: {options.groundtruth} and topic {options.groundtruth_topic}",
+            "give --groundtruth or --groundtruth-topic",
+        )
+    known = read_calibrations(options.calibration)
+    with open_source(paths, options) as bag:
+        if options.groundtruth_topic is not None:
+            truth = read_truth_topic(bag, options.groundtruth_topic)
+        without = None if options.groundtruth_topic is None else options.groundtruth_topic.partition(":")[0]
+        matching = match_topics(bag, options.topics, without=without)
+        frame = "" if truth is None else truth.frame
+        builder = SensorBuilder(bag, matching, known, frame, options.depth_units_per_m)
+        sensors, recorded_ns = builder.sensors()
+        recorded_s = recorded_ns[0] / NS_PER_S, recorded_ns[1] / NS_PER_S
+        if options.groundtruth is not None:
+            truth = read_truth_file(options.groundtruth, recorded_s, f"file {options.groundtruth.name}")
+        if truth is not None:
+            check_clock(truth.times_s, recorded_s, f"the ground truth ({truth.source})", "the recording")
+        notes = (*matching.notes, *builder.notes, *_notes(bag, truth, recorded_ns))
+        recording = _recording(paths, bag, matching, sensors, options)
+    return ImportPlan(recording, None if truth is None else truth.planned, text, notes=notes)
+
+
+def text_of(path: Path, kind: str) -> DatasetText:
+    """Title and description of a recording of which nothing else is known."""
+    return DatasetText(title=f"{kind} {path.stem}", description=f"Imported from {path.name}.")
+
+
+def _recording(
+    paths: Sequence[Path], bag: SourceBag, matching: Matching, sensors: tuple[Sensor, ...], options: ImportOptions
+) -> KeptRecording | RewrittenRecording:
+    counts = {name: topic.count for name, topic in matching.topics.items()}
+    topics = [sensor.topic for sensor in sensors]
+    if len(paths) == 1 and not any(topic.type in LIVOX for topic in matching.topics.values()):
+        check = partial(check_messages, topics=topics, total=sum(counts.values()))
+        return KeptRecording(paths[0], sensors, counts, bag.start_ns, bag.end_ns, check)
+    write = partial(_rewrite, tuple(paths), options, sensors, sum(counts.values()))
+    needed_bytes = sum(size_bytes(path) for path in paths)
+    return RewrittenRecording(write, sensors, counts, bag.start_ns, bag.end_ns, needed_bytes)
+
+
+def _notes(bag: SourceBag, truth: FoundTruth | None, recorded_ns: tuple[int, int]) -> list[str]:
+    notes = []
+    if truth is None:
+        notes.append("there is no ground truth: runs get no ATE (--groundtruth FILE or --groundtruth-topic adds one)")
+    elif not truth.gravity_aligned:
+        notes.append("the z axis of the ground truth is not known to point up (gravity_aligned in dataset.yaml)")
+    apart_s = (recorded_ns[0] - bag.start_ns) / NS_PER_S
+    if abs(apart_s) > 60:
+        notes.append(f"headers are {apart_s:.0f} s from the clock of the recording; the time of headers counts")
+    return notes
+
+
+def check_messages(path: Path, progress: Progress, *, topics: Sequence[str], total: int) -> None:
+    """Read all messages of the sensors; raises InvalidInput where one is damaged or missing."""
+    with open_source([path], ImportOptions()) as bag:
+        read = 0
+        for read, _ in enumerate(bag.raw(*topics), start=1):
+            if read % _SHOW_EVERY == 0:
+                progress(min(read / total, 1.0), f"checking message {read} of {total}")
+    if read != total:
+        raise InvalidInput(
+            f"{path.name} holds {read} messages of its sensors, but its index says {total}",
+            "it may be truncated: copy or download it again, or reindex it",
+        )
+
+
+def _rewrite(
+    paths: tuple[Path, ...],
+    options: ImportOptions,
+    sensors: tuple[Sensor, ...],
+    total: int,
+    out: BagWriter,
+    progress: Progress,
+) -> None:
+    """Write the messages of all sensors to one ROS 1 bag, Livox's as ``PointCloud2``."""
+    by_topic = {sensor.topic: sensor for sensor in sensors}
+    with open_source(paths, options) as bag:
+        cdr = bag.reader.is2
+        for number, (connection, received_ns, raw) in enumerate(bag.raw(*by_topic), start=1):
+            if connection.msgtype in LIVOX:
+                stamp_ns, timebase_ns, points = livox_points(raw, cdr=cdr)
+                if abs(timebase_ns - stamp_ns) < _SAME_CLOCK_NS:
+                    stamp_ns = timebase_ns
+                out.points(by_topic[connection.topic], stamp_ns, received_ns, points)
+            else:
+                out.copy(connection, received_ns, raw, cdr=cdr)
+            if number % _SHOW_EVERY == 0:
+                progress(number / total, f"writing message {number} of {total}")
+
+
+# Importer of ROS 1 bags, kept as they are.
+
+
+_MAGIC = b"#ROSBAG V2.0"
+
+
+class Ros1Importer:
+    """A ``.bag`` file of ROS 1."""
+
+    title = "ROS 1 bag: a .bag file"
+    options = OPTIONS
+    refines: frozenset[str] = frozenset()
+
+    def detect(self, path: Path) -> Detection:
+        """By the ending and the first bytes."""
+        if not path.is_file() or path.suffix != ".bag":
+            return Detection((), ())
+        return Detection((path.name,), () if starts_with(path, _MAGIC) else ("the first line of a ROS 1 bag",))
+
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
+        """Sensors from topics and calibration, the recording as it is."""
+        return plan_recording([source], options, text_of(source, "ROS 1 bag"))
+
+
+def starts_with(path: Path, magic: bytes) -> bool:
+    """Whether the file at ``path`` begins with ``magic``."""
+    with path.open("rb") as file:
+        return file.read(len(magic)) == magic
+
+
+# Importer of plain MCAP files with ROS 2 messages, kept as they are.
+
+
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
+
+
+class McapImporter:
+    """An ``.mcap`` file without ``metadata.yaml``."""
+
+    title = "MCAP file with ROS 2 messages: an .mcap file"
+    options = OPTIONS
+    refines: frozenset[str] = frozenset()
+
+    def detect(self, path: Path) -> Detection:
+        """By the ending and the first bytes."""
+        if not path.is_file() or path.suffix != ".mcap":
+            return Detection((), ())
+        return Detection((path.name,), () if starts_with(path, _MCAP_MAGIC) else ("the first bytes of MCAP",))
+
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
+        """Sensors from topics and calibration, the recording as it is."""
+        return plan_recording([source], options, text_of(source, "MCAP file"))
+
+
+# Importer of ROS 2 bags, kept as they are.
+
+
+_METADATA = "metadata.yaml"
+_HEAD_BYTES = 100_000
+_KEY = b"rosbag2_bagfile_information"
+_SQLITE = b"SQLite format 3\0"
+_STORAGES = (".db3", ".mcap", ".zstd")
+
+
+class Ros2Importer:
+    """A folder with ``metadata.yaml`` and SQLite or MCAP files, compressed or not; or a single ``.db3`` file."""
+
+    title = "ROS 2 bag: a folder with metadata.yaml (SQLite or MCAP), or a .db3 file"
+    options = OPTIONS
+    refines: frozenset[str] = frozenset()
+
+    def detect(self, path: Path) -> Detection:
+        """By ``metadata.yaml`` and the files it lies with, or the first bytes of a ``.db3`` file."""
+        if path.is_file() and path.suffix == ".db3":
+            return Detection((path.name,), () if starts_with(path, _SQLITE) else ("the first bytes of SQLite",))
+        storages = sorted(file.name for file in visible_files(path) if file.suffix in _STORAGES)
+        metadata = path / _METADATA
+        if not metadata.is_file():
+            return Detection(tuple(storages[:1]), ("metadata.yaml (`ros2 bag reindex` makes it)",) if storages else ())
+        with metadata.open("rb") as file:
+            if _KEY not in file.read(_HEAD_BYTES):
+                return Detection((), ())
+        return Detection((_METADATA, *storages[:1]), () if storages else ("a .db3 or .mcap file",))
+
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
+        """Sensors from topics and calibration, the recording as it is."""
+        return plan_recording([source], options, text_of(source, "ROS 2 bag"))

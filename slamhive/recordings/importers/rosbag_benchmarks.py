@@ -1,0 +1,171 @@
+"""Importer of the Newer College dataset (Ramezani et al., "The Newer College dataset", IROS 2020)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from slamhive.base.errors import InvalidInput
+from slamhive.base.files import visible_files
+from slamhive.recordings.importers.ros import OPTIONS, Ros1Importer, plan_recording
+from slamhive.recordings.importers.truth import FoundTruth
+from slamhive.recordings.importing import DatasetText, Detection, ImportOptions, ImportPlan
+from slamhive.trajectory.model import find_problem
+from slamhive.trajectory.table import parse_table, read_bounded
+
+_TRUTH = "registered_poses.csv"
+_LAYOUT = "sec, nsec, x, y, z, qx, qy, qz, qw"
+
+
+class NewerCollegeImporter:
+    """The bags of one experiment, recorded in parts, and ``registered_poses.csv``.
+
+    Several parts become one bag. Cameras need ``--calibration``, or are left out with ``--topic cam0=none``.
+    """
+
+    title = "Newer College: a folder with one or several .bag files and registered_poses.csv"
+    options = OPTIONS
+    refines: frozenset[str] = frozenset()
+
+    def detect(self, path: Path) -> Detection:
+        """By the file of the ground truth and bags beside it."""
+        if not (path / _TRUTH).is_file():
+            return Detection((), ())
+        bags = _bags(path)
+        return Detection((_TRUTH, *(bag.name for bag in bags[:1])), () if bags else ("a .bag file",))
+
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
+        """Sensors of the bags; poses of the file unless users name another ground truth."""
+        text = DatasetText(
+            title=f"Newer College, {source.resolve().name}",
+            description="Handheld LiDAR, cameras and IMU around New College, Oxford.",
+            licence="CC BY-NC-SA 4.0",
+            citation="Ramezani, Wang, Camurri, Wisth, Mattamala, Fallon: The Newer College dataset. IROS 2020",
+            source="https://ori-drs.github.io/newer-college-dataset/",
+            attributes=("real", "outdoor", "handheld"),
+        )
+        own = options.groundtruth is None and options.groundtruth_topic is None
+        truth = read_registered_poses(source / _TRUTH) if own else None
+        return plan_recording(_bags(source), options, text, truth=truth)
+
+
+def read_registered_poses(path: Path) -> FoundTruth:
+    """Poses by registering LiDAR scans to a surveyed map, times in s and ns; raises InvalidInput."""
+    table = parse_table(read_bounded(path), str(path), 9, _LAYOUT)
+    times_s = table.values[:, 0] + table.values[:, 1] * 1e-9
+    positions_m, quats_xyzw = table.values[:, 2:5], table.values[:, 5:9]
+    problem = find_problem(times_s, positions_m, quats_xyzw)
+    if problem is not None:
+        raise table.error(problem.index, problem.found, problem.remedy)
+    return FoundTruth(times_s, positions_m, quats_xyzw, gravity_aligned=False, source="LiDAR against a surveyed map")
+
+
+def _bags(folder: Path) -> list[Path]:
+    bags = visible_files(folder, "*.bag") or visible_files(folder / "rosbag", "*.bag")
+    if len(bags) > 100:
+        raise InvalidInput(f"{folder} holds {len(bags)} bags", "give the folder of one experiment")
+    return bags
+
+
+# Importer of the Hilti SLAM Challenge 2022 (Zhang et al., "Hilti-Oxford dataset", RA-L 2023).
+
+
+_NAME = re.compile(r"exp\d\d_[a-z0-9_]+")
+
+
+class Hilti2022Importer:
+    """Five cameras, IMU and a Hesai LiDAR; the body is the IMU.
+
+    The ground truth ``expNN_NAME_imu.txt`` and the calibration (``camchain*.yaml``) are used where they lie beside the
+    bag.
+    """
+
+    title = "Hilti 2022: expNN_NAME.bag, beside it expNN_NAME_imu.txt and the calibration (YAML)"
+    options = OPTIONS
+    refines = frozenset({"ros1"})
+
+    def detect(self, path: Path) -> Detection:
+        """By the name, which Hilti gives to all its bags."""
+        found = Ros1Importer().detect(path)
+        return found if found.found and _NAME.fullmatch(path.stem) else Detection((), ())
+
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
+        """Sensors of the bag, with the files beside it unless users name others."""
+        truth = next((path for path in _truths(source) if path.is_file()), None)
+        if truth is not None and options.groundtruth is None and options.groundtruth_topic is None:
+            options = replace(options, groundtruth=truth)
+        if not options.calibration:
+            options = replace(options, calibration=tuple(visible_files(source.parent, "*cam*.yaml")))
+        return plan_recording([source], options, _hilti_text(source))
+
+
+def _truths(source: Path) -> list[Path]:
+    names = (f"{source.stem}_imu.txt", f"{source.stem}.txt")
+    return [folder / name for folder in (source.parent, source.parent / "groundtruth") for name in names]
+
+
+def _hilti_text(source: Path) -> DatasetText:
+    return DatasetText(
+        title=f"Hilti 2022, {source.stem}",
+        description="Construction sites and the Sheldonian Theatre in Oxford; the body is the IMU.",
+        citation="Zhang, Helmberger, Fu, Wisth, Camurri, Scaramuzza, Fallon: Hilti-Oxford dataset. RA-L 2023",
+        source="https://hilti-challenge.com/dataset-2022.html",
+        attributes=("real", "handheld", "construction"),
+    )
+
+
+# Importer of the bags of TUM-VI (Schubert et al., "The TUM VI benchmark", IROS 2018).
+
+
+_TRUTH_TOPIC = "/vrpn_client/raw_transform"
+_NAMES = (
+    "dataset-calib-",
+    "dataset-corridor",
+    "dataset-magistrale",
+    "dataset-outdoors",
+    "dataset-room",
+    "dataset-slides",
+)
+_SIZES = ("_512_16", "_1024_16")
+_INDOOR = ("corridor", "magistrale", "room", "slides")
+
+
+class TumViImporter:
+    """Two fisheye cameras, IMU and motion capture; the body is the IMU.
+
+    The bags hold no calibration: ``camchain.yaml`` and ``imu-config.yaml`` of TUM-VI's calibration come with
+    ``--calibration``, or lie beside the bag.
+    """
+
+    title = "TUM-VI bag: dataset-NAME_512_16.bag, beside it camchain-imucam*.yaml and imu-config.yaml"
+    options = OPTIONS
+    refines = frozenset({"ros1"})
+
+    def detect(self, path: Path) -> Detection:
+        """By the name, which TUM-VI gives to all its bags."""
+        found = Ros1Importer().detect(path)
+        if not found.found or not path.stem.startswith(_NAMES) or not path.stem.endswith(_SIZES):
+            return Detection((), ())
+        return found
+
+    def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
+        """Sensors of the bag; the ground truth is the motion capture in it unless users name another."""
+        if options.groundtruth is None and options.groundtruth_topic is None:
+            options = replace(options, groundtruth_topic=_TRUTH_TOPIC)
+        if not options.calibration:
+            options = replace(options, calibration=tuple(visible_files(source.parent, "*cam*.yaml")))
+        return plan_recording([source], options, _text(source))
+
+
+def _text(source: Path) -> DatasetText:
+    sequence = source.stem.removeprefix("dataset-")
+    indoor = sequence.startswith(_INDOOR)
+    return DatasetText(
+        title=f"TUM-VI, {sequence}",
+        description="Visual-inertial sequence of TUM-VI; the body is the IMU.",
+        licence="CC BY 4.0",
+        citation="Schubert, Goll, Demmel, Usenko, Stückler, Cremers: The TUM VI benchmark. IROS 2018",
+        source="https://cvg.cit.tum.de/data/datasets/visual-inertial-dataset",
+        attributes=("real", "indoor" if indoor else "outdoor", "handheld"),
+    )

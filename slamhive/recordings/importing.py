@@ -1,0 +1,370 @@
+"""What an importer plans, and how a plan becomes a dataset.
+
+An importer reads the small files of a recording (lists, calibration, ground truth) and returns an
+:class:`ImportPlan`. Commands show the plan before anything is written. :func:`perform` then streams the messages
+of all sensors in order of time, so memory does not grow with the recording.
+"""
+
+from __future__ import annotations
+
+import heapq
+import logging
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from slamhive.base.errors import InvalidInput
+from slamhive.base.files import size_bytes
+from slamhive.domain.dataset import RELATIONS_FILE, Dataset, GroundTruth
+from slamhive.domain.sensors import Sensor
+from slamhive.recordings.geometry import Array
+from slamhive.recordings.ros1_writer import NS_PER_S, BagWriter
+from slamhive.recordings.staging import GROUND_TRUTH_FILE, NewDataset, Progress, new_dataset
+
+_LOG = logging.getLogger(__name__)
+HIGHEST_RATE_HZ = 100_000
+_RECORDED, _HASHED = 0.9, 0.98
+"""The fractions of an import after which the recording is written, and its checksum known."""
+_COPIED = 0.5
+"""The part of the first one after which a kept recording is copied. Then its messages are checked."""
+
+OPTION_HELP: dict[str, str] = {
+    "groundtruth": "ground truth file in TUM format",
+    "groundtruth_topic": "topic that holds the ground truth",
+    "calibration": "calibration file, for instance Kalibr's camchain.yaml or a dataset.yaml",
+    "topics": "topic of a sensor, as SENSOR=TOPIC",
+    "typestore": "message types of recordings that do not contain them, for instance ros2_humble",
+    "message_definitions": "folder of .msg files for types that the recording does not define",
+    "depth_units_per_m": "value of a depth pixel that means one metre",
+    "frame_rate_hz": "frames per second, for formats that do not store timestamps",
+    "sequence": "name of the sequence, for sources that hold several",
+}
+"""All options that an importer may take: the fields of :class:`ImportOptions`, without ``accept_loss``."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportOptions:
+    """What users say about a recording that its files do not; None or empty means "look for yourself".
+
+    :data:`OPTION_HELP` explains the fields. All importers know ``accept_loss``: a :class:`Loss` is no error,
+    however large.
+    """
+
+    groundtruth: Path | None = None
+    groundtruth_topic: str | None = None
+    calibration: tuple[Path, ...] = ()
+    topics: Mapping[str, str] = field(default_factory=dict)
+    typestore: str | None = None
+    message_definitions: Path | None = None
+    depth_units_per_m: float | None = None
+    frame_rate_hz: float | None = None
+    sequence: str | None = None
+    accept_loss: bool = False
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """The names of the options that have a value."""
+        return tuple(name for name in OPTION_HELP if getattr(self, name))
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedStream:
+    """The messages of one sensor.
+
+    Attributes:
+        sensor: Where they come from.
+        times_ns: When each was measured, int64 (n,), increasing.
+        write: Writes message ``index`` (0..n-1) to the recording, stamped with its time.
+        message_bytes: The size of one message in the recording, about.
+        received_ns: When each was received, if later than measured; its order is that of the recording.
+    """
+
+    sensor: Sensor
+    times_ns: Array
+    write: Callable[[BagWriter, int], None]
+    message_bytes: int
+    received_ns: Array | None = None
+
+    @property
+    def order_ns(self) -> Array:
+        """The times at which the messages stand in the recording."""
+        return self.times_ns if self.received_ns is None else self.received_ns
+
+
+@dataclass(frozen=True, eq=False)
+class KeptRecording:
+    """A ROS recording (a file, or the folder of a ROS 2 bag) that is copied as it is.
+
+    ``counts`` holds the number of messages of each sensor by its name. ``check`` reads the copy and raises InvalidInput
+    where it is damaged. ``checksum`` is what it should be, if that is known.
+    """
+
+    path: Path
+    sensors: tuple[Sensor, ...]
+    counts: Mapping[str, int]
+    start_ns: int
+    end_ns: int
+    check: Callable[[Path, Progress], None] | None = None
+    checksum: str | None = None
+
+    @property
+    def needed_bytes(self) -> int:
+        """The size of the recording."""
+        return size_bytes(self.path)
+
+
+@dataclass(frozen=True, eq=False)
+class RewrittenRecording:
+    """A ROS recording whose messages are written again: parts become one bag, or messages another type.
+
+    ``write`` writes all messages, in order of time. Everything else is as in :class:`KeptRecording`.
+    """
+
+    write: Callable[[BagWriter, Progress], None]
+    sensors: tuple[Sensor, ...]
+    counts: Mapping[str, int]
+    start_ns: int
+    end_ns: int
+    needed_bytes: int
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedTruth:
+    """Ground truth: times (n,) in s, positions (n, 3) in m, unit quaternions (n, 4) x y z w, all of the body frame.
+
+    ``quats_xyzw`` is None where only positions are known.
+    """
+
+    times_s: Array
+    positions_m: Array
+    quats_xyzw: Array | None
+    gravity_aligned: bool
+    source: str
+    kitti_poses: str | None = None
+
+    @property
+    def definition(self) -> GroundTruth:
+        """As ``dataset.yaml`` describes it."""
+        return GroundTruth(
+            GROUND_TRUTH_FILE,
+            gravity_aligned=self.gravity_aligned,
+            positions_only=self.quats_xyzw is None,
+            kitti_poses=self.kitti_poses,
+            source=self.source,
+        )
+
+    def write(self, new: NewDataset) -> None:
+        """Write it to the new dataset."""
+        quats_xyzw = self.quats_xyzw
+        if quats_xyzw is None:
+            quats_xyzw = np.tile((0.0, 0.0, 0.0, 1.0), (len(self.times_s), 1))
+        new.write_ground_truth(self.times_s, self.positions_m, quats_xyzw)
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetText:
+    """What people read about a dataset, see :class:`~slamhive.domain.dataset.Dataset`."""
+
+    title: str
+    description: str = ""
+    licence: str = ""
+    citation: str = ""
+    source: str = ""
+    attributes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ImportPlan:
+    """What an import will make.
+
+    Attributes:
+        recording: The streams that are written, or the recording that is kept or rewritten.
+        truth: The ground truth, None without.
+        text: Title, licence, citation and so on.
+        relations: The text of a file of relative poses, None without.
+        files: More small files of the dataset by plain name, for instance ``calib.txt``.
+        reference_map: The point cloud that maps are compared with, None without.
+        notes: What users should know, one sentence each: what is left out, assumed or unusual. A
+            :class:`~slamhive.recordings.importing.Loss` is one that is an error above a share.
+    """
+
+    recording: tuple[PlannedStream, ...] | KeptRecording | RewrittenRecording
+    truth: PlannedTruth | None
+    text: DatasetText
+    relations: str | None = None
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    reference_map: Path | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The sensors of the dataset, in the order of ``dataset.yaml``."""
+        if isinstance(self.recording, tuple):
+            return tuple(stream.sensor for stream in self.recording)
+        return self.recording.sensors
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The number of messages by name of sensor."""
+        if isinstance(self.recording, tuple):
+            return {stream.sensor.name: len(stream.times_ns) for stream in self.recording}
+        return dict(self.recording.counts)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first message to the last."""
+        if not isinstance(self.recording, tuple):
+            return (self.recording.end_ns - self.recording.start_ns) / NS_PER_S
+        times = [stream.order_ns for stream in self.recording if len(stream.times_ns)]
+        if not times:
+            return 0.0
+        return float(max(int(entry[-1]) for entry in times) - min(int(entry[0]) for entry in times)) / NS_PER_S
+
+    @property
+    def needed_bytes(self) -> int:
+        """The size of the recording, about."""
+        if isinstance(self.recording, tuple):
+            return sum(len(stream.times_ns) * stream.message_bytes for stream in self.recording)
+        return self.recording.needed_bytes
+
+
+def rate_hz(times_ns: Array) -> float:
+    """The mean rate of the times (n,) in ns; raises InvalidInput for fewer than two, or a rate that makes no sense."""
+    span_ns = int(times_ns[-1] - times_ns[0]) if len(times_ns) else 0
+    rate = round((len(times_ns) - 1) * NS_PER_S / span_ns, 6) if span_ns > 0 else 0.0
+    if not 0 < rate <= HIGHEST_RATE_HZ:
+        raise InvalidInput(
+            f"{len(times_ns)} timestamps within {span_ns} ns make no recording",
+            "two are needed at least, in the unit that the format asks for",
+        )
+    return rate
+
+
+def perform(plan: ImportPlan, folder: Path, progress: Progress) -> Dataset:
+    """Make the dataset ``folder`` as planned, complete or not at all.
+
+    Raises:
+        InvalidInput: A frame is damaged; names the file and what was found.
+        Conflict: The dataset exists, or is being made.
+        Unavailable: Not enough disk space.
+    """
+    with new_dataset(folder, plan.needed_bytes) as new:
+        _record(new, plan.recording, _part(progress, 0.0, _RECORDED))
+        if plan.truth is not None:
+            plan.truth.write(new)
+        files = {**plan.files, **({} if plan.relations is None else {RELATIONS_FILE: plan.relations.encode()})}
+        for name, content in files.items():
+            (new.aside / name).write_bytes(content)
+        if plan.reference_map is not None:
+            shutil.copyfile(plan.reference_map, new.aside / plan.reference_map.name)
+        dataset = new.seal(
+            progress=_part(progress, _RECORDED, _HASHED),
+            **asdict(plan.text),
+            sensors=plan.sensors,
+            duration_s=plan.duration_s,
+            groundtruth=None if plan.truth is None else plan.truth.definition,
+            relations=None if plan.relations is None else RELATIONS_FILE,
+            reference_map=None if plan.reference_map is None else plan.reference_map.name,
+        )
+        _compare_checksum(plan.recording, dataset)
+    _LOG.info("imported dataset %s", dataset.name)
+    progress(1.0, "done")
+    return dataset
+
+
+def _record(
+    new: NewDataset, recording: tuple[PlannedStream, ...] | KeptRecording | RewrittenRecording, progress: Progress
+) -> None:
+    if isinstance(recording, tuple):
+        _write_streams(new, recording, progress)
+    elif isinstance(recording, KeptRecording):
+        new.keep(recording.path, _part(progress, 0.0, _COPIED))
+        if recording.check is not None:
+            new.check(recording.check, _part(progress, _COPIED, 1.0))
+    else:
+        with new.recording() as bag:
+            recording.write(bag, progress)
+
+
+def _compare_checksum(recording: object, made: Dataset) -> None:
+    expected = recording.checksum if isinstance(recording, KeptRecording) else None
+    if expected not in {None, made.checksum}:
+        raise InvalidInput(
+            f"the recording has checksum {made.checksum}, but its dataset.yaml says {expected}",
+            "it was changed or damaged on the way: copy it again, or import the recording alone",
+        )
+
+
+def _write_streams(new: NewDataset, streams: Sequence[PlannedStream], progress: Progress) -> None:
+    total = sum(len(stream.times_ns) for stream in streams)
+    with new.recording() as bag:
+        for number, (stream, index) in enumerate(_in_order(streams), start=1):
+            stream.write(bag, index)
+            progress(number / total, f"writing message {number} of {total}")
+
+
+def _in_order(streams: Sequence[PlannedStream]) -> Iterator[tuple[PlannedStream, int]]:
+    """The messages of all streams as they are recorded; at equal times, in the order of the streams."""
+    queues = [
+        zip(stream.order_ns.tolist(), [position] * len(stream.order_ns), range(len(stream.order_ns)), strict=True)
+        for position, stream in enumerate(streams)
+    ]
+    for _, position, index in heapq.merge(*queues):
+        yield streams[position], index
+
+
+def _part(progress: Progress, start: float, end: float) -> Progress:
+    return lambda fraction, text: progress(start + (end - start) * fraction, text)
+
+
+# The result of an importer's look at a folder.
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """Whether a folder has a format: ``found`` is the evidence for it, ``missing`` what it lacks; both in words."""
+
+    found: tuple[str, ...]
+    missing: tuple[str, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether the folder can be converted."""
+        return bool(self.found) and not self.missing
+
+
+# Messages that an import leaves out although the recording has them, or says that it has them.
+
+
+MOST_LOST = 0.01
+"""The share of the messages of a sensor above which a loss is an error: the rest is not what was recorded."""
+
+
+class Loss(str):
+    """A note that says why ``lost`` of ``total`` messages are left out; it is an error above :data:`MOST_LOST`."""
+
+    __slots__ = ("lost", "total")
+
+    lost: int
+    total: int
+
+    def __new__(cls, lost: int, total: int, note: str) -> Self:
+        """A loss whose ``note`` is what users read."""
+        loss = super().__new__(cls, note)
+        loss.lost, loss.total = lost, total
+        return loss
+
+
+def refuse_losses(notes: Iterable[str], *, accepted: bool) -> None:
+    """Raise InvalidInput if one of ``notes`` is a loss above :data:`MOST_LOST`, unless the user has accepted it."""
+    lost = [note for note in notes if isinstance(note, Loss) and note.lost > MOST_LOST * note.total]
+    if lost and not accepted:
+        share = max(note.lost / note.total for note in lost)
+        raise InvalidInput(
+            f"{'; '.join(lost)}: {'' if len(lost) == 1 else 'up to '}{share:.0%} is lost",
+            f"complete or correct the recording; --accept-loss imports the rest, above {MOST_LOST:.0%} too",
+        )

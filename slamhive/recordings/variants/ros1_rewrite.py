@@ -1,0 +1,370 @@
+"""Rewriting a ROS 1 bag, piece by piece: untouched chunks as they are, untouched messages as raw bytes."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+from slamhive.recordings.geometry import Array
+from slamhive.recordings.staging import Pending, Progress, Ready, in_order, one_thread_in_opencv
+from slamhive.recordings.variants.decisions import Decisions, decide
+from slamhive.recordings.variants.payloads import EQUAL_SIZES
+from slamhive.recordings.variants.ros1_index import (
+    INDEX_ENTRY,
+    NO_COMPRESSION,
+    U32,
+    Chunk,
+    Ros1File,
+    Ros1Index,
+    message_offset,
+    read_index,
+)
+from slamhive.recordings.variants.ros1_output import (
+    BagExtent,
+    Buffer,
+    NewChunks,
+    Ros1Output,
+    chunk_header,
+    index_header,
+    new_chunk,
+    summarise,
+)
+from slamhive.recordings.variants.streams import Treatment
+from slamhive.runtime.recording import DAMAGE, damaged
+
+PIECE_BYTES = 4 << 20
+"""Of source data that one piece covers where the source can be cut anywhere (chunks without compression)."""
+
+
+@dataclass(frozen=True, slots=True)
+class CopyPiece:
+    """Chunks that follow each other and stay as they are, index records included."""
+
+    chunks: list[Chunk]
+
+
+@dataclass(frozen=True, slots=True)
+class RewritePiece:
+    """Messages of one chunk that become a chunk of their own; ``declared`` are connections it introduces."""
+
+    chunk: Chunk
+    rows: range
+    declared: tuple[int, ...]
+
+    @property
+    def held_bytes(self) -> int:
+        """What of the source is in memory while it is made, at most."""
+        if self.chunk.compression == NO_COMPRESSION:
+            return self.chunk.size_bytes * len(self.rows) // len(self.chunk.rows)
+        return self.chunk.size_bytes + self.chunk.data_bytes
+
+
+Piece = CopyPiece | RewritePiece
+
+
+def cut(index: Ros1Index, decisions: Decisions) -> list[Piece]:
+    """The pieces of the result, in order. Chunks of which nothing is kept are in none."""
+    pieces: list[Piece] = []
+    seen: set[int] = set()
+    waiting: set[int] = set()
+    for chunk in index.chunks:
+        rows = slice(chunk.rows.start, chunk.rows.stop)
+        first = set(np.unique(index.entries["connection"][rows]).tolist()) - seen
+        seen |= first
+        late, waiting = waiting, waiting | first
+        kept = decisions.kept[rows]
+        if not kept.any():
+            continue
+        if kept.all() and not decisions.changed[rows].any() and not late:
+            _append_copy(pieces, chunk)
+        else:
+            pieces.extend(_rewrites(index, chunk, decisions, tuple(sorted(waiting))))
+        waiting = set()
+    return pieces
+
+
+def _append_copy(pieces: list[Piece], chunk: Chunk) -> None:
+    last = pieces[-1] if pieces else None
+    if isinstance(last, CopyPiece) and last.chunks[-1].end == chunk.position:
+        last.chunks.append(chunk)
+    else:
+        pieces.append(CopyPiece([chunk]))
+
+
+def _rewrites(
+    index: Ros1Index, chunk: Chunk, decisions: Decisions, declared: tuple[int, ...]
+) -> Iterator[RewritePiece]:
+    """One piece for a chunk, or several for a large one that is not compressed."""
+    limits = [chunk.rows.start, chunk.rows.stop]
+    if chunk.compression == NO_COMPRESSION and chunk.size_bytes > 2 * PIECE_BYTES:
+        offsets = index.entries["offset"][chunk.rows.start : chunk.rows.stop]
+        cuts = np.searchsorted(offsets, np.arange(PIECE_BYTES, chunk.size_bytes, PIECE_BYTES)) + chunk.rows.start
+        limits = sorted({*limits, *cuts.tolist()})
+    for start, stop in pairwise(limits):
+        if decisions.kept[start:stop].any():
+            yield RewritePiece(chunk, range(start, stop), declared)
+            declared = ()
+
+
+class Rewriter:
+    """Makes new chunks; may be called from several threads.
+
+    Args:
+        file: The open source.
+        index: Of the source.
+        decisions: For every message in it.
+    """
+
+    def __init__(self, file: Ros1File, index: Ros1Index, decisions: Decisions) -> None:
+        self._file = file
+        self._index = index
+        self._decisions = decisions
+        self._store = get_typestore(Stores.ROS1_NOETIC)
+        self._types = {id_: connection.type for id_, connection in index.connections.items()}
+
+    def foretell_bytes(self, pieces: Sequence[Piece]) -> int | None:
+        """The size of all results before they are made, None if only making them can tell.
+
+        Images, IMU samples and the like are taken to be as large as the first of their topic is afterwards; so this may
+        be wrong where recordings are irregular.
+        """
+        touched = [piece for piece in pieces if isinstance(piece, RewritePiece)]
+        if any(piece.chunk.compression != NO_COMPRESSION for piece in touched):
+            return None
+        sizes = self._record_sizes()
+        if sizes is None:
+            return None
+        total_bytes = sum(
+            piece.chunks[-1].end - piece.chunks[0].position for piece in pieces if isinstance(piece, CopyPiece)
+        )
+        index_header_bytes, chunk_header_bytes = len(index_header(0, 0)), len(chunk_header(NO_COMPRESSION, 0, 0))
+        for piece in touched:
+            rows = slice(piece.rows.start, piece.rows.stop)
+            kept = self._decisions.kept[rows]
+            connections = np.unique(self._index.entries["connection"][rows][kept])
+            total_bytes += chunk_header_bytes + index_header_bytes * len(connections)
+            total_bytes += INDEX_ENTRY.itemsize * int(kept.sum()) + int(sizes[rows][kept].sum())
+            total_bytes += sum(len(self._index.connections[id_].record) for id_ in piece.declared)
+        return total_bytes
+
+    def _record_sizes(self) -> Array | None:
+        """The size of each message's new record, None if messages of a topic differ in size."""
+        offsets = self._index.entries["offset"].astype(np.int64)
+        sizes: Array = np.diff(offsets, append=0)
+        for chunk in self._index.chunks:
+            if chunk.rows:
+                sizes[chunk.rows.stop - 1] = chunk.size_bytes - offsets[chunk.rows.stop - 1]
+        for connection in self._decisions.edits:
+            own = self._index.entries["connection"] == connection
+            kept = np.flatnonzero(own & self._decisions.kept)
+            if len(kept) == 0:
+                continue
+            if self._types[connection] not in EQUAL_SIZES:
+                return None
+            sizes[own] = sum(len(part) for part in self._first_edited(int(kept[0])))
+        return sizes
+
+    def _first_edited(self, row: int) -> list[Buffer | range]:
+        chunk = next(chunk for chunk in self._index.chunks if row in chunk.rows)
+        starts, ends = self._extents(RewritePiece(chunk, range(row, row + 1), ()))
+        return self._changed(row, _Records(self._file, chunk).read(int(starts[0]), int(ends[0])))
+
+    def lay_out(self, piece: Piece) -> NewChunks | None:
+        """The result of a piece that needs no message in memory; None where :meth:`rewrite` has work to do."""
+        if isinstance(piece, CopyPiece):
+            first, last = piece.chunks[0], piece.chunks[-1]
+            summaries = [
+                summarise(chunk.position - first.position, self._index.entries[chunk.rows.start : chunk.rows.stop])
+                for chunk in piece.chunks
+            ]
+            return NewChunks([range(first.position, last.end)], summaries)
+        rows = slice(piece.rows.start, piece.rows.stop)
+        changed = (self._decisions.changed[rows] & self._decisions.kept[rows]).any()
+        if changed or piece.chunk.compression != NO_COMPRESSION:
+            return None
+        return self._assemble(piece)
+
+    def rewrite(self, piece: RewritePiece) -> NewChunks:
+        """The kept messages of ``piece`` as a chunk, compressed as in the source; raises InvalidInput."""
+        return self._assemble(piece)
+
+    def _assemble(self, piece: RewritePiece) -> NewChunks:
+        parts: list[Buffer | range] = [self._index.connections[id_].record for id_ in piece.declared]
+        position = sum(len(part) for part in parts)
+        rows, offsets = [], []
+        starts, ends = self._extents(piece)
+        records = _Records(self._file, piece.chunk)
+        for first, last in self._spans(piece):
+            at = slice(first - piece.rows.start, last - piece.rows.start)
+            start, end = int(starts[at][0]), int(ends[at][-1])
+            changed = self._decisions.changed[first]
+            new = self._changed(first, records.read(start, end)) if changed else [records.untouched(start, end)]
+            parts += new
+            rows.append(np.arange(first, last))
+            offsets.append(starts[at].astype(np.int64) - start + position)
+            position += sum(len(part) for part in new)
+        entries = self._index.entries[np.concatenate(rows)]
+        entries["offset"] = np.concatenate(offsets)
+        return new_chunk(piece.chunk.compression, parts, position, entries)
+
+    def _extents(self, piece: RewritePiece) -> tuple[Array, Array]:
+        """Where the records of the piece start and end; connection records go with the message before them."""
+        chunk = piece.chunk
+        offsets = self._index.entries["offset"][chunk.rows.start : chunk.rows.stop]
+        ends = np.append(offsets[1:], np.uint32(chunk.size_bytes))
+        at = slice(piece.rows.start - chunk.rows.start, piece.rows.stop - chunk.rows.start)
+        return offsets[at], ends[at]
+
+    def _spans(self, piece: RewritePiece) -> Iterator[tuple[int, int]]:
+        """Runs of kept rows that are untouched, and kept rows that change one by one."""
+        rows = slice(piece.rows.start, piece.rows.stop)
+        kinds = np.where(self._decisions.kept[rows], 1 + self._decisions.changed[rows], 0).tolist()
+        start = 0
+        for stop in range(1, len(kinds) + 1):
+            if stop < len(kinds) and kinds[stop] == kinds[start] == 1:
+                continue
+            if kinds[start]:
+                yield piece.rows.start + start, piece.rows.start + stop
+            start = stop
+
+    def _changed(self, row: int, record: Buffer) -> list[Buffer | range]:
+        """A message's record with another timestamp or content; its header, with the receive time, stays."""
+        try:
+            start = message_offset(record)
+            (header_bytes,) = U32.unpack_from(record, start)
+            data_start = start + 8 + header_bytes
+            (data_bytes,) = U32.unpack_from(record, data_start - 4)
+        except (struct.error, ValueError, KeyError) as error:
+            raise damaged(self._file.path, error) from None
+        data: Any = memoryview(record)[data_start : data_start + data_bytes]
+        if len(data) != data_bytes:
+            raise damaged(self._file.path, ValueError("a message is longer than its record"))
+        connection = int(self._index.entries["connection"][row])
+        edit = self._decisions.edits.get(connection)
+        if edit is not None:
+            kind = self._types[connection]
+            message = edit(
+                self._decode(data, kind), int(self._decisions.numbers[row]), int(self._index.entries["time_ns"][row])
+            )
+            data = self._store.serialize_ros1(message, kind)
+        stamp_ns = int(self._decisions.stamps_ns[row])
+        if stamp_ns:
+            data = bytearray(data)
+            if len(data) < 12:
+                raise damaged(self._file.path, ValueError("a message without a header"))
+            struct.pack_into("<LL", data, 4, stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000)
+        return [bytes(record[: data_start - 4]), U32.pack(len(data)), memoryview(data)]
+
+    def _decode(self, data: Buffer, kind: str) -> Any:
+        try:
+            return self._store.deserialize_ros1(data, kind)
+        except DAMAGE as error:
+            raise damaged(self._file.path, error) from None
+
+
+class _Records:
+    """Records of one chunk, by offsets in its uncompressed data."""
+
+    def __init__(self, file: Ros1File, chunk: Chunk) -> None:
+        self._file = file
+        self._base = chunk.data_position
+        self._data = None if chunk.compression == NO_COMPRESSION else memoryview(file.chunk_data(chunk))
+
+    def read(self, start: int, end: int) -> Buffer:
+        """The bytes."""
+        if self._data is not None:
+            return self._data[start:end]
+        return self._file.read(self._base + start, end - start)
+
+    def untouched(self, start: int, end: int) -> Buffer | range:
+        """The bytes, or where they are in the file if they are there as such."""
+        return range(self._base + start, self._base + end) if self._data is None else self._data[start:end]
+
+
+# Keeps the C library from returning memory to the kernel between two messages.
+
+
+_ARENA_MAX, _TRIM_THRESHOLD, _MMAP_THRESHOLD = -8, -1, -3
+"""Parameters of glibc's ``mallopt`` (malloc.h)."""
+_LARGE_BYTES = 32 << 20
+"""The largest threshold that glibc accepts; it reaches this value by itself after a block of that size was freed."""
+
+
+@contextmanager
+def freed_memory_kept() -> Iterator[None]:
+    """Let freed blocks of up to 32 MB be used again at once, by all threads; given back at the end.
+
+    Each chunk and image takes some blocks of a megabyte. In threads glibc returns those to the kernel whenever they are
+    freed. Getting them again costs a page fault for every 4 KB, which is half the time of treating LZ4 chunks. Without
+    glibc this does nothing.
+    """
+    library = ctypes.CDLL(None)
+    if not hasattr(library, "mallopt"):
+        yield
+        return
+    library.mallopt(_MMAP_THRESHOLD, _LARGE_BYTES)
+    library.mallopt(_TRIM_THRESHOLD, 4 * _LARGE_BYTES)
+    library.mallopt(_ARENA_MAX, 1)
+    try:
+        yield
+    finally:
+        library.mallopt(_ARENA_MAX, 0)
+        library.mallopt(_TRIM_THRESHOLD, 2 * _LARGE_BYTES)
+        library.malloc_trim(0)
+
+
+# The recording of a variant, from a ROS 1 bag: planned from the index, made in threads, written in order.
+
+
+TopicChoice = Callable[[dict[str, str]], dict[str, Treatment]]
+"""From the topics of a recording with their types to those that are treated."""
+
+
+def make_ros1(source: Path, target: Path, choose: TopicChoice, progress: Progress) -> tuple[str, BagExtent, BagExtent]:
+    """Write the recording ``target``; its checksum, and the extents of the source and of the result.
+
+    Raises:
+        InvalidInput: the source is damaged, or does not hold what the steps need.
+        OSError: the target cannot be written.
+    """
+    with Ros1File(source) as file:
+        index = read_index(file)
+        types = {connection.topic: connection.type for connection in index.connections.values()}
+        decisions = decide(file, index, choose(types))
+        pieces = cut(index, decisions)
+        rewriter = Rewriter(file, index, decisions)
+        chunks = sum(len(piece.chunks) if isinstance(piece, CopyPiece) else 1 for piece in pieces)
+        with (
+            freed_memory_kept(),
+            one_thread_in_opencv(),
+            Ros1Output(target, list(index.connections.values()), chunks, rewriter.foretell_bytes(pieces)) as output,
+        ):
+            for done, made in enumerate(in_order(_tasks(rewriter, pieces)), start=1):
+                output.write(made, file)
+                progress(done / len(pieces), "making the variant")
+            digest, extent = output.finish()
+    return digest, _extent(index), extent
+
+
+def _tasks(rewriter: Rewriter, pieces: Sequence[Piece]) -> Iterator[Ready[NewChunks] | Pending[NewChunks]]:
+    for piece in pieces:
+        laid_out = rewriter.lay_out(piece)
+        if laid_out is not None:
+            yield Ready(laid_out)
+        elif isinstance(piece, RewritePiece):
+            yield Pending(partial(rewriter.rewrite, piece), piece.held_bytes)
+
+
+def _extent(index: Ros1Index) -> BagExtent:
+    times_ns = index.entries["time_ns"]
+    return BagExtent(int(times_ns.min()), int(times_ns.max())) if len(times_ns) else BagExtent(None, None)

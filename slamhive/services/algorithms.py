@@ -1,0 +1,582 @@
+"""Algorithm packages that somebody else made: imported from a folder, a repository, an image or an archive; removed."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import logging
+import os
+import re
+import shutil
+import subprocess
+import tarfile
+import zlib
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import IO, Any
+
+from slamhive.base.clock import utc_now
+from slamhive.base.debian import install_command
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.base.files import remedy_of, temporary_folder
+from slamhive.base.settings import Settings
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.names import check_name
+from slamhive.domain.packages import PackageOrigin
+from slamhive.domain.sensors import SensorSetup
+from slamhive.executors.base import CompletedImage, ImageTools
+from slamhive.packages.algorithm_file import ALGORITHM_FILE, load_algorithms
+from slamhive.packages.published.draft import DraftRequest, PackageDraft, described, draft
+from slamhive.packages.published.facts import FolderFacts, find_facts
+from slamhive.packages.published.folder import (
+    DOCKERFILE,
+    SCRIPTS,
+    ForeignFolder,
+    copy_scripts,
+    looks_foreign,
+    read_folder,
+)
+from slamhive.services.datasets import Catalogue, check_writable
+from slamhive.services.executors import Executors
+
+# What the source of an import is: a folder, a Git repository, an archive of an image, or the name of an image.
+
+
+_GIT = re.compile(r"(?:https?|ssh|git|file)://\S+|[\w.-]+@[\w.-]+:\S+")
+_REFERENCE = re.compile(r"[A-Za-z0-9][\w./-]{0,200}")
+_IMAGE = re.compile(r"[a-z0-9][\w./:@-]{0,254}")
+_NAME_PARTS = re.compile(r"[^A-Za-z0-9_.-]+")
+_GIT_S = 1800
+_SHOWN = 8
+_GIT_SETTINGS = ("core.hooksPath=/dev/null", "protocol.ext.allow=never", "core.fsmonitor=false")
+_GIT_VARIABLES = {"GIT_TERMINAL_PROMPT": "0", "GIT_LFS_SKIP_SMUDGE": "1", "LC_ALL": "C"}
+
+
+class SourceKind(StrEnum):
+    """What a source is."""
+
+    FOLDER = "folder"
+    REPOSITORY = "Git repository"
+    ARCHIVE = "archive"
+    IMAGE = "image"
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedSource:
+    """A source at hand.
+
+    Attributes:
+        kind: What it is.
+        text: As the user gave it, without what follows ``#``.
+        path: The folder or archive; None for an image.
+        commit: Of a repository.
+    """
+
+    kind: SourceKind
+    text: str
+    path: Path | None = None
+    commit: str | None = None
+
+
+def kind_of(source: str) -> SourceKind:
+    """What ``source`` is; raises NotFound or InvalidInput."""
+    if _GIT.fullmatch(source):
+        return SourceKind.REPOSITORY
+    path = Path(source or "-").expanduser()
+    if path.is_dir():
+        return SourceKind.FOLDER
+    if path.is_file():
+        return SourceKind.ARCHIVE
+    if source.startswith((".", "/", "~")) or source.endswith(".tar"):
+        raise NotFound(f"{source} does not exist", "name a folder, a Git address, an image or a saved image")
+    if not _IMAGE.fullmatch(source):
+        raise InvalidInput(f"{source!r} is no folder, Git address, image or archive")
+    return SourceKind.IMAGE
+
+
+@contextmanager
+def opened(source: str) -> Iterator[OpenedSource]:
+    """Make a source available for the block; a repository is fetched. Nothing in it is executed."""
+    kind = kind_of(source)
+    if kind is SourceKind.REPOSITORY:
+        address, _, reference = source.partition("#")
+        with temporary_folder() as folder:
+            path = folder / "repository"
+            yield OpenedSource(kind, _without_secret(address), path, fetch(address, reference or "HEAD", path))
+        return
+    path = Path(source).expanduser()
+    yield OpenedSource(kind, source, None if kind is SourceKind.IMAGE else path.resolve())
+
+
+def fetch(address: str, reference: str, target: Path) -> str:
+    """Fetch one commit of a repository without history, submodules and hooks; the commit. Raises Unavailable."""
+    if not _REFERENCE.fullmatch(reference):
+        raise InvalidInput(f"{reference!r} names no commit, tag or branch", "write ADDRESS#COMMIT")
+    _git(["init", "--quiet", str(target)], address)
+    _git(["-C", str(target), "fetch", "--quiet", "--depth=1", "--no-tags", "--", address, reference], address)
+    _git(["-C", str(target), "checkout", "--quiet", "FETCH_HEAD"], address)
+    return _git(["-C", str(target), "rev-parse", "HEAD"], address).strip()
+
+
+def _without_secret(address: str) -> str:
+    """An address without the user and password that it may hold."""
+    return re.sub(r"(?<=://)[^/@]*@", "", address)
+
+
+def _git(arguments: list[str], address: str) -> str:
+    settings = [part for setting in _GIT_SETTINGS for part in ("-c", setting)]
+    environment = {**os.environ, **_GIT_VARIABLES}
+    try:
+        done = subprocess.run(
+            ["git", *settings, *arguments],  # noqa: S607 - the git of the user
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            check=False,
+            timeout=_GIT_S,
+        )
+    except FileNotFoundError:
+        raise Unavailable("git is not installed", f"{install_command(['git'])}, or import a folder") from None
+    except subprocess.TimeoutExpired:
+        problem = f"{_without_secret(address)} did not answer within {_GIT_S} s"
+        raise Unavailable(problem, "try again, or import a folder") from None
+    if done.returncode != 0:
+        said = (done.stderr.strip().splitlines() or ["git gives no reason"])[-1].replace(address, "the address")
+        problem = f"{_without_secret(address)} cannot be fetched: {_without_secret(said)}"
+        raise Unavailable(problem, "check the address, or import a folder")
+    return done.stdout
+
+
+def check_folder(path: Path) -> None:
+    """Raise InvalidInput if ``path`` is no folder of one algorithm; names those that it holds."""
+    if (path / "algorithm.yaml").is_file():
+        raise InvalidInput(
+            f"{path} has an algorithm.yaml: it is a package of SLAM Hive already", "copy it to the folder algorithms/"
+        )
+    if looks_foreign(path):
+        return
+    inside = sorted(entry.name for entry in path.iterdir() if looks_foreign(entry))
+    if inside:
+        more = "" if len(inside) <= _SHOWN else f" and {len(inside) - _SHOWN} more"
+        raise InvalidInput(
+            f"{path} holds several algorithms: {', '.join(inside[:_SHOWN])}{more}", "import each of these folders"
+        )
+
+
+def package_name(source: OpenedSource) -> str:
+    """The name of a package that the user did not name: of the folder or repository, or the tag of the image."""
+    if source.kind is SourceKind.IMAGE:
+        last = source.text.partition("@")[0].rpartition("/")[2]
+        name = last.partition(":")[2] or last
+    elif source.kind is SourceKind.REPOSITORY:
+        name = re.split(r"[/:]", source.text.rstrip("/"))[-1].removesuffix(".git")
+    else:
+        assert source.path is not None
+        is_archive = source.kind is SourceKind.ARCHIVE
+        name = source.path.name.partition(".tar")[0] if is_archive else source.path.name
+        name = source.path.parent.name if name == "image" else name
+    return _NAME_PARTS.sub("-", name).strip("-_.").replace("..", "-")[:64] or "algorithm"
+
+
+# What an import will do: read the folder, choose where the image comes from, draft ``algorithm.yaml``.
+
+
+@dataclass(frozen=True, slots=True)
+class PackageImportRequest:
+    """What the user asks for.
+
+    Attributes:
+        name: Of the package; None for that of the source.
+        setup: What the algorithm senses with; None to find out.
+        image: The image to use with the folder, by name or as a saved file; None to build or find it.
+        replace: Take the place of an imported package of that name.
+        executor: The executor that gets the image; None for the one in force.
+        builds: Whether an image may be built, or completed by a build. A build executes the steps of others, with the
+            network.
+    """
+
+    name: str | None = None
+    setup: SensorSetup | None = None
+    image: str | None = None
+    replace: bool = False
+    executor: str | None = None
+    builds: bool = True
+
+
+class Way(StrEnum):
+    """How an import gets the image."""
+
+    BUILD = "build"
+    LOAD = "load"
+    TAKE = "take"
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPackage:
+    """What an import will do.
+
+    Attributes:
+        name: Of the package.
+        source: What is imported.
+        request: What the user asked for.
+        way: How the image is got, from ``image``: a folder, an archive or a name.
+        why: The reason for that, in words.
+        folder: What was read; None if the scripts are in the image, which has to be there first.
+        facts: What was found in it.
+        draft: The drafted ``algorithm.yaml``, with what is known before the image is there.
+    """
+
+    name: str
+    source: OpenedSource
+    request: PackageImportRequest
+    way: Way
+    image: str
+    why: str
+    folder: ForeignFolder | None = None
+    facts: FolderFacts | None = None
+    draft: PackageDraft | None = None
+
+    @property
+    def origin(self) -> PackageOrigin:
+        """Where the package comes from, as far as it is known."""
+        place = self.source.text if self.source.path is None or self.source.commit else str(self.source.path)
+        return PackageOrigin(place, self.source.commit)
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The plan as plain JSON."""
+        return {
+            "name": self.name,
+            "source": self.origin.content,
+            "kind": self.source.kind.value,
+            "image": {"way": self.way.value, "from": self.image, "why": self.why},
+            "algorithm_yaml": None if self.draft is None else self.draft.text,
+            "notes": [] if self.draft is None else list(self.draft.notes),
+            "unknown": [] if self.draft is None else list(self.draft.unknown),
+        }
+
+
+def plan(
+    source: OpenedSource, request: PackageImportRequest, tools: ImageTools, own_images: Collection[str] = ()
+) -> PlannedPackage:
+    """Say what an import of ``source`` will do; changes nothing. Raises InvalidInput, ImageMissing.
+
+    ``own_images`` are the names of images that belong to packages which are here already: no import takes one unasked.
+    """
+    name = request.name or package_name(source)
+    if source.path is None or source.kind is SourceKind.ARCHIVE:
+        way = Way.TAKE if source.path is None else Way.LOAD
+        image = source.text if source.path is None else str(source.path)
+        return PlannedPackage(name, source, request, way, image, "its scripts are in the image")
+    check_folder(source.path)
+    folder = read_folder(source.path)
+    facts = find_facts(folder)
+    way, image, why = _image_of(folder, facts, request, tools, own_images)
+    planned = PlannedPackage(name, source, request, way, image, why, folder, facts)
+    drafted = draft(folder, facts, DraftRequest(name, planned.origin, request.setup))
+    return PlannedPackage(name, source, request, way, image, why, folder, facts, drafted)
+
+
+def _image_of(
+    folder: ForeignFolder,
+    facts: FolderFacts,
+    request: PackageImportRequest,
+    tools: ImageTools,
+    own_images: Collection[str],
+) -> tuple[Way, str, str]:
+    """How to get the image of a folder: way, from where, and why."""
+    if request.image is not None:
+        is_file = kind_of(request.image) is SourceKind.ARCHIVE
+        place = str(Path(request.image).expanduser().resolve()) if is_file else request.image
+        return (Way.LOAD if is_file else Way.TAKE), place, "as you asked"
+    if folder.archive is not None:
+        return Way.LOAD, str(folder.archive), "the folder holds it"
+    published = f"slam-hive-algorithm:{folder.path.name.lower()}"
+    missing = facts.dockerfile.missing if facts.dockerfile is not None else ()
+    empty = facts.dockerfile.empty if facts.dockerfile is not None else ()
+    if facts.dockerfile is not None and not missing and not empty:
+        return Way.BUILD, str(folder.path / DOCKERFILE), "the folder holds all that it copies"
+    if published not in own_images and tools.find(published) is not None:
+        return Way.TAKE, published, "the engine has an image of that name"
+    problem = f"{folder.path} has no {DOCKERFILE}"
+    if missing:
+        problem = (
+            f"{folder.path / DOCKERFILE} line {missing[0][1]} copies {missing[0][0]}, which the folder does not hold"
+        )
+    remedy = "give the image: --image NAME, or --image FILE.tar from docker save"
+    if empty and not missing:
+        place, line = empty[0]
+        problem = f"{folder.path / DOCKERFILE} line {line} copies {place}, which is an empty link of Git"
+        remedy = f"fetch it with `git submodule update --init --recursive`, or {remedy}"
+    if published in own_images:
+        problem += f", and image {published} belongs to another package"
+    raise InvalidInput(problem, remedy)
+
+
+# Archives that ``docker save`` wrote. They may come from anywhere, so the names in them are not taken over.
+
+
+_BLOCK_BYTES = 1 << 20
+_MOST_TEXT_BYTES = 10_000_000
+_MANIFEST, _INDEX, _NAMES = "manifest.json", "index.json", "repositories"
+_TOLD_EVERY = 100_000_000
+_TAR_BLOCK = 512
+
+
+class ImageArchive:
+    """A saved image, read as a stream.
+
+    Args:
+        path: The archive, compressed or not.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.checksum = ""
+
+    def check(self) -> None:
+        """Raise InvalidInput unless the archive holds one image."""
+        with self._reading(), tarfile.open(self.path, mode="r:*") as archive:
+            for member in archive:
+                if member.name == _MANIFEST and member.isreg():
+                    content = self._json(archive, member)
+                    count = len(content) if isinstance(content, list) else 0
+                    if count != 1:
+                        raise InvalidInput(f"{self.path} holds {count} images, 1 is expected", "save one by itself")
+                    return
+        raise InvalidInput(f"{self.path} is no saved image: it holds no {_MANIFEST}", "make it with docker save")
+
+    def chunks(self, progress: Callable[[str], None]) -> Iterator[bytes]:
+        """The archive without the names of images; afterwards ``checksum`` is that of the file as it is.
+
+        Loading it as it is would give its names to the image, and take them from images that are here.
+        """
+        total = self.path.stat().st_size
+        with self._reading(), self.path.open("rb") as file:
+            counted = _Counted(file, lambda done: progress(f"loaded {done / 1e6:.0f} of {total / 1e6:.0f} MB"))
+            with tarfile.open(fileobj=counted, mode="r|*") as archive:
+                for member in archive:
+                    yield from self._without_names(archive, member)
+            yield b"\0" * 2 * _TAR_BLOCK
+            while counted.read(_BLOCK_BYTES):
+                pass
+            self.checksum = f"sha256:{counted.digest.hexdigest()}"
+
+    def _without_names(self, archive: tarfile.TarFile, member: tarfile.TarInfo) -> Iterator[bytes]:
+        if member.name == _NAMES:
+            return
+        content: IO[bytes] | None = archive.extractfile(member) if member.isreg() else None
+        if content is not None and member.name in (_MANIFEST, _INDEX):
+            text = json.dumps(_nameless(self._json(archive, member))).encode()
+            member.size, content = len(text), io.BytesIO(text)
+        yield member.tobuf(tarfile.GNU_FORMAT)
+        if content is None:
+            return
+        while block := content.read(_BLOCK_BYTES):
+            yield block
+        yield b"\0" * (-member.size % _TAR_BLOCK)
+
+    def _json(self, archive: tarfile.TarFile, member: tarfile.TarInfo) -> Any:
+        stream = archive.extractfile(member)
+        assert stream is not None
+        try:
+            return json.loads(stream.read(_MOST_TEXT_BYTES))
+        except (ValueError, RecursionError):
+            raise InvalidInput(f"{self.path}: {member.name} is damaged", "save the image again") from None
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        try:
+            yield
+        except (tarfile.TarError, EOFError, zlib.error, OSError, OverflowError) as error:
+            raise InvalidInput(f"{self.path} cannot be read as an archive: {error}", "save the image again") from None
+
+
+def _nameless(content: Any) -> Any:
+    """The manifest or index of an archive without names."""
+    if isinstance(content, list):
+        return [{**entry, "RepoTags": None} if isinstance(entry, dict) else entry for entry in content]
+    if isinstance(content, dict) and isinstance(content.get("manifests"), list):
+        entries = [entry for entry in content["manifests"] if isinstance(entry, dict)]
+        return {**content, "manifests": [{**entry, "annotations": {}} for entry in entries]}
+    return content
+
+
+class _Counted(io.RawIOBase):
+    """Reads a file, takes its checksum, and reports how far it came."""
+
+    def __init__(self, file: IO[bytes], report: Callable[[int], None]) -> None:
+        self._file = file
+        self._report = report
+        self._done = 0
+        self.digest = hashlib.sha256()
+
+    def read(self, size: int = -1) -> bytes:
+        """The next bytes."""
+        data = self._file.read(size)
+        self.digest.update(data)
+        if (self._done + len(data)) // _TOLD_EVERY > self._done // _TOLD_EVERY:
+            self._report(self._done + len(data))
+        self._done += len(data)
+        return data
+
+
+# Imports and removes algorithm packages of others. They lie in the data root, one folder each.
+
+
+logger = logging.getLogger(__name__)
+
+Progress = Callable[[str], None]
+_KEPT_DOCKERFILE = "Dockerfile.imported"
+"""Another name than ``Dockerfile``: the image is taken as it is, and not built by ours."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedPackage:
+    """What an import made: the algorithms, and what to say about them, one line each."""
+
+    algorithms: tuple[Algorithm, ...]
+    notes: tuple[str, ...]
+
+
+class AlgorithmImports:
+    """Imports packages.
+
+    Args:
+        settings: Where the packages go.
+        catalogue: Knows the names that are taken.
+        executors: Have the images.
+    """
+
+    def __init__(self, settings: Settings, catalogue: Catalogue, executors: Executors) -> None:
+        self._settings = settings
+        self._catalogue = catalogue
+        self._executors = executors
+
+    @contextmanager
+    def planned(self, source: str, request: PackageImportRequest) -> Iterator[PlannedPackage]:
+        """Say what an import will do, and keep its source for the block. A repository is fetched, nothing is executed.
+
+        Raises NotFound, InvalidInput, Conflict for a name that is taken, Unavailable.
+        """
+        with opened(source) as found:
+            result = plan(found, request, self._tools(request.executor), self._own_images())
+            self._check_free(check_name("package", result.name), replace=request.replace)
+            yield result
+
+    def perform(self, planned: PlannedPackage, progress: Progress) -> ImportedPackage:
+        """Get the image, complete it, and make the package. A failure leaves no package behind."""
+        check_writable(self._settings)
+        tools = self._tools(planned.request.executor)
+        digest, checksum = _get_image(planned, tools, progress)
+        root = self._settings.algorithms_folder
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+            with temporary_folder(".import-", root) as aside:
+                folder, scripts = _scripts_of(planned, digest, tools, aside)
+                modules = find_facts(scripts).modules
+                image = tools.complete(digest, modules, progress, builds=planned.request.builds)
+                notes = _write_package(planned, scripts, image, checksum, folder)
+                load_algorithms(folder)
+                tools.give_name(image.digest, f"slam-hive-algorithm:{planned.name}")
+                _put(folder, root / planned.name)
+        except OSError as error:
+            raise Unavailable(f"{root} cannot be written: {error.strerror or error}", remedy_of(error)) from None
+        return ImportedPackage(load_algorithms(root / planned.name), notes)
+
+    def remove(self, name: str, executor: str | None = None) -> str | None:
+        """Remove an imported package and the name of its image; in words what could not be removed.
+
+        Runs keep their results. Raises NotFound, and InvalidInput for a package that was not imported.
+        """
+        check_writable(self._settings)
+        folder = self._settings.algorithms_folder / check_name("package", name)
+        if not folder.is_dir():
+            package = self._catalogue.package(name)
+            raise InvalidInput(f"{name} was not imported", f"remove its folder {package.folder}")
+        shutil.rmtree(folder)
+        try:
+            self._tools(executor).remove(f"slam-hive-algorithm:{name}")
+        except SlamHiveError as error:
+            return f"its image stays: {error.message}"
+        return None
+
+    def _tools(self, executor: str | None = None) -> ImageTools:
+        return self._executors.get(self._executors.choose(executor)).image_tools()
+
+    def _own_images(self) -> set[str]:
+        """The names of the images of packages that were not imported."""
+        packages = (algorithm.package for algorithm in self._catalogue.algorithms())
+        return {package.image for package in packages if package.folder.parent != self._settings.algorithms_folder}
+
+    def _check_free(self, name: str, *, replace: bool) -> None:
+        """Raise Conflict if the name means something else here."""
+        if (self._settings.algorithms_folder / name).exists():
+            if replace:
+                return
+            raise Conflict(f"a package {name!r} was imported already", "--replace takes its place, or choose --name")
+        taken = {algorithm.package.name for algorithm in self._catalogue.algorithms()}
+        taken |= {algorithm.name for algorithm in self._catalogue.algorithms()}
+        if name in taken:
+            raise Conflict(f"{name!r} is the name of an algorithm here already", "choose another --name")
+
+
+def _get_image(planned: PlannedPackage, tools: ImageTools, progress: Progress) -> tuple[str, str | None]:
+    """The digest of the image, and the checksum of its archive."""
+    if planned.way is Way.BUILD:
+        if not planned.request.builds:
+            raise InvalidInput(f"{planned.name} has no image, and none is built of its Dockerfile", "save its image")
+        return tools.build(Path(planned.image).parent, planned.name, progress), None
+    if planned.way is Way.TAKE:
+        return tools.find(planned.image) or tools.pull(planned.image, progress), None
+    archive = ImageArchive(Path(planned.image))
+    archive.check()
+    return tools.load(archive.chunks(progress)), archive.checksum
+
+
+def _scripts_of(planned: PlannedPackage, digest: str, tools: ImageTools, aside: Path) -> tuple[Path, ForeignFolder]:
+    """The folder of the new package with its scripts, and what was read of them."""
+    folder = aside / "package"
+    if planned.folder is not None:
+        copy_scripts(planned.folder.path, folder / SCRIPTS)
+        if planned.folder.dockerfile is not None:
+            (folder / _KEPT_DOCKERFILE).write_text(planned.folder.dockerfile, encoding="utf-8")
+        return folder, planned.folder
+    inside = aside / "image"
+    if not tools.copy_scripts(digest, inside / SCRIPTS):
+        raise InvalidInput(
+            f"image {planned.image} holds no /slamhive/mapping.py",
+            "give the folder that holds slamhive/mapping.py, and the image with --image",
+        )
+    copy_scripts(inside, folder / SCRIPTS)
+    return folder, read_folder(inside)
+
+
+def _write_package(
+    planned: PlannedPackage, scripts: ForeignFolder, image: CompletedImage, checksum: str | None, folder: Path
+) -> tuple[str, ...]:
+    """Write ``algorithm.yaml`` with what is known now; what to say about it."""
+    now = utc_now().isoformat(timespec="seconds")
+    origin = replace(planned.origin, checksum=checksum, image=image.digest, added=image.added, imported_at=now)
+    request = DraftRequest(planned.name, origin, planned.request.setup, image.user)
+    result = draft(scripts, find_facts(scripts), request)
+    (folder / ALGORITHM_FILE).write_text(result.text, encoding="utf-8")
+    notes = list(described(result))
+    if image.added:
+        notes.append(f"put on top of the image, since the container contract needs it: {', '.join(image.added)}")
+    if image.missing:
+        notes.append(f"the scripts import {', '.join(image.missing)}, which the image lacks")
+    return tuple(notes)
+
+
+def _put(folder: Path, target: Path) -> None:
+    """Move the complete package to its place."""
+    if target.exists():
+        shutil.rmtree(target)
+    folder.rename(target)

@@ -1,0 +1,481 @@
+"""The progress of experiments: counts, time left and cells."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, OrderedDict, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import fmean, median, stdev
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamhive.base.clock import SYSTEM_CLOCK, Clock
+from slamhive.base.errors import InvalidInput, unknown
+from slamhive.domain.names import plural
+from slamhive.domain.parameters import Value
+from slamhive.domain.placement import Remaining
+from slamhive.domain.run import RunState
+from slamhive.services.experiments.context import Costs, Expected, ExperimentContext, guessed_duration_s
+from slamhive.services.experiments.views import (
+    MOST_LISTED,
+    Cell,
+    CellFigures,
+    CellPage,
+    ConfigurationStanding,
+    ExperimentGrid,
+    ExperimentStatus,
+    Failure,
+    GridCell,
+    MetricSpread,
+    Phase,
+    failure_of,
+)
+from slamhive.store import Transaction
+from slamhive.store.durations import ActiveRun, Pairing, Unfinished
+from slamhive.store.records import CellRecord, CellRun, ExperimentRecord, ExperimentState, StateCount
+
+# How long the rest of an experiment will take: builds, runs, what lies between them, and evaluations.
+
+
+MANY_RUNS = 5000
+"""From this many waiting runs on, the means are kept for a while: they change slowly and cost a look at each run."""
+KEPT_S = 60.0
+_OVERDUE = 4 / 3
+"""What has taken longer than expected is expected to take so many times what it has taken."""
+
+
+class Left(NamedTuple):
+    """The time until everything has ended, and in words what happens now."""
+
+    time: Remaining
+    phase: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Means:
+    """``of_run``: of the runs that have not ended, from claim to end. Without ``measured``, none like them ran."""
+
+    of_run: Expected
+    of_evaluation: Expected
+    of_build: Expected
+    measured: bool
+    unbuilt: tuple[str, ...]
+    evaluated_fraction: float
+    looked_at: float
+
+
+class TimeLeft:
+    """Estimates from the runs of the experiment itself, else from other runs, else from the recordings' durations.
+
+    Several threads may use it.
+
+    Args:
+        slots: Runs at a time.
+        clock: Says for how long runs have been under way.
+    """
+
+    def __init__(self, slots: int, clock: Clock = SYSTEM_CLOCK) -> None:
+        self._slots = slots
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._means: dict[int, _Means] = {}
+
+    def of(self, t: Transaction, record: ExperimentRecord, waiting: int) -> Left:
+        """Until the ``waiting`` runs of the experiment have ended, and all its runs are evaluated."""
+        evaluations = t.durations.open_evaluations(record.id)
+        if not waiting and not evaluations:
+            return Left(Remaining(0.0, 0.0, 0.0), "")
+        means = self._known(record.id, waiting) or self._look(t, record.id)
+        active = t.durations.active(record.id)
+        building = {run.package: run for run in active if _builds(run, means)}
+        running = [run for run in active if not _builds(run, means)]
+        of_build = self._no_less(means.of_build, building.values())
+        of_run = means.of_run if means.measured else self._no_less(means.of_run, running)
+        built_s = sum(self._passed_s(building.get(name), of_build.seconds) for name in means.unbuilt)
+        ran_s = sum(self._passed_s(run, of_run.seconds) for run in running)
+        amount = (
+            of_build.times(len(means.unbuilt), built_s)
+            + of_run.times(waiting, ran_s)
+            + means.of_evaluation.times(evaluations + waiting * means.evaluated_fraction)
+        )
+        time = amount.remaining(min(self._slots, max(waiting, evaluations)))
+        measured = means.measured if waiting else not means.of_evaluation.guessed_s
+        phase = _phase(active, tuple(building), evaluations) or _waiting(record.cpu_model)
+        return Left(time if measured else Remaining(time.seconds), phase)
+
+    def _no_less(self, expected: Expected, under_way: Iterable[ActiveRun]) -> Expected:
+        """A guess that is no less than what takes longest now will take; what was measured stays."""
+        longest_s = max((_OVERDUE * self._elapsed_s(run) for run in under_way), default=0.0)
+        return Expected.guess(longest_s) if expected.guessed_s and longest_s > expected.seconds else expected
+
+    def _passed_s(self, run: ActiveRun | None, expected_s: float) -> float:
+        """How much of the expected time has passed; less than nothing of one that takes longer than expected.
+
+        Such a run is taken to need a third of its time again: the longer it has taken, the further is its end.
+        """
+        elapsed_s = 0.0 if run is None else self._elapsed_s(run)
+        return expected_s - max(expected_s - elapsed_s, (_OVERDUE - 1) * elapsed_s)
+
+    def _elapsed_s(self, run: ActiveRun) -> float:
+        return (self._clock.utc_now() - run.claimed_at).total_seconds()
+
+    def _known(self, experiment_id: int, waiting: int) -> _Means | None:
+        with self._lock:
+            means = self._means.get(experiment_id)
+        fresh = means is not None and waiting >= MANY_RUNS and self._clock.monotonic_s() - means.looked_at <= KEPT_S
+        return means if fresh else None
+
+    def _look(self, t: Transaction, experiment_id: int) -> _Means:
+        waiting = t.durations.unfinished(experiment_id)
+        runs = max(1, sum(count.runs for count in waiting.values()))
+        costs = Costs.look(t)
+        expected = _expected(t, experiment_id, waiting)
+        means = _Means(
+            of_run=Expected.mean(expected) + costs.overhead,
+            of_evaluation=costs.evaluation,
+            of_build=costs.build,
+            measured=any(not each.guessed_s for _, each in expected),
+            unbuilt=tuple(t.durations.unbuilt(experiment_id)),
+            evaluated_fraction=sum(count.to_evaluate for count in waiting.values()) / runs,
+            looked_at=self._clock.monotonic_s(),
+        )
+        with self._lock:
+            self._means[experiment_id] = means
+        return means
+
+
+def _builds(run: ActiveRun, means: _Means) -> bool:
+    return run.state is RunState.PREPARING and run.package in means.unbuilt
+
+
+def _phase(active: Sequence[ActiveRun], building: Sequence[str], evaluations: int) -> str:
+    """What happens now: ``building aloam, 2 runs under way, 3 evaluations to do``; empty for nothing."""
+    under_way = [run for run in active if run.state is not RunState.PREPARING]
+    preparing = len(active) - len(under_way) - len(building)
+    parts = [f"building {', '.join(building)}"] if building else []
+    parts += [f"preparing {plural(preparing, 'run')}"] if preparing > 0 else []
+    parts += [f"{plural(len(under_way), 'run')} under way"] if under_way else []
+    parts += [f"{plural(evaluations, 'evaluation')} to do"] if evaluations else []
+    return ", ".join(parts)
+
+
+def _waiting(cpu_model: str | None) -> str:
+    return f"waiting for a worker, runs stay on {cpu_model}" if cpu_model else "waiting for a worker"
+
+
+def _expected(t: Transaction, experiment_id: int, waiting: Mapping[Pairing, Unfinished]) -> list[tuple[int, Expected]]:
+    """How many runs have not ended, and how long each takes from start to end, by what they run on what."""
+    own, others = t.durations.of_pairings(experiment_id), t.durations.of_pairings()
+    recordings_s = {dataset.name: dataset.duration_s for dataset in t.catalogue.datasets()}
+    found = []
+    for pairing, count in waiting.items():
+        measured = own.get(pairing, others.get(pairing))
+        if measured is None:
+            found.append((count.runs, Expected.guess(guessed_duration_s(pairing, recordings_s[pairing[1]]))))
+        else:
+            found.append((count.runs, Expected.of(measured)))
+    return found
+
+
+METRICS = ("ate.rmse", "tracked_fraction", "cpu.mean", "ram.max", "duration")
+"""The metrics of cells and reports."""
+
+LARGEST_PAGE = 1000
+_MANY = 500
+_STANDINGS = {
+    ExperimentState.PAUSED: ConfigurationStanding.PAUSED,
+    ExperimentState.ACTIVE: ConfigurationStanding.ACTIVE,
+}
+
+
+def all_statuses(t: Transaction) -> tuple[ExperimentStatus, ...]:
+    """All experiments, newest first, without the time left."""
+    counts, disturbed = t.experiment_counts.by_experiment(), t.experiment_counts.disturbed()
+    return tuple(
+        status_of(record, counts.get(record.id, []), disturbed.get(record.id, 0)) for record in t.experiments.all()
+    )
+
+
+def status(t: Transaction, name: str, time_left: TimeLeft) -> ExperimentStatus:
+    """The experiment called ``name``; raises NotFound."""
+    record = t.experiments.get(name)
+    counts = t.experiment_counts.by_experiment(record.id).get(record.id, [])
+    waiting = sum(entry.count for entry in counts if not entry.state.ended)
+    disturbed = t.experiment_counts.disturbed(record.id).get(record.id, 0)
+    return status_of(record, counts, disturbed, time_left.of(t, record, waiting))
+
+
+def status_of(
+    record: ExperimentRecord, found: Sequence[StateCount], disturbed: int = 0, left: Left | None = None
+) -> ExperimentStatus:
+    """The status of an experiment with these counts of runs."""
+    counts: Counter[Phase] = Counter()
+    failures: Counter[Failure] = Counter()
+    retried = 0
+    for entry in found:
+        if entry.retried:
+            retried += entry.count
+            continue
+        counts[Phase.of(entry.state, entry.judged)] += entry.count
+        failure = failure_of(entry)
+        if failure is not None:
+            failures[failure] += entry.count
+    return ExperimentStatus(
+        id=record.id,
+        name=record.name,
+        description=record.description,
+        standing=standing_of(record, counts),
+        executor=record.executor,
+        priority=record.priority,
+        repeats=record.repeats,
+        created_at=record.created_at,
+        cells=record.cells,
+        runs=record.runs,
+        missing=0 if record.complete else max(0, record.runs - sum(counts.values())),
+        counts={phase: counts[phase] for phase in Phase},
+        retried=retried,
+        failures=dict(failures),
+        disturbed=disturbed,
+        left=None if left is None else left.time,
+        phase="" if left is None else left.phase,
+        same_cpu=record.cpu_model is not None,
+        cpu_model=record.cpu_model or None,
+        owner=record.owner,
+        visibility=record.seen_by,
+    )
+
+
+def standing_of(record: ExperimentRecord, counts: Mapping[Phase, int]) -> ConfigurationStanding:
+    """The state of an experiment with these runs."""
+    if record.state is ExperimentState.CANCELLED:
+        return ConfigurationStanding.CANCELLED
+    if not record.complete:
+        return ConfigurationStanding.STORING
+    if not counts.get(Phase.QUEUED) and not counts.get(Phase.RUNNING):
+        return ConfigurationStanding.FINISHED
+    return _STANDINGS[record.state]
+
+
+def is_failing(t: Transaction, found: ExperimentStatus, wanted: int) -> bool:
+    """Whether the last ``wanted`` runs of an experiment that goes on have all failed; never if that is 0."""
+    if (
+        not wanted
+        or found.counts[Phase.FAILED] < wanted
+        or found.standing in (ConfigurationStanding.FINISHED, ConfigurationStanding.CANCELLED)
+    ):
+        return False
+    ends = t.experiment_counts.last_ended(found.id, wanted)
+    return len(ends) == wanted and all(ends)
+
+
+# -- cells -----------------------------------------------------------------------------------------------------------
+
+
+def cell_page(t: Transaction, name: str, after: int, limit: int) -> CellPage:
+    """The next ``limit`` cells after number ``after``; raises NotFound and InvalidInput."""
+    if not 1 <= limit <= LARGEST_PAGE:
+        raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
+    record = t.experiments.get(name)
+    found = t.experiments.cells(record.id, after, limit + 1)
+    shown = found[:limit]
+    more = shown[-1].number if len(found) > limit else None
+    return CellPage(tuple(_with_runs(t, record.id, shown)), record.cells, more)
+
+
+def all_cells(context: ExperimentContext, name: str) -> Iterator[Cell]:
+    """All cells in order, read in pages to save memory."""
+    after: int | None = 0
+    while after is not None:
+        page = context.store.read(lambda t, after=after: cell_page(t, name, after, _MANY))  # type: ignore[misc]
+        yield from page.cells
+        after = page.next_number
+
+
+def _with_runs(t: Transaction, experiment_id: int, cells: Sequence[CellRecord]) -> Iterator[Cell]:
+    if not cells:
+        return
+    runs: dict[int, list[CellRun]] = defaultdict(list)
+    for run in t.experiments.cell_runs(experiment_id, cells[0].number, cells[-1].number, METRICS):
+        runs[run.cell].append(run)
+    for cell in cells:
+        yield _cell(cell, runs[cell.number])
+
+
+def _cell(cell: CellRecord, runs: Sequence[CellRun]) -> Cell:
+    counts = Counter(Phase.of(run.state, run.judged) for run in runs if not run.retried)
+    failures = Counter(failure for run in runs if (failure := failure_of(run)) is not None)
+    return Cell(
+        number=cell.number,
+        name=cell.name,
+        configuration_id=cell.configuration_id,
+        values=cell.values,
+        runs=tuple(runs),
+        counts={phase: counts[phase] for phase in Phase},
+        failures=dict(failures),
+        figures=tuple(_figures(runs)),
+    )
+
+
+def _figures(runs: Sequence[CellRun]) -> Iterator[CellFigures]:
+    """The metrics of successful runs, by protocol."""
+    groups: dict[str | None, list[CellRun]] = defaultdict(list)
+    for run in counted_runs(runs):
+        if Phase.of(run.state, run.judged) in (Phase.GOOD, Phase.UNJUDGED):
+            groups[run.protocol].append(run)
+    for protocol in sorted(groups, key=str):
+        values: dict[str, list[float]] = defaultdict(list)
+        for run in groups[protocol]:
+            for key, value in run.metrics.items():
+                values[key].append(value)
+        spreads = {key: spread(values[key]) for key in METRICS if key in values}
+        disturbed = sum(bool(run.disturbed) for run in groups[protocol])
+        yield CellFigures(protocol, len(groups[protocol]), disturbed, spreads)
+
+
+def counted_runs(runs: Sequence[CellRun]) -> list[CellRun]:
+    """The runs of a cell without disturbed ones whose repetition has succeeded or failed.
+
+    Until then the disturbed run counts. The last repetition counts even if it was disturbed as well.
+    """
+    places: dict[int, int] = {}
+    last: dict[int, int] = {}
+    for run in runs:
+        first = run.id if run.retry_of is None else places.get(run.retry_of, run.retry_of)
+        places[run.id] = first
+        if run.state in (RunState.SUCCEEDED, RunState.FAILED):
+            last[first] = run.id
+    return [run for run in runs if not run.disturbed or last.get(places[run.id], run.id) == run.id]
+
+
+def spread(values: Sequence[float]) -> MetricSpread:
+    """Mean, median and sample standard deviation of at least one value."""
+    return MetricSpread(len(values), fmean(values), median(values), stdev(values) if len(values) > 1 else None)
+
+
+# The axis values of an experiment's cells, as arrays that are read once: cells never change.
+
+
+MOST_TABLES = 8
+"""Kept in memory; one of 100,000 cells and 10 axes takes 5 MB."""
+
+Integers = NDArray[np.int32]
+Key = tuple[str, Value | None]
+CellCounts = Mapping[int, Sequence[StateCount]]
+"""Runs by the number of their cell."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisTable:
+    """The cells of an experiment by axis.
+
+    ``numbers`` and ``configurations``, shape (n,), are the ascending cell numbers and their configurations. For each
+    axis, ``values`` holds its values in order of appearance; the last is None if the axis does not apply to some cells.
+    ``codes``, shape (n,), holds the index of each cell's value.
+    """
+
+    numbers: Integers
+    configurations: Integers
+    values: Mapping[str, tuple[Value | None, ...]]
+    codes: Mapping[str, Integers]
+
+    @classmethod
+    def of(cls, cells: Iterable[CellRecord]) -> AxisTable:
+        """Build the table from cells in order."""
+        numbers: list[int] = []
+        configurations: list[int] = []
+        places: dict[str, dict[Key, int]] = {}
+        found: dict[str, list[int]] = {}
+        for cell in cells:
+            for axis, value in cell.values.items():
+                codes = found.setdefault(axis, [])
+                codes += [-1] * (len(numbers) - len(codes))
+                own = places.setdefault(axis, {})
+                codes.append(own.setdefault((type(value).__name__, value), len(own)))
+            numbers.append(cell.number)
+            configurations.append(cell.configuration_id)
+        values: dict[str, tuple[Value | None, ...]] = {}
+        arrays: dict[str, Integers] = {}
+        for axis, codes in found.items():
+            array = np.array(codes + [-1] * (len(numbers) - len(codes)), dtype=np.int32)
+            known = tuple(value for _, value in places[axis])
+            values[axis] = (*known, None) if (array < 0).any() else known
+            arrays[axis] = np.where(array < 0, np.int32(len(known)), array)
+        return cls(np.array(numbers, dtype=np.int32), np.array(configurations, dtype=np.int32), values, arrays)
+
+    @property
+    def axes(self) -> dict[str, tuple[Value, ...]]:
+        """The axes with all values, in the order of the file."""
+        return {axis: tuple(value for value in values if value is not None) for axis, values in self.values.items()}
+
+    def grid(self, axes: tuple[str, str], counts: CellCounts, name: str) -> ExperimentGrid:
+        """Runs by phase over two axes.
+
+        Args:
+            axes: The axis of the rows and that of the columns.
+            counts: The runs of the cells, without retried ones.
+            name: The name of the experiment, for messages.
+        """
+        rows, columns = (self._axis(axis, name) for axis in axes)
+        phases = list(Phase)
+        shape = (len(self.values[axes[0]]), len(self.values[axes[1]]))
+        place = rows.astype(np.int64) * shape[1] + columns
+        used, first, members = np.unique(place, return_index=True, return_counts=True)
+        together = np.split(self.configurations[np.argsort(place, kind="stable")], np.cumsum(members)[:-1])
+        entries = [(cell, entry) for cell, found in counts.items() for entry in found if not entry.retried]
+        index = [phases.index(Phase.of(entry.state, entry.judged)) for _, entry in entries]
+        numbers = [(cell, phase, entry.count) for (cell, entry), phase in zip(entries, index, strict=True)]
+        table = np.array(numbers, dtype=np.int64).reshape(-1, 3)
+        of_cell = place[np.searchsorted(self.numbers, table[:, 0])]
+        sums = np.zeros((shape[0] * shape[1], len(phases)), dtype=np.int64)
+        np.add.at(sums, (of_cell, table[:, 1]), table[:, 2])
+        failures: dict[int, Counter[Failure]] = defaultdict(Counter)
+        for at, (_, entry) in zip(of_cell, entries, strict=True):
+            failure = failure_of(entry)
+            if failure is not None:
+                failures[int(at)][failure] += entry.count
+        return ExperimentGrid(
+            *axes,
+            rows=self.values[axes[0]],
+            columns=self.values[axes[1]],
+            cells={
+                divmod(int(at), shape[1]): GridCell(
+                    int(number),
+                    int(self.numbers[start]),
+                    tuple(map(int, configurations)) if number <= MOST_LISTED else (),
+                    dict(zip(phases, map(int, sums[at]), strict=True)),
+                    dict(failures.get(int(at), {})),
+                )
+                for at, start, number, configurations in zip(used, first, members, together, strict=True)
+            },
+        )
+
+    def _axis(self, axis: str, name: str) -> Integers:
+        if axis not in self.codes:
+            raise unknown(f"axis of experiment {name}", axis, list(self.codes))
+        return self.codes[axis]
+
+
+class AxisTables:
+    """A cache of tables, safe for several threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._tables: OrderedDict[int, AxisTable] = OrderedDict()
+
+    def get(self, t: Transaction, record: ExperimentRecord) -> AxisTable:
+        """The table of ``record``; it is not cached while cells are still being stored."""
+        with self._lock:
+            known = self._tables.get(record.id)
+            if known is not None:
+                self._tables.move_to_end(record.id)
+        if known is not None and len(known.numbers) == record.cells:
+            return known
+        table = AxisTable.of(t.experiments.cells(record.id, 0, None))
+        with self._lock:
+            self._tables[record.id] = table
+            while len(self._tables) > MOST_TABLES:
+                self._tables.popitem(last=False)
+        return table

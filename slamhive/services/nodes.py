@@ -1,0 +1,349 @@
+"""The machines that execute runs: what runs where, how fast, and how disturbed; taking a node out of use and back."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any, TypeVar
+
+from slamhive.base.clock import monotonic_s, utc_now
+from slamhive.base.errors import SlamHiveError, Unavailable, unknown
+from slamhive.base.settings import Mode, Settings
+from slamhive.domain.placement import Remaining
+from slamhive.executors.base import CacheUse, EngineUnavailable, Executor, Node
+from slamhive.executors.registry import AUTO
+from slamhive.services.datasets import check_writable
+from slamhive.services.executors import Executors
+from slamhive.services.experiments import ConfigurationStanding, ExperimentService
+from slamhive.store import RunRecord, Store
+from slamhive.store.durations import MachineRuns
+from slamhive.store.same_cpu import NODE
+
+# What is known of nodes, for command line, page and JSON.
+
+
+@dataclass(frozen=True, slots=True)
+class NodeRun:
+    """A run that a worker has claimed. ``node`` is None while it is not known where it runs.
+
+    ``left_s``: how long it needs by earlier runs of its configuration; None if it has not started, or there are none.
+    """
+
+    id: int
+    algorithm: str
+    dataset: str
+    state: str
+    executor: str
+    node: str | None
+    cpu_model: str | None
+    left_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NodeView:
+    """A node with the runs of this installation on it; for the rest see :class:`slamhive.executors.base.Node`.
+
+    ``runs_per_hour`` are runs that ended there lately. ``left_s``: until its runs in progress should be over, None if
+    that is not known of any.
+    """
+
+    name: str
+    state: str
+    takes_runs: bool
+    drained: bool
+    cpu_count: int | None
+    memory_bytes: int | None
+    cpu_model: str | None
+    runs: tuple[NodeRun, ...]
+    runs_per_hour: float = 0.0
+    left_s: float | None = None
+    cache: CacheUse | None = None
+
+    @classmethod
+    def of(cls, node: Node, runs: Iterable[NodeRun], runs_per_hour: float) -> NodeView:
+        """The CPU model is that of the engine, else what a run on the node has recorded."""
+        runs = tuple(runs)
+        return cls(
+            name=node.name,
+            state=node.state,
+            takes_runs=node.takes_runs,
+            drained=node.drained,
+            cpu_count=node.cpu_count,
+            memory_bytes=node.memory_bytes,
+            cpu_model=node.cpu_model or next((run.cpu_model for run in runs if run.cpu_model), None),
+            runs=runs,
+            runs_per_hour=runs_per_hour,
+            left_s=max((run.left_s for run in runs if run.left_s is not None), default=None),
+            cache=node.cache,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """The nodes of one executor; ``problem`` says why they are not known. ``drains``: nodes can be taken out of use.
+
+    ``elsewhere`` are active runs that are on none of the nodes, or of which the node is not known yet.
+    """
+
+    executor: str
+    nodes: tuple[NodeView, ...]
+    elsewhere: tuple[NodeRun, ...] = ()
+    drains: bool = False
+    problem: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """What machines with the same processor measured in the last ``hours``: runs that ended.
+
+    ``disturbed_fraction`` is that of the runs that know whether they were disturbed, None if there is none.
+    """
+
+    cpu_model: str
+    cpu_count: int
+    hours: float
+    runs: int
+    runs_per_hour: float
+    disturbed_fraction: float | None
+
+    @classmethod
+    def of(cls, found: MachineRuns, hours: float) -> Machine:
+        """The rates of what the database counts."""
+        return cls(
+            cpu_model=found.cpu_model,
+            cpu_count=found.cpu_count,
+            hours=hours,
+            runs=found.runs,
+            runs_per_hour=found.runs / hours,
+            disturbed_fraction=found.disturbed / found.judged if found.judged else None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """All of it. ``left`` is the time left of all active experiments, one after the other; ``queued`` counts runs.
+
+    Without ``asks_engines``, only the database was asked.
+    """
+
+    engines: tuple[Engine, ...]
+    machines: tuple[Machine, ...]
+    queued: int
+    left: Remaining
+    asks_engines: bool = True
+
+    @property
+    def left_s(self) -> float:
+        """The expected time left."""
+        return self.left.seconds
+
+    @property
+    def low_s(self) -> float | None:
+        """The sum of the lower ends of their intervals; None if nothing was measured."""
+        return self.left.low_s
+
+    @property
+    def high_s(self) -> float | None:
+        """The sum of the upper ends of their intervals; None if nothing was measured."""
+        return self.left.high_s
+
+
+# Engines are asked in threads, so that one that does not answer holds nobody up for long.
+
+
+PATIENCE_S = 5.0
+"""How long anybody waits for an engine."""
+KEPT_S = 5.0
+"""How long an answer is given to all who ask."""
+
+AnswerT = TypeVar("AnswerT")
+
+
+class _Question:
+    """One question, asked in a thread of its own. It ends with the process if it is never answered."""
+
+    def __init__(self, ask: Callable[[], Any]) -> None:
+        self.begun_s = monotonic_s()
+        self.answered_s = 0.0
+        self.done = threading.Event()
+        self.answer: Any = None
+        self.problem: SlamHiveError | None = None
+        self._ask = ask
+        threading.Thread(target=self._run, name="engine", daemon=True).start()
+
+    def _run(self) -> None:
+        try:
+            self.answer = self._ask()
+        except SlamHiveError as error:
+            self.problem = error
+        except Exception as error:  # noqa: BLE001 - the executor of a plug-in can raise anything
+            self.problem = Unavailable(f"the engine cannot be asked: {type(error).__name__}: {error}")
+        self.answered_s = monotonic_s()
+        self.done.set()
+
+
+class EngineAnswers:
+    """Asks each engine one question at a time, and keeps the answer for a moment. Safe to share between threads.
+
+    Args:
+        patience_s: How long to wait for an answer.
+        kept_s: How long an answer is kept.
+    """
+
+    def __init__(self, patience_s: float = PATIENCE_S, kept_s: float = KEPT_S) -> None:
+        self._patience_s = patience_s
+        self._kept_s = kept_s
+        self._lock = threading.Lock()
+        self._questions: dict[str, _Question] = {}
+
+    def of(self, name: str, ask: Callable[[], AnswerT]) -> AnswerT:
+        """What ``ask`` returns or raises, asked now or a moment ago. Raises Unavailable if that takes too long."""
+        with self._lock:
+            question = self._questions.get(name)
+            if question is None or self._is_old(question):
+                question = self._questions[name] = _Question(ask)
+        if not question.done.wait(max(0.0, question.begun_s + self._patience_s - monotonic_s())):
+            raise Unavailable(f"{name} has not answered for {self._patience_s:g} s", "slamhive doctor examines it")
+        if question.problem is not None:
+            raise type(question.problem)(question.problem.message, question.problem.remedy)
+        answer: AnswerT = question.answer
+        return answer
+
+    def forget(self, name: str) -> None:
+        """Ask again next time: something has changed."""
+        with self._lock:
+            self._questions.pop(name, None)
+
+    def _is_old(self, question: _Question) -> bool:
+        return question.done.is_set() and monotonic_s() - question.answered_s >= self._kept_s
+
+
+# The nodes of all executors in use, and draining one.
+
+
+HOURS = 24.0
+"""Throughput and disturbance are those of this time."""
+
+
+class Nodes:
+    """The machines of one installation.
+
+    Args:
+        settings: Mode and executor.
+        store: The database.
+        executors: Whom to ask.
+        experiments: For the time left.
+        worker_alive: Whether a worker runs on this machine.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        store: Store,
+        executors: Executors,
+        experiments: ExperimentService,
+        worker_alive: Callable[[], bool],
+    ) -> None:
+        self._settings = settings
+        self._store = store
+        self._executors = executors
+        self._experiments = experiments
+        self._worker_alive = worker_alive
+        self._answers = EngineAnswers()
+
+    def overview(self) -> Overview:
+        """Nodes, runs, throughput and time left. A view-only installation asks no engine."""
+        now = utc_now()
+        since = now - timedelta(hours=HOURS)
+        active, queued = self._store.read(lambda t: (t.runs.active(), t.durations.queued()))
+        measured = self._store.read(lambda t: t.durations.by_machine(since))
+        asks = self._settings.mode is not Mode.VIEW_ONLY
+        expected_s = self._store.read(lambda t: {run.id: t.placing.measured_s(run.configuration_id) for run in active})
+        runs = [_run(record, expected_s[record.id], now) for record in active]
+        names = {run.executor for run in runs} | set(queued)
+        return Overview(
+            engines=tuple(self._engines(names, runs, since)) if asks else tuple(_unasked(names, runs)),
+            machines=tuple(Machine.of(entry, HOURS) for entry in measured),
+            queued=sum(queued.values()),
+            left=self._left(),
+            asks_engines=asks,
+        )
+
+    def drain(self, executor: str, node: str, drained: bool) -> None:
+        """Let no further run start on ``node``, or let runs start there again; active runs go on.
+
+        Raises NotFound for an unknown executor or node, and InvalidInput if the executor cannot do it. Raises Forbidden
+        in view-only mode or if the engine does not allow it, and Unavailable if the engine does not answer.
+        """
+        check_writable(self._settings)
+        engine = self._executors.get(executor)
+        known = [entry.name for entry in self._answers.of(executor, lambda: self._ask(engine))]
+        if node not in known:
+            raise unknown("node", node, known)
+        question = f"the executor {executor}, asked to {'drain' if drained else 'undrain'} {node},"
+        try:
+            self._answers.of(question, lambda: engine.drain(node, drained))
+        finally:
+            self._answers.forget(question)
+            self._answers.forget(executor)
+        self._store.note_act()
+
+    def _engines(self, names: Collection[str], runs: Sequence[NodeRun], since: datetime) -> Iterator[Engine]:
+        """The executors that have runs, and the one that new runs get."""
+        ended = self._store.read(lambda t: t.placing.ended_on(since))
+        chosen = self._settings.executor
+        try:
+            chosen = self._answers.of(AUTO, self._executors.choose) if chosen == AUTO else chosen
+        except SlamHiveError as error:
+            yield Engine(chosen, (), problem=str(error))
+        for name in sorted({*names, chosen} - {AUTO}):
+            rates = {node: count / HOURS for (executor, node), count in ended.items() if executor == name}
+            yield self._engine(name, [run for run in runs if run.executor == name], rates)
+
+    def _engine(self, name: str, runs: Sequence[NodeRun], rates: Mapping[str | None, float]) -> Engine:
+        try:
+            executor = self._executors.get(name)
+            nodes = self._answers.of(name, lambda: self._ask(executor))
+        except SlamHiveError as error:
+            return Engine(name, (), tuple(runs), problem=str(error))
+        here = executor.capabilities.takes_cores_here
+        views = [
+            NodeView.of(
+                node,
+                (run for run in runs if here or run.node == node.name),
+                rates.get(None if here else node.name, 0.0),
+            )
+            for node in nodes
+        ]
+        placed = {run.id for view in views for run in view.runs}
+        elsewhere = tuple(run for run in runs if run.id not in placed)
+        return Engine(name, tuple(views), elsewhere, executor.capabilities.drains)
+
+    def _ask(self, executor: Executor) -> list[Node]:
+        """The nodes of an executor. Only a running worker knows whether an engine of its own machine answers."""
+        if not (executor.capabilities.takes_cores_here and self._worker_alive()):
+            problem = executor.unavailable_because()
+            if problem is not None:
+                raise EngineUnavailable(problem)
+        return executor.nodes()
+
+    def _left(self) -> Remaining:
+        active = [entry.name for entry in self._experiments.list() if entry.standing is ConfigurationStanding.ACTIVE]
+        found = (self._experiments.status(name).left for name in active)
+        return sum((left for left in found if left is not None), Remaining(0.0))
+
+
+def _unasked(names: Collection[str], runs: Sequence[NodeRun]) -> Iterator[Engine]:
+    for name in sorted(names):
+        yield Engine(name, (), tuple(run for run in runs if run.executor == name))
+
+
+def _run(record: RunRecord, expected_s: float | None, now: datetime) -> NodeRun:
+    node = ((record.handle or {}).get("data") or {}).get(NODE)
+    model = None if record.host is None or node is None else record.host.cpu_model
+    left_s = None
+    if expected_s is not None and record.started_at is not None:
+        left_s = max(0.0, expected_s - (now - record.started_at).total_seconds())
+    return NodeRun(record.id, record.algorithm, record.dataset, record.state, record.executor, node, model, left_s)

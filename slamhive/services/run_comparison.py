@@ -1,0 +1,560 @@
+"""Comparing a few runs: their settings, their metrics under one protocol, and the analysis that draws them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from slamhive.base import strict_yaml
+from slamhive.base.bounds import whole_number
+from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.documents.catalogue import MatchDocument
+from slamhive.documents.protocol import ComparedColumn, ComparedMetric, ComparisonDocument
+from slamhive.domain.algorithm import IMPORTED
+from slamhive.domain.metrics import Direction, Metric, with_unknown
+from slamhive.domain.names import plural
+from slamhive.domain.run import RunState
+from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
+from slamhive.domain.trust import TrustLevel
+from slamhive.domain.verdict import judge
+from slamhive.run_folder.folder import RunFolder
+from slamhive.store import Store
+from slamhive.store.records import EvaluationState, RunRecord
+from slamhive.store.transaction import Transaction
+
+if TYPE_CHECKING:
+    from slamhive.analysis.report import Plot
+    from slamhive.services.analysis import AnalysisService
+
+# Which metrics of a comparison are marked as better: those of runs that differ in nothing that explains them.
+
+
+class MarkedPart(StrEnum):
+    """A part of the metrics, as sentences name it."""
+
+    ALL = "nothing"
+    ACCURACY = "no accuracy"
+    MEASURED = "no CPU, memory or time"
+
+
+@dataclass(frozen=True, slots=True)
+class Unmarked:
+    """Why no metric of a part is marked."""
+
+    part: MarkedPart
+    why: str
+
+    @property
+    def words(self) -> str:
+        """The same as the end of a line: ``nothing is marked as better: the runs are of 2 datasets``."""
+        return f"{self.part} is marked as better: {self.why}"
+
+    def holds_for(self, metric: Metric) -> bool:
+        """Whether ``metric`` belongs to the part."""
+        return self.part is MarkedPart.ALL or metric.needs_protocol is (self.part is MarkedPart.ACCURACY)
+
+
+def unmarked_parts(runs: Sequence[RunRecord], *, mixed_trajectories: bool) -> tuple[Unmarked, ...]:
+    """The parts of the metrics in which the runs cannot be compared.
+
+    Args:
+        runs: All runs of the comparison.
+        mixed_trajectories: Whether live, final and keyframe trajectories were judged.
+    """
+    datasets = {run.dataset for run in runs}
+    if len(datasets) > 1:
+        return (Unmarked(MarkedPart.ALL, f"the runs are of {len(datasets)} datasets"),)
+    models = {run.host.cpu_model for run in runs if run.host is not None}
+    accuracy = (Unmarked(MarkedPart.ACCURACY, "kinds of trajectories are mixed"),) if mixed_trajectories else ()
+    measured = (Unmarked(MarkedPart.MEASURED, f"the runs are of {plural(len(models), 'CPU model')}"),)
+    return accuracy + (measured if len(models) > 1 else ())
+
+
+# What a comparison of runs shows, and which runs it accepts.
+
+
+FEWEST_RUNS, MOST_RUNS = 2, 20
+_LARGEST_ID = 2**53 - 1
+_REMEDY = f"name {FEWEST_RUNS} to {MOST_RUNS} runs, for example 3,5,8"
+
+
+def shown_digits(value: float) -> str:
+    """The four significant digits that pages show; values that agree in them are a tie."""
+    return f"{value:.4g}"
+
+
+@dataclass(frozen=True, slots=True)
+class RunColumn:
+    """One column: a run, or the runs of a configuration. ``failed`` are the members that count as failed."""
+
+    runs: tuple[RunRecord, ...]
+    failed: tuple[int, ...]
+
+    @property
+    def run_ids(self) -> tuple[int, ...]:
+        """The numbers of its runs."""
+        return tuple(run.id for run in self.runs)
+
+    @property
+    def doubtful(self) -> tuple[int, ...]:
+        """The numbers of those of its runs that cannot be trusted fully."""
+        return tuple(run.id for run in self.runs if run.trust is not None and run.trust.reasons)
+
+    @property
+    def can_be_better(self) -> bool:
+        """Whether one of its runs neither failed nor has low trust: its values are those of the algorithm."""
+        low = {run.id for run in self.runs if run.trust is not None and run.trust.level is TrustLevel.LOW}
+        return any(run_id not in low and run_id not in self.failed for run_id in self.run_ids)
+
+
+@dataclass(frozen=True, slots=True)
+class CommonProtocol:
+    """A protocol under which runs of the comparison have metrics, and the runs that lack it but could have it."""
+
+    fingerprint: str
+    label: str
+    runs: tuple[int, ...]
+    lacking: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SettingLine:
+    """One setting or parameter: a text for each column, None where the runs do not have it."""
+
+    key: str
+    texts: tuple[str | None, ...]
+
+    @property
+    def differs(self) -> bool:
+        """Whether the columns have different values."""
+        return len(set(self.texts)) > 1
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A metric of a column: the mean over ``count`` runs, with a 95 % interval if there are several."""
+
+    mean: float
+    count: int
+    low: float | None = None
+    high: float | None = None
+
+    @property
+    def shown(self) -> str:
+        """The mean with the digits that decide on a tie."""
+        return shown_digits(self.mean)
+
+
+@dataclass(frozen=True, slots=True)
+class MetricLine:
+    """One metric: a value for each column, None where it is missing. ``best`` is the column to mark, None for none."""
+
+    metric: Metric
+    figures: tuple[Figure | None, ...]
+    best: int | None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the columns have different values, in the digits that are shown."""
+        return len({None if figure is None else figure.shown for figure in self.figures}) > 1
+
+    def document(self, columns: Sequence[str]) -> ComparedMetric:
+        """The line as JSON has it; ``columns`` are the names of the columns."""
+        return ComparedMetric.of(
+            self,
+            unit=self.metric.unit,
+            better=self.metric.direction,
+            best=None if self.best is None else columns[self.best],
+            values=dict(zip(columns, self.figures, strict=True)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RunComparison:
+    """Runs side by side under one protocol; ``protocol`` is None if none of them is evaluated.
+
+    ``unmarked`` says in which metrics the runs are not comparable, so that none is marked as better.
+    """
+
+    columns: tuple[RunColumn, ...]
+    grouped: bool
+    protocols: tuple[CommonProtocol, ...]
+    protocol: CommonProtocol | None
+    settings: tuple[SettingLine, ...]
+    metrics: tuple[MetricLine, ...]
+    unmarked: tuple[Unmarked, ...]
+
+    @property
+    def runs(self) -> tuple[RunRecord, ...]:
+        """All runs, in the order of the columns."""
+        return tuple(run for column in self.columns for run in column.runs)
+
+    @property
+    def mixed_trajectories(self) -> dict[str, tuple[int, ...]]:
+        """The runs by the kind of the trajectory that was judged, if there are several kinds."""
+        return mixed_trajectories(self.runs, self.protocol)
+
+    @property
+    def marks_nothing(self) -> bool:
+        """Whether no metric at all is marked as better."""
+        return any(entry.part is MarkedPart.ALL for entry in self.unmarked)
+
+    @property
+    def single_runs(self) -> bool:
+        """Whether each column is one run, so that nobody knows how much repeats would differ."""
+        return all(len(column.runs) == 1 for column in self.columns)
+
+    @property
+    def address(self) -> str:
+        """The path of its page."""
+        group = "&group=configuration" if self.grouped else ""
+        protocol = "" if self.protocol is None else f"&protocol={self.protocol.fingerprint}"
+        return f"/compare?runs={','.join(str(run.id) for run in self.runs)}{group}{protocol}"
+
+    @property
+    def document(self) -> ComparisonDocument:
+        """The comparison as JSON has it."""
+        names = [str(column.runs[0].configuration_id if self.grouped else column.runs[0].id) for column in self.columns]
+        columns = [ComparedColumn(runs=column.run_ids, failed=column.failed) for column in self.columns]
+        return ComparisonDocument.of(
+            self,
+            runs=tuple(run.id for run in self.runs),
+            group="configuration" if self.grouped else None,
+            columns=dict(zip(names, columns, strict=True)),
+            settings={line.key: dict(zip(names, line.texts, strict=True)) for line in self.settings},
+            metrics={line.metric.key: line.document(names) for line in self.metrics},
+            unmarked="; ".join(entry.words for entry in self.unmarked) or None,
+        )
+
+
+def mixed_trajectories(runs: Sequence[RunRecord], protocol: CommonProtocol | None) -> dict[str, tuple[int, ...]]:
+    """The runs by the kind of the trajectory that was judged under ``protocol``; empty if all are of one kind."""
+    if protocol is None or with_trajectory(protocol.label, TrajectoryKind.LIVE) == protocol.label:
+        return {}
+    kinds: dict[str, list[int]] = {}
+    for run in runs:
+        if run.trajectory is not None and run.id in protocol.runs:
+            kinds.setdefault(run.trajectory.value, []).append(run.id)
+    return {kind: tuple(members) for kind, members in sorted(kinds.items())} if len(kinds) > 1 else {}
+
+
+def read_run_ids(texts: Iterable[str]) -> tuple[int, ...]:
+    """The numbers of the runs to compare, from texts such as ``3,5,8``.
+
+    Raises:
+        InvalidInput: a text is no number, a run is named twice, or there are too few or too many.
+    """
+    parts = [part.strip() for text in texts for part in text.split(",") if part.strip()]
+    if not FEWEST_RUNS <= len(parts) <= MOST_RUNS:
+        raise InvalidInput(f"{plural(len(parts), 'run')} cannot be compared", _REMEDY)
+    run_ids = tuple(whole_number(part, "run", 1, _LARGEST_ID) for part in parts)
+    twice = next((run_id for place, run_id in enumerate(run_ids) if run_id in run_ids[:place]), None)
+    if twice is not None:
+        raise InvalidInput(f"run {twice} is named twice", "name each run once")
+    return run_ids
+
+
+# Metrics side by side, and the analysis that draws the runs.
+
+
+_TIME_LIMIT_S = 60.0
+_UNDER_PROTOCOL = ({"form": "trajectories", "with_failed": True, "in_3d": True},)
+_MEASURED = ({"form": "usage"}, {"form": "latency"})
+Values = Mapping[int, Mapping[str, float]]
+
+
+def metric_lines(
+    columns: Sequence[RunColumn], values: Values, unmarked: Sequence[Unmarked] = ()
+) -> tuple[MetricLine, ...]:
+    """All metrics that a run has, in the order of the catalogue.
+
+    Args:
+        columns: What stands side by side.
+        values: {run: {metric key: value}}.
+        unmarked: The metrics whose better column is not marked.
+    """
+    known = {key: value for run_values in values.values() for key, value in run_values.items()}
+    metrics = with_unknown(known)
+    numbers = {metric.counted_by for metric in metrics}
+    shown = [metric for metric in metrics if metric.key not in numbers]
+    return tuple(
+        _line(metric, columns, values, marked=not any(entry.holds_for(metric) for entry in unmarked))
+        for metric in shown
+    )
+
+
+def _line(metric: Metric, columns: Sequence[RunColumn], values: Values, *, marked: bool) -> MetricLine:
+    samples = [_sample(metric, column, values) for column in columns]
+    figures = tuple(_figure(sample) for sample in samples)
+    return MetricLine(metric, figures, _best(metric, columns, samples) if marked else None)
+
+
+def _sample(metric: Metric, column: RunColumn, values: Values) -> list[float]:
+    """The values of the good runs; those of all runs if the column is one run, which is shown as it is."""
+    runs = [run for run in column.run_ids if len(column.runs) == 1 or run not in column.failed]
+    return [values[run][metric.key] for run in runs if metric.key in values[run]]
+
+
+def _figure(sample: Sequence[float]) -> Figure | None:
+    if not sample:
+        return None
+    if len(sample) == 1:
+        return Figure(sample[0], 1)
+    import numpy as np  # noqa: PLC0415 - loaded for repeats only, with scipy
+
+    from slamhive.analysis.statistics import summarise  # noqa: PLC0415
+
+    summary = summarise(np.array(sample))
+    if summary is None:
+        return None
+    ends = (None, None) if summary.interval is None else (summary.interval.low, summary.interval.high)
+    return Figure(summary.mean, summary.count, *ends)
+
+
+def _best(metric: Metric, columns: Sequence[RunColumn], samples: Sequence[Sequence[float]]) -> int | None:
+    """The column with the best mean; None on a tie, for a neutral metric, or if chance may explain the difference."""
+    if metric.direction is Direction.NEUTRAL:
+        return None
+    sign = 1 if metric.direction is Direction.LOWER else -1
+    rivals = [
+        (sign * sum(sample) / len(sample), place)
+        for place, (column, sample) in enumerate(zip(columns, samples, strict=True))
+        if sample and column.can_be_better
+    ]
+    if len(rivals) < 2:
+        return None
+    (first, best), *others = sorted(rivals)
+    tied = any(shown_digits(first) == shown_digits(mean) for mean, _ in others)
+    return None if tied or not all(_differ(samples[best], samples[place]) for _, place in others) else best
+
+
+def _differ(first: Sequence[float], second: Sequence[float]) -> bool:
+    """Whether two groups differ by more than chance. Two single values are compared as they are."""
+    if min(len(first), len(second)) < 2:
+        return len(first) == len(second)
+    import numpy as np  # noqa: PLC0415 - loaded for repeats only, with scipy
+
+    from slamhive.analysis.statistics import compare_means  # noqa: PLC0415
+
+    return compare_means(np.array(first), np.array(second)).decided
+
+
+def colour_order(comparison: RunComparison) -> list[int]:
+    """What the colours of the plots mean, in order: configurations if they are grouped, otherwise runs."""
+    first = (column.runs[0] for column in comparison.columns)
+    return [run.configuration_id if comparison.grouped else run.id for run in first]
+
+
+def analysis_text(comparison: RunComparison) -> str:
+    """The analysis file that draws the runs of a comparison."""
+    return _metric_text(comparison, (*_UNDER_PROTOCOL, *_MEASURED), _fingerprint(comparison))
+
+
+def plots_of(comparison: RunComparison, analyses: AnalysisService) -> tuple[Plot, ...]:
+    """The plots of a comparison; a plot that does not fit the runs says why.
+
+    What was measured during the runs does not depend on the protocol, so it is drawn for runs of other protocols too.
+    Raises InvalidInput if no run has been evaluated.
+    """
+    from slamhive.services.analysis import AnalysisLimits  # noqa: PLC0415 - loads pandas and scipy
+
+    limits = AnalysisLimits(len(comparison.runs), _TIME_LIMIT_S)
+    parts = ((_UNDER_PROTOCOL, _fingerprint(comparison)), (_MEASURED, None))
+    texts = [_metric_text(comparison, forms, protocol) for forms, protocol in parts]
+    return tuple(plot for text in texts for plot in analyses.compute(analyses.read(text, "comparison"), limits).forms)
+
+
+def _metric_text(comparison: RunComparison, forms: Sequence[Mapping[str, object]], protocol: str | None) -> str:
+    numbers = [run.id for run in comparison.runs]
+    look = {
+        "coloured_by": "configuration" if comparison.grouped else "run",
+        "colour_order": colour_order(comparison),
+        "folded": comparison.grouped,
+    }
+    content = {
+        "name": f"Runs {', '.join(map(str, numbers))}",
+        "select": {"runs": {"runs": numbers}},
+        **({} if protocol is None else {"protocol": protocol}),
+        "forms": [{**form, **look} for form in forms],
+    }
+    return strict_yaml.dump(content)
+
+
+def _fingerprint(comparison: RunComparison) -> str | None:
+    return None if comparison.protocol is None else comparison.protocol.fingerprint
+
+
+# The settings of runs in texts, to see what differs.
+
+
+def setting_lines(columns: Sequence[Sequence[Mapping[str, str]]]) -> tuple[SettingLine, ...]:
+    """All settings of the columns, each column with the settings of its runs; repeats list their different values."""
+    keys = dict.fromkeys(key for column in columns for settings in column for key in settings)
+    return tuple(SettingLine(key, tuple(_joined(column, key) for column in columns)) for key in keys)
+
+
+def settings_of(run: RunRecord, record: Mapping[str, Any]) -> dict[str, str]:
+    """The settings of a run that it states, then its parameters by ``parameter.<key>``.
+
+    Args:
+        run: The run.
+        record: The content of its ``run.json``, which holds the parameters taken from sensors.
+    """
+    known = {
+        "algorithm": run.algorithm,
+        "version": run.version_label,
+        "dataset": run.dataset,
+        "pre-processing": "; ".join(map(str, run.variant)) or "none",
+        "trajectory": None if run.trajectory is None else run.trajectory.value,
+    }
+    if run.executor != IMPORTED:
+        known |= {
+            "playback": f"{run.playback.mode.value} × {run.playback.rate:g}",
+            "executor": run.executor,
+            "CPU limit [cores]": None if run.cpu_cores is None else f"{run.cpu_cores:g}",
+            "memory limit [MB]": None if run.memory_mb is None else str(run.memory_mb),
+            "seed": str(run.seed),
+        }
+    match = _match(record)
+    sensors = {} if match is None else {f"sensor {role}": used.name for role, used in match.sensors.items()}
+    bound = {} if match is None else {key: entry.value for key, entry in match.parameters.items()}
+    parameters = {f"parameter.{key}": _text(value) for key, value in {**bound, **run.parameters}.items()}
+    return {key: text for key, text in known.items() if text is not None} | sensors | parameters
+
+
+def _match(record: Mapping[str, Any]) -> MatchDocument | None:
+    try:
+        return MatchDocument.read(record["match"]) if "match" in record else None
+    except InvalidInput:
+        return None
+
+
+def _joined(column: Sequence[Mapping[str, str]], key: str) -> str | None:
+    texts = dict.fromkeys(settings[key] for settings in column if key in settings)
+    return ", ".join(texts) if texts else None
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple | list):
+        return ", ".join(map(_text, value))
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+# Comparing a few runs.
+
+
+_MOST_NAMED = 5
+_ByProtocol = Mapping[str | None, Mapping[str, float]]
+
+
+class RunComparisons:
+    """Puts runs side by side.
+
+    Args:
+        store: Runs, metrics and evaluations.
+        runs_folder: The run folders, for the parameters that were taken from sensors.
+    """
+
+    def __init__(self, store: Store, runs_folder: Path) -> None:
+        self._store = store
+        self._runs_folder = runs_folder
+
+    def of(self, run_ids: Sequence[int], protocol: str | None = None, *, grouped: bool = False) -> RunComparison:
+        """Compare runs under one protocol.
+
+        Args:
+            run_ids: The runs, as :func:`read_run_ids` returns them.
+            protocol: A fingerprint; None for the protocol that the most runs have.
+            grouped: Whether the runs of a configuration are one column.
+
+        Raises:
+            NotFound: a run is unknown, or no run was evaluated under the protocol.
+        """
+        runs, values, protocols = self._store.read(lambda t: _read(t, run_ids))
+        chosen = _chosen(protocols, runs, protocol)
+        fingerprint = None if chosen is None else chosen.fingerprint
+        evaluated = {run: found.get(fingerprint, {}) if fingerprint else {} for run, found in values.items()}
+        columns = _columns(runs, evaluated, grouped=grouped)
+        shown = {run: {**values[run].get(None, {}), **found} for run, found in evaluated.items()}
+        unmarked = unmarked_parts(runs, mixed_trajectories=bool(mixed_trajectories(runs, chosen)))
+        return RunComparison(
+            columns=columns,
+            grouped=grouped,
+            protocols=protocols,
+            protocol=chosen,
+            settings=setting_lines([[self._settings_of(run) for run in column.runs] for column in columns]),
+            metrics=metric_lines(columns, shown, unmarked),
+            unmarked=unmarked,
+        )
+
+    def repeats(self, run: RunRecord, most: int) -> tuple[int, ...]:
+        """A run and the newest other runs of its configuration, at most ``most``."""
+        latest = self._store.read(lambda t: t.configuration_book.latest_runs(run.configuration_id, most))
+        others = [other for other in latest if other != run.id]
+        return tuple(sorted([run.id, *others[: most - 1]]))
+
+    def _settings_of(self, run: RunRecord) -> dict[str, str]:
+        folder = RunFolder(self._runs_folder / str(run.id))
+        return settings_of(run, folder.read_record() if folder.record.exists() else {})
+
+
+def _read(
+    t: Transaction, run_ids: Sequence[int]
+) -> tuple[tuple[RunRecord, ...], dict[int, _ByProtocol], tuple[CommonProtocol, ...]]:
+    unknown = sorted(set(run_ids) - t.run_table.existing(run_ids))
+    if unknown:
+        shown = ", ".join(map(str, unknown[:_MOST_NAMED])) + (", ..." if len(unknown) > _MOST_NAMED else "")
+        raise NotFound(f"unknown run{'s' if len(unknown) > 1 else ''} {shown}", "the page of runs lists all runs")
+    runs = t.runs.get_many(run_ids, with_metrics=True)
+    values: dict[int, _ByProtocol] = {run.id: t.metrics.by_protocol(run.id) for run in runs}
+    labels = {
+        entry.protocol.fingerprint: entry.protocol.label
+        for run in runs
+        for entry in t.evaluations.for_run(run.id)
+        if entry.state is EvaluationState.SUCCEEDED
+    }
+    return runs, values, tuple(_common(key, label, runs, values) for key, label in labels.items())
+
+
+def _common(key: str, label: str, runs: Sequence[RunRecord], values: Mapping[int, _ByProtocol]) -> CommonProtocol:
+    having = tuple(run.id for run in runs if key in values[run.id])
+    could = (run.id for run in runs if run.state is RunState.SUCCEEDED)
+    kinds = {run.trajectory for run in runs if run.id in having}
+    if len(kinds) == 1:
+        label = with_trajectory(label, *kinds)
+    return CommonProtocol(key, label, having, tuple(run_id for run_id in could if run_id not in having))
+
+
+def _chosen(protocols: Sequence[CommonProtocol], runs: Sequence[RunRecord], asked: str | None) -> CommonProtocol | None:
+    """The protocol that was asked for, or the one that the most runs have; of several, the one that lists show."""
+    if asked is not None:
+        found = next((entry for entry in protocols if entry.fingerprint == asked), None)
+        if found is None:
+            known = ", ".join(entry.fingerprint for entry in protocols[:_MOST_NAMED]) or "none"
+            raise NotFound(f"no run here was evaluated under protocol {asked[:40]!r}", f"known here: {known}")
+        return found
+    current = Counter(run.protocol.fingerprint for run in runs if run.protocol is not None)
+    return max(protocols, key=lambda entry: (len(entry.runs), current[entry.fingerprint]), default=None)
+
+
+def _columns(
+    runs: Sequence[RunRecord], evaluated: Mapping[int, Mapping[str, float]], *, grouped: bool
+) -> tuple[RunColumn, ...]:
+    groups: dict[int, list[RunRecord]] = {}
+    for run in runs:
+        groups.setdefault(run.configuration_id if grouped else run.id, []).append(run)
+    return tuple(
+        RunColumn(tuple(members), tuple(run.id for run in members if _failed(run, evaluated[run.id])))
+        for members in groups.values()
+    )
+
+
+def _failed(run: RunRecord, values: Mapping[str, float]) -> bool:
+    """Whether a run counts as failed under the protocol of these values; a run that lacks them is not judged."""
+    return run.state is RunState.FAILED or (bool(values) and judge(values).kind.failed)

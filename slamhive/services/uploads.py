@@ -1,0 +1,599 @@
+"""Files that programs send in parts, and what is imported from them."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime, timedelta
+from enum import StrEnum
+from pathlib import Path, PurePosixPath
+from typing import IO, TypeVar
+
+from slamhive.base.bounds import read_record
+from slamhive.base.budget import BudgetShare, Lent
+from slamhive.base.clock import utc_now
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, Unavailable, nearest
+from slamhive.base.files import (
+    TEMPORARY,
+    held_folder,
+    make_shared_folder,
+    remedy_of,
+    sweep_folder,
+    temporary_folder,
+    visible_files,
+    write_aside,
+)
+from slamhive.base.settings import Settings
+from slamhive.documents.imports import (
+    HEXADECIMAL,
+    AlgorithmUpload,
+    DatasetUpload,
+    Import,
+    ImportedDocument,
+    RunsUpload,
+    UploadRequest,
+)
+from slamhive.domain.collection import FileKind
+from slamhive.domain.names import check_name
+from slamhive.downloads.download import check_space
+from slamhive.downloads.unpack import unpack
+from slamhive.packages.collection_file import kind_of
+from slamhive.recordings.importing import ImportOptions
+from slamhive.services.algorithms import AlgorithmImports
+from slamhive.services.algorithms import PackageImportRequest as AlgorithmRequest
+from slamhive.services.datasets import Catalogue, check_writable
+from slamhive.services.evaluations import Evaluations
+from slamhive.services.executors import Executors
+from slamhive.services.imports import ImportRequest, Imports, TrajectoryFormat
+from slamhive.services.versions import Versions, is_export
+from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
+
+# The folder of one upload: what was promised, the bytes that have arrived, and what was made of them.
+#
+# Bytes are appended in order, so the size of the file says how far an upload is, also after a kill. Whether they are
+# the right ones shows its SHA-256, which is checked before anything is imported.
+
+
+PROMISE, CONTENT, RESULT = "upload.json", "content", "imported.json"
+_PIECE_BYTES = 256 * 1024
+
+Progress = Callable[[float, str], None]
+"""Called with the fraction done (0..1) and the current activity."""
+
+
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """What a program said of the file before it sent it. ``owner`` is its account, empty without accounts."""
+
+    name: str
+    size_bytes: int
+    sha256: str
+    owner: str
+
+
+class UploadFolder:
+    """``<data>/uploads/<token>``."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.content = root / CONTENT
+
+    @property
+    def promise(self) -> Promise:
+        """What was said of the file; raises NotFound if there is no such upload."""
+        path = self.root / PROMISE
+        if not path.exists():
+            raise self.unknown
+        return Promise(**read_record(path))
+
+    @property
+    def unknown(self) -> NotFound:
+        """The error for an upload that is not there, or not the caller's."""
+        return NotFound(f"there is no upload {self.root.name[:40]!r}", "they are removed a day after the last part")
+
+    @property
+    def received_bytes(self) -> int:
+        """How much has arrived; 0 again after the import, which removes the bytes."""
+        return self.content.stat().st_size if self.content.exists() else 0
+
+    @property
+    def imported(self) -> ImportedDocument | None:
+        """What was made of it."""
+        path = self.root / RESULT
+        return ImportedDocument.read(read_record(path)) if path.exists() else None
+
+    @property
+    def changed_s(self) -> float:
+        """When something happened to it for the last time, in seconds since 1970."""
+        return max(path.stat().st_mtime for path in (self.root, *self.root.iterdir()))
+
+    def create(self, promise: Promise) -> None:
+        """Make the folder, complete or not at all; raises Unavailable if the disk refuses."""
+        aside = self.root.with_name(f".{self.root.name}")
+        try:
+            with held_folder(aside):
+                aside.chmod(0o700)
+                write_aside(aside / PROMISE, json.dumps(asdict(promise)))
+                (aside / CONTENT).touch(mode=0o600)
+                aside.rename(self.root)
+        except (OSError, Unavailable) as error:
+            shutil.rmtree(aside, ignore_errors=True)
+            if isinstance(error, Unavailable):
+                raise
+            raise Unavailable(f"{self.root} cannot be made: {error.strerror}", remedy_of(error)) from None
+
+    def append(self, offset_bytes: int, body: IO[bytes]) -> None:
+        """Add a part. What arrives before a connection breaks stays, and is not sent again.
+
+        Raises:
+            Conflict: The part does not begin where the last one ended, or another one is arriving.
+            InvalidInput: There is more than was promised; nothing of this part is kept.
+            Unavailable: The disk refuses.
+        """
+        promise = self.promise
+        with self._held() as file:
+            have = os.fstat(file).st_size
+            if offset_bytes != have:
+                raise Conflict(
+                    f"{promise.name} has {have:,} bytes here, so a part cannot begin at {offset_bytes:,}",
+                    "continue at received_bytes",
+                )
+            os.lseek(file, 0, os.SEEK_END)
+            place = have
+            try:
+                while piece := body.read(_PIECE_BYTES):
+                    place += len(piece)
+                    if place > promise.size_bytes:
+                        os.ftruncate(file, have)
+                        raise InvalidInput(
+                            f"{promise.name} has more than the {promise.size_bytes:,} bytes that were promised",
+                            "create the upload again with its real size",
+                        )
+                    self._write(file, piece)
+            finally:
+                os.fdatasync(file)
+
+    def _write(self, file: int, piece: bytes) -> None:
+        view = memoryview(piece)
+        try:
+            while view:
+                view = view[os.write(file, view) :]
+        except OSError as error:
+            raise Unavailable(f"{self.root} cannot be written: {error.strerror}", remedy_of(error)) from None
+
+    @contextmanager
+    def complete(self, progress: Progress) -> Iterator[Path]:
+        """The content for the block, during which nothing can be added to it.
+
+        Raises Conflict if it is not complete, and InvalidInput if it is not what was promised; it is empty then.
+        """
+        promise = self.promise
+        with self._held() as file:
+            self.check_complete()
+            found = _sha256(self.content, promise.size_bytes, progress)
+            if found != promise.sha256:
+                os.ftruncate(file, 0)
+                raise InvalidInput(
+                    f"{promise.name} arrived with the SHA-256 {found}, not {promise.sha256}", "send it again"
+                )
+            yield self.content
+
+    def check_complete(self) -> None:
+        """Raise Conflict unless all bytes are here and nothing has been made of them."""
+        promise = self.promise
+        if self.imported is not None:
+            raise Conflict(f"{promise.name} has been imported already", "upload it again to import it again")
+        if self.received_bytes != promise.size_bytes:
+            raise Conflict(
+                f"{self.received_bytes:,} of {promise.size_bytes:,} bytes of {promise.name} have arrived",
+                "send the rest first",
+            )
+
+    def finish(self, result: ImportedDocument) -> None:
+        """Keep what was made of it, then remove the bytes."""
+        write_aside(self.root / RESULT, json.dumps(result.content))
+        self.content.unlink(missing_ok=True)
+
+    def remove(self) -> None:
+        """Remove everything; raises Conflict while a part arrives or an import reads it."""
+        if not self.content.exists():
+            shutil.rmtree(self.root, ignore_errors=True)
+            return
+        with self._held():
+            shutil.rmtree(self.root, ignore_errors=True)
+
+    @contextmanager
+    def _held(self) -> Iterator[int]:
+        """The open content, which no other request can use during the block."""
+        try:
+            file = os.open(self.content, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+        except FileNotFoundError:
+            raise Conflict(f"{self.promise.name} has been imported already", "upload it again") from None
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield file
+        except BlockingIOError:
+            raise Conflict(f"{self.promise.name} is in use by another request", "wait for it to end") from None
+        finally:
+            os.close(file)
+
+
+def _sha256(path: Path, size_bytes: int, progress: Progress) -> str:
+    digest, done = hashlib.sha256(), 0
+    with path.open("rb") as stream:
+        while piece := stream.read(_PIECE_BYTES):
+            digest.update(piece)
+            done += len(piece)
+            progress(done / size_bytes, "checking the SHA-256")
+    return digest.hexdigest()
+
+
+# All uploads of an installation. Each belongs to the account that created it; others do not see it.
+
+
+PART_BYTES = 8_000_000
+"""The most that one request sends: little is lost with a connection, and nothing has to wait long."""
+KEPT = timedelta(hours=24)
+MOST_UPLOADS = 1000
+_TOKEN = re.compile(HEXADECIMAL)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredUpload:
+    """An upload as it is now."""
+
+    token: str
+    name: str
+    size_bytes: int
+    sha256: str
+    received_bytes: int
+    part_bytes: int
+    expires_at: datetime
+    imported: ImportedDocument | None
+
+
+class UploadService:
+    """Uploads.
+
+    Args:
+        settings: Mode, data root, and how much may be uploaded.
+        clock: The time.
+    """
+
+    def __init__(self, settings: Settings, clock: Callable[[], datetime] = utc_now) -> None:
+        self._settings = settings
+        self._clock = clock
+        self.root = settings.uploads_folder
+
+    def create(self, request: UploadRequest, owner: str) -> StoredUpload:
+        """Begin an upload.
+
+        Raises:
+            InvalidInput: The name is not allowed.
+            Conflict: There are too many uploads, or too large ones.
+            Unavailable: The disk is too small, or cannot be written.
+        """
+        check_writable(self._settings)
+        check_name("file", request.name)
+        self._make_root()
+        self._sweep()
+        self._check_limits(request)
+        check_space(self.root, request.size_bytes, request.name)
+        token = secrets.token_hex(16)
+        UploadFolder(self.root / token).create(Promise(request.name, request.size_bytes, request.sha256, owner))
+        return self.get(token, owner)
+
+    def listed(self, owner: str) -> list[StoredUpload]:
+        """The uploads of one account, the newest first."""
+        found = []
+        for folder in self._folders():
+            with suppress(NotFound):
+                found.append(self.get(folder.root.name, owner))
+        return sorted(found, key=lambda upload: upload.expires_at, reverse=True)
+
+    def get(self, token: str, owner: str) -> StoredUpload:
+        """One upload; raises NotFound, also for one of somebody else."""
+        folder = self.folder(token, owner)
+        promise, imported = folder.promise, folder.imported
+        received = promise.size_bytes if imported is not None else folder.received_bytes
+        return StoredUpload(
+            token=token,
+            name=promise.name,
+            size_bytes=promise.size_bytes,
+            sha256=promise.sha256,
+            received_bytes=received,
+            part_bytes=PART_BYTES,
+            expires_at=_expires_at(folder),
+            imported=imported,
+        )
+
+    def folder(self, token: str, owner: str) -> UploadFolder:
+        """The folder of one upload; raises NotFound."""
+        folder = UploadFolder(self.root / token)
+        if not _TOKEN.fullmatch(token) or folder.promise.owner != owner:
+            raise folder.unknown
+        return folder
+
+    def check_free(self, name: str) -> None:
+        """Raise Unavailable if the disk has no more room than runs need."""
+        free = shutil.disk_usage(self.root).free
+        if free < self._settings.min_free_disk_mb * 1_000_000:
+            raise Unavailable(f"{name} does not fit on the disk: {free / 1e6:,.0f} MB are free", "free some space")
+
+    def remove(self, token: str, owner: str) -> None:
+        """Remove one upload; raises NotFound, and Conflict while it is in use."""
+        check_writable(self._settings)
+        self.folder(token, owner).remove()
+
+    def _folders(self) -> Iterator[UploadFolder]:
+        if self.root.is_dir():
+            yield from (UploadFolder(path) for path in self.root.iterdir() if not path.name.startswith("."))
+
+    def _make_root(self) -> None:
+        try:
+            make_shared_folder(self.root)
+        except OSError as error:
+            raise Unavailable(f"{self.root} cannot be made: {error.strerror}", remedy_of(error)) from None
+
+    def _check_limits(self, request: UploadRequest) -> None:
+        sizes = []
+        for folder in self._folders():
+            with suppress(NotFound):
+                sizes.append(0 if folder.imported is not None else folder.promise.size_bytes)
+        most = self._settings.uploads_max_bytes
+        if len(sizes) >= MOST_UPLOADS:
+            raise Conflict(f"there are {len(sizes):,} uploads", "import or delete some first")
+        if sum(sizes) + request.size_bytes > most:
+            raise Conflict(
+                f"{request.name} has {request.size_bytes:,} bytes, and uploads may have {most - sum(sizes):,} more",
+                "import or delete other uploads, or raise UPLOADS_MAX_BYTES",
+            )
+
+    def _sweep(self) -> None:
+        """Remove uploads that nobody has touched for a day, and what killed imports have unpacked."""
+        for path in self.root.glob(f"{TEMPORARY}*"):
+            sweep_folder(path)
+        for folder in self._folders():
+            with suppress(FileNotFoundError, NotFound, Conflict):
+                if _expires_at(folder) < self._clock():
+                    folder.remove()
+
+
+def _expires_at(folder: UploadFolder) -> datetime:
+    return datetime.fromtimestamp(folder.changed_s, UTC) + KEPT
+
+
+# Datasets, runs and algorithms from uploads: the imports of the command line, with the files that arrived.
+
+
+_CHECKED, _UNPACKED = 0.1, 0.3
+"""The fractions of an import after which the SHA-256 is checked, and the archive unpacked."""
+
+Kind = TypeVar("Kind", bound=StrEnum)
+
+
+@dataclass(frozen=True, slots=True)
+class UploadImports:
+    """Imports from uploads. Each removes the bytes of its uploads when it is complete, and keeps them if it fails.
+
+    Attributes:
+        uploads: What has arrived.
+        catalogue: Makes datasets.
+        imports: Imports trajectories.
+        evaluations: The queue for runs that were imported.
+        algorithms: Imports packages.
+        versions: Imports exported versions.
+        executors: Get images.
+    """
+
+    uploads: UploadService
+    catalogue: Catalogue
+    imports: Imports
+    evaluations: Evaluations
+    algorithms: AlgorithmImports
+    versions: Versions
+    executors: Executors
+
+    def check(self, request: DatasetUpload | RunsUpload | AlgorithmUpload, owner: str) -> None:
+        """What can be said before the import begins: raises NotFound, and Conflict for uploads that lack bytes."""
+        for token in _tokens(request):
+            self.uploads.folder(token, owner).check_complete()
+
+    def dataset(self, request: DatasetUpload, owner: str, progress: Progress, share: BudgetShare) -> ImportedDocument:
+        """Make a dataset of a recording; raises what `slamhive dataset import` raises."""
+        with ExitStack() as opened:
+            source = opened.enter_context(self._unpacked(request.upload, owner, progress, share))
+            truth = (
+                None if request.groundtruth is None else opened.enter_context(self.opened(request.groundtruth, owner))
+            )
+            calibration = [opened.enter_context(self.opened(token, owner)) for token in request.calibration]
+            made = import_dataset(self.catalogue, request, source, truth, calibration, _part(progress, _UNPACKED, 1.0))
+        return self._finish(request, owner, made)
+
+    def runs(self, request: RunsUpload, owner: str, progress: Progress, share: BudgetShare) -> ImportedDocument:
+        """Import trajectories, and queue their evaluation; raises what `slamhive runs import` raises."""
+        with self._unpacked(request.upload, owner, progress, share) as folder:
+            made = import_runs(self.imports, self.evaluations, request, folder, _part(progress, _UNPACKED, 1.0))
+        return self._finish(request, owner, made)
+
+    def algorithm(
+        self, request: AlgorithmUpload, owner: str, progress: Progress, share: BudgetShare
+    ) -> ImportedDocument:
+        """Import a package and its image; raises what `slamhive algorithm import` raises."""
+
+        def show(line: str) -> None:
+            progress(_UNPACKED, line)
+
+        with self.opened(request.upload, owner, progress) as path:
+            if is_export(path):
+                executor = self.executors.get(self.executors.choose(request.executor))
+                version, record = self.versions.load(path, executor)
+                return self._finish(
+                    request, owner, ImportedDocument(algorithms=(version.package.name,), notes=(record.label,))
+                )
+            source = self._unpack(path, share) if kind_of(path.name) is FileKind.ZIP else path
+            asked = AlgorithmRequest(
+                name=request.name, setup=request.setup, replace=request.replace, executor=request.executor
+            )
+            with self.algorithms.planned(str(source), asked) as planned:
+                made = self.algorithms.perform(planned, show)
+        names = tuple(entry.name for entry in made.algorithms)
+        return self._finish(request, owner, ImportedDocument(algorithms=names, notes=made.notes))
+
+    def _finish(
+        self, request: DatasetUpload | RunsUpload | AlgorithmUpload, owner: str, result: ImportedDocument
+    ) -> ImportedDocument:
+        for token in _tokens(request):
+            self.uploads.folder(token, owner).finish(result)
+        return result
+
+    @contextmanager
+    def opened(self, token: str, owner: str, progress: Progress = lambda _done, _text: None) -> Iterator[Path]:
+        """The checked file under its own name, for the block."""
+        folder = self.uploads.folder(token, owner)
+        with (
+            folder.complete(_part(progress, 0.0, _CHECKED)) as content,
+            temporary_folder(root=self.uploads.root) as aside,
+        ):
+            path = aside / folder.promise.name
+            os.link(content, path)
+            yield path
+
+    @contextmanager
+    def _unpacked(self, token: str, owner: str, progress: Progress, share: BudgetShare) -> Iterator[Path]:
+        """The checked file, or the folder that was in the archive, for the block."""
+        with self.opened(token, owner, progress) as path:
+            if kind_of(path.name) not in (FileKind.ZIP, FileKind.TAR):
+                yield path
+                return
+            progress(_CHECKED, "unpacking")
+            yield self._unpack(path, share)
+
+    def _unpack(self, path: Path, share: BudgetShare) -> Path:
+        """Unpack an archive beside itself; the only folder in it, or all of it if there is more.
+
+        What is unpacked is taken out of ``share``, and leaves the room on the disk that runs need.
+        """
+        folder = path.parent / "unpacked" / _stem(path.name)
+        folder.mkdir(parents=True)
+
+        def room(piece_bytes: int) -> None:
+            share.take(Lent.UNPACKED, piece_bytes)
+            self.uploads.check_free(path.name)
+
+        unpack(path, kind_of(path.name), folder, room=room)
+        entries = visible_files(folder)
+        return entries[0] if len(entries) == 1 and entries[0].is_dir() else folder
+
+
+def _stem(name: str) -> str:
+    """The name without the endings of an archive."""
+    stem = PurePosixPath(name).stem
+    return stem.removesuffix(".tar") or name
+
+
+def import_dataset(
+    catalogue: Catalogue,
+    request: DatasetUpload,
+    source: Path,
+    truth: Path | None,
+    calibration: Iterable[Path],
+    progress: Progress,
+) -> ImportedDocument:
+    """Make a dataset of the file or folder ``source``. The files of ``request`` are those of the other arguments."""
+    options = ImportOptions(
+        groundtruth=truth,
+        groundtruth_topic=request.groundtruth_topic,
+        calibration=tuple(calibration),
+        topics=request.topics,
+        typestore=request.typestore,
+        depth_units_per_m=request.depth_units_per_m,
+        frame_rate_hz=request.frame_rate_hz,
+        sequence=request.sequence,
+        accept_loss=request.accept_loss,
+    )
+    planned = catalogue.plan_import(source, options, format_name=request.format, name=request.name)
+    made = catalogue.import_dataset(planned, progress)
+    return ImportedDocument(datasets=(made.name,), notes=tuple(planned.plan.notes))
+
+
+def import_runs(
+    imports: Imports, evaluations: Evaluations, request: RunsUpload, folder: Path, progress: Progress
+) -> ImportedDocument:
+    """Import the trajectories in ``folder``, and queue the evaluation of runs that have none."""
+
+    def show(done: int, total: int) -> None:
+        progress(done / total, f"{done:,} of {total:,} trajectories")
+
+    report = imports.carry_out(_runs_request(request, folder), show)
+    if request.evaluate:
+        evaluations.queue(evaluations.unsettled(report.run_ids))
+    made = Import.of(report, evaluated=0, failed_evaluations={}, hints={})
+    return ImportedDocument(datasets=made.datasets, runs=made)
+
+
+def _runs_request(request: RunsUpload, folder: Path) -> ImportRequest:
+    if not folder.is_dir():
+        raise InvalidInput(
+            f"{folder.name} is no archive", "send the trajectories as a zip or tar archive of their folder"
+        )
+    given = {
+        "pattern": request.pattern,
+        "ground_truth": request.groundtruth,
+        "relations": request.relations,
+        "times": request.times,
+    }
+    return ImportRequest(
+        source=folder if request.table is None else _inside(folder, request.table),
+        table=request.table is not None,
+        format=_member(TrajectoryFormat, "format", request.format) or TrajectoryFormat.AUTO,
+        sensors=dict(request.sensors),
+        gravity_aligned=request.gravity_aligned,
+        told=_convention(request.time_unit, request.quaternion_order),
+        truth_told=_convention(request.groundtruth_time_unit, request.groundtruth_quaternion_order),
+        duplicates=request.duplicates,
+        trajectory=request.trajectory,
+        **{key: text for key, text in given.items() if text is not None},
+    )
+
+
+def _convention(unit: str | None, order: str | None) -> Convention:
+    return Convention(_member(TimeUnit, "time unit", unit), _member(QuaternionOrder, "quaternion order", order))
+
+
+def _member(kind: type[Kind], what: str, text: str | None) -> Kind | None:
+    """The value that ``text`` names; raises InvalidInput."""
+    known = [entry.value for entry in kind]
+    if text is not None and text not in known:
+        raise InvalidInput(f"{what} {text[:40]!r} is not known; {nearest(text, known)}")
+    return None if text is None else kind(text)
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """The file of a name in the archive; raises InvalidInput for one that is not there or leads out of it."""
+    relative = PurePosixPath(name)
+    path = folder / relative
+    if relative.is_absolute() or ".." in relative.parts or not path.is_file():
+        raise InvalidInput(f"the archive holds no file {name[:80]!r}", "give the path of the table inside it")
+    return path
+
+
+def _tokens(request: DatasetUpload | RunsUpload | AlgorithmUpload) -> tuple[str, ...]:
+    """All uploads that a request needs."""
+    if not isinstance(request, DatasetUpload):
+        return (request.upload,)
+    truth = () if request.groundtruth is None else (request.groundtruth,)
+    return tuple(dict.fromkeys((request.upload, *truth, *request.calibration)))
+
+
+def _part(progress: Progress, begin: float, end: float) -> Progress:
+    """Progress of a part of the work, as progress of the whole."""
+    return lambda fraction, text: progress(begin + (end - begin) * fraction, text)

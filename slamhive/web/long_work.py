@@ -1,0 +1,277 @@
+"""Long work on datasets and uploads that a request starts, one piece at a time in the background."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+
+from slamhive.base.budget import Budget, BudgetShare, Lent
+from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError, changed_text
+from slamhive.base.shown_paths import relative_paths
+from slamhive.documents.imports import (
+    AlgorithmUpload,
+    DatasetUpload,
+    ImportedDocument,
+    ImportProgress,
+    RunsUpload,
+    Upload,
+)
+from slamhive.domain.configuration import Variant
+from slamhive.domain.dataset import Dataset
+from slamhive.services.hive import Hive
+from slamhive.services.runs import check_dataset_files
+from slamhive.services.uploads import StoredUpload
+from slamhive.web import access
+from slamhive.web.context import caller, dataset_checker, hive, upload_work, variant_maker
+
+logger = logging.getLogger(__name__)
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class LongWork:
+    """The latest request. ``fraction`` is from 0 to 1; ``problem`` says why it failed.
+
+    ``dataset`` is what is worked on: the name of a dataset, or the token of an upload.
+    """
+
+    dataset: str
+    details: tuple[str, ...] = ()
+    fraction: float = 0.0
+    activity: str = ""
+    done: bool = False
+    problem: str | None = None
+
+
+class Background:
+    """Does one piece of work at a time in a thread.
+
+    Args:
+        hive: The services.
+        kind: The name of the threads.
+        busy: What messages say of a dataset that is worked on: ``a variant of {} is being created``.
+    """
+
+    def __init__(self, hive: Hive, kind: str, busy: str) -> None:
+        self._hive = hive
+        self._kind = kind
+        self._busy = busy
+        self._lock = threading.Lock()
+        self._latest: LongWork | None = None
+
+    def begin(self, work: LongWork, task: Callable[[Progress], object]) -> threading.Thread:
+        """Start ``task``, which takes a function for its progress; raises Conflict while another one runs."""
+        with self._lock:
+            if self._latest is not None and not self._latest.done:
+                raise Conflict(self._busy.format(self._latest.dataset), "wait until it is finished")
+            self._latest = work
+        thread = threading.Thread(target=self._run, args=(work, task), name=self._kind, daemon=True)
+        thread.start()
+        return thread
+
+    def latest(self, dataset: str) -> LongWork | None:
+        """The latest work on ``dataset`` that is in progress or has failed."""
+        work = self._latest
+        if work is None or work.dataset != dataset or (work.done and work.problem is None):
+            return None
+        return work
+
+    def _run(self, work: LongWork, task: Callable[[Progress], object]) -> None:
+        self._note(carried_out(self._hive, work, task, self._note))
+
+    def _note(self, work: LongWork) -> None:
+        """Note how far a piece of work is. If it has ended, other work can begin from now on."""
+        self._latest = work
+
+
+def carried_out(
+    hive: Hive, work: LongWork, task: Callable[[Progress], object], note: Callable[[LongWork], None]
+) -> LongWork:
+    """Carry out ``task``; how it has ended. ``note`` is called with its progress."""
+
+    def progress(fraction: float, text: str) -> None:
+        note(replace(work, fraction=fraction, activity=text))
+
+    problem = None
+    try:
+        with changed_text(relative_paths(hive.settings.data, hive.project_root)):
+            task(progress)
+    except SlamHiveError as error:
+        problem = str(error)
+    except Exception:
+        logger.exception("work on %s failed", work.dataset)
+        problem = "an unexpected error; see the server's log"
+    return replace(work, fraction=1.0, done=True, problem=problem)
+
+
+# Creates variants and checks datasets when a page asks for it.
+
+
+class VariantMaker(Background):
+    """Creates one variant at a time. Runs that need the same variant wait for it."""
+
+    def __init__(self, hive: Hive) -> None:
+        super().__init__(hive, "variant", "a variant of {} is being created")
+
+    def start(self, dataset: Dataset, variant: Variant) -> threading.Thread:
+        """Start creating ``variant``, which is already checked; raises Conflict while another one is being created."""
+
+        def make(progress: Progress) -> None:
+            with self._hive.variants.hold(dataset, variant, progress):
+                pass
+
+        began = self.begin(LongWork(dataset.name, tuple(str(step) for step in variant)), make)
+        self._hive.store.note_act()
+        return began
+
+
+class DatasetChecker(Background):
+    """Checks one dataset at a time."""
+
+    def __init__(self, hive: Hive) -> None:
+        super().__init__(hive, "check", "dataset {} is being checked")
+
+    def start(self, dataset: Dataset) -> threading.Thread:
+        """Start checking ``dataset``; raises InvalidInput without a recording, Conflict while another check runs."""
+        dataset.check_recorded()
+        began = self.begin(LongWork(dataset.name), lambda progress: self._hive.dataset_checks.check(dataset, progress))
+        self._hive.store.note_act()
+        return began
+
+
+def begin_check(hive: Hive, name: str) -> None:
+    """Start checking the dataset called ``name``, for a page or a program."""
+    hive.check_writable()
+    dataset = hive.catalogue.dataset(name)
+    check_dataset_files(dataset)
+    dataset_checker().start(dataset)
+
+
+def begin_variant(hive: Hive, name: str, steps: Variant) -> None:
+    """Start making a variant of the dataset called ``name``, after all checks that are possible in advance."""
+    hive.check_writable()
+    dataset = hive.catalogue.dataset(name)
+    variant = hive.variants.resolve(dataset, steps)
+    if not variant:
+        raise InvalidInput(f"these steps change nothing in {name}", "add a step that changes the data")
+    check_dataset_files(dataset)
+    hive.variants.check(dataset, variant)
+    variant_maker().start(dataset, variant)
+
+
+def drop_variant(hive: Hive, name: str, key: str) -> str:
+    """Remove the variant of the dataset called ``name`` whose key begins with ``key``; its whole key."""
+    hive.check_writable()
+    entry = hive.variants.find(key)
+    if entry.dataset != name:
+        raise NotFound(f"{name} has no variant {key[:40]!r}")
+    hive.variants.drop(entry.key)
+    return entry.key
+
+
+# Imports uploads when a program asks for it.
+
+
+_MOST_KEPT = 1000
+
+Asked = DatasetUpload | RunsUpload | AlgorithmUpload
+_WHAT: dict[type[Asked], str] = {
+    DatasetUpload: "the import of a dataset",
+    RunsUpload: "the import of runs",
+    AlgorithmUpload: "the import of an algorithm",
+}
+"""The name of an import in messages: who waits for it learns neither whose it is nor the token of its upload."""
+
+
+class UploadWork:
+    """Imports uploads, some at once: a large recording does not keep a small file waiting.
+
+    Args:
+        hive: The services.
+        budget: How many at once, and how much they may unpack.
+    """
+
+    def __init__(self, hive: Hive, budget: Budget) -> None:
+        self._hive = hive
+        self._budget = budget
+        self._lock = threading.Lock()
+        self._works: dict[str, LongWork] = {}
+
+    def latest(self, token: str) -> LongWork | None:
+        """The import of an upload that is in progress, or that failed."""
+        return self._works.get(token)
+
+    def start(
+        self, asked: Asked, owner: str, task: Callable[[Progress, BudgetShare], ImportedDocument]
+    ) -> threading.Thread:
+        """Start an import whose uploads are complete.
+
+        Raises Conflict if this upload is being imported, and Unavailable while there are as many imports as there may
+        be. The message says which these are, and for how long they have been working.
+        """
+        self._hive.check_writable()
+        self._hive.upload_imports.check(asked, owner)
+        act = access.acting(self._hive.store, caller(), self._hive.settings.new_runs) if owner else nullcontext()
+        share = self._budget.open_share(_WHAT[type(asked)])
+        try:
+            share.take(Lent.IMPORTS, 1)
+            work = self._begun(asked.upload)
+        except BaseException:
+            share.give_back()
+            raise
+
+        def importing(progress: Progress) -> None:
+            with act:
+                task(progress, share)
+                self._hive.store.note_act()
+
+        def run() -> None:
+            try:
+                self._end(carried_out(self._hive, work, importing, self._note))
+            finally:
+                share.give_back()
+
+        thread = threading.Thread(target=run, name="import", daemon=True)
+        thread.start()
+        return thread
+
+    def _begun(self, token: str) -> LongWork:
+        with self._lock:
+            known = self._works.get(token)
+            if known is not None and not known.done:
+                raise Conflict("this upload is being imported", "wait until that has ended")
+            self._works[token] = work = LongWork(token)
+            return work
+
+    def _note(self, work: LongWork) -> None:
+        self._works[work.dataset] = work
+
+    def _end(self, work: LongWork) -> None:
+        """Forget what has succeeded, which its folder says; keep why others failed, of so many."""
+        with self._lock:
+            del self._works[work.dataset]
+            if work.problem is not None:
+                self._works[work.dataset] = work
+            failed = [token for token, entry in self._works.items() if entry.done]
+            for token in failed[:-_MOST_KEPT]:
+                del self._works[token]
+
+
+def owner() -> str:
+    """Whose uploads this request is about: those of its account."""
+    return caller().account or ""
+
+
+def shown(token: str) -> Upload:
+    """An upload with its import; raises NotFound."""
+    return document(hive().uploads.get(token, owner()))
+
+
+def document(upload: StoredUpload) -> Upload:
+    """An upload with its import."""
+    work = upload_work().latest(upload.token)
+    return Upload.of(upload, work=None if work is None or upload.imported else ImportProgress.of(work))

@@ -1,0 +1,110 @@
+"""Saved searches, and the export of search results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
+from flask import url_for as address
+from werkzeug.datastructures import MultiDict
+
+from slamhive.base.errors import InvalidInput, unknown
+from slamhive.domain.finding import Found, FoundKind, best
+from slamhive.services.exports import ExportFormat
+from slamhive.services.finding import LONGEST_TEXT, find
+from slamhive.store.records import SavedSearchRecord
+from slamhive.web.context import hive
+from slamhive.web.exports import export_file
+from slamhive.web.presenters import search
+from slamhive.web.presenters.search import fields_of_filters
+from slamhive.web.queries import RunListQuery
+from slamhive.web.views import help as help_pages
+from slamhive.web.views.runs import list_address
+
+blueprint = Blueprint("searches", __name__, url_prefix="/searches")
+
+
+@blueprint.get("/export.<name>")
+def export(name: str) -> Response:
+    """Export all matching runs, or their configurations; takes the arguments of the runs page."""
+    if name not in list(ExportFormat):
+        raise unknown("format", name, list(ExportFormat))
+    return export_file(ExportFormat(name), request.args)
+
+
+@blueprint.get("/fields.json")
+def fields() -> Response:
+    """The names that a filter may use, for completion."""
+    return make_response(jsonify(fields=fields_of_filters(hive())))
+
+
+@blueprint.post("")
+def save() -> Response:
+    """Save the current search under a name."""
+    name = request.form.get("name", "").strip()
+    args = MultiDict([(key, value) for key, value in request.form.items(multi=True) if key != "name"])
+    services = hive()
+    query = RunListQuery.from_args(args, services.searches.vocabulary())
+    if not name:
+        raise InvalidInput("the search has no name", "enter a name next to the button")
+    look = query.look
+    record = SavedSearchRecord(
+        name, query.search.text, query.columns, query.sort, query.grouped, look.pinned, look.colours, look.sparks
+    )
+    new = services.searches.save(record)
+    flash(f"Search {name} is {'saved' if new else 'replaced'}.", "success")
+    return make_response(redirect(address("runs.index", **query.args()), 303))
+
+
+@blueprint.post("/<name>/delete")
+def delete(name: str) -> Response:
+    """Delete a saved search."""
+    hive().searches.delete(name)
+    flash(f"Search {name} is deleted.", "info")
+    return make_response(redirect(address("runs.index"), 303))
+
+
+# One search over everything: the page behind the search box of every page.
+
+
+finding_blueprint = Blueprint("finding", __name__)
+
+TITLES = {
+    FoundKind.RUN: "Run",
+    FoundKind.RUNS: "Runs that fit",
+    FoundKind.EXPERIMENT: "Experiments",
+    FoundKind.ALGORITHM: "Algorithms",
+    FoundKind.DATASET: "Datasets",
+    FoundKind.CONFIGURATION: "Configurations",
+    FoundKind.ANALYSIS: "Analyses",
+    FoundKind.SEARCH: "Saved searches",
+    FoundKind.METRIC: "Metrics",
+    FoundKind.HELP: "Help",
+}
+_ADDRESSES: dict[FoundKind, Callable[[str], str]] = {
+    FoundKind.RUN: lambda key: address("runs.show", run_id=int(key)),
+    FoundKind.RUNS: lambda key: address("runs.index", where=key),
+    FoundKind.EXPERIMENT: lambda key: address("experiments.show", name=key),
+    FoundKind.ALGORITHM: lambda key: address("algorithms.show", name=key),
+    FoundKind.DATASET: lambda key: address("datasets.show", name=key),
+    FoundKind.CONFIGURATION: lambda key: address("configurations.show", configuration_id=int(key)),
+    FoundKind.ANALYSIS: lambda key: address("analyses.show", token=key),
+    FoundKind.SEARCH: lambda key: list_address(search.saved_args(hive().searches.saved_named(key))),
+    FoundKind.METRIC: lambda _key: address("help.page", name="metrics"),
+    FoundKind.HELP: lambda key: address("help.page", name=key),
+}
+
+
+@finding_blueprint.get("/find")
+def index() -> str:
+    """What the words in the address may mean, by kind."""
+    text = request.args.get("q", "").strip()[:LONGEST_TEXT]
+    found = dict(find(hive(), text))
+    if pages := best(text, help_pages.entries()):
+        found[FoundKind.HELP] = pages
+    groups = {TITLES[kind]: [(entry, _address(entry)) for entry in entries] for kind, entries in found.items()}
+    return render_template("finding/index.html", text=text, groups=groups, most=LONGEST_TEXT)
+
+
+def _address(entry: Found) -> str:
+    return _ADDRESSES[entry.kind](entry.key)
