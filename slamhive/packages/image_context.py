@@ -115,7 +115,7 @@ RENDERING_PARTS = (
     "runtime/trajectory.py",
     "recordings/__init__.py",
     "recordings/geometry.py",
-    "bags/room",
+    "recordings/room",
 )
 """The code that renders images on which the ``prepare.py`` of a package can train."""
 
