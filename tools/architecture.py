@@ -1,6 +1,6 @@
 """The picture of the packages: drawn from the list of arrows in ``docs/design.md``, and compared with the imports.
 
-``architecture.py`` prints the arrows that the imports make; ``tests/tools/test_architecture.py`` holds the page to them.
+``architecture.py`` prints the arrows that the imports make; a test holds the page to them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "design.md"
-PICTURE = ROOT / "docs" / "pictures" / "packages.svg"
 Arrows = Mapping[str, frozenset[str]]
 """{package: the packages that it imports}, without those that it reaches through another one of them."""
 
@@ -74,7 +73,8 @@ def as_text(arrows: Arrows) -> str:
     """The arrows as the page lists them, the outermost packages first."""
     rows = [name for row in _rows(arrows) for name in row]
     width = max(map(len, rows))
-    return "".join(f"{name:<{width}} -> {' '.join(sorted(arrows[name], key=rows.index))}".rstrip() + "\n" for name in rows)
+    ordered = {name: " ".join(sorted(arrows[name], key=rows.index)) for name in rows}
+    return "".join(f"{name:<{width}} -> {others}".rstrip() + "\n" for name, others in ordered.items())
 
 
 def as_svg(arrows: Arrows) -> str:
@@ -92,11 +92,16 @@ def as_svg(arrows: Arrows) -> str:
                 10 + line * (_BOX[1] + _GAP[1]),
             )
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img"'
-        ' font-family="system-ui, sans-serif" font-size="14">',
+        (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img"'
+            ' font-family="system-ui, sans-serif" font-size="14">'
+        ),
+        f'<rect width="{width}" height="{height}" fill="#ffffff"/>',
         "<title>Packages of SLAM Hive; an arrow means: imports</title>",
-        '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
-        '<path d="M0 0 8 4 0 8z" fill="#7a8794"/></marker></defs>',
+        (
+            '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
+            '<path d="M0 0 8 4 0 8z" fill="#7a8794"/></marker></defs>'
+        ),
     ]
     for name, others in sorted(arrows.items()):
         left, top = corner[name]
@@ -109,8 +114,10 @@ def as_svg(arrows: Arrows) -> str:
             )
     for name, (left, top) in sorted(corner.items()):
         parts += [
-            f'<rect x="{left:.0f}" y="{top:.0f}" width="{_BOX[0]}" height="{_BOX[1]}" rx="6" fill="#eaf1fb"'
-            ' stroke="#2f6fbf"/>',
+            (
+                f'<rect x="{left:.0f}" y="{top:.0f}" width="{_BOX[0]}" height="{_BOX[1]}" rx="6" fill="#eaf1fb"'
+                ' stroke="#2f6fbf"/>'
+            ),
             f'<text x="{left + _BOX[0] / 2:.0f}" y="{top + 22:.0f}" text-anchor="middle" fill="#14263d">{name}</text>',
         ]
     return "\n".join([*parts, "</svg>", ""])
@@ -124,10 +131,15 @@ def _rows(arrows: Arrows) -> list[list[str]]:
             for other in others:
                 depth[other] = max(depth[other], depth[name] + 1)
     rows: list[list[str]] = [[] for _ in range(max(depth[name] for name in arrows) + 1)]
-    for name in sorted(arrows):
-        rows[depth[name]].append(name)
+    where: dict[str, float] = {}
+    for level, row in enumerate(rows):
+        # Each package stands below the middle of those that import it, so that few arrows cross.
+        row += [name for name in arrows if depth[name] == level]
+        above = {name: [where[other] for other, others in arrows.items() if name in others] for name in row}
+        row.sort(key=lambda name: (sum(above[name]) / max(len(above[name]), 1), name))
+        where.update({name: (place + 1) / (len(row) + 1) for place, name in enumerate(row)})
     return rows
 
 
 if __name__ == "__main__":
-    print(as_text(shortest(imported_packages(ROOT / "slamhive"))), end="")  # noqa: T201 - for whoever edits the page
+    print(as_text(shortest(imported_packages(ROOT / "slamhive"))), end="")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from architecture import PAGE, arrows_of, as_svg
 from page_notebook import notebook_of
 
 from slamhive import cli
@@ -246,6 +247,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "variant-steps.md": steps_page,
     "metrics.md": metrics_page,
     "analysis-forms.md": plot_types_page,
+    "images/packages.svg": lambda: as_svg(arrows_of(PAGE.read_text(encoding="utf-8"))),
     "schemas/analysis.schema.json": analysis_schema,
     "schemas/challenge.schema.json": lambda: json_schema(ChallengeFile),
     "schemas/cloud.schema.json": cloud_schema,

@@ -285,9 +285,11 @@ def test_the_page_of_an_algorithm_lists_the_versions_of_its_package(web: Web):
 @pytest.mark.integration
 def test_help_shows_its_pictures(shown: Web):
     docs = shown.hive.catalogue.project_root / "docs"
-    picture = re.search(r'<img src="(/help/images/runs\.png)" alt="[^"]+"', shown.client.get("/help/web").text)
-    assert picture is not None
-    with shown.client.get(picture[1]) as answer:
-        assert answer.data == (docs / "images" / "runs.png").read_bytes()
+    for page, name, kind in (("web", "runs.png", "image/png"), ("design", "packages.svg", "image/svg+xml")):
+        picture = re.search(rf'<img src="(/help/images/{name})" alt="[^"]+"', shown.client.get(f"/help/{page}").text)
+        assert picture is not None
+        with shown.client.get(picture[1]) as answer:
+            assert answer.data == (docs / "images" / name).read_bytes()
+            assert answer.mimetype == kind
     for name in ("pages.json", "..%2Fweb.md", "none.png"):
         assert shown.client.get(f"/help/images/{name}").status_code == 404

@@ -47,7 +47,8 @@ _ADDRESS = re.compile(r"(?:\.\./|extend/)?(?P<name>[\w-]+)\.md(?P<part>#.*)?")
 _HEADING = re.compile(r"<h[23][^>]*>(.*?)</h[23]>", re.DOTALL)
 _TAG = re.compile(r"<[^>]*>|`|\s*\{#[\w-]+\}")
 """What is no text: tags, and Markdown in titles and headings."""
-_IMAGE = re.compile(r"images/(?P<name>[\w-]+\.png)")
+_IMAGE = re.compile(r"images/(?P<name>[\w-]+\.(?:png|svg))")
+_PICTURES = {".png": "image/png", ".svg": "image/svg+xml"}
 _EXAMPLE = re.compile(r"[\w-]+\.py|algorithm/algorithm\.yaml")
 
 
@@ -78,10 +79,10 @@ def example(name: str) -> Response:
 def image(name: str) -> Response:
     """One picture of the documentation."""
     folder = hive().catalogue.project_root / "docs" / "images"
-    known = {path.name: path for path in folder.glob("*.png")}
+    known = {path.name: path for path in folder.iterdir() if path.suffix in _PICTURES}
     if name not in known:
         raise unknown("picture", name[:100], list(known))
-    return send_file(known[name], mimetype="image/png", conditional=True)
+    return send_file(known[name], mimetype=_PICTURES[known[name].suffix], conditional=True)
 
 
 def entries() -> Iterator[Found]:
