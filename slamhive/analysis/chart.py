@@ -15,8 +15,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from slamhive.documents import model
-from slamhive.documents.model import Kind
+from slamhive.documents import arrays
+from slamhive.documents.arrays import Kind
 
 # One colour and one marker for each algorithm, on every page and in every plot; markers of datasets; dark pages.
 
@@ -123,7 +123,7 @@ def _parts(colour: str) -> tuple[int, ...]:
     return tuple(int(colour[place : place + 2], 16) for place in (1, 3, 5))
 
 
-Array = model.Array
+Array = arrays.Array
 
 REFERENCE = "reference"
 """The colour of ground truth: dark grey on white, light grey on black."""

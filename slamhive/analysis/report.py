@@ -10,7 +10,8 @@ from pydantic import Field
 
 from slamhive.analysis.chart import Chart
 from slamhive.base.errors import InvalidInput
-from slamhive.documents.model import Document, Kind, Timestamp, described
+from slamhive.documents.arrays import Kind
+from slamhive.documents.model import Document, Timestamp, described
 from slamhive.domain.bibliography import Reference
 
 # The result of a plot type: plots, tables, and the runs that it counts and leaves out.

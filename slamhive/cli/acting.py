@@ -1,4 +1,4 @@
-"""Commands whose changes are in the audit log."""
+"""The data root that each command expects, and the commands whose changes are in the audit log."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ import os
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import click
 
 from slamhive.base.clock import utc_now
 from slamhive.cli.context import CliContext
-from slamhive.services.accounts import Accounts
 from slamhive.services.data_root import DataRoot
-from slamhive.store import AuditAct
 
-# The data root of each command: created, needed, or not used.
-
+if TYPE_CHECKING:
+    from slamhive.services.accounts import Accounts
 
 EXPECTED: dict[str, DataRoot] = {
     "algorithm build": DataRoot.MADE,
@@ -100,6 +99,9 @@ COMMAND_LINE = "command line"
 @contextmanager
 def acting(cli: CliContext, subject: str) -> Iterator[Accounts]:
     """The accounts. What the block changes is in the audit log as done by the user of this machine."""
+    # Lists ask this module what they expect of the data root, and need neither the accounts nor the store's records.
+    from slamhive.store import AuditAct  # noqa: PLC0415
+
     hive = cli.hive()
     action = command_name(click.get_current_context())
     with hive.store.acting(AuditAct(uuid.uuid4().hex, utc_now(), _user(), COMMAND_LINE, "", action, subject[:200])):

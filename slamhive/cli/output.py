@@ -14,12 +14,12 @@ from rich.text import Text
 
 from slamhive.base.clock import monotonic_s
 from slamhive.cli.visible import say, visible, visible_json, visible_line
-from slamhive.documents.catalogue import MatchDocument, UsedSensor
-from slamhive.domain.verdict import Hint
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from slamhive.documents.catalogue import MatchDocument, UsedSensor
+    from slamhive.domain.verdict import Hint
     from slamhive.services.hive import Hive
     from slamhive.store import EvaluationRecord
 

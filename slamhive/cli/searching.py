@@ -15,7 +15,6 @@ from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say, write_out
-from slamhive.documents.catalogue import FoundThing
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.filters.binding import Search, bind, read_search
@@ -23,7 +22,6 @@ from slamhive.filters.parser import parse_filter
 from slamhive.filters.syntax import FilterComparison, Sign, Word, filter_text, join
 from slamhive.filters.words import in_words
 from slamhive.services.exports import GroupExport, Record, RunExport, TableExport, by_protocol
-from slamhive.services.finding import find as find_everything
 from slamhive.services.searches import order_in_words, summary
 from slamhive.store import Count, RunRecord, RunSort
 from slamhive.store.records import GroupRecord, SavedSearchRecord, Spread
@@ -243,6 +241,10 @@ def find(cli: CliContext, words: tuple[str, ...], as_json: bool) -> None:
 
     A number is also a run; a tag or a filter also finds the runs that it fits. Of each kind the best 8 are shown.
     """
+    # Lists of runs import this module, and need nothing of what a search over everything reads.
+    from slamhive.documents.catalogue import FoundThing  # noqa: PLC0415
+    from slamhive.services.finding import find as find_everything  # noqa: PLC0415
+
     groups = find_everything(cli.hive(), " ".join(words))
     found = [entry for entries in groups.values() for entry in entries]
     if as_json:

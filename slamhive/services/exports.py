@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from slamhive.base.errors import Unavailable, unknown
-from slamhive.documents.model import json_timestamp
+from slamhive.documents.json_values import timestamp
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.trust import Disturbance, Trust
 from slamhive.filters.fields import PARAMETER_PREFIX, FieldKind, Vocabulary
@@ -175,9 +175,9 @@ _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
     "visibility": lambda run: run.seen_by.value,
     "tags": lambda run: ", ".join(run.tags) or None,
     "note": lambda run: run.note,
-    "created_at": lambda run: json_timestamp(run.created_at),
-    "started_at": lambda run: json_timestamp(run.started_at),
-    "ended_at": lambda run: json_timestamp(run.ended_at),
+    "created_at": lambda run: timestamp(run.created_at),
+    "started_at": lambda run: timestamp(run.started_at),
+    "ended_at": lambda run: timestamp(run.ended_at),
     "protocol": lambda run: None if run.protocol is None else run.protocol.fingerprint,
 }
 

@@ -10,10 +10,12 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from slamhive.base.strict_yaml import Places
 
 # Files of the published SLAM Hive hold YAML among prose and other documents, with lines of dashes between them.
 
@@ -49,6 +51,13 @@ Factors = dict[float, dict[str, Any]]
 """New values by the number of their template, for each factor."""
 
 
+def _no_places() -> Places:
+    # Every list of runs imports this module for what numbers mean, and none of them reads YAML.
+    from slamhive.base import strict_yaml  # noqa: PLC0415
+
+    return strict_yaml.Places("", {})
+
+
 @dataclass(frozen=True, slots=True)
 class Range:
     """A line of the description that lists values: ``nFeatures: 1000 | 2000``; ``line`` counts from 1."""
@@ -76,7 +85,7 @@ class Combination:
     total: int | None = None
     tied: list[tuple[str, ...]] = field(default_factory=list)
     changes: dict[str, Factors] = field(default_factory=dict)
-    places: strict_yaml.Places = field(default_factory=lambda: strict_yaml.Places("", {}))
+    places: Places = field(default_factory=_no_places)
     prose: list[tuple[int, str]] = field(default_factory=list)
     described: bool = False
 
@@ -170,13 +179,15 @@ class _Reader:
             raise InvalidInput(
                 f"{self._source}, line {part[0] + 1}: new values for {self._into.title} again", "write them once"
             )
-        content, lines = strict_yaml.parse_with_lines(only(self._lines, part), self._source)
-        self._into.places = strict_yaml.Places(self._source, lines)
-        self._into.changes = {number: self._factors(number, entry) for number, entry in content.items()}
+        from slamhive.base import strict_yaml  # noqa: PLC0415
 
-    def _factors(self, number: str, entry: object) -> Factors:
+        content, lines = strict_yaml.parse_with_lines(only(self._lines, part), self._source)
+        places = self._into.places = strict_yaml.Places(self._source, lines)
+        self._into.changes = {number: self._factors(number, entry, places) for number, entry in content.items()}
+
+    def _factors(self, number: str, entry: object, places: Places) -> Factors:
         if not isinstance(entry, Mapping):
-            raise InvalidInput(f"{self._into.places.of(number)}: {number} needs factors with new values")
+            raise InvalidInput(f"{places.of(number)}: {number} needs factors with new values")
         factors: Factors = {}
         for text, values in entry.items():
             try:
@@ -184,7 +195,7 @@ class _Reader:
             except ValueError:
                 factor = 0.0
             if not 0 < factor < _LARGEST_FACTOR or not isinstance(values, Mapping | None):
-                place = self._into.places.of(number, text)
+                place = places.of(number, text)
                 raise InvalidInput(f"{place}: expected a factor with new values, found {text}: {values!r}")
             factors[factor] = dict(values or {})
         return factors

@@ -10,7 +10,6 @@ from typing import TypeVar
 
 import numpy as np
 from cachetools import LRUCache
-from matplotlib.figure import Figure
 
 from slamhive.base.errors import InvalidInput, NotFound, Unavailable
 from slamhive.domain.dataset import Dataset, GroundTruth
@@ -219,6 +218,9 @@ _LINE, _START, _END = "#0072B2", "#009E73", "#D55E00"
 
 def draw_motion(dataset: Dataset, truth: Trajectory, motion: Motion, target: Path) -> None:
     """Write the picture: the path in the plane of its two largest extents, then speed and angular rate over time."""
+    # The pages import this module and draw nothing; matplotlib takes half a second.
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
     figure = Figure(figsize=(10, 6), layout="constrained")
     figure.suptitle(f"{dataset.name}: {truth.path_length_m:.1f} m in {truth.span_s:.1f} s, {len(truth)} poses")
     positions_only = dataset.groundtruth is not None and dataset.groundtruth.positions_only

@@ -9,7 +9,7 @@ from datetime import datetime
 
 from slamhive.base.errors import SlamHiveError
 from slamhive.base.settings import Settings
-from slamhive.documents.model import exact
+from slamhive.documents.json_values import exact
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import RunState
 from slamhive.domain.trust import Disturbance, DisturbanceLimits, judge

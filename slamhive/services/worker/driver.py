@@ -10,7 +10,7 @@ from datetime import datetime
 from typing import Any
 
 from slamhive.base.errors import InvalidInput, SlamHiveError
-from slamhive.documents.model import exact, json_timestamp
+from slamhive.documents.json_values import exact, timestamp
 from slamhive.domain.algorithm import Gpu
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.executors.base import EngineUnavailable, GpuGiver, ImageMissing, StartFailed
@@ -64,7 +64,7 @@ class RunDriver:
                 except EngineUnavailable:
                     if hand.run.state in (RunState.STARTING, RunState.RUNNING, RunState.COLLECTING):
                         # While starting, too: the answer to a start that succeeded may have been lost.
-                        hand.save({ENGINE_AWAY: json_timestamp(self._context.now())})
+                        hand.save({ENGINE_AWAY: timestamp(self._context.now())})
                     raise
         return hand.run
 

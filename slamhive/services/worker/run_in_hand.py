@@ -15,7 +15,7 @@ from slamhive.base.clock import utc_now
 from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError
 from slamhive.base.settings import Settings
 from slamhive.base.shown_paths import relative_paths
-from slamhive.documents.model import exact
+from slamhive.documents.json_values import exact
 from slamhive.domain.accounts import NO_SHARING, Sharing
 from slamhive.domain.algorithm import Gpu
 from slamhive.domain.protocol import Protocol
