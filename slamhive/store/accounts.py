@@ -21,7 +21,7 @@ from slamhive.store.tables import TABLE_OPTIONS, JsonText, TableBase, UtcDateTim
 
 
 class KeyKind(StrEnum):
-    """What a key is for: the session of a browser, or a personal API token."""
+    """The purpose of a key: the session of a browser, or a personal API token."""
 
     SESSION = "session"
     TOKEN = "token"  # noqa: S105 - a kind, not a secret
@@ -80,7 +80,7 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class AuditAct:
-    """What somebody asked for. The first transaction that stores something for it stores a line of the audit log.
+    """A request by an account. The first transaction that stores something for it stores a line of the audit log.
 
     ``uid``: identifies the line if a transaction is tried again. ``account``: who. ``via``: page, token or
     command line. ``address``: of the network, empty for the command line. ``action`` and ``subject``: what, on what.
@@ -124,7 +124,7 @@ class AccountRow(TableBase):
 
 
 class AccountKeyRow(TableBase):
-    """What proves who somebody is: a connection or an API token. Only the SHA-256 digest of its secret is stored."""
+    """A session or an API token. Only the SHA-256 digest of its secret is stored."""
 
     __tablename__ = "account_keys"
     id = column(Integer, primary_key=True)
@@ -139,7 +139,7 @@ class AccountKeyRow(TableBase):
 
 
 class AccountIdentityRow(TableBase):
-    """Who somebody is at a provider of OpenID Connect; ``digest`` identifies issuer and subject together."""
+    """An account's identity at an OpenID Connect provider; ``digest`` identifies issuer and subject together."""
 
     __tablename__ = "account_identities"
     id = column(Integer, primary_key=True)
@@ -151,7 +151,7 @@ class AccountIdentityRow(TableBase):
 
 
 class AuditLineRow(TableBase):
-    """Who asked for what. The name of the account is text, so that the line needs no other row."""
+    """A line of the audit log. The name of the account is text, so that the line needs no other row."""
 
     __tablename__ = "audit_log"
     __table_args__ = (Index("ix_audit_log_account", "account", "id"), TABLE_OPTIONS)
@@ -189,12 +189,12 @@ class AccountRepository(Repository):
         return [_account(row) for row in self._connection.execute(select(_ACCOUNTS).order_by(_ACCOUNTS.c.name))]
 
     def exist(self) -> bool:
-        """Whether anybody can sign in."""
+        """True if anybody can sign in."""
         query = select(_ACCOUNTS.c.id).where(_ACCOUNTS.c.disabled_at.is_(None)).limit(1)
         return self._connection.execute(query).first() is not None
 
     def in_use(self) -> bool:
-        """Whether there is any account, even if all are disabled."""
+        """True if there is any account, even a disabled one."""
         return self._connection.execute(select(_ACCOUNTS.c.id).limit(1)).first() is not None
 
     def named(self, name: str) -> Account:
@@ -209,7 +209,7 @@ class AccountRepository(Repository):
         return found
 
     def find(self, name: str, *, locked: bool = False) -> AccountCredentials | None:
-        """As :meth:`credentials`, or None. ``locked``: nobody changes the account until the transaction ends."""
+        """Like :meth:`credentials`, or None. ``locked``: nobody changes the account until the transaction ends."""
         query = select(_ACCOUNTS).where(_ACCOUNTS.c.name == name)
         row = self._connection.execute(query.with_for_update() if locked else query).one_or_none()
         return None if row is None else AccountCredentials(_account(row), row.password_hash)

@@ -1,4 +1,4 @@
-"""What runs refer to: algorithms, datasets, hosts, protocols."""
+"""Rows that runs refer to: algorithms and their versions, datasets, hosts, protocols; and notes and tags."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ from slamhive.store.tables import TABLE_OPTIONS, LongText, TableBase, column, op
 
 @dataclass(frozen=True, slots=True)
 class StoredParameter:
-    """How a parameter was defined when the configuration was stored; the definition may have been edited since.
+    """A parameter's definition when the configuration was stored; it may have been edited since.
 
     ``general`` is the name shared across algorithms, from the newest definition. It finds a value and is no part of its
     meaning.
@@ -110,7 +110,7 @@ class ParameterCondition:
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationFilter:
-    """Which configurations to list; an empty tuple, an empty text or None does not restrict.
+    """A choice of configurations; an empty tuple, an empty text or None does not restrict.
 
     ``text`` is searched in names and notes, whatever the case. ``used``: with or without runs.
     """
@@ -246,7 +246,7 @@ def _query() -> Select[Any]:
 
 
 def _definitions(connection: Connection, ids: Sequence[int]) -> dict[int, dict[str, StoredParameter]]:
-    """How each value's parameter was defined when it was stored; the few definitions are read once."""
+    """The definition of each value's parameter when it was stored; the few definitions are read once."""
     used = select(ConfigurationValueRow.parameter_id).where(ConfigurationValueRow.configuration_id.in_(ids)).distinct()
     rows = connection.execute(select(ParameterRow.__table__).where(ParameterRow.id.in_(used)))
     known = {row.id: (row.key, StoredParameter(row.type, row.unit, row.general)) for row in rows}
@@ -311,7 +311,7 @@ def _matching(connection: Connection, condition: ParameterCondition) -> Select[A
 
 
 def _tests(kind: ParameterType, condition: ParameterCondition) -> list[ColumnElement[bool]]:
-    """What a value of this type has to be; none if no value of it can be meant."""
+    """The tests of a value of this type; none if no value of it can be meant."""
     text, equal = condition.value.strip(), condition.operator == "="
     if kind in (ParameterType.STRING, ParameterType.ENUM):
         return [ConfigurationValueRow.text_value == condition.value[:TEXT_VALUE_LENGTH]] if equal else []

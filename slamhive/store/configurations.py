@@ -223,7 +223,7 @@ class ConfigurationRepository(Repository):
 
 
 class _Meanings:
-    """What distinguishes lists of definitions: the type and unit of each. Computed once for each list."""
+    """Keys that distinguish lists of definitions: the type and unit of each. Computed once for each list."""
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[object, ...]] = {}

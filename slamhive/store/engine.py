@@ -238,7 +238,7 @@ def _newest(connection: Connection) -> int:
 
 
 def _known(connection: Connection) -> int:
-    """How many runs the statistics of SQLite count; 0 if there are none."""
+    """The number of runs that the statistics of SQLite count; 0 if there are none."""
     exists = text("SELECT count(*) FROM sqlite_master WHERE name = 'sqlite_stat1'")
     if not connection.execute(exists).scalar_one():
         return 0

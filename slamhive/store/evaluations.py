@@ -163,7 +163,7 @@ class EvaluationRepository(LeaseQueue[int]):
         return [run_id for run_id in wanted if run_id not in settled]
 
     def counts_by_state(self) -> dict[EvaluationState, int]:
-        """How many evaluations are in each state, 0 included."""
+        """The number of evaluations in each state, 0 included."""
         states = self._connection.execute(select(_TABLE.c.state, func.count()).group_by(_TABLE.c.state)).all()
         found = {row[0]: row[1] for row in states}
         return {state: found.get(state, 0) for state in EvaluationState}
@@ -196,7 +196,11 @@ class EvaluationRepository(LeaseQueue[int]):
         return found
 
     def _store_figures(self, run_id: int, protocol_id: int, result: EvaluationResult) -> bool:
-        """Whether the protocol has become the run's current one: only where it had none, and for ``traj.txt`` alone."""
+        """Store the metrics; True if the protocol has become the run's current one.
+
+        It becomes that only where the run had none, and only for ``traj.txt``: metrics of another trajectory
+        would replace what lists show of the run.
+        """
         MetricRepository(self._connection).replace(run_id, result.fingerprint, result.metrics)
         runs = RunRow.__table__
         definition = self._connection.execute(

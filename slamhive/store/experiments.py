@@ -56,7 +56,7 @@ class ExperimentCounts(Repository):
         return self._parted(_RUNS.c.cell, experiment_id)
 
     def disturbed(self, experiment_id: int | None = None) -> dict[int, int]:
-        """How many runs of each experiment were measured on a disturbed machine and not repeated since."""
+        """The number of runs of each experiment that were measured on a disturbed machine and not repeated since."""
         owner = _RUNS.c.experiment_id
         query = select(owner, func.count()).where(_RUNS.c.disturbed_by > "", _of(experiment_id)).group_by(owner)
         found = {number: count for number, count in self._connection.execute(query)}  # noqa: C416 - rows, not pairs
@@ -66,7 +66,7 @@ class ExperimentCounts(Repository):
         return {number: count - repeated[number] for number, count in found.items()}
 
     def last_ended(self, experiment_id: int, most: int) -> list[bool]:
-        """Whether the runs that ended last have failed, the latest first."""
+        """True for each run that failed, among those that ended last; the latest first."""
         query = (
             select(_RUNS.c.id, _RUNS.c.state)
             .where(_RUNS.c.experiment_id == experiment_id, _RUNS.c.ended_at.is_not(None))
@@ -144,7 +144,7 @@ class ExperimentCounts(Repository):
 
 
 def _of(experiment_id: int | None, *, guarded: bool = False) -> ColumnElement[bool]:
-    """Whether a run belongs to this experiment, or to any; ``guarded`` keeps its index from being used."""
+    """Test if a run belongs to this experiment, or to any; ``guarded`` keeps its index from being used."""
     owner = _RUNS.c.experiment_id
     if experiment_id is None:
         return owner.is_not(None)
@@ -193,7 +193,7 @@ class ExperimentRepository(Repository):
             raise Conflict(f"the name {name} is taken", "choose another name")
 
     def mention(self, name: str) -> bool:
-        """Whether the file of some experiment contains every part of a dotted name."""
+        """True if the file of some experiment contains every part of a dotted name."""
         parts = [_EXPERIMENTS.c.source.contains(part, autoescape=True) for part in name.split(".")]
         return self._connection.scalar(select(_EXPERIMENTS.c.id).where(*parts).limit(1)) is not None
 
@@ -297,7 +297,7 @@ class ExperimentRepository(Repository):
         return self._column(select(_RUNS.c.id).where(_RUNS.c.experiment_id == experiment_id).order_by(_RUNS.c.id))
 
     def strangers(self, experiment_id: int) -> int:
-        """How many of its runs have a configuration other than that of their cell."""
+        """The number of its runs that have a configuration other than that of their cell."""
         same_place = and_(_CELLS.c.experiment_id == _RUNS.c.experiment_id, _CELLS.c.number == _RUNS.c.cell)
         query = (
             select(func.count())
@@ -350,7 +350,7 @@ class ExperimentRepository(Repository):
 
 
 def retried_runs(experiment_id: int) -> ColumnElement[bool]:
-    """Whether another run of the experiment has replaced a run."""
+    """Test if another run of the experiment has replaced a run."""
     later = _RUNS.alias("later")
     mine = select(later.c.retry_of).where(later.c.retry_of.is_not(None), later.c.experiment_id == experiment_id)
     going_on = mine.where(later.c.state != RunState.CANCELLED)
@@ -392,7 +392,7 @@ class CellSample:
 
 
 class ExperimentValues(Repository):
-    """What configurations of an experiment are ranked by. Runs that another run has replaced do not count."""
+    """Values that rank the configurations of an experiment. Runs that another run has replaced do not count."""
 
     def samples(self, experiment_id: int, metric: str) -> list[CellSample]:
         """Of each cell, under the current protocols of its good runs."""

@@ -69,7 +69,7 @@ def current(engine: Engine) -> str | None:
 
 
 def has_tables(engine: Engine) -> bool:
-    """Whether our tables exist, in any version. Asking makes no file."""
+    """True if our tables exist, in any version. Asking makes no file."""
     if engine.dialect.name == "sqlite" and not sqlite_file(engine.url).is_file():
         return False
     return current(engine) is not None

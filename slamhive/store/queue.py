@@ -97,7 +97,7 @@ class RunQueue(LeaseQueue[int]):
         return None
 
     def waits(self, only: Collection[int] | None = None) -> bool:
-        """Whether a run is queued that may be claimed."""
+        """True if a run is queued that may be claimed."""
         queued = select(_RUNS.c.id).where(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only))
         return self._connection.execute(queued.limit(1)).scalar_one_or_none() is not None
 
@@ -112,7 +112,7 @@ class RunQueue(LeaseQueue[int]):
         return sorted(found)
 
     def failures_since_asked(self, run: RunRecord) -> int:
-        """How often the configuration of ``run`` has failed by its own fault since ``run`` was submitted.
+        """The number of times that the configuration of ``run`` failed by its own fault since ``run`` was submitted.
 
         Runs of other experiments do not count: they may have had other limits.
         """

@@ -1,4 +1,4 @@
-"""What all repositories share."""
+"""The base of all repositories: statements in pieces, get or insert, JSON columns, and page keys."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ class Order:
         return (_KINDS.get(self.sort.key, str), int)
 
     def columns(self, runs: FromClause) -> list[ColumnElement[Any]]:
-        """What rows of ``runs`` are sorted by, the run's id last."""
+        """The values that sort rows of ``runs``, the run's id last."""
         if self.sort.key == "id":
             return [runs.c.id]
         ties = [runs.c.configuration_id] if self._parameter is not None else []
@@ -463,7 +463,7 @@ class Matches:
     sql: Sql
 
     def page(self, order: Order, after: list[Any] | None, limit: int) -> tuple[Count, list[tuple[Any, ...]]]:
-        """How many runs match, and up to ``limit`` page keys after ``after``."""
+        """The number of matches, and up to ``limit`` page keys after ``after``."""
         total, found = self.survey()
         if found is not None:
             return total, self._sorted(found, order, after, limit)
@@ -474,7 +474,7 @@ class Matches:
         return total, walked
 
     def survey(self) -> tuple[Count, Sequence[int] | None]:
-        """How many runs match, and their ids if they are few. An index may know the exact number of many."""
+        """The number of matches, and their ids if they are few. An index may know the exact number of many."""
         total = self.count_by_index()
         if self.search.tree is None or (total is not None and total.number > COUNTED):
             return total or Count(0), None
@@ -484,7 +484,7 @@ class Matches:
         return Count(len(found)), found
 
     def exact_count(self) -> int:
-        """How many runs match, however long counting takes."""
+        """The number of matches, however long counting takes."""
         total = self.count_by_index()
         return self._number(self.ids(None).subquery()) if total is None else total.number
 
@@ -536,5 +536,5 @@ class Matches:
 
 
 def among(column: ColumnElement[int], ids: Sequence[int]) -> ColumnElement[bool]:
-    """Whether it is one of ``ids``. They become part of the statement: drivers limit the number of parameters."""
+    """Test for one of ``ids``. They become part of the statement: drivers limit the number of parameters."""
     return column.in_(bindparam(None, list(ids), expanding=True, literal_execute=True))

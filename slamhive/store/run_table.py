@@ -100,7 +100,7 @@ class RunTableRepository(Repository):
         return {run_id: value for run_id, value in self._rows(query, MetricValueRow.run_id, run_ids)}  # noqa: C416
 
     def evaluated(self, run_ids: Sequence[int], fingerprint: str | None = None) -> dict[int, EvaluationState]:
-        """How the evaluations of runs ended, under any protocol or that of ``fingerprint``; a success comes first.
+        """The ends of the evaluations of runs, under any protocol or that of ``fingerprint``; a success comes first.
 
         Runs without an ended evaluation are left out.
         """

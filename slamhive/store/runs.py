@@ -192,7 +192,7 @@ class RunRepository(Repository):
         )
 
     def counts_by_state(self) -> dict[RunState, int]:
-        """How many runs are in each state, 0 included."""
+        """The number of runs in each state, 0 included."""
         rows = self._connection.execute(select(_RUNS.c.state, func.count()).group_by(_RUNS.c.state))
         found = {row[0]: row[1] for row in rows}
         return {state: found.get(state, 0) for state in RunState}
@@ -343,7 +343,7 @@ def _checked(fields: RunFields) -> dict[str, Any]:
 
 
 def _defaults(row: Any, target: RunState, now: datetime) -> dict[str, Any]:
-    """What a move writes besides its fields."""
+    """The columns that a move writes besides its fields."""
     if target is RunState.RUNNING and row.started_at is None:
         return {"started_at": now}
     if target is RunState.QUEUED:

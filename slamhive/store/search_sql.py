@@ -111,7 +111,7 @@ def _doubtful() -> Bound:
 
 
 def _above(values: dict[str, float | None]) -> Bound:
-    """Whether one of these metrics exceeds its value. Some count in real time only."""
+    """Test if one of these metrics exceeds its value. Some count in real time only."""
     parts: list[Bound] = []
     for limit in LIMITS:
         value = values[limit.metric]
@@ -287,7 +287,7 @@ class Sql:
     # -- a test of one run -----------------------------------------------------------------------------------------
 
     def test(self, tree: Bound | None, runs: FromClause) -> ColumnElement[bool]:
-        """Whether a row of ``runs`` matches; never NULL."""
+        """Test if a row of ``runs`` matches; never NULL."""
         if tree is None:
             return true()
         if not isinstance(tree, Junction):
@@ -354,7 +354,7 @@ class Sql:
         return func.coalesce(found, false()) if guarded and name in _GUARDED else found
 
     def failed(self, runs: FromClause) -> ColumnElement[bool]:
-        """Whether a row of ``runs`` counts as failed, by its end or by its verdict."""
+        """Test if a row of ``runs`` counts as failed, by its end or by its verdict."""
         ended_badly: ColumnElement[bool] = runs.c.state == RunState.FAILED
         found = self.figures_where(STORED_FAILURE, by_value=True)
         if found is None:
@@ -497,7 +497,7 @@ def _disturbed_by(column: ColumnElement[Any], leaf: Condition) -> ColumnElement[
 
 
 def _any(query: Select[Any]) -> ColumnElement[bool]:
-    """Whether ``query`` has a row, tested run by run. A database may turn EXISTS into a join over all runs."""
+    """Test if ``query`` has a row, run by run. A database may turn EXISTS into a join over all runs."""
     return func.coalesce(query.limit(1).scalar_subquery(), 0) == 1
 
 
@@ -540,7 +540,7 @@ class Start:
 
     @property
     def cost(self) -> int:
-        """What it costs to test one run, compared with other starts."""
+        """The cost of testing one run, compared with other starts."""
         return _LOOK_UP if self._needs_run else 1
 
     def ids(self, sql: Sql) -> Select[Any]:

@@ -1,4 +1,4 @@
-"""What searches need besides lists of runs: names, counts, groups and saved searches."""
+"""Names, counts and groups for searches, and saved searches; :mod:`slamhive.store.run_listing` has the lists of runs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class SearchRepository(Repository):
         return stored_protocols(self._connection)
 
     def unevaluated(self) -> int:
-        """How many runs succeeded and have neither metrics of a protocol nor a queued or running evaluation."""
+        """The number of successful runs with neither metrics of a protocol nor a queued or running evaluation."""
         runs, evaluations = RunRow.__table__, EvaluationRow.__table__
         waiting = select(literal(1)).where(evaluations.c.run_id == runs.c.id, evaluations.c.open == 1)
         query = select(func.count()).where(
@@ -58,11 +58,11 @@ class SearchRepository(Repository):
         return self._column(query)
 
     def exact_count(self, search: Search) -> int:
-        """How many runs match, however long counting takes."""
+        """The number of matches, however long counting takes."""
         return self._matches(search).exact_count()
 
     def count(self, search: Search) -> Count:
-        """How many runs match; exact up to :data:`slamhive.store.run_listing.COUNTED`, and beyond if that is cheap."""
+        """The number of matches; exact up to :data:`slamhive.store.run_listing.COUNTED`, and beyond if that is cheap."""
         return self._matches(search).survey()[0]
 
     def run_ids(self, search: Search) -> list[int]:
@@ -70,7 +70,7 @@ class SearchRepository(Repository):
         return sorted(self._connection.execute(self._matches(search).ids(None)).scalars())
 
     def total(self) -> int:
-        """How many runs there are."""
+        """The number of all runs."""
         return self._number(select(func.count()).select_from(RunRow.__table__))
 
     def with_metrics(self, search: Search) -> dict[str, int]:

@@ -58,7 +58,7 @@ class Store:
         return database_label(self.engine)
 
     def read(self, work: Callable[[Transaction], T]) -> T:
-        """What ``work`` returns, from one consistent view of the database. On SQLite it never waits for a writer."""
+        """Return what ``work`` returns, from one consistent view of the database. SQLite never waits for a writer."""
         snapshot = self._snapshot
         if snapshot is not None and snapshot.viewer == self.viewer:
             return self.retried(lambda: snapshot.read(work))
@@ -86,7 +86,7 @@ class Store:
         return getattr(self._of_thread, "snapshot", None)
 
     def write(self, work: Callable[[Transaction], T]) -> T:
-        """What ``work`` returns, once everything it wrote is on disk. If it raises, nothing is."""
+        """Return what ``work`` returns, once everything it wrote is on disk. If it raises, nothing is."""
         attempts: list[Changes] = []
         if self._snapshot is not None:
             self._snapshot.end()
@@ -132,7 +132,7 @@ class Store:
 
     @property
     def account(self) -> str:
-        """Who asks in this thread; empty for somebody without an account."""
+        """The account that asks in this thread; empty for somebody without one."""
         return getattr(self._of_thread, "account", "")
 
     @property
@@ -214,7 +214,7 @@ class Store:
             return work(Transaction(connection, self._clock))
 
     def retried(self, attempt: Callable[[], T]) -> T:
-        """What ``attempt`` returns. It is called again while the database is locked or away."""
+        """Return what ``attempt`` returns. It is called again while the database is locked or away."""
         began = self._clock.monotonic_s()
         pause_s = FIRST_PAUSE_S
         while True:

@@ -123,7 +123,7 @@ class Snapshot:
         self._transaction: Transaction | None = None
 
     def read(self, work: Callable[[Transaction], T]) -> T:
-        """What ``work`` returns. A broken transaction is ended: the next read begins another."""
+        """Return what ``work`` returns. A broken transaction is ended: the next read begins another."""
         try:
             if self._transaction is None:
                 self._connection = self._engine.connect()
@@ -196,7 +196,7 @@ def error_code(error: DBAPIError) -> int | None:
 
 
 def is_transient(engine: Engine, error: DBAPIError) -> bool:
-    """Whether the same transaction may succeed a moment later: a lock, a deadlock, a server that is away."""
+    """True if the same transaction may succeed a moment later: a lock, a deadlock, a server that is away."""
     if isinstance(error.orig, sqlite3.Error):
         return error_code(error) in _SQLITE_TRANSIENT and not _is_full_disk(engine, error)
     return isinstance(error, InterfaceError) or error.connection_invalidated or error_code(error) in _MYSQL_TRANSIENT
@@ -218,7 +218,7 @@ def explained(engine: Engine, error: DBAPIError) -> SlamHiveError | None:
 
 
 def _is_full_disk(engine: Engine, error: DBAPIError) -> bool:
-    """Whether a failed access is that of a full disk, which SQLite reports as an I/O error or as a file it cannot open.
+    """Tell if the disk is full, which SQLite reports as an I/O error or as a file that it cannot open.
 
     The index of the write-ahead log is mapped into memory: even a reader needs a page of disk for it.
     """
