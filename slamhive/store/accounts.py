@@ -17,7 +17,7 @@ from slamhive.store.models import NAME_LENGTH
 from slamhive.store.rows import Repository, cut, get_or_insert
 from slamhive.store.tables import TABLE_OPTIONS, JsonText, TableBase, UtcDateTime, column, enum_column, optional
 
-# What the store says of accounts. Secrets go in as digests, and no secret comes out but the hash of a password.
+# -- values: secrets go in as digests, and no secret comes out but the hash of a password ------------------------------
 
 
 class KeyKind(StrEnum):
@@ -97,7 +97,7 @@ class AuditAct:
 
 @dataclass(frozen=True, slots=True)
 class AuditLine:
-    """A line of the audit log; see :class:`Act`."""
+    """A line of the audit log; see :class:`AuditAct`."""
 
     id: int
     at: datetime
@@ -108,7 +108,7 @@ class AuditLine:
     subject: str
 
 
-# The tables of accounts. No run folder, ledger or archive holds what is in them.
+# -- tables ------------------------------------------------------------------------------------------------------------
 
 
 class AccountRow(TableBase):
@@ -271,13 +271,10 @@ class AccountRepository(Repository):
         }
         key_id, _ = get_or_insert(self._connection, AccountKeyRow, {"digest": key.digest}, values)
         if key.kind is KeyKind.SESSION:
-            self._end_oldest_sessions(account_id)
+            mine = select(_KEYS.c.id).where(_KEYS.c.account_id == account_id, _KEYS.c.kind == KeyKind.SESSION)
+            surplus = self._column(mine.order_by(_KEYS.c.id.desc()))[MOST_SESSIONS:]
+            self._connection.execute(delete(_KEYS).where(_KEYS.c.id.in_(surplus)))
         return self._key(_joined().where(_KEYS.c.id == key_id))
-
-    def _end_oldest_sessions(self, account_id: int) -> None:
-        query = select(_KEYS.c.id).where(_KEYS.c.account_id == account_id, _KEYS.c.kind == KeyKind.SESSION)
-        surplus = self._column(query.order_by(_KEYS.c.id.desc()))[MOST_SESSIONS:]
-        self._connection.execute(delete(_KEYS).where(_KEYS.c.id.in_(surplus)))
 
     def key(self, kind: KeyKind, digest: str, now: datetime) -> Key | None:
         """The session or token of this digest; None if there is none, it has expired, or its account is disabled."""
@@ -357,12 +354,11 @@ def _key(row: Row[Any]) -> Key:
     )
 
 
-# The audit log: who asked for what. A line is stored in the transaction of the change, so neither is there alone.
-
+# -- the audit log: a line is stored in the transaction of its change, so neither is there alone -----------------------
 
 SUBJECT_LENGTH = 500
 _AUDIT = AuditLineRow.__table__
-_FIELDS = ("id", "at", "account", "via", "address", "action", "subject")
+_LINE = tuple(AuditLine.__dataclass_fields__)
 
 
 class AuditRepository(Repository):
@@ -379,7 +375,7 @@ class AuditRepository(Repository):
 
     def lines(self, limit: int, before: int | None = None, account: str | None = None) -> list[AuditLine]:
         """The newest lines, of one account or of all; ``before`` continues after the line of that id."""
-        query = select(*(_AUDIT.c[name] for name in _FIELDS)).order_by(_AUDIT.c.id.desc()).limit(limit)
+        query = select(*(_AUDIT.c[name] for name in _LINE)).order_by(_AUDIT.c.id.desc()).limit(limit)
         if before is not None:
             query = query.where(_AUDIT.c.id < before)
         if account is not None:

@@ -46,11 +46,9 @@ from slamhive.store.models import (
     RunRow,
     VariantOptionRow,
 )
-from slamhive.store.rows import Repository, changed, chunks
+from slamhive.store.rows import Repository, changed, chunks, not_ours
 from slamhive.store.run_listing import LARGEST_PAGE
 from slamhive.store.tables import TABLE_OPTIONS, LongText, TableBase, column, optional
-
-# Configurations as lists and pages show them: frozen values, never rows.
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +130,7 @@ class ConfigurationPage:
     next_key: str | None
 
 
-# The tables of what users say about configurations; the configurations themselves never change.
+# -- tables ------------------------------------------------------------------------------------------------------------
 
 
 class ConfigurationLabelRow(TableBase):
@@ -170,7 +168,9 @@ def list_configurations(
     total = int(connection.execute(select(func.count()).select_from(ConfigurationRow).where(*conditions)).scalar_one())
     query = select(ConfigurationRow.id).where(*conditions)
     if after is not None:
-        query = query.where(ConfigurationRow.id < _page_key(after))
+        if not after.isascii() or not after.isdigit() or len(after) > 18:  # 19 digits may exceed 64 bits
+            raise not_ours(after)
+        query = query.where(ConfigurationRow.id < int(after))
     ids = connection.execute(query.order_by(ConfigurationRow.id.desc()).limit(limit + 1)).scalars().all()
     shown = ids[:limit]
     return ConfigurationPage(
@@ -340,14 +340,7 @@ def _number(text: str) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _page_key(text: str) -> int:
-    if not text.isascii() or not text.isdigit() or len(text) > 18:
-        raise InvalidInput(f"page key {text[:60]!r} is not one of ours", "start at the first page")
-    return int(text)
-
-
-# What users do with stored configurations: list, name, group and delete them. Their content never changes.
-
+# -- what users do with stored configurations, whose content never changes ---------------------------------------------
 
 _LABELS = ConfigurationLabelRow.__table__
 _GROUPS = ConfigurationGroupRow.__table__

@@ -26,7 +26,7 @@ from slamhive.store.models import (
     RunRow,
 )
 from slamhive.store.records import EvaluationState, KnownConfiguration
-from slamhive.store.rows import Repository, chunks
+from slamhive.store.rows import Repository, chunks, sample_variance
 
 DURATION = "duration"
 _PAIRING = (AlgorithmRow.name, DatasetRow.name, ConfigurationRow.playback_mode, ConfigurationRow.playback_rate)
@@ -123,7 +123,11 @@ class DurationRepository(Repository):
             .where(*among)
             .group_by(*_PAIRING)
         )
-        return {(row[0], row[1], row[2], row[3]): _of_moments(*row[4:]) for row in self._connection.execute(query)}
+        found: dict[Pairing, Measured] = {}
+        for algorithm, dataset, mode, rate, n, mean_s, mean_square_s2 in self._connection.execute(query):
+            std_s = math.sqrt(sample_variance(n, mean_s, mean_square_s2))
+            found[algorithm, dataset, mode, rate] = Measured(n, mean_s, std_s)
+        return found
 
     def unfinished(self, experiment_id: int) -> dict[Pairing, Unfinished]:
         """The runs of an experiment that have not ended, of each algorithm on each dataset."""
@@ -265,14 +269,8 @@ class DurationRepository(Repository):
 
 
 def _measured(times: Sequence[timedelta]) -> Measured | None:
-    """Their median, and their standard deviation; None if there is none."""
+    """Their median and standard deviation; None if there are none."""
     if not times:
         return None
     times_s = [time.total_seconds() for time in times]
     return Measured(len(times_s), max(0.0, median(times_s)), stdev(times_s) if len(times_s) > 1 else 0.0)
-
-
-def _of_moments(n: int, mean_s: float, mean_square_s2: float) -> Measured:
-    """``n`` values with this mean and this mean of their squares."""
-    variance_s2 = max(0.0, mean_square_s2 - mean_s**2) * n / max(1, n - 1)
-    return Measured(n, mean_s, math.sqrt(variance_s2))

@@ -28,12 +28,9 @@ from slamhive.store.models import (
 )
 from slamhive.store.models import RunEventRow as EventRow
 from slamhive.store.records import CellRecord, CellRun, ExperimentRecord, NewCell, ProtocolLabel, StateCount
-from slamhive.store.rows import Repository, chunks, get_or_insert
+from slamhive.store.rows import Repository, chunks, get_or_insert, sample_variance
 from slamhive.store.sharing import sharing_columns
 from slamhive.store.sight import seeing_all
-
-# How many runs of experiments are in which state, for which reason, and with which verdict.
-
 
 _RUNS = RunRow.__table__
 _FIGURES = MetricValueRow.__table__
@@ -107,15 +104,6 @@ class ExperimentCounts(Repository):
             counts[number, state, reason, VerdictKind.GOOD if is_evaluated else None] += count
         if not counts:  # no run belongs to an experiment, so that the verdicts of all runs need not be read
             return counts
-        for number, judged, count in self._failed_by_verdict(place, experiment_id):
-            before = None if judged is VerdictKind.NOT_EVALUABLE else VerdictKind.GOOD
-            counts[number, RunState.SUCCEEDED, None, before] -= count
-            counts[number, RunState.SUCCEEDED, None, judged] += count
-        return counts
-
-    def _failed_by_verdict(
-        self, place: ColumnElement[int], experiment_id: int | None
-    ) -> list[tuple[int, VerdictKind | None, int]]:
         verdict = select(MetricRow.id).where(MetricRow.key == VERDICT).scalar_subquery()
         failed = _FIGURES.c.metric_id == verdict, _FIGURES.c.is_current == 1, _FIGURES.c.value > CODES[VerdictKind.GOOD]
         query = (
@@ -124,7 +112,12 @@ class ExperimentCounts(Repository):
             .where(*failed, _of(experiment_id, guarded=True))
             .group_by(place, _FIGURES.c.value)
         )
-        return [(number, kind_of(code), count) for number, code, count in self._connection.execute(query)]
+        for number, code, count in self._connection.execute(query):
+            judged = kind_of(code)
+            before = None if judged is VerdictKind.NOT_EVALUABLE else VerdictKind.GOOD
+            counts[number, RunState.SUCCEEDED, None, before] -= count
+            counts[number, RunState.SUCCEEDED, None, judged] += count
+        return counts
 
     def _kinds(self, run_ids: Sequence[int]) -> dict[int, VerdictKind | None]:
         found = MetricRepository(self._connection).for_runs(run_ids, [], verdicts=True)
@@ -134,11 +127,13 @@ class ExperimentCounts(Repository):
         """The runs that another run has replaced, found through the few retries."""
         later = _RUNS.alias("later")
         columns = (_RUNS.c[name] for name in ("id", "experiment_id", "cell", "state", "reason", "disturbed_by"))
+        # Any later run replaces a failed or cancelled one; a good but disturbed one stays if its repeat was cancelled.
+        replaced = or_(_RUNS.c.state.in_(REPLACEABLE), and_(DISTURBED, later.c.state != RunState.CANCELLED))
         query = (
             select(*columns)
             .distinct()
             .select_from(later.join(_RUNS, _RUNS.c.id == later.c.retry_of))
-            .where(_of(experiment_id, guarded=True), later.c.retry_of.is_not(None), _replaced_by(later))
+            .where(_of(experiment_id, guarded=True), later.c.retry_of.is_not(None), replaced)
         )
         return self._connection.execute(query).all()
 
@@ -149,11 +144,6 @@ def _of(experiment_id: int | None, *, guarded: bool = False) -> ColumnElement[bo
     if experiment_id is None:
         return owner.is_not(None)
     return (owner + 0 if guarded else owner) == experiment_id
-
-
-def _replaced_by(later: Any) -> ColumnElement[bool]:
-    """A failed or cancelled run is replaced by any later one, a good but disturbed one unless that was cancelled."""
-    return or_(_RUNS.c.state.in_(REPLACEABLE), and_(DISTURBED, later.c.state != RunState.CANCELLED))
 
 
 _EXPERIMENTS = ExperimentRow.__table__
@@ -374,8 +364,7 @@ def _values(stored: Mapping[str, Any]) -> dict[str, Any]:
     return {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}
 
 
-# The values of a metric over the runs of an experiment, by configuration.
-
+# -- the values that rank configurations -------------------------------------------------------------------------------
 
 _JUDGED = (RunState.SUCCEEDED, RunState.FAILED)
 
@@ -420,7 +409,7 @@ class ExperimentValues(Repository):
             .group_by(_RUNS.c.cell, ProtocolRow.fingerprint, ProtocolRow.label)
         )
         return [
-            CellSample(cell, ProtocolLabel(fingerprint, label), n, mean, max(0.0, square - mean**2) * n / max(1, n - 1))
+            CellSample(cell, ProtocolLabel(fingerprint, label), n, mean, sample_variance(n, mean, square))
             for cell, fingerprint, label, n, mean, square in self._connection.execute(query)
         ]
 

@@ -226,8 +226,7 @@ def _request(row: Any) -> RunRequest:
     )
 
 
-# What archives read from the database and write to it, in bulk.
-
+# -- archives: the same in bulk, by the identity that rows have in every installation ----------------------------------
 
 _ENDED = tuple(state for state in RunState if state.ended)
 

@@ -61,8 +61,10 @@ class RunQueue(LeaseQueue[int]):
         Only runs of the highest priority count. The oldest with the affinity ``near`` goes first, then the oldest on
         the same data, then the oldest of all.
         """
-        queued = and_(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only), *_not_on(away))
+        reachable = [_RUNS.c.executor.not_in(sorted(away))] if away else []
+        queued = and_(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only), *reachable)
         queued = and_(queued, *self._allowed(machine))
+        # Other workers ask at the same time. Whoever loses the first run looks again, at most once for each run.
         while (run_id := self._first(queued, near)) is not None:
             other = None if machine is None else SameCpu(self._connection).admits(run_id, machine)
             if other is not None:
@@ -160,10 +162,6 @@ class RunQueue(LeaseQueue[int]):
 def _not_of(experiment_ids: Collection[int]) -> list[ColumnElement[bool]]:
     of = _RUNS.c.experiment_id
     return [or_(of.is_(None), of.not_in(sorted(experiment_ids)))] if experiment_ids else []
-
-
-def _not_on(away: Collection[str]) -> list[ColumnElement[bool]]:
-    return [_RUNS.c.executor.not_in(sorted(away))] if away else []
 
 
 def _among(only: Collection[int] | None) -> list[ColumnElement[bool]]:

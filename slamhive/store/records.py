@@ -395,7 +395,7 @@ class EvaluationRecord:
     lease_owner: str | None
 
 
-# What the store knows about analyses: frozen values, never rows.
+# -- analyses ----------------------------------------------------------------------------------------------------------
 
 
 class AnalysisState(StrEnum):
@@ -448,7 +448,7 @@ class AnalysisRecord:
         return self.sharing.seen_by
 
 
-# What the store knows about experiments: frozen values, never rows.
+# -- experiments -------------------------------------------------------------------------------------------------------
 
 
 class ExperimentState(StrEnum):

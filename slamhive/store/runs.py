@@ -32,9 +32,6 @@ from slamhive.store.rows import Repository, changed, chunks, cut
 from slamhive.store.run_listing import list_page, run_query, to_records
 from slamhive.store.sharing import SharingRepository
 
-# Deleted runs: their rows are removed, and nothing but their files in the trash brings them back.
-
-
 _RUNS = RunRow.__table__
 _DELETED = DeletedRunRow.__table__
 _OF_RUNS = tuple(model.__table__ for model in (MetricValueRow, EvaluationRow, RunEventRow, RunNoteRow, RunTagRow))
@@ -235,12 +232,13 @@ class RunRepository(Repository):
         if target is RunState.FAILED and fields.get("reason") is None:
             raise InvalidInput(f"run {run_id} cannot fail without a reason")
         values = {**_defaults(row, target, now), **_checked(fields), "state": target}
+        # Compare and set: the move was checked against a state that another process may have changed since.
         condition = [_RUNS.c.id == run_id, _RUNS.c.state == row.state]
         if owner is not None:
             condition.append(_RUNS.c.lease_owner == owner)
         if changed(self._connection, update(_RUNS).where(*condition).values(values)) != 1:
             raise LeaseLost(f"run {run_id} was changed by another process while it moved to {target}")
-        self._write_event(run_id, RunEvent(now, row.state, target, why))
+        self._connection.execute(insert(_EVENTS).values(event_row(run_id, RunEvent(now, row.state, target, why))))
         if row.state is RunState.QUEUED and target is RunState.CANCELLED:
             changes_of(self._connection).cancelled.append(([run_id], now, why))
         return RunState(row.state)
@@ -259,7 +257,7 @@ class RunRepository(Repository):
 
         Raises Conflict if the run has ended.
         """
-        while True:
+        while True:  # a worker may claim the run, or end it, between the look and the change
             state = RunState(self._current(run_id).state)
             if state is RunState.CANCELLED and self._is_repeated(run_id, state, now):
                 return state
@@ -296,9 +294,6 @@ class RunRepository(Repository):
         latest = select(_EVENTS).where(_EVENTS.c.run_id == run_id).order_by(_EVENTS.c.id.desc()).limit(1)
         event = self._connection.execute(latest).one_or_none()
         return event is not None and event.to_state is target and event.at == now
-
-    def _write_event(self, run_id: int, event: RunEvent) -> None:
-        self._connection.execute(insert(_EVENTS).values(event_row(run_id, event)))
 
 
 def queued_event(request: RunRequest, at: datetime) -> RunEvent:

@@ -80,7 +80,7 @@ class _Sight:
         return names, found
 
     def _sources(self, query: Select[Any]) -> Sequence[FromClause]:
-        """The tables and joins that ``query`` selects from. SQLAlchemy compiles it to find them, which must add nothing."""
+        """The tables and joins that ``query`` selects from. SQLAlchemy compiles it for this, which must add nothing."""
         self.statement, statement = None, self.statement
         try:
             return query.get_final_froms()

@@ -65,8 +65,7 @@ def optional(kind: TypeEngine[T] | type[TypeEngine[T]], *parts: Any, **options: 
     return Column(kind, *parts, nullable=True, **options)
 
 
-# Column types that mean the same on SQLite and on MySQL / MariaDB.
-
+# -- column types that mean the same on SQLite and on MySQL / MariaDB --------------------------------------------------
 
 E = TypeVar("E", bound=StrEnum)
 

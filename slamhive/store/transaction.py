@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import UTC
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from sqlalchemy import Connection, Engine, text
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from slamhive.store.sharing import SharingRepository
 
 T = TypeVar("T")
-
 
 _repository = lazy_names(__name__)
 
@@ -99,11 +98,10 @@ class Transaction:
         """
         now = self._clock.utc_now()
         shared = self._clock is SYSTEM_CLOCK and self.database.dialect.name == "mysql"
-        return Lease(owner, self._server_time() if shared else now, lasts_s, recorded_at=now)
-
-    def _server_time(self) -> datetime:
-        told: datetime = self.database.execute(text("SELECT UTC_TIMESTAMP(6)")).scalar_one()
-        return told.replace(tzinfo=UTC)
+        decisive = now
+        if shared:
+            decisive = self.database.execute(text("SELECT UTC_TIMESTAMP(6)")).scalar_one().replace(tzinfo=UTC)
+        return Lease(owner, decisive, lasts_s, recorded_at=now)
 
 
 class Snapshot:
@@ -141,8 +139,7 @@ class Snapshot:
         self._connection = self._transaction = None
 
 
-# Errors of the database: whether another attempt may help, and one line for the user.
-
+# -- errors of the database: those worth another attempt, and one line for the user ------------------------------------
 
 FULL_DISK_BYTES = 1_000_000
 """With less free space than this, a failed access to an SQLite file means a full disk: files grow in pages."""
@@ -150,6 +147,7 @@ FULL_DISK_BYTES = 1_000_000
 _SQLITE_TRANSIENT = {
     sqlite3.SQLITE_BUSY,
     sqlite3.SQLITE_LOCKED,
+    # The disk may be away for a moment; ``is_transient`` tells a full one apart, which SQLite reports in the same way.
     sqlite3.SQLITE_CANTOPEN,
     sqlite3.SQLITE_IOERR,
     sqlite3.SQLITE_PROTOCOL,
