@@ -323,7 +323,7 @@ class AccountRepository(Repository):
     def _key(self, query: Select[Any]) -> Key:
         row = self._connection.execute(query).one_or_none()
         if row is None:
-            raise NotFound("there is no such API token", "slamhive account token list shows those that exist")
+            raise NotFound("unknown API token", "slamhive account token list shows those that exist")
         return _key(row)
 
 

@@ -125,7 +125,7 @@ def _check_server(url: URL) -> None:
     try:
         (url.password or "").encode("latin1")
     except UnicodeError:
-        remedy = "give the account a password of such letters"
+        remedy = "give the account a password of Latin-1 letters"
         raise InvalidInput("DATABASE_URL: the password has letters that are not in Latin-1", remedy) from None
 
 

@@ -143,7 +143,7 @@ def ordered(columns: Sequence[ColumnElement[Any]], *, descending: bool) -> list[
 
 def not_ours(key: str) -> InvalidInput:
     """The refusal of a key."""
-    return InvalidInput(f"page key {key[:60]!r} is not one of ours", "start at the first page")
+    return InvalidInput(f"unknown page key {key[:60]!r}", "start at the first page")
 
 
 def _further(column: ColumnElement[Any], value: Any, *, descending: bool) -> ColumnElement[bool]:

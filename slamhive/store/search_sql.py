@@ -44,7 +44,6 @@ from slamhive.filters.fields import BUILT_IN, VARIANT_PREFIX, Field, FieldKind, 
 from slamhive.filters.syntax import PRESENCE, Junction, Sign, join, leaves
 from slamhive.store.metrics import CODES, VERDICT
 from slamhive.store.models import (
-    MEASURED_PROTOCOL_ID,
     AlgorithmRow,
     AlgorithmVersionRow,
     ConfigurationRow,
@@ -192,12 +191,6 @@ def stored_parameters(connection: Connection) -> list[ParameterKind]:
         kinds = [FieldKind.NUMBER] * bool(numbers) + [FieldKind.TEXT] * bool(texts)
         found += [ParameterKind(VARIANT_PREFIX + name, kind) for kind in kinds]
     return found
-
-
-def stored_protocols(connection: Connection) -> dict[str, str]:
-    """{fingerprint: label} of all protocols."""
-    query = select(ProtocolRow.fingerprint, ProtocolRow.label).where(ProtocolRow.id != MEASURED_PROTOCOL_ID)
-    return {row.fingerprint: row.label for row in connection.execute(query)}
 
 
 def _parameter_ids(connection: Connection, names: set[str]) -> dict[str, tuple[int, ...]]:

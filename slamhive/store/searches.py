@@ -14,12 +14,21 @@ from slamhive.filters.binding import Search
 from slamhive.filters.fields import ParameterKind
 from slamhive.store.changes import changes_of
 from slamhive.store.metrics import VERDICT
-from slamhive.store.models import AlgorithmRow, DatasetRow, EvaluationRow, MetricRow, RunRow, SavedSearchRow
+from slamhive.store.models import (
+    MEASURED_PROTOCOL_ID,
+    AlgorithmRow,
+    DatasetRow,
+    EvaluationRow,
+    MetricRow,
+    ProtocolRow,
+    RunRow,
+    SavedSearchRow,
+)
 from slamhive.store.records import Count, GroupPage, Repeats, RunSort, SavedSearchRecord
 from slamhive.store.rows import Repository, changed
 from slamhive.store.run_groups import Groups
 from slamhive.store.run_listing import Matches
-from slamhive.store.search_sql import Sql, look_up, stored_parameters, stored_protocols
+from slamhive.store.search_sql import Sql, look_up, stored_parameters
 
 _SAVED = SavedSearchRow.__table__
 
@@ -33,7 +42,8 @@ class SearchRepository(Repository):
 
     def protocols(self) -> dict[str, str]:
         """{fingerprint: label} of all protocols."""
-        return stored_protocols(self._connection)
+        query = select(ProtocolRow.fingerprint, ProtocolRow.label).where(ProtocolRow.id != MEASURED_PROTOCOL_ID)
+        return {row.fingerprint: row.label for row in self._connection.execute(query)}
 
     def unevaluated(self) -> int:
         """The number of successful runs with neither metrics of a protocol nor a queued or running evaluation."""

@@ -237,7 +237,7 @@ def gave_up(engine: Engine, error: DBAPIError, waited_s: float) -> Unavailable:
         else "see whether the server runs and can be reached, then try again"
     )
     return Unavailable(
-        f"database {database_label(engine)} does not answer since {waited_s:.0f} s: {short(error)}",
+        f"database {database_label(engine)} has not answered for {waited_s:.0f} s: {short(error)}",
         f"nothing that was stored is lost; {remedy}",
     )
 
