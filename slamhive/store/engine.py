@@ -204,7 +204,7 @@ def _begin_sqlite(connection: Connection) -> None:
 
 
 # -- the statistics that a database plans its queries with -------------------------------------------------------------
-#
+
 # SQLite renews them on request only, so it would plan for a small file after the file has grown. MySQL and MariaDB
 # renew them when a tenth of a table has changed; after a bulk load we do not wait for that.
 

@@ -43,7 +43,7 @@ class Lease:
 
     @property
     def at(self) -> datetime:
-        """When the lease was taken, for the record."""
+        """The time at which the lease was taken, for the record."""
         return self.recorded_at or self.now
 
     @property

@@ -157,7 +157,7 @@ class MetricRepository(Repository):
 
 
 # -- verdicts on evaluated runs, stored among the metrics that they follow from ----------------------------------------
-#
+
 # A verdict belongs to a run and a protocol, as a metric does. Lists, filters and groups therefore find it as fast as
 # they find a metric. Verdicts are derived: reindexing, imports and the migration derive them again.
 

@@ -58,8 +58,8 @@ def downgrade(engine: Engine, revision: str = "base") -> None:
 
     steps = [revision]
     if engine.dialect.name != "sqlite":
-        # One version at a time. Each change of a table ends MySQL's transaction, and with it the row that says the
-        # version: were all done at once, a version that refuses would leave the tables older than the row says.
+        # One version at a time. A change of a table commits on MySQL, but the row with the version may not be committed
+        # yet. If all versions went in one transaction, one that refuses would roll that row back.
         below = [*_revisions(), "base"]
         steps = below[below.index(current(engine) or "base") + 1 : below.index(revision) + 1]
     for step in steps:

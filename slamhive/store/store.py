@@ -100,7 +100,7 @@ class Store:
             return result
 
         def attempt() -> T:
-            changes = Changes()  # anew for each attempt: one that was rolled back has stored nothing
+            changes = Changes()  # new for each attempt: one that was rolled back has stored nothing
             attempts.append(changes)
             return self._attempt(self._writing, audited, changes)
 

@@ -147,7 +147,7 @@ FULL_DISK_BYTES = 1_000_000
 _SQLITE_TRANSIENT = {
     sqlite3.SQLITE_BUSY,
     sqlite3.SQLITE_LOCKED,
-    # The disk may be away for a moment; ``is_transient`` tells a full one apart, which SQLite reports in the same way.
+    # The disk may be away for a moment. SQLite reports a full one in the same way; ``is_transient`` excludes it.
     sqlite3.SQLITE_CANTOPEN,
     sqlite3.SQLITE_IOERR,
     sqlite3.SQLITE_PROTOCOL,

@@ -227,7 +227,7 @@ def kind_of(described: Mapping[str, Any]) -> str:
 
 
 # -- the list ``forms`` in the text of an analysis: entries are added, replaced, moved and removed line by line --------
-#
+
 # Everything else in the text stays as it is written, comments too.
 
 _LIST = "forms"

@@ -128,8 +128,8 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.extensions[context.RATES_EXTENSION] = visitor_limits(hive.settings.analyses_per_hour_per_address)
     app.jinja_options["trim_blocks"] = True
     app.jinja_options["lstrip_blocks"] = True
-    # Flask calls functions for requests in the order in which they are registered, and those for answers in the reverse
-    # order: answers get their security headers, then an ETag, and are compressed last.
+    # Flask runs ``after_request`` functions in the reverse order of their registration. Answers get their security
+    # headers, then an ETag, and are compressed last.
     add_compression(app)
     add_caching(app)
     app.extensions[context.SIGN_IN_EXTENSION] = SignInLimits()

@@ -181,7 +181,7 @@ _FLAT = frozenset(f"path_{plane}" for plane in PLANES)
 
 
 # -- the 3D views of a static site: scenes, maps and the modules that show them, as scripts ----------------------------
-#
+
 # A page in a folder can neither fetch a file nor load a module. So a script puts data into ``slamhiveData`` under its
 # own name, and another one holds the text of the modules, which ``site-viewer.js`` makes modules of.
 

@@ -62,7 +62,7 @@ def _point(x: float, y: float) -> str:
 
 
 # -- strips: the values of one configuration on an axis that others share, and its failed runs beside them -------------
-#
+
 # All places are percentages of the width, so that dots stay round and text keeps its size at any width.
 
 FIRST, LAST = 4.0, 96.0

@@ -362,7 +362,7 @@ def arranged(base: str, columns: Sequence[ListColumn], pinned: int) -> list[Arra
 
 
 # -- colours by value: how good each metric in a list is, compared with the others that are shown ----------------------
-#
+
 # Only what can be compared is compared: good runs of the same dataset, and errors under the same protocol.
 
 WORST = 6
