@@ -17,11 +17,11 @@ from slamhive.store.models import NAME_LENGTH
 from slamhive.store.rows import Repository, cut, get_or_insert
 from slamhive.store.tables import TABLE_OPTIONS, JsonText, TableBase, UtcDateTime, column, enum_column, optional
 
-# What the store says of accounts. Secrets go in as digests, and no secret comes out but the hash of a password.
+# -- values: secrets go in as digests, and no secret comes out but the hash of a password ------------------------------
 
 
 class KeyKind(StrEnum):
-    """What a key is for: the session of a browser, or a personal API token."""
+    """The purpose of a key: the session of a browser, or a personal API token."""
 
     SESSION = "session"
     TOKEN = "token"  # noqa: S105 - a kind, not a secret
@@ -80,7 +80,7 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class AuditAct:
-    """What somebody asked for. The first transaction that stores something for it stores a line of the audit log.
+    """A request by an account. The first transaction that stores something for it stores a line of the audit log.
 
     ``uid``: identifies the line if a transaction is tried again. ``account``: who. ``via``: page, token or
     command line. ``address``: of the network, empty for the command line. ``action`` and ``subject``: what, on what.
@@ -97,7 +97,7 @@ class AuditAct:
 
 @dataclass(frozen=True, slots=True)
 class AuditLine:
-    """A line of the audit log; see :class:`Act`."""
+    """A line of the audit log; see :class:`AuditAct`."""
 
     id: int
     at: datetime
@@ -108,7 +108,7 @@ class AuditLine:
     subject: str
 
 
-# The tables of accounts. No run folder, ledger or archive holds what is in them.
+# -- tables ------------------------------------------------------------------------------------------------------------
 
 
 class AccountRow(TableBase):
@@ -124,7 +124,7 @@ class AccountRow(TableBase):
 
 
 class AccountKeyRow(TableBase):
-    """What proves who somebody is: a connection or an API token. Only the SHA-256 digest of its secret is stored."""
+    """A session or an API token. Only the SHA-256 digest of its secret is stored."""
 
     __tablename__ = "account_keys"
     id = column(Integer, primary_key=True)
@@ -139,7 +139,7 @@ class AccountKeyRow(TableBase):
 
 
 class AccountIdentityRow(TableBase):
-    """Who somebody is at a provider of OpenID Connect; ``digest`` identifies issuer and subject together."""
+    """An account's identity at an OpenID Connect provider; ``digest`` identifies issuer and subject together."""
 
     __tablename__ = "account_identities"
     id = column(Integer, primary_key=True)
@@ -151,7 +151,7 @@ class AccountIdentityRow(TableBase):
 
 
 class AuditLineRow(TableBase):
-    """Who asked for what. The name of the account is text, so that the line needs no other row."""
+    """A line of the audit log. The name of the account is text, so that the line needs no other row."""
 
     __tablename__ = "audit_log"
     __table_args__ = (Index("ix_audit_log_account", "account", "id"), TABLE_OPTIONS)
@@ -189,12 +189,12 @@ class AccountRepository(Repository):
         return [_account(row) for row in self._connection.execute(select(_ACCOUNTS).order_by(_ACCOUNTS.c.name))]
 
     def exist(self) -> bool:
-        """Whether anybody can sign in."""
+        """True if anybody can sign in."""
         query = select(_ACCOUNTS.c.id).where(_ACCOUNTS.c.disabled_at.is_(None)).limit(1)
         return self._connection.execute(query).first() is not None
 
     def in_use(self) -> bool:
-        """Whether there is any account, even if all are disabled."""
+        """True if there is any account, even a disabled one."""
         return self._connection.execute(select(_ACCOUNTS.c.id).limit(1)).first() is not None
 
     def named(self, name: str) -> Account:
@@ -209,7 +209,7 @@ class AccountRepository(Repository):
         return found
 
     def find(self, name: str, *, locked: bool = False) -> AccountCredentials | None:
-        """As :meth:`credentials`, or None. ``locked``: nobody changes the account until the transaction ends."""
+        """Like :meth:`credentials`, or None. ``locked``: nobody changes the account until the transaction ends."""
         query = select(_ACCOUNTS).where(_ACCOUNTS.c.name == name)
         row = self._connection.execute(query.with_for_update() if locked else query).one_or_none()
         return None if row is None else AccountCredentials(_account(row), row.password_hash)
@@ -271,13 +271,10 @@ class AccountRepository(Repository):
         }
         key_id, _ = get_or_insert(self._connection, AccountKeyRow, {"digest": key.digest}, values)
         if key.kind is KeyKind.SESSION:
-            self._end_oldest_sessions(account_id)
+            mine = select(_KEYS.c.id).where(_KEYS.c.account_id == account_id, _KEYS.c.kind == KeyKind.SESSION)
+            surplus = self._column(mine.order_by(_KEYS.c.id.desc()))[MOST_SESSIONS:]
+            self._connection.execute(delete(_KEYS).where(_KEYS.c.id.in_(surplus)))
         return self._key(_joined().where(_KEYS.c.id == key_id))
-
-    def _end_oldest_sessions(self, account_id: int) -> None:
-        query = select(_KEYS.c.id).where(_KEYS.c.account_id == account_id, _KEYS.c.kind == KeyKind.SESSION)
-        surplus = self._column(query.order_by(_KEYS.c.id.desc()))[MOST_SESSIONS:]
-        self._connection.execute(delete(_KEYS).where(_KEYS.c.id.in_(surplus)))
 
     def key(self, kind: KeyKind, digest: str, now: datetime) -> Key | None:
         """The session or token of this digest; None if there is none, it has expired, or its account is disabled."""
@@ -326,7 +323,7 @@ class AccountRepository(Repository):
     def _key(self, query: Select[Any]) -> Key:
         row = self._connection.execute(query).one_or_none()
         if row is None:
-            raise NotFound("there is no such API token", "slamhive account token list shows those that exist")
+            raise NotFound("unknown API token", "slamhive account token list shows those that exist")
         return _key(row)
 
 
@@ -357,12 +354,11 @@ def _key(row: Row[Any]) -> Key:
     )
 
 
-# The audit log: who asked for what. A line is stored in the transaction of the change, so neither is there alone.
-
+# -- the audit log: a line is stored in the transaction of its change, so neither is there alone -----------------------
 
 SUBJECT_LENGTH = 500
 _AUDIT = AuditLineRow.__table__
-_FIELDS = ("id", "at", "account", "via", "address", "action", "subject")
+_LINE = tuple(AuditLine.__dataclass_fields__)
 
 
 class AuditRepository(Repository):
@@ -379,7 +375,7 @@ class AuditRepository(Repository):
 
     def lines(self, limit: int, before: int | None = None, account: str | None = None) -> list[AuditLine]:
         """The newest lines, of one account or of all; ``before`` continues after the line of that id."""
-        query = select(*(_AUDIT.c[name] for name in _FIELDS)).order_by(_AUDIT.c.id.desc()).limit(limit)
+        query = select(*(_AUDIT.c[name] for name in _LINE)).order_by(_AUDIT.c.id.desc()).limit(limit)
         if before is not None:
             query = query.where(_AUDIT.c.id < before)
         if account is not None:

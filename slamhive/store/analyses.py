@@ -67,7 +67,7 @@ class AnalysisRepository(LeaseQueue[str]):
         return self._records(_TABLE.c.visitor == True)  # noqa: E712
 
     def waiting(self) -> int:
-        """How many are not computed yet."""
+        """The number of analyses that are not computed yet."""
         open_ones = _TABLE.c.state.in_((AnalysisState.QUEUED, AnalysisState.RUNNING))
         return self._number(select(func.count()).select_from(_TABLE).where(open_ones))
 

@@ -1,4 +1,4 @@
-"""What runs refer to: algorithms, datasets, hosts, protocols."""
+"""Rows that runs refer to: algorithms and their versions, datasets, hosts, protocols; and notes and tags."""
 
 from __future__ import annotations
 
@@ -114,11 +114,10 @@ def _dataset(row: Row[Any]) -> DatasetRecord:
     return DatasetRecord(**{**values, "sensors": tuple(row.sensors)})
 
 
-# The versions of packages. A version never changes; its number within the package is never used twice.
-
+# -- versions of packages: a version never changes, and its number is never used twice ---------------------------------
 
 _VERSIONS = AlgorithmVersionRow.__table__
-_FIELDS = tuple(name for name in VersionRecord.__dataclass_fields__ if name != "runs")
+_VERSION = tuple(VersionRecord.__dataclass_fields__)
 
 
 class VersionRepository(Repository):
@@ -170,7 +169,7 @@ class VersionRepository(Repository):
         runs = select(func.count()).select_from(RunRow).where(RunRow.algorithm_version_id == _VERSIONS.c.id)
         query = select(_VERSIONS, runs.scalar_subquery().label("runs")).where(*conditions)
         rows = self._connection.execute(query.order_by(_VERSIONS.c.package, _VERSIONS.c.number))
-        return tuple(_record(row) for row in rows)
+        return tuple(VersionRecord(**{name: getattr(row, name) for name in _VERSION}) for row in rows)
 
     def _find(self, *conditions: ColumnElement[bool]) -> Row[tuple[object, ...]] | None:
         return self._connection.execute(select(_VERSIONS).where(*conditions)).one_or_none()
@@ -196,12 +195,7 @@ class VersionRepository(Repository):
         changes_of(self._connection).catalogue = True
 
 
-def _record(row: Row[tuple[object, ...]]) -> VersionRecord:
-    return VersionRecord(**{name: getattr(row, name) for name in _FIELDS}, runs=row.runs)
-
-
-# Notes and tags of runs: the index of what their folders hold.
-
+# -- notes and tags of runs: the index of what their folders hold ------------------------------------------------------
 
 _NOTES = RunNoteRow.__table__
 _TAGS = RunTagRow.__table__

@@ -46,16 +46,14 @@ from slamhive.store.models import (
     RunRow,
     VariantOptionRow,
 )
-from slamhive.store.rows import Repository, changed, chunks
+from slamhive.store.rows import Repository, changed, chunks, not_ours
 from slamhive.store.run_listing import LARGEST_PAGE
 from slamhive.store.tables import TABLE_OPTIONS, LongText, TableBase, column, optional
-
-# Configurations as lists and pages show them: frozen values, never rows.
 
 
 @dataclass(frozen=True, slots=True)
 class StoredParameter:
-    """How a parameter was defined when the configuration was stored; the definition may have been edited since.
+    """A parameter's definition when the configuration was stored; it may have been edited since.
 
     ``general`` is the name shared across algorithms, from the newest definition. It finds a value and is no part of its
     meaning.
@@ -110,7 +108,7 @@ class ParameterCondition:
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationFilter:
-    """Which configurations to list; an empty tuple, an empty text or None does not restrict.
+    """A choice of configurations; an empty tuple, an empty text or None does not restrict.
 
     ``text`` is searched in names and notes, whatever the case. ``used``: with or without runs.
     """
@@ -132,7 +130,7 @@ class ConfigurationPage:
     next_key: str | None
 
 
-# The tables of what users say about configurations; the configurations themselves never change.
+# -- tables ------------------------------------------------------------------------------------------------------------
 
 
 class ConfigurationLabelRow(TableBase):
@@ -155,221 +153,45 @@ class ConfigurationGroupRow(TableBase):
 
 
 _BOOLEANS = {"true": 1.0, "false": 0.0}
-
-
-def list_configurations(
-    connection: Connection, wanted: ConfigurationFilter, after: str | None, limit: int
-) -> ConfigurationPage:
-    """One page of the configurations that match ``wanted``, newest first.
-
-    Raises InvalidInput for a wrong page size or key, NotFound for a parameter that no configuration has.
-    """
-    if not 1 <= limit <= LARGEST_PAGE:
-        raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
-    conditions = _conditions(connection, wanted)
-    total = int(connection.execute(select(func.count()).select_from(ConfigurationRow).where(*conditions)).scalar_one())
-    query = select(ConfigurationRow.id).where(*conditions)
-    if after is not None:
-        query = query.where(ConfigurationRow.id < _page_key(after))
-    ids = connection.execute(query.order_by(ConfigurationRow.id.desc()).limit(limit + 1)).scalars().all()
-    shown = ids[:limit]
-    return ConfigurationPage(
-        records=configuration_records(connection, shown),
-        total=total,
-        next_key=str(shown[-1]) if len(ids) > limit else None,
-    )
-
-
-def configuration_records(connection: Connection, ids: Sequence[int]) -> tuple[ConfigurationRecord, ...]:
-    """The configurations with these ids, in this order; unknown ids are left out."""
-    found: dict[int, ConfigurationRecord] = {}
-    for part in chunks(ids):
-        found.update({record.id: record for record in _records(connection, part)})
-    return tuple(found[entry] for entry in ids if entry in found)
-
-
-def _records(connection: Connection, ids: Sequence[int]) -> list[ConfigurationRecord]:
-    rows = connection.execute(_query().where(ConfigurationRow.id.in_(ids))).all()
-    values = ConfigurationRepository(connection).parameters_of_all(ids)
-    definitions = _definitions(connection, ids)
-    groups = _lists(
-        connection,
-        select(ConfigurationGroupRow.configuration_id, ConfigurationGroupRow.name)
-        .where(ConfigurationGroupRow.configuration_id.in_(ids))
-        .order_by(ConfigurationGroupRow.name),
-    )
-    experiments = _lists(
-        connection,
-        select(ExperimentCellRow.configuration_id, ExperimentRow.name)
-        .join(ExperimentRow, ExperimentRow.id == ExperimentCellRow.experiment_id)
-        .where(ExperimentCellRow.configuration_id.in_(ids))
-        .order_by(ExperimentRow.id),
-    )
-    counted = select(RunRow.configuration_id, func.count()).where(RunRow.configuration_id.in_(ids))
-    runs = {row[0]: row[1] for row in connection.execute(counted.group_by(RunRow.configuration_id))}
-    return [
-        ConfigurationRecord(
-            id=row.id,
-            configuration=configuration_of(row, values[row.id]),
-            created_at=row.created_at,
-            name=row.name,
-            note=row.note or "",
-            groups=groups.get(row.id, ()),
-            runs=runs.get(row.id, 0),
-            experiments=experiments.get(row.id, ()),
-            parameters=definitions.get(row.id, {}),
-        )
-        for row in rows
-    ]
-
-
-def _query() -> Select[Any]:
-    return (
-        select(
-            ConfigurationRow.id,
-            ConfigurationRow.playback_mode,
-            ConfigurationRow.playback_rate,
-            ConfigurationRow.variant,
-            ConfigurationRow.sensors,
-            ConfigurationRow.version,
-            ConfigurationRow.map,
-            ConfigurationRow.created_at,
-            AlgorithmRow.name.label("algorithm"),
-            DatasetRow.name.label("dataset"),
-            ConfigurationLabelRow.name,
-            ConfigurationLabelRow.note,
-        )
-        .join(AlgorithmRow, AlgorithmRow.id == ConfigurationRow.algorithm_id)
-        .join(DatasetRow, DatasetRow.id == ConfigurationRow.dataset_id)
-        .outerjoin(ConfigurationLabelRow, ConfigurationLabelRow.configuration_id == ConfigurationRow.id)
-    )
-
-
-def _definitions(connection: Connection, ids: Sequence[int]) -> dict[int, dict[str, StoredParameter]]:
-    """How each value's parameter was defined when it was stored; the few definitions are read once."""
-    used = select(ConfigurationValueRow.parameter_id).where(ConfigurationValueRow.configuration_id.in_(ids)).distinct()
-    rows = connection.execute(select(ParameterRow.__table__).where(ParameterRow.id.in_(used)))
-    known = {row.id: (row.key, StoredParameter(row.type, row.unit, row.general)) for row in rows}
-    pairs = select(ConfigurationValueRow.configuration_id, ConfigurationValueRow.parameter_id)
-    found: dict[int, dict[str, StoredParameter]] = {}
-    for configuration_id, parameter_id in connection.execute(
-        pairs.where(ConfigurationValueRow.configuration_id.in_(ids))
-    ):
-        key, definition = known[parameter_id]
-        found.setdefault(configuration_id, {})[key] = definition
-    return found
-
-
-def _lists(connection: Connection, query: Select[int, str]) -> dict[int, tuple[str, ...]]:
-    """Rows of id and name as {id: names}, each name once and in order."""
-    found: dict[int, dict[str, None]] = {}
-    for configuration_id, name in connection.execute(query):
-        found.setdefault(configuration_id, {})[name] = None
-    return {configuration_id: tuple(names) for configuration_id, names in found.items()}
-
-
-def _conditions(connection: Connection, wanted: ConfigurationFilter) -> list[ColumnElement[bool]]:
-    table = ConfigurationRow.__table__.c
-    conditions: list[ColumnElement[bool]] = []
-    if wanted.algorithms:
-        named = select(AlgorithmRow.id).where(AlgorithmRow.name.in_(wanted.algorithms))
-        conditions.append(table.algorithm_id.in_(named))
-    if wanted.datasets:
-        conditions.append(table.dataset_id.in_(select(DatasetRow.id).where(DatasetRow.name.in_(wanted.datasets))))
-    if wanted.group:
-        members = select(ConfigurationGroupRow.configuration_id).where(ConfigurationGroupRow.name == wanted.group)
-        conditions.append(table.id.in_(members))
-    if wanted.text:
-        text = wanted.text.lower()
-        labelled = select(ConfigurationLabelRow.configuration_id).where(
-            or_(
-                func.lower(ConfigurationLabelRow.name).contains(text, autoescape=True),
-                func.lower(ConfigurationLabelRow.note).contains(text, autoescape=True),
-            )
-        )
-        conditions.append(table.id.in_(labelled))
-    if wanted.used is not None:
-        has_runs = exists(select(literal(1)).where(RunRow.configuration_id == table.id))
-        conditions.append(has_runs if wanted.used else ~has_runs)
-    return [*conditions, *(table.id.in_(_matching(connection, condition)) for condition in wanted.conditions)]
-
-
-def _matching(connection: Connection, condition: ParameterCondition) -> Select[Any]:
-    """Ids of the configurations whose parameter of that key or general name fulfils the condition."""
-    named = or_(ParameterRow.key == condition.name, ParameterRow.general == condition.name)
-    rows = connection.execute(select(ParameterRow.id, ParameterRow.type).where(named)).all()
-    if not rows:
-        known = connection.execute(select(ParameterRow.key, ParameterRow.general).distinct()).all()
-        names = sorted({name for row in known for name in row if name})
-        raise unknown("parameter of any stored configuration", condition.name, names)
-    tests = [
-        and_(ConfigurationValueRow.parameter_id == row.id, test)
-        for row in rows
-        for test in _tests(ParameterType(row.type), condition)
-    ]
-    return select(ConfigurationValueRow.configuration_id).where(or_(literal(value=False), *tests))
-
-
-def _tests(kind: ParameterType, condition: ParameterCondition) -> list[ColumnElement[bool]]:
-    """What a value of this type has to be; none if no value of it can be meant."""
-    text, equal = condition.value.strip(), condition.operator == "="
-    if kind in (ParameterType.STRING, ParameterType.ENUM):
-        return [ConfigurationValueRow.text_value == condition.value[:TEXT_VALUE_LENGTH]] if equal else []
-    if kind is ParameterType.MATRIX:
-        numbers = [_number(part) for part in text.strip("[]").split(",")]
-        return [ConfigurationValueRow.value == numbers] if equal and None not in numbers else []
-    number = _BOOLEANS.get(text.lower()) if kind is ParameterType.BOOL else _number(text)
-    if number is None:
-        return []
-    column = ConfigurationValueRow.__table__.c.number_value
-    comparisons: dict[str, ColumnElement[bool]] = {
-        "=": column == number,
-        "<": column < number,
-        "<=": column <= number,
-        ">": column > number,
-        ">=": column >= number,
-    }
-    return [comparisons[condition.operator]]
-
-
-def _number(text: str) -> float | None:
-    try:
-        number = float(text)
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None
-
-
-def _page_key(text: str) -> int:
-    if not text.isascii() or not text.isdigit() or len(text) > 18:
-        raise InvalidInput(f"page key {text[:60]!r} is not one of ours", "start at the first page")
-    return int(text)
-
-
-# What users do with stored configurations: list, name, group and delete them. Their content never changes.
-
-
 _LABELS = ConfigurationLabelRow.__table__
 _GROUPS = ConfigurationGroupRow.__table__
 
 
 class ConfigurationBook(Repository):
-    """Names are unique among configurations; a configuration may be in several groups."""
+    """Lists configurations, names, groups and deletes them; their content never changes. Names are unique."""
 
     def page(self, wanted: ConfigurationFilter, after: str | None, limit: int) -> ConfigurationPage:
-        """One page, newest first; see :func:`list_configurations`."""
-        return list_configurations(self._connection, wanted, after, limit)
+        """One page of the configurations that match ``wanted``, newest first.
+
+        Raises InvalidInput for a wrong page size or key, NotFound for a parameter that no configuration has.
+        """
+        if not 1 <= limit <= LARGEST_PAGE:
+            raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
+        conditions = _conditions(self._connection, wanted)
+        total = self._number(select(func.count()).select_from(ConfigurationRow).where(*conditions))
+        query = select(ConfigurationRow.id).where(*conditions)
+        if after is not None:
+            if not after.isascii() or not after.isdigit() or len(after) > 18:  # 19 digits may exceed 64 bits
+                raise not_ours(after)
+            query = query.where(ConfigurationRow.id < int(after))
+        ids = self._column(query.order_by(ConfigurationRow.id.desc()).limit(limit + 1))
+        shown = ids[:limit]
+        next_key = str(shown[-1]) if len(ids) > limit else None
+        return ConfigurationPage(self.records(shown), total, next_key)
 
     def get(self, configuration_id: int) -> ConfigurationRecord:
         """The configuration with this number; raises NotFound."""
-        found = configuration_records(self._connection, [configuration_id])
+        found = self.records([configuration_id])
         if not found:
             raise NotFound(f"unknown configuration {configuration_id}", "slamhive configuration list shows all")
         return found[0]
 
     def records(self, configuration_ids: Sequence[int]) -> tuple[ConfigurationRecord, ...]:
         """The configurations with these numbers, in this order; those that do not exist are left out."""
-        return configuration_records(self._connection, configuration_ids)
+        found: dict[int, ConfigurationRecord] = {}
+        for part in chunks(configuration_ids):
+            found.update({record.id: record for record in _records(self._connection, part)})
+        return tuple(found[entry] for entry in configuration_ids if entry in found)
 
     def latest_runs(self, configuration_id: int, limit: int) -> list[int]:
         """The numbers of its newest runs, newest first."""
@@ -445,6 +267,158 @@ class ConfigurationBook(Repository):
         except IntegrityError:  # a run was queued meanwhile
             raise _has_runs(record.label, "a new run") from None
         changes_of(self._connection).deleted.add(configuration_id)
+
+
+def _records(connection: Connection, ids: Sequence[int]) -> list[ConfigurationRecord]:
+    rows = connection.execute(_query().where(ConfigurationRow.id.in_(ids))).all()
+    values = ConfigurationRepository(connection).parameters_of_all(ids)
+    definitions = _definitions(connection, ids)
+    groups = _lists(
+        connection,
+        select(ConfigurationGroupRow.configuration_id, ConfigurationGroupRow.name)
+        .where(ConfigurationGroupRow.configuration_id.in_(ids))
+        .order_by(ConfigurationGroupRow.name),
+    )
+    experiments = _lists(
+        connection,
+        select(ExperimentCellRow.configuration_id, ExperimentRow.name)
+        .join(ExperimentRow, ExperimentRow.id == ExperimentCellRow.experiment_id)
+        .where(ExperimentCellRow.configuration_id.in_(ids))
+        .order_by(ExperimentRow.id),
+    )
+    counted = select(RunRow.configuration_id, func.count()).where(RunRow.configuration_id.in_(ids))
+    runs = {row[0]: row[1] for row in connection.execute(counted.group_by(RunRow.configuration_id))}
+    return [
+        ConfigurationRecord(
+            id=row.id,
+            configuration=configuration_of(row, values[row.id]),
+            created_at=row.created_at,
+            name=row.name,
+            note=row.note or "",
+            groups=groups.get(row.id, ()),
+            runs=runs.get(row.id, 0),
+            experiments=experiments.get(row.id, ()),
+            parameters=definitions.get(row.id, {}),
+        )
+        for row in rows
+    ]
+
+
+def _query() -> Select[Any]:
+    return (
+        select(
+            ConfigurationRow.id,
+            ConfigurationRow.playback_mode,
+            ConfigurationRow.playback_rate,
+            ConfigurationRow.variant,
+            ConfigurationRow.sensors,
+            ConfigurationRow.version,
+            ConfigurationRow.map,
+            ConfigurationRow.created_at,
+            AlgorithmRow.name.label("algorithm"),
+            DatasetRow.name.label("dataset"),
+            ConfigurationLabelRow.name,
+            ConfigurationLabelRow.note,
+        )
+        .join(AlgorithmRow, AlgorithmRow.id == ConfigurationRow.algorithm_id)
+        .join(DatasetRow, DatasetRow.id == ConfigurationRow.dataset_id)
+        .outerjoin(ConfigurationLabelRow, ConfigurationLabelRow.configuration_id == ConfigurationRow.id)
+    )
+
+
+def _definitions(connection: Connection, ids: Sequence[int]) -> dict[int, dict[str, StoredParameter]]:
+    """The definition of each value's parameter when it was stored; the few definitions are read once."""
+    used = select(ConfigurationValueRow.parameter_id).where(ConfigurationValueRow.configuration_id.in_(ids)).distinct()
+    rows = connection.execute(select(ParameterRow.__table__).where(ParameterRow.id.in_(used)))
+    known = {row.id: (row.key, StoredParameter(row.type, row.unit, row.general)) for row in rows}
+    pairs = select(ConfigurationValueRow.configuration_id, ConfigurationValueRow.parameter_id)
+    found: dict[int, dict[str, StoredParameter]] = {}
+    for configuration_id, parameter_id in connection.execute(
+        pairs.where(ConfigurationValueRow.configuration_id.in_(ids))
+    ):
+        key, definition = known[parameter_id]
+        found.setdefault(configuration_id, {})[key] = definition
+    return found
+
+
+def _lists(connection: Connection, query: Select[int, str]) -> dict[int, tuple[str, ...]]:
+    """Rows of id and name as {id: names}, each name once and in order."""
+    found: dict[int, dict[str, None]] = {}
+    for configuration_id, name in connection.execute(query):
+        found.setdefault(configuration_id, {})[name] = None
+    return {configuration_id: tuple(names) for configuration_id, names in found.items()}
+
+
+def _conditions(connection: Connection, wanted: ConfigurationFilter) -> list[ColumnElement[bool]]:
+    table = ConfigurationRow.__table__.c
+    conditions: list[ColumnElement[bool]] = []
+    if wanted.algorithms:
+        named = select(AlgorithmRow.id).where(AlgorithmRow.name.in_(wanted.algorithms))
+        conditions.append(table.algorithm_id.in_(named))
+    if wanted.datasets:
+        conditions.append(table.dataset_id.in_(select(DatasetRow.id).where(DatasetRow.name.in_(wanted.datasets))))
+    if wanted.group:
+        members = select(ConfigurationGroupRow.configuration_id).where(ConfigurationGroupRow.name == wanted.group)
+        conditions.append(table.id.in_(members))
+    if wanted.text:
+        text = wanted.text.lower()
+        labelled = select(ConfigurationLabelRow.configuration_id).where(
+            or_(
+                func.lower(ConfigurationLabelRow.name).contains(text, autoescape=True),
+                func.lower(ConfigurationLabelRow.note).contains(text, autoescape=True),
+            )
+        )
+        conditions.append(table.id.in_(labelled))
+    if wanted.used is not None:
+        has_runs = exists(select(literal(1)).where(RunRow.configuration_id == table.id))
+        conditions.append(has_runs if wanted.used else ~has_runs)
+    return [*conditions, *(table.id.in_(_matching(connection, condition)) for condition in wanted.conditions)]
+
+
+def _matching(connection: Connection, condition: ParameterCondition) -> Select[Any]:
+    """Ids of the configurations whose parameter of that key or general name fulfils the condition."""
+    named = or_(ParameterRow.key == condition.name, ParameterRow.general == condition.name)
+    rows = connection.execute(select(ParameterRow.id, ParameterRow.type).where(named)).all()
+    if not rows:
+        known = connection.execute(select(ParameterRow.key, ParameterRow.general).distinct()).all()
+        names = sorted({name for row in known for name in row if name})
+        raise unknown("parameter of any stored configuration", condition.name, names)
+    tests = [
+        and_(ConfigurationValueRow.parameter_id == row.id, test)
+        for row in rows
+        for test in _tests(ParameterType(row.type), condition)
+    ]
+    return select(ConfigurationValueRow.configuration_id).where(or_(literal(value=False), *tests))
+
+
+def _tests(kind: ParameterType, condition: ParameterCondition) -> list[ColumnElement[bool]]:
+    """The tests of a value of this type; none if no value of it can be meant."""
+    text, equal = condition.value.strip(), condition.operator == "="
+    if kind in (ParameterType.STRING, ParameterType.ENUM):
+        return [ConfigurationValueRow.text_value == condition.value[:TEXT_VALUE_LENGTH]] if equal else []
+    if kind is ParameterType.MATRIX:
+        numbers = [_number(part) for part in text.strip("[]").split(",")]
+        return [ConfigurationValueRow.value == numbers] if equal and None not in numbers else []
+    number = _BOOLEANS.get(text.lower()) if kind is ParameterType.BOOL else _number(text)
+    if number is None:
+        return []
+    column = ConfigurationValueRow.__table__.c.number_value
+    comparisons: dict[str, ColumnElement[bool]] = {
+        "=": column == number,
+        "<": column < number,
+        "<=": column <= number,
+        ">": column > number,
+        ">=": column >= number,
+    }
+    return [comparisons[condition.operator]]
+
+
+def _number(text: str) -> float | None:
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
 
 
 def _has_runs(label: str, runs: str) -> Conflict:

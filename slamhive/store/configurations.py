@@ -27,8 +27,6 @@ from slamhive.store.models import (
 from slamhive.store.records import NewConfiguration
 from slamhive.store.rows import Repository, chunks, from_json, get_or_insert, to_json
 
-# Options of pre-processing steps, under the names that searches use.
-
 
 def option_rows(configuration_id: int, variant: Variant) -> list[dict[str, Any]]:
     """Rows of ``variant_options``: ``KIND.OPTION`` and ``KIND.OPTION@SENSOR``, where all steps of the kind agree."""
@@ -39,16 +37,10 @@ def option_rows(configuration_id: int, variant: Variant) -> list[dict[str, Any]]
             for key in (name, *(f"{name}@{sensor}" for sensor in step.sensors)):
                 found.setdefault(key, []).append(value)
     return [
-        {"configuration_id": configuration_id, "name": name, **_option_columns(values[0])}
+        {"configuration_id": configuration_id, "name": name, **_searched(values[0])}
         for name, values in found.items()
         if all(value == values[0] for value in values)
     ]
-
-
-def _option_columns(value: Scalar) -> dict[str, Any]:
-    if isinstance(value, str):
-        return {"number_value": None, "text_value": value[:TEXT_VALUE_LENGTH]}
-    return {"number_value": float(value), "text_value": None}
 
 
 ROWS_OF_A_STATEMENT = 100
@@ -182,7 +174,8 @@ class ConfigurationRepository(Repository):
                 ids[signature] = self._parameter_ids(entry.algorithm_id, values, entry.definitions)
             for key, value in values.items():
                 columns = {"configuration_id": configuration_id, "parameter_id": ids[signature][key]}
-                rows.append({**columns, **_columns(value)})
+                # ``value`` is JSON, which distinguishes 1, 1.0, true and "1".
+                rows.append({**columns, "value": value, **_searched(value)})
         if rows:
             self._connection.execute(insert(ConfigurationValueRow.__table__), rows)
         if options:
@@ -223,7 +216,7 @@ class ConfigurationRepository(Repository):
 
 
 class _Meanings:
-    """What distinguishes lists of definitions: the type and unit of each. Computed once for each list."""
+    """Keys that distinguish lists of definitions: the type and unit of each. Computed once for each list."""
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[object, ...]] = {}
@@ -272,8 +265,8 @@ def _description(definition: Definition | None, value: Value) -> tuple[str, str,
     return types.get(type(value), ParameterType.MATRIX).value, "", None
 
 
-def _columns(value: Value) -> dict[str, Any]:
-    """The exact value as JSON, which distinguishes 1, 1.0, true and "1"; and as number or text for searches."""
+def _searched(value: Value) -> dict[str, Any]:
+    """The columns that searches read: a number or a text, neither for a matrix."""
     number: float | None = None
     text: str | None = None
     if isinstance(value, str):
@@ -281,6 +274,6 @@ def _columns(value: Value) -> dict[str, Any]:
     elif not isinstance(value, tuple):
         try:
             number = float(value)
-        except OverflowError:
+        except OverflowError:  # an integer beyond the largest float
             text = str(value)[:TEXT_VALUE_LENGTH]
-    return {"value": value, "number_value": number, "text_value": text}
+    return {"number_value": number, "text_value": text}

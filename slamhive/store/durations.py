@@ -1,4 +1,4 @@
-"""How long runs and evaluations took, to say how long others will take."""
+"""Durations of past runs and evaluations, from which those of others are estimated."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from slamhive.store.models import (
     RunRow,
 )
 from slamhive.store.records import EvaluationState, KnownConfiguration
-from slamhive.store.rows import Repository, chunks
+from slamhive.store.rows import Repository, chunks, sample_variance
 
 DURATION = "duration"
 _PAIRING = (AlgorithmRow.name, DatasetRow.name, ConfigurationRow.playback_mode, ConfigurationRow.playback_rate)
@@ -43,7 +43,7 @@ Pairing = tuple[str, str, PlaybackMode, float]
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """How long ``n`` took: their mean or median, and their standard deviation, which is 0 for a single one."""
+    """The duration of ``n``: mean or median, and standard deviation, which is 0 for a single one."""
 
     n: int
     seconds: float
@@ -52,7 +52,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Unfinished:
-    """How many runs have not ended, and how many of these will be evaluated."""
+    """The number of runs that have not ended, and of those among them that will be evaluated."""
 
     runs: int
     to_evaluate: int
@@ -83,10 +83,10 @@ class MachineRuns:
 
 
 class DurationRepository(Repository):
-    """How long runs and evaluations took."""
+    """Durations of runs, evaluations and builds."""
 
     def of_configurations(self, content_hashes: Sequence[str]) -> dict[str, KnownConfiguration]:
-        """What is known of those configurations that are stored, by content hash."""
+        """The runs and durations of those configurations that are stored, by content hash."""
         found: dict[str, KnownConfiguration] = {}
         for part in chunks(content_hashes):
             query = (
@@ -123,7 +123,11 @@ class DurationRepository(Repository):
             .where(*among)
             .group_by(*_PAIRING)
         )
-        return {(row[0], row[1], row[2], row[3]): _of_moments(*row[4:]) for row in self._connection.execute(query)}
+        found: dict[Pairing, Measured] = {}
+        for algorithm, dataset, mode, rate, n, mean_s, mean_square_s2 in self._connection.execute(query):
+            std_s = math.sqrt(sample_variance(n, mean_s, mean_square_s2))
+            found[algorithm, dataset, mode, rate] = Measured(n, mean_s, std_s)
+        return found
 
     def unfinished(self, experiment_id: int) -> dict[Pairing, Unfinished]:
         """The runs of an experiment that have not ended, of each algorithm on each dataset."""
@@ -174,7 +178,7 @@ class DurationRepository(Repository):
         return set(self._connection.scalars(_BUILT))
 
     def build(self) -> Measured | None:
-        """How long building a package takes: the median of what the first runs of versions waited for, None if none.
+        """The time to build a package: the median wait of the first runs of versions, None if there are none.
 
         A version that was built before its first run says nothing about it.
         """
@@ -219,7 +223,7 @@ class DurationRepository(Repository):
         return _measured([ended[run_id] - claimed[run_id] - ran[run_id] for run_id in known])
 
     def open_evaluations(self, experiment_id: int) -> int:
-        """How many evaluations of runs of an experiment wait or are under way."""
+        """The number of evaluations of an experiment's runs that wait or are under way."""
         query = select(func.count()).select_from(EvaluationRow).join(RunRow, RunRow.id == EvaluationRow.run_id)
         states = (EvaluationState.QUEUED, EvaluationState.RUNNING)
         found = self._connection.scalar(
@@ -241,12 +245,12 @@ class DurationRepository(Repository):
         return [MachineRuns(row[0], row[1], row[2], row[3], int(row[4])) for row in self._connection.execute(query)]
 
     def queued(self) -> dict[str, int]:
-        """How many runs wait for each executor."""
+        """The number of runs that wait for each executor."""
         query = select(RunRow.executor, func.count()).where(RunRow.state == RunState.QUEUED).group_by(RunRow.executor)
         return {row[0]: row[1] for row in self._connection.execute(query)}
 
     def evaluation(self) -> Measured | None:
-        """How long an evaluation takes: the median of the latest, None if none has ended well."""
+        """The time of an evaluation: the median of the latest, None if none has ended well."""
         query = (
             select(EvaluationRow.started_at, EvaluationRow.ended_at)
             .where(EvaluationRow.state == EvaluationState.SUCCEEDED)
@@ -265,14 +269,8 @@ class DurationRepository(Repository):
 
 
 def _measured(times: Sequence[timedelta]) -> Measured | None:
-    """Their median, and their standard deviation; None if there is none."""
+    """Their median and standard deviation; None if there are none."""
     if not times:
         return None
     times_s = [time.total_seconds() for time in times]
     return Measured(len(times_s), max(0.0, median(times_s)), stdev(times_s) if len(times_s) > 1 else 0.0)
-
-
-def _of_moments(n: int, mean_s: float, mean_square_s2: float) -> Measured:
-    """``n`` values with this mean and this mean of their squares."""
-    variance_s2 = max(0.0, mean_square_s2 - mean_s**2) * n / max(1, n - 1)
-    return Measured(n, mean_s, math.sqrt(variance_s2))

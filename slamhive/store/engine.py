@@ -44,7 +44,13 @@ def make_engine(database_url: str) -> Engine:
     url = _checked(database_url)
     _check_options(url)
     if url.get_backend_name() == "sqlite":
-        return _sqlite(url)
+        _check_file(sqlite_file(url))
+        if "timeout" not in url.query:
+            url = url.update_query_dict({"timeout": str(BUSY_TIMEOUT_S)})
+        engine = create_engine(url, hide_parameters=True)
+        event.listen(engine, "connect", _configure_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+        return engine
     return create_engine(
         url.update_query_dict({"charset": "utf8mb4"}),
         pool_pre_ping=True,
@@ -63,8 +69,9 @@ def make_engine(database_url: str) -> Engine:
 def writing(engine: Engine) -> Engine:
     """``engine`` for transactions that write.
 
-    A reader sees one snapshot of the database. A writer must see what others have committed, to compare and set; SQLite
-    lets it take the only lock there is at once.
+    A reader sees one snapshot of the database (REPEATABLE READ). A writer must see what others have committed, because
+    it compares and sets: the loser of a race has to see what the winner wrote. SQLite lets it take the only lock there
+    is at once.
     """
     level = {"isolation_level": "READ COMMITTED"} if engine.dialect.name == "mysql" else {}
     return engine.execution_options(**{_WRITES: True}, **level)
@@ -118,7 +125,7 @@ def _check_server(url: URL) -> None:
     try:
         (url.password or "").encode("latin1")
     except UnicodeError:
-        remedy = "give the account a password of such letters"
+        remedy = "give the account a password of Latin-1 letters"
         raise InvalidInput("DATABASE_URL: the password has letters that are not in Latin-1", remedy) from None
 
 
@@ -164,8 +171,7 @@ def _try_options(url: URL) -> None:
     pymysql.Connection(defer_connect=True, **options)
 
 
-def _sqlite(url: URL) -> Engine:
-    path = sqlite_file(url)
+def _check_file(path: Path) -> None:
     try:
         is_folder, has_folder = path.is_dir(), path.parent.is_dir()
     except OSError as error:  # too long, or in a folder of others
@@ -174,12 +180,6 @@ def _sqlite(url: URL) -> Engine:
         raise InvalidInput(f"DATABASE_URL names the folder {path}", f"name a file in it: sqlite:///{path}/slamhive.db")
     if not has_folder:
         raise InvalidInput(f"the database's folder {path.parent} does not exist", "make it, or correct DATABASE_URL")
-    if "timeout" not in url.query:
-        url = url.update_query_dict({"timeout": str(BUSY_TIMEOUT_S)})
-    engine = create_engine(url, hide_parameters=True)
-    event.listen(engine, "connect", _configure_sqlite)
-    event.listen(engine, "begin", _begin_sqlite)
-    return engine
 
 
 def _configure_sqlite(connection: Any, _record: Any) -> None:
@@ -187,23 +187,26 @@ def _configure_sqlite(connection: Any, _record: Any) -> None:
 
     A run commits a dozen times in minutes, so nobody notices the fsync of each commit.
     """
-    connection.isolation_level = None
+    connection.isolation_level = None  # or the driver would begin transactions of its own, and never BEGIN IMMEDIATE
     cache = f"cache_size=-{SQLITE_CACHE_KIB}"
     for statement in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", cache):
         connection.execute(f"PRAGMA {statement}")
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    """A writer takes the lock at once: two read transactions that both became writers later would fail."""
+    """A writer takes the lock at once.
+
+    Of two read transactions that want to write later, each waits for the other to end: SQLite fails one of them with
+    SQLITE_BUSY at once, and no busy timeout helps.
+    """
     writes = connection.get_execution_options().get(_WRITES, False)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
-# Keeps the statistics up to date that a database plans its queries with.
-#
+# -- the statistics that a database plans its queries with -------------------------------------------------------------
+
 # SQLite renews them on request only, so it would plan for a small file after the file has grown. MySQL and MariaDB
 # renew them when a tenth of a table has changed; after a bulk load we do not wait for that.
-
 
 GROWTH = 1.25
 """Statistics are renewed when there are this many times the runs of the last time."""
@@ -213,7 +216,7 @@ _TABLES = ("runs", "configurations", "configuration_values", "metric_values")
 
 
 def refresh_if_grown(engine: Engine) -> bool:
-    """Renew the statistics if the tables have grown; whether they had. Cheap if they had not."""
+    """Renew the statistics if the tables have grown; returns True if they had. Cheap if they had not."""
     if engine.dialect.name != "sqlite":
         return False
     with engine.connect() as connection:
@@ -238,7 +241,7 @@ def _newest(connection: Connection) -> int:
 
 
 def _known(connection: Connection) -> int:
-    """How many runs the statistics of SQLite count; 0 if there are none."""
+    """The number of runs that the statistics of SQLite count; 0 if there are none."""
     exists = text("SELECT count(*) FROM sqlite_master WHERE name = 'sqlite_stat1'")
     if not connection.execute(exists).scalar_one():
         return 0

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, exists, false, func, insert, select, update
+from sqlalchemy import ColumnElement, Row, Select, exists, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
 from slamhive.base.errors import Conflict, NotFound
@@ -42,7 +42,15 @@ class EvaluationRepository(LeaseQueue[int]):
         Raises NotFound for an unknown run and Conflict for one that did not succeed.
         """
         wanted = list(run_ids)
-        self._check_succeeded(wanted)
+        states: dict[int, RunState] = {}
+        for part in chunks(wanted):
+            rows = self._connection.execute(select(RunRow.id, RunRow.state).where(RunRow.id.in_(part)))
+            states.update((row.id, row.state) for row in rows)
+        for run_id in wanted:
+            if run_id not in states:
+                raise NotFound(f"unknown run {run_id}", "slamhive runs lists them")
+            if states[run_id] is not RunState.SUCCEEDED:
+                raise Conflict(f"run {run_id} is {states[run_id]}", "only a run that succeeded can be evaluated")
         protocol_id = CatalogueRepository(self._connection).put_protocol(protocol)
         values = {"state": EvaluationState.QUEUED, "artefacts": artefacts, "created_at": now, "attempt": 0}
         keys = {"protocol_id": protocol_id, "open": 1}
@@ -90,7 +98,16 @@ class EvaluationRepository(LeaseQueue[int]):
             return False
         if not self._end(evaluation_id, owner, **_ending(result, now)):
             raise LeaseLost(f"evaluation {evaluation_id} is {row.state}, held by {row.lease_owner or 'nobody'}")
-        became_current = result.succeeded and self._store_figures(row.run_id, row.protocol_id, result)
+        became_current = False
+        if result.succeeded:
+            MetricRepository(self._connection).replace(row.run_id, result.fingerprint, result.metrics)
+            runs, protocols = RunRow.__table__, ProtocolRow.__table__
+            definition = select(protocols.c.definition).where(protocols.c.id == row.protocol_id)
+            # Only ``traj.txt`` decides: a protocol of another trajectory would change what lists show of the run.
+            if "trajectory" not in self._connection.execute(definition).scalar_one():
+                first = update(runs).where(runs.c.id == row.run_id, runs.c.current_protocol_id.is_(None))
+                became_current = changed(self._connection, first.values(current_protocol_id=row.protocol_id)) == 1
+            MetricRepository(self._connection).follow_protocols([row.run_id])
         VerdictRepository(self._connection).renew([row.run_id], row.protocol_id)
         changes_of(self._connection).evaluated.add(evaluation_id)
         return became_current
@@ -163,7 +180,7 @@ class EvaluationRepository(LeaseQueue[int]):
         return [run_id for run_id in wanted if run_id not in settled]
 
     def counts_by_state(self) -> dict[EvaluationState, int]:
-        """How many evaluations are in each state, 0 included."""
+        """The number of evaluations in each state, 0 included."""
         states = self._connection.execute(select(_TABLE.c.state, func.count()).group_by(_TABLE.c.state)).all()
         found = {row[0]: row[1] for row in states}
         return {state: found.get(state, 0) for state in EvaluationState}
@@ -194,31 +211,6 @@ class EvaluationRepository(LeaseQueue[int]):
             query = select(_TABLE.c.run_id).where(_TABLE.c.run_id.in_(part), _TABLE.c.open.is_not(None))
             found.update(self._column(query))
         return found
-
-    def _store_figures(self, run_id: int, protocol_id: int, result: EvaluationResult) -> bool:
-        """Whether the protocol has become the run's current one: only where it had none, and for ``traj.txt`` alone."""
-        MetricRepository(self._connection).replace(run_id, result.fingerprint, result.metrics)
-        runs = RunRow.__table__
-        definition = self._connection.execute(
-            select(ProtocolRow.definition).where(ProtocolRow.id == protocol_id)
-        ).scalar_one()
-        first = update(runs).where(runs.c.id == run_id, runs.c.current_protocol_id.is_(None))
-        if "trajectory" in definition:
-            first = first.where(false())
-        became_current = changed(self._connection, first.values(current_protocol_id=protocol_id)) == 1
-        MetricRepository(self._connection).follow_protocols([run_id])
-        return became_current
-
-    def _check_succeeded(self, run_ids: list[int]) -> None:
-        states: dict[int, RunState] = {}
-        for part in chunks(run_ids):
-            rows = self._connection.execute(select(RunRow.id, RunRow.state).where(RunRow.id.in_(part)))
-            states.update((row.id, row.state) for row in rows)
-        for run_id in run_ids:
-            if run_id not in states:
-                raise NotFound(f"unknown run {run_id}", "slamhive runs lists them")
-            if states[run_id] is not RunState.SUCCEEDED:
-                raise Conflict(f"run {run_id} is {states[run_id]}", "only a run that succeeded can be evaluated")
 
     def _records(self, condition: ColumnElement[bool]) -> list[EvaluationRecord]:
         rows = self._connection.execute(_query().where(condition).order_by(_TABLE.c.id)).all()

@@ -28,12 +28,9 @@ from slamhive.store.models import (
 )
 from slamhive.store.models import RunEventRow as EventRow
 from slamhive.store.records import CellRecord, CellRun, ExperimentRecord, NewCell, ProtocolLabel, StateCount
-from slamhive.store.rows import Repository, chunks, get_or_insert
+from slamhive.store.rows import Repository, chunks, get_or_insert, sample_variance
 from slamhive.store.sharing import sharing_columns
 from slamhive.store.sight import seeing_all
-
-# How many runs of experiments are in which state, for which reason, and with which verdict.
-
 
 _RUNS = RunRow.__table__
 _FIGURES = MetricValueRow.__table__
@@ -56,7 +53,7 @@ class ExperimentCounts(Repository):
         return self._parted(_RUNS.c.cell, experiment_id)
 
     def disturbed(self, experiment_id: int | None = None) -> dict[int, int]:
-        """How many runs of each experiment were measured on a disturbed machine and not repeated since."""
+        """The number of runs of each experiment that were measured on a disturbed machine and not repeated since."""
         owner = _RUNS.c.experiment_id
         query = select(owner, func.count()).where(_RUNS.c.disturbed_by > "", _of(experiment_id)).group_by(owner)
         found = {number: count for number, count in self._connection.execute(query)}  # noqa: C416 - rows, not pairs
@@ -66,7 +63,7 @@ class ExperimentCounts(Repository):
         return {number: count - repeated[number] for number, count in found.items()}
 
     def last_ended(self, experiment_id: int, most: int) -> list[bool]:
-        """Whether the runs that ended last have failed, the latest first."""
+        """True for each run that failed, among those that ended last; the latest first."""
         query = (
             select(_RUNS.c.id, _RUNS.c.state)
             .where(_RUNS.c.experiment_id == experiment_id, _RUNS.c.ended_at.is_not(None))
@@ -107,15 +104,6 @@ class ExperimentCounts(Repository):
             counts[number, state, reason, VerdictKind.GOOD if is_evaluated else None] += count
         if not counts:  # no run belongs to an experiment, so that the verdicts of all runs need not be read
             return counts
-        for number, judged, count in self._failed_by_verdict(place, experiment_id):
-            before = None if judged is VerdictKind.NOT_EVALUABLE else VerdictKind.GOOD
-            counts[number, RunState.SUCCEEDED, None, before] -= count
-            counts[number, RunState.SUCCEEDED, None, judged] += count
-        return counts
-
-    def _failed_by_verdict(
-        self, place: ColumnElement[int], experiment_id: int | None
-    ) -> list[tuple[int, VerdictKind | None, int]]:
         verdict = select(MetricRow.id).where(MetricRow.key == VERDICT).scalar_subquery()
         failed = _FIGURES.c.metric_id == verdict, _FIGURES.c.is_current == 1, _FIGURES.c.value > CODES[VerdictKind.GOOD]
         query = (
@@ -124,7 +112,12 @@ class ExperimentCounts(Repository):
             .where(*failed, _of(experiment_id, guarded=True))
             .group_by(place, _FIGURES.c.value)
         )
-        return [(number, kind_of(code), count) for number, code, count in self._connection.execute(query)]
+        for number, code, count in self._connection.execute(query):
+            judged = kind_of(code)
+            before = None if judged is VerdictKind.NOT_EVALUABLE else VerdictKind.GOOD
+            counts[number, RunState.SUCCEEDED, None, before] -= count
+            counts[number, RunState.SUCCEEDED, None, judged] += count
+        return counts
 
     def _kinds(self, run_ids: Sequence[int]) -> dict[int, VerdictKind | None]:
         found = MetricRepository(self._connection).for_runs(run_ids, [], verdicts=True)
@@ -134,26 +127,23 @@ class ExperimentCounts(Repository):
         """The runs that another run has replaced, found through the few retries."""
         later = _RUNS.alias("later")
         columns = (_RUNS.c[name] for name in ("id", "experiment_id", "cell", "state", "reason", "disturbed_by"))
+        # Any later run replaces a failed or cancelled one; a good but disturbed one stays if its repeat was cancelled.
+        replaced = or_(_RUNS.c.state.in_(REPLACEABLE), and_(DISTURBED, later.c.state != RunState.CANCELLED))
         query = (
             select(*columns)
             .distinct()
             .select_from(later.join(_RUNS, _RUNS.c.id == later.c.retry_of))
-            .where(_of(experiment_id, guarded=True), later.c.retry_of.is_not(None), _replaced_by(later))
+            .where(_of(experiment_id, guarded=True), later.c.retry_of.is_not(None), replaced)
         )
         return self._connection.execute(query).all()
 
 
 def _of(experiment_id: int | None, *, guarded: bool = False) -> ColumnElement[bool]:
-    """Whether a run belongs to this experiment, or to any; ``guarded`` keeps its index from being used."""
+    """Test if a run belongs to this experiment, or to any; ``guarded`` keeps its index from being used."""
     owner = _RUNS.c.experiment_id
     if experiment_id is None:
         return owner.is_not(None)
     return (owner + 0 if guarded else owner) == experiment_id
-
-
-def _replaced_by(later: Any) -> ColumnElement[bool]:
-    """A failed or cancelled run is replaced by any later one, a good but disturbed one unless that was cancelled."""
-    return or_(_RUNS.c.state.in_(REPLACEABLE), and_(DISTURBED, later.c.state != RunState.CANCELLED))
 
 
 _EXPERIMENTS = ExperimentRow.__table__
@@ -193,7 +183,7 @@ class ExperimentRepository(Repository):
             raise Conflict(f"the name {name} is taken", "choose another name")
 
     def mention(self, name: str) -> bool:
-        """Whether the file of some experiment contains every part of a dotted name."""
+        """True if the file of some experiment contains every part of a dotted name."""
         parts = [_EXPERIMENTS.c.source.contains(part, autoescape=True) for part in name.split(".")]
         return self._connection.scalar(select(_EXPERIMENTS.c.id).where(*parts).limit(1)) is not None
 
@@ -297,7 +287,7 @@ class ExperimentRepository(Repository):
         return self._column(select(_RUNS.c.id).where(_RUNS.c.experiment_id == experiment_id).order_by(_RUNS.c.id))
 
     def strangers(self, experiment_id: int) -> int:
-        """How many of its runs have a configuration other than that of their cell."""
+        """The number of its runs that have a configuration other than that of their cell."""
         same_place = and_(_CELLS.c.experiment_id == _RUNS.c.experiment_id, _CELLS.c.number == _RUNS.c.cell)
         query = (
             select(func.count())
@@ -350,7 +340,7 @@ class ExperimentRepository(Repository):
 
 
 def retried_runs(experiment_id: int) -> ColumnElement[bool]:
-    """Whether another run of the experiment has replaced a run."""
+    """Test if another run of the experiment has replaced a run."""
     later = _RUNS.alias("later")
     mine = select(later.c.retry_of).where(later.c.retry_of.is_not(None), later.c.experiment_id == experiment_id)
     going_on = mine.where(later.c.state != RunState.CANCELLED)
@@ -374,8 +364,7 @@ def _values(stored: Mapping[str, Any]) -> dict[str, Any]:
     return {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}
 
 
-# The values of a metric over the runs of an experiment, by configuration.
-
+# -- the values that rank configurations -------------------------------------------------------------------------------
 
 _JUDGED = (RunState.SUCCEEDED, RunState.FAILED)
 
@@ -392,7 +381,7 @@ class CellSample:
 
 
 class ExperimentValues(Repository):
-    """What configurations of an experiment are ranked by. Runs that another run has replaced do not count."""
+    """Values that rank the configurations of an experiment. Runs that another run has replaced do not count."""
 
     def samples(self, experiment_id: int, metric: str) -> list[CellSample]:
         """Of each cell, under the current protocols of its good runs."""
@@ -420,7 +409,7 @@ class ExperimentValues(Repository):
             .group_by(_RUNS.c.cell, ProtocolRow.fingerprint, ProtocolRow.label)
         )
         return [
-            CellSample(cell, ProtocolLabel(fingerprint, label), n, mean, max(0.0, square - mean**2) * n / max(1, n - 1))
+            CellSample(cell, ProtocolLabel(fingerprint, label), n, mean, sample_variance(n, mean, square))
             for cell, fingerprint, label, n, mean, square in self._connection.execute(query)
         ]
 

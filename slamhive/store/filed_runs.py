@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import groupby
@@ -22,14 +22,13 @@ from slamhive.store.changes import changes_of
 from slamhive.store.evaluations import REASON_LENGTH
 from slamhive.store.metrics import MetricRepository, VerdictRepository
 from slamhive.store.models import MEASURED_PROTOCOL_ID, EvaluationRow, MetricValueRow, RunEventRow, RunRow
-from slamhive.store.models import RunEventRow as EventRow
 from slamhive.store.records import EvaluationState, RunRequest, RunSnapshot
 from slamhive.store.rows import Repository, chunks, cut
 from slamhive.store.runs import DeletedRunRepository, RunRepository, event_row, snapshot_row
 from slamhive.store.sharing import SharingRepository
 
 _RUNS = RunRow.__table__
-_EVENTS = EventRow.__table__
+_EVENTS = RunEventRow.__table__
 _EVALUATIONS = EvaluationRow.__table__
 _FIGURES = MetricValueRow.__table__
 _ENGINE_LENGTH = 190
@@ -88,7 +87,11 @@ class FiledRunRepository(Repository):
         protocols = {entry.protocol.fingerprint: entry.protocol for run in runs for entry in run.evaluations}
         numbers = {fingerprint: catalogue.put_protocol(protocol) for fingerprint, protocol in protocols.items()}
         left = self._put_rows(runs, here, numbers)
-        self._put_events(runs, here)
+        if here:
+            self._connection.execute(delete(_EVENTS).where(_EVENTS.c.run_id.in_(here)))
+        events = [event_row(run.snapshot.id, event) for run in runs for event in run.snapshot.events]
+        if events:
+            self._connection.execute(insert(_EVENTS), events)
         self._add_evaluations(runs, here, numbers)
         self._put_figures(runs, here, numbers)
         NoteRepository(self._connection).put({run.snapshot.id: run.notes for run in runs})
@@ -150,13 +153,6 @@ class FiledRunRepository(Repository):
             if original is not None and original not in here and not (original in repeats and original < number)
         }
 
-    def _put_events(self, runs: Sequence[FiledRun], here: Collection[int]) -> None:
-        if here:
-            self._connection.execute(delete(_EVENTS).where(_EVENTS.c.run_id.in_(here)))
-        rows = [event_row(run.snapshot.id, event) for run in runs for event in run.snapshot.events]
-        if rows:
-            self._connection.execute(insert(_EVENTS), rows)
-
     def _add_evaluations(self, runs: Sequence[FiledRun], here: Collection[int], protocols: Mapping[str, int]) -> None:
         """Add the evaluations that are not stored yet: one for each run, protocol and state."""
         columns = (_EVALUATIONS.c.run_id, _EVALUATIONS.c.protocol_id, _EVALUATIONS.c.state)
@@ -167,15 +163,23 @@ class FiledRunRepository(Repository):
             for entry in run.evaluations:
                 keys = (run.snapshot.id, protocols[entry.protocol.fingerprint], entry.state)
                 if keys not in there:
-                    rows.append(_evaluation_row(keys[0], keys[1], entry))
+                    values = {name: getattr(entry, name) for name in AS_FILED}
+                    values |= {"reason": cut(entry.reason, REASON_LENGTH), "engine": cut(entry.engine, _ENGINE_LENGTH)}
+                    rows.append({"run_id": keys[0], "protocol_id": keys[1], "open": None, **values})
         if rows:
             self._connection.execute(insert(_EVALUATIONS), rows)
 
     def _put_figures(self, runs: Sequence[FiledRun], here: set[int], protocols: Mapping[str, int]) -> None:
         keys = {key for run in runs for values in (run.measured, *run.figures.values()) for key in values}
         metrics = MetricRepository(self._connection).ids(keys)
-        rows = [row for run in runs for row in _figure_rows(run, metrics, protocols)]
-        filled = self._with_figures(here)
+        rows: list[dict[str, Any]] = []
+        for run in runs:
+            taken = [(protocols[name], name == run.current, values) for name, values in run.figures.items()]
+            for protocol_id, is_current, values in [(MEASURED_PROTOCOL_ID, True, run.measured), *taken]:
+                place = {"run_id": run.snapshot.id, "protocol_id": protocol_id, "is_current": int(is_current)}
+                rows += [{**place, "metric_id": metrics[key], "value": float(value)} for key, value in values.items()]
+        stored = select(_FIGURES.c.run_id).where(_FIGURES.c.run_id.in_(here)).distinct()
+        filled = set(self._column(stored)) if here else set()
         number, protocol = _FIGURES.c.run_id == bindparam("number"), _FIGURES.c.protocol_id == bindparam("protocol")
         taken_anew = [
             {"number": run.snapshot.id, "protocol": protocols[fingerprint]}
@@ -197,37 +201,9 @@ class FiledRunRepository(Repository):
             self._connection.execute(insert(_FIGURES), rows)
         MetricRepository(self._connection).follow_protocols(filled)
 
-    def _with_figures(self, run_ids: Collection[int]) -> set[int]:
-        """Those of these runs that have metrics."""
-        if not run_ids:
-            return set()
-        query = select(_FIGURES.c.run_id).where(_FIGURES.c.run_id.in_(run_ids)).distinct()
-        return set(self._column(query))
 
+# -- imported runs: looked up by their uid, and filed as ended ---------------------------------------------------------
 
-def _figure_rows(run: FiledRun, metrics: Mapping[str, int], protocols: Mapping[str, int]) -> Iterator[dict[str, Any]]:
-    taken = [(protocols[name], name == run.current, values) for name, values in run.figures.items()]
-    for protocol_id, is_current, values in [(MEASURED_PROTOCOL_ID, True, run.measured), *taken]:
-        for key, value in values.items():
-            yield {
-                "run_id": run.snapshot.id,
-                "metric_id": metrics[key],
-                "protocol_id": protocol_id,
-                "value": float(value),
-                "is_current": int(is_current),
-            }
-
-
-def _evaluation_row(run_id: int, protocol_id: int, entry: EndedEvaluation) -> dict[str, Any]:
-    values = {name: getattr(entry, name) for name in AS_FILED}
-    shortened = {"reason": cut(entry.reason, REASON_LENGTH), "engine": cut(entry.engine, _ENGINE_LENGTH)}
-    return {"run_id": run_id, "protocol_id": protocol_id, "open": None, **values, **shortened}
-
-
-# Imported runs: looked up by their uid, and filed as ended.
-
-
-_IMPORTS_EVENTS = RunEventRow.__table__
 _CHUNK = 100
 
 
@@ -297,6 +273,6 @@ class ImportRepository(Repository):
                 ),
                 sealed,
             )
-            event = update(_IMPORTS_EVENTS).where(_IMPORTS_EVENTS.c.run_id == bindparam("run"))
+            event = update(_EVENTS).where(_EVENTS.c.run_id == bindparam("run"))
             self._connection.execute(event.values(to_state=bindparam("to"), why=bindparam("text")), sealed)
         return ids

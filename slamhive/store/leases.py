@@ -31,7 +31,7 @@ class Lease:
 
     Attributes:
         owner: The worker.
-        now: The time by the clock that decides about leases, see :meth:`slamhive.store.store.Transaction.lease`.
+        now: The time by the clock that decides about leases, see :meth:`slamhive.store.transaction.Transaction.lease`.
         lasts_s: Seconds until it expires unless it is extended.
         recorded_at: The worker's wall clock, for the record; None is ``now``.
     """
@@ -43,7 +43,7 @@ class Lease:
 
     @property
     def at(self) -> datetime:
-        """When the lease was taken, for the record."""
+        """The time at which the lease was taken, for the record."""
         return self.recorded_at or self.now
 
     @property
@@ -73,6 +73,7 @@ class LeaseQueue(Repository, Generic[K]):
 
     def heartbeat(self, keys: Iterable[K], lease: Lease) -> set[K]:
         """Extend the leases; the rows that the owner still holds. It must let go of all others at once."""
+        # Only rows that are still the owner's: a heartbeat that comes late must not take back what another has adopted.
         held = self._held(lease.owner, list(keys))
         self._connection.execute(update(self.table).where(held).values(lease.columns))
         return set(self._column(select(self.table.c[self.key]).where(held)))
@@ -113,6 +114,8 @@ class LeaseQueue(Repository, Generic[K]):
 
     def _take(self, key: K, lease: Lease, still: ColumnElement[bool], **values: Any) -> bool:
         """Hold a row if it is ``still`` as it was when it was chosen; whether this worker holds it now."""
+        # Compare and set: between the choice and this UPDATE, another worker may have taken the row. The database runs
+        # one UPDATE after the other, so ``still`` is true for one of them, and the others match no row.
         taken = {"attempt": self.table.c.attempt + 1, **lease.columns, **values}
         chosen = self.table.c[self.key] == key
         return changed(self._connection, update(self.table).where(chosen, still).values(taken)) == 1

@@ -1,4 +1,4 @@
-"""What the ledger reads from the database and restores: rows with their numbers."""
+"""Rows with their numbers, which the ledger and archives read from the database and restore."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class LedgerRepository(Repository):
     # -- out -------------------------------------------------------------------------------------------------------
 
     def empty(self) -> bool:
-        """Whether no configuration, experiment or saved search is stored."""
+        """True if no configuration, experiment or saved search is stored."""
         tables = (ConfigurationRow, ExperimentRow, SavedSearchRow)
         return not any(self._connection.execute(select(table.id).limit(1)).first() for table in tables)
 
@@ -72,7 +72,7 @@ class LedgerRepository(Repository):
         }
 
     def stored_cells(self) -> dict[str, int]:
-        """How many cells of each experiment are stored, by its uid."""
+        """The number of stored cells of each experiment, by its uid."""
         query = select(ExperimentRow.uid, func.count()).join(_CELLS, _CELLS.c.experiment_id == ExperimentRow.id)
         return {row[0]: row[1] for row in self._connection.execute(query.group_by(ExperimentRow.uid))}
 
@@ -107,7 +107,7 @@ class LedgerRepository(Repository):
         return {row.run_id: (row.at, row.why) for row in self._connection.execute(query)}
 
     def evaluation_counts(self) -> tuple[int, int]:
-        """How many evaluations have ended, and how many have not."""
+        """The numbers of evaluations that have ended and that have not."""
         query = select(_EVALUATIONS.c.open, func.count()).group_by(_EVALUATIONS.c.open)
         counts = {row[0]: row[1] for row in self._connection.execute(query)}
         return counts.get(None, 0), counts.get(1, 0)
@@ -226,8 +226,7 @@ def _request(row: Any) -> RunRequest:
     )
 
 
-# What archives read from the database and write to it, in bulk.
-
+# -- archives: the same in bulk, by the identity that rows have in every installation ----------------------------------
 
 _ENDED = tuple(state for state in RunState if state.ended)
 

@@ -156,8 +156,8 @@ class MetricRepository(Repository):
             self.follow_protocols([run_id])
 
 
-# Verdicts on evaluated runs, stored among the metrics that they follow from.
-#
+# -- verdicts on evaluated runs, stored among the metrics that they follow from ----------------------------------------
+
 # A verdict belongs to a run and a protocol, as a metric does. Lists, filters and groups therefore find it as fast as
 # they find a metric. Verdicts are derived: reindexing, imports and the migration derive them again.
 
@@ -229,6 +229,7 @@ class VerdictRepository(Repository):
         self.renew(self._connection.execute(evaluated).scalars().all())
 
     def _renew(self, protocol_id: int, configurations: Sequence[int]) -> None:
+        # In the order of their ids, so that two processes never wait for each other.
         table = ConfigurationRow.__table__
         locked = select(table.c.id).where(table.c.id.in_(configurations)).order_by(table.c.id).with_for_update()
         self._connection.execute(locked).all()

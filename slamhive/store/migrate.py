@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 LOCK_WAIT_S = 30
 _MIGRATIONS = Path(__file__).parent / "migrations"
 _VERSION_TABLE = "alembic_version"
+METADATA = TableBase.metadata
+"""All tables of this version. Importing the store itself loads only the tables that are read."""
 
 
 def upgrade(engine: Engine, revision: str = "head") -> None:
@@ -54,7 +56,12 @@ def downgrade(engine: Engine, revision: str = "base") -> None:
     """
     from alembic import command  # noqa: PLC0415
 
-    steps = [revision] if engine.dialect.name == "sqlite" else _downwards(current(engine), revision)
+    steps = [revision]
+    if engine.dialect.name != "sqlite":
+        # One version at a time. A change of a table commits on MySQL, but the row with the version may not be committed
+        # yet. If all versions went in one transaction, one that refuses would roll that row back.
+        below = [*_revisions(), "base"]
+        steps = below[below.index(current(engine) or "base") + 1 : below.index(revision) + 1]
     for step in steps:
         with _locked(engine) as connection:
             command.downgrade(_config(connection), step)
@@ -69,7 +76,7 @@ def current(engine: Engine) -> str | None:
 
 
 def has_tables(engine: Engine) -> bool:
-    """Whether our tables exist, in any version. Asking makes no file."""
+    """True if our tables exist, in any version. Asking makes no file."""
     if engine.dialect.name == "sqlite" and not sqlite_file(engine.url).is_file():
         return False
     return current(engine) is not None
@@ -98,12 +105,6 @@ def _revisions() -> tuple[str, ...]:
     return tuple(sorted((path.name[1:].partition("_")[0] for path in files), reverse=True))
 
 
-def _downwards(found: str | None, revision: str) -> list[str]:
-    """The revisions from the one below ``found`` down to ``revision``."""
-    below = [*_revisions(), "base"]
-    return below[below.index(found or "base") + 1 : below.index(revision) + 1]
-
-
 def _check_not_newer(engine: Engine, found: str | None) -> None:
     if found is not None and found not in _revisions():
         raise Unavailable(
@@ -126,9 +127,21 @@ def _config(connection: Connection) -> Config:
 def _locked(engine: Engine) -> Iterator[Connection]:
     """A connection in a transaction during which nobody else migrates the database."""
     if engine.dialect.name == "sqlite":
-        with _locked_sqlite(engine) as connection:
-            yield connection
+        with writing(engine).connect() as connection:
+            driver = connection.connection.driver_connection
+            if driver is None:
+                raise AssertionError("an open connection has a driver connection")
+            # SQLite changes a table by making it again, and removing the old one would violate the references to it.
+            # The pragma does nothing inside a transaction, so it comes before BEGIN.
+            driver.execute("PRAGMA foreign_keys=OFF")
+            try:
+                with connection.begin():  # DDL is transactional: the migration happens as a whole, or not at all
+                    yield connection
+            finally:
+                driver.execute("PRAGMA foreign_keys=ON")
         return
+    # MySQL commits before and after each change of a table, which releases locks of rows and tables. A named lock
+    # belongs to the connection and outlives that. Names have at most 64 characters.
     name = f"slamhive-migrate-{engine.url.database}"[:64]
     with writing(engine).connect() as connection:
         taken = connection.execute(text("SELECT GET_LOCK(:name, :wait)"), {"name": name, "wait": LOCK_WAIT_S}).scalar()
@@ -144,24 +157,3 @@ def _locked(engine: Engine) -> Iterator[Connection]:
         finally:
             connection.execute(text("SELECT RELEASE_LOCK(:name)"), {"name": name})
             connection.commit()
-
-
-@contextmanager
-def _locked_sqlite(engine: Engine) -> Iterator[Connection]:
-    """SQLite's DDL is transactional, so a migration fails as a whole. Rebuilding tables needs foreign keys off."""
-    with writing(engine).connect() as connection:
-        driver = connection.connection.driver_connection
-        if driver is None:
-            raise AssertionError("an open connection has a driver connection")
-        driver.execute("PRAGMA foreign_keys=OFF")
-        try:
-            with connection.begin():
-                yield connection
-        finally:
-            driver.execute("PRAGMA foreign_keys=ON")
-
-
-# All tables of this version. Importing the store itself loads only the tables that are read.
-
-
-METADATA = TableBase.metadata

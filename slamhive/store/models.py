@@ -95,7 +95,7 @@ class ParameterRow(TableBase):
 
 
 class ConfigurationRow(TableBase):
-    """What a run runs; equal content is one row. ``variant`` is NULL where the dataset is used unchanged.
+    """A configuration; equal content is one row. ``variant`` is NULL where the dataset is used unchanged.
 
     ``sensors`` is NULL where the rule assigns them.
     ``version``: of the package, if one was asked for. ``map``: the map that the algorithm starts with, if any.
@@ -253,7 +253,7 @@ class RunRow(TableBase):
 
 
 class RunNoteRow(TableBase):
-    """What somebody wrote about a run; the file in its folder is the truth."""
+    """The note on a run; the file in its folder is the truth."""
 
     __tablename__ = "run_notes"
     run_id = column(Integer, ForeignKey("runs.id"), primary_key=True, autoincrement=False)

@@ -61,8 +61,10 @@ class RunQueue(LeaseQueue[int]):
         Only runs of the highest priority count. The oldest with the affinity ``near`` goes first, then the oldest on
         the same data, then the oldest of all.
         """
-        queued = and_(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only), *_not_on(away))
+        reachable = [_RUNS.c.executor.not_in(sorted(away))] if away else []
+        queued = and_(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only), *reachable)
         queued = and_(queued, *self._allowed(machine))
+        # Other workers ask at the same time. Whoever loses the first run looks again, at most once for each run.
         while (run_id := self._first(queued, near)) is not None:
             other = None if machine is None else SameCpu(self._connection).admits(run_id, machine)
             if other is not None:
@@ -97,7 +99,7 @@ class RunQueue(LeaseQueue[int]):
         return None
 
     def waits(self, only: Collection[int] | None = None) -> bool:
-        """Whether a run is queued that may be claimed."""
+        """True if a run is queued that may be claimed."""
         queued = select(_RUNS.c.id).where(_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), *_among(only))
         return self._connection.execute(queued.limit(1)).scalar_one_or_none() is not None
 
@@ -112,7 +114,7 @@ class RunQueue(LeaseQueue[int]):
         return sorted(found)
 
     def failures_since_asked(self, run: RunRecord) -> int:
-        """How often the configuration of ``run`` has failed by its own fault since ``run`` was submitted.
+        """The number of times that the configuration of ``run`` failed by its own fault since ``run`` was submitted.
 
         Runs of other experiments do not count: they may have had other limits.
         """
@@ -160,10 +162,6 @@ class RunQueue(LeaseQueue[int]):
 def _not_of(experiment_ids: Collection[int]) -> list[ColumnElement[bool]]:
     of = _RUNS.c.experiment_id
     return [or_(of.is_(None), of.not_in(sorted(experiment_ids)))] if experiment_ids else []
-
-
-def _not_on(away: Collection[str]) -> list[ColumnElement[bool]]:
-    return [_RUNS.c.executor.not_in(sorted(away))] if away else []
 
 
 def _among(only: Collection[int] | None) -> list[ColumnElement[bool]]:

@@ -1,4 +1,4 @@
-"""What goes into the store and comes out of it: frozen values, never rows."""
+"""Values that go into the store and come out of it. They are frozen, and never rows."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class EvaluationState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class AlgorithmVersion:
-    """What exactly ran. ``identity`` is the image digest, or the environment's hash for the process executor.
+    """The exact software that ran. ``identity`` is the image digest; the process executor uses the environment's hash.
 
     ``version`` is that of upstream. ``number`` is the one within the package; for a version that is about to be stored,
     it is the one that it should get, None for the next one.
@@ -66,7 +66,7 @@ class VersionRecord:
 
     @property
     def label(self) -> str:
-        """How users name it: ``aloam@2``."""
+        """The name that users give it: ``aloam@2``."""
         return version_label(self.package, self.number)
 
 
@@ -128,7 +128,7 @@ class RunRequest:
 
 
 class RunFields(TypedDict, total=False):
-    """What a move or ``update`` may write. A field that is left out does not change."""
+    """The fields that a move or ``update`` may write. A field that is left out does not change."""
 
     reason: FailureReason | None
     detail: str | None
@@ -227,12 +227,12 @@ class RunRecord:
 
     @property
     def seen_by(self) -> Visibility:
-        """Who sees the run besides admins."""
+        """The group that sees the run besides admins."""
         return visibility_of(self.audience)
 
     @property
     def note(self) -> str | None:
-        """What somebody wrote about the run; None for nothing."""
+        """The note on the run; None if there is none."""
         return self.notes.note or None
 
     @property
@@ -253,7 +253,7 @@ class RunRecord:
 
     @property
     def verdict(self) -> Verdict | None:
-        """Whether the run is good, and if not why; None if it has not ended, was cancelled or was never evaluated."""
+        """The verdict: good, or why not. None if it has not ended, was cancelled or was never evaluated."""
         if self.state is RunState.FAILED:
             return ended_badly(self.reason or self.state)
         if self.judged is None:
@@ -262,7 +262,7 @@ class RunRecord:
 
     @property
     def trust(self) -> Trust | None:
-        """How far the measurements can be trusted; None for a run that did not end by itself or was imported."""
+        """The trust in the measurements; None for a run that did not end by itself or was imported."""
         if self.metrics is None or self.executor == IMPORTED:
             return None
         if self.state not in (RunState.SUCCEEDED, RunState.FAILED):
@@ -312,7 +312,7 @@ class Page:
 
     @property
     def total(self) -> int:
-        """How many runs match, or the number at which counting stopped."""
+        """The number of runs that match, or the number at which counting stopped."""
         return self.count.number
 
 
@@ -395,7 +395,7 @@ class EvaluationRecord:
     lease_owner: str | None
 
 
-# What the store knows about analyses: frozen values, never rows.
+# -- analyses ----------------------------------------------------------------------------------------------------------
 
 
 class AnalysisState(StrEnum):
@@ -408,7 +408,7 @@ class AnalysisState(StrEnum):
 
     @property
     def ended(self) -> bool:
-        """Whether it stays in this state unless somebody computes it again."""
+        """True if it stays in this state unless somebody computes it again."""
         return self in (AnalysisState.DONE, AnalysisState.FAILED)
 
 
@@ -444,15 +444,15 @@ class AnalysisRecord:
 
     @property
     def seen_by(self) -> Visibility:
-        """Who sees the analysis besides admins."""
+        """The group that sees the analysis besides admins."""
         return self.sharing.seen_by
 
 
-# What the store knows about experiments: frozen values, never rows.
+# -- experiments -------------------------------------------------------------------------------------------------------
 
 
 class ExperimentState(StrEnum):
-    """What the user last wanted. Whether it has finished follows from its runs."""
+    """The state that the user last asked for. The runs tell whether the experiment has finished."""
 
     ACTIVE = "active"
     PAUSED = "paused"
@@ -494,7 +494,7 @@ class ExperimentRecord:
 
     @property
     def seen_by(self) -> Visibility:
-        """Who sees the experiment besides admins."""
+        """The group that sees the experiment besides admins."""
         return self.sharing.seen_by
 
 
@@ -541,7 +541,7 @@ class CellRun:
 
 @dataclass(frozen=True, slots=True)
 class StateCount:
-    """How many runs are in a state for a reason; ``retried`` runs, which another run replaced, count separately.
+    """The number of runs in a state for a reason; ``retried`` runs, which another run replaced, count separately.
 
     ``judged``: their stored verdict, None where nobody has evaluated them.
     """
@@ -569,7 +569,7 @@ class NewConfiguration:
 
 @dataclass(frozen=True, slots=True)
 class KnownConfiguration:
-    """How many runs a stored configuration has, and their mean duration; None if no duration is known."""
+    """The number of runs of a stored configuration, and their mean duration; None if no duration is known."""
 
     runs: int
     measured_runs: int

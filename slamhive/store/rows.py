@@ -1,4 +1,4 @@
-"""What all repositories share."""
+"""The base of all repositories: statements in pieces, get or insert, JSON columns, and page keys."""
 
 from __future__ import annotations
 
@@ -68,6 +68,15 @@ def get_or_insert(
     return int((result.inserted_primary_key or [None])[0]), True
 
 
+def sample_variance(n: int, mean: float, mean_square: float) -> float:
+    """The variance of a sample of ``n`` values, from their mean and the mean of their squares; 0 for a single value.
+
+    ``E[x²] - E[x]²`` is the variance of a population; Bessel's factor ``n / (n - 1)`` makes it that of a sample. It is
+    kept from falling below 0 by rounding. SQLite has no function for it.
+    """
+    return max(0.0, mean_square - mean**2) * n / max(1, n - 1)
+
+
 def cut(text: str | None, length: int) -> str | None:
     """``text``, shortened to ``length`` characters if it is longer; an ellipsis marks the cut."""
     if text is None or len(text) <= length:
@@ -91,8 +100,7 @@ def from_json(kind: type[T], content: Any) -> T:
     return load(kind, content)
 
 
-# Keys in addresses that say where a page of a list ended, and the rows after it.
-
+# -- keys in addresses: the place where a page of a list ended, and the rows after it ----------------------------------
 
 _LARGEST: dict[type, float] = {int: 2.0**63, float: math.inf}
 
@@ -135,7 +143,7 @@ def ordered(columns: Sequence[ColumnElement[Any]], *, descending: bool) -> list[
 
 def not_ours(key: str) -> InvalidInput:
     """The refusal of a key."""
-    return InvalidInput(f"page key {key[:60]!r} is not one of ours", "start at the first page")
+    return InvalidInput(f"unknown page key {key[:60]!r}", "start at the first page")
 
 
 def _further(column: ColumnElement[Any], value: Any, *, descending: bool) -> ColumnElement[bool]:

@@ -28,33 +28,28 @@ MOST_REPEATS = 100
 """So many values of a configuration are read to draw them."""
 
 
-def group_page(
-    connection: Connection, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]
-) -> GroupPage:
-    """One page; see :meth:`slamhive.store.searches.SearchRepository.groups`."""
-    if not 1 <= limit <= LARGEST_PAGE:
-        raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
-    if sort.key not in SORT_KEYS and sort.key not in CATALOGUE:
-        raise unknown("sort key of groups", sort.key, [*SORT_KEYS, *CATALOGUE])
-    names = look_up(connection, search)
-    return _Groups(connection, search, names, Sql(names), sort).page(after, limit, metrics)
-
-
-def group_repeats(connection: Connection, search: Search, ids: Sequence[int], metrics: Sequence[str]) -> Repeats:
-    """See :meth:`slamhive.store.searches.SearchRepository.repeats`."""
-    names = look_up(connection, search)
-    return _Groups(connection, search, names, Sql(names), RunSort("configuration")).repeats(ids, metrics)
-
-
 @dataclass(frozen=True)
-class _Groups:
+class Groups:
+    """The configurations of the runs that a search finds, in one order."""
+
     connection: Connection
     search: Search
     names: Names
     sql: Sql
     sort: RunSort
 
+    @classmethod
+    def of(cls, connection: Connection, search: Search, sort: RunSort) -> Groups:
+        """The groups of ``search``; raises NotFound for an unknown protocol or sort key."""
+        if sort.key not in SORT_KEYS and sort.key not in CATALOGUE:
+            raise unknown("sort key of groups", sort.key, [*SORT_KEYS, *CATALOGUE])
+        names = look_up(connection, search)
+        return cls(connection, search, names, Sql(names), sort)
+
     def page(self, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
+        """One page, with mean and spread of ``metrics`` over the repeats."""
+        if not 1 <= limit <= LARGEST_PAGE:
+            raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
         kind = str if self.sort.key in {"algorithm", "dataset"} else float
         key = None if after is None else decode(after, (int,) if self.sort.key == "configuration" else (kind, int))
         runs, few = Matches(self.connection, self.search, self.sql).survey()
@@ -176,7 +171,8 @@ class _Groups:
     ) -> dict[int, dict[ProtocolLabel | None, dict[str, Spread]]]:
         """{configuration: {protocol, None for measured: {metric: spread}}} of runs that did not fail, in two passes.
 
-        It sums squared differences from the mean, not squares: squared bytes leave no digits for the spread.
+        It sums squared differences from the mean, not squares: squared bytes leave no digits for the spread. The median
+        is the mean of the one or two values in the middle of the order, since SQLite and MySQL have no function for it.
         """
         figures, joined = self._figures(runs, metrics)
         keys = [runs.c.configuration_id, figures.c.metric_id, figures.c.protocol_id]
@@ -213,6 +209,7 @@ class _Groups:
         return found
 
     def repeats(self, ids: Sequence[int], metrics: Sequence[str]) -> Repeats:
+        """The first values of ``metrics`` of these configurations, of the matching runs that did not fail."""
         runs = RUNS.alias()
         figures, joined = self._figures(runs, metrics)
         keys = [runs.c.configuration_id, figures.c.metric_id, figures.c.protocol_id]

@@ -59,9 +59,6 @@ from slamhive.store.records import Count, Page, ProtocolLabel, RunRecord, RunSor
 from slamhive.store.rows import behind, decode, encode, from_json, ordered
 from slamhive.store.search_sql import NULLABLE, RUNS, Sql, Start, look_up, starts, stored_parameters
 
-# The order of a list of runs, by a column, a metric or a parameter; and queries that walk along it.
-
-
 _RUNS: Table = RunRow.__table__
 COLUMNS: dict[str, Column[Any]] = {
     "id": _RUNS.c.id,
@@ -138,7 +135,7 @@ class Order:
         return (_KINDS.get(self.sort.key, str), int)
 
     def columns(self, runs: FromClause) -> list[ColumnElement[Any]]:
-        """What rows of ``runs`` are sorted by, the run's id last."""
+        """The values that sort rows of ``runs``, the run's id last."""
         if self.sort.key == "id":
             return [runs.c.id]
         ties = [runs.c.configuration_id] if self._parameter is not None else []
@@ -225,7 +222,14 @@ class Order:
     ) -> Select[Any] | None:
         """The runs of one algorithm, dataset or experiment, by id; None if an earlier page has shown them all."""
         runs = RUNS.alias()
-        conditions = [_is_named(self.sort.key, number, runs), self.sql.test(tree, runs)]
+        if self.sort.key == "experiment":
+            named: ColumnElement[bool] = runs.c.experiment_id == number
+        else:
+            rows = ConfigurationRow.__table__.alias()
+            # ``+ 0`` keeps the index of the column from being used: the list is walked by run, and each is tested.
+            own = rows.c[f"{self.sort.key}_id"] + 0 == number
+            named = select(literal(1)).where(rows.c.id == runs.c.configuration_id, own).limit(1).scalar_subquery() == 1
+        conditions = [named, self.sql.test(tree, runs)]
         if after is not None:
             if (name > after[0]) if self.sort.descending else (name < after[0]):
                 return None
@@ -281,14 +285,6 @@ def _labelled(columns: Sequence[ColumnElement[Any]]) -> list[ColumnElement[Any]]
     return [column.label(f"key_{place}") for place, column in enumerate(columns)]
 
 
-def _is_named(key: str, number: int, runs: FromClause) -> ColumnElement[bool]:
-    if key == "experiment":
-        return runs.c.experiment_id == number
-    rows = ConfigurationRow.__table__.alias()
-    query = select(literal(1)).where(rows.c.id == runs.c.configuration_id, rows.c[f"{key}_id"] + 0 == number)
-    return query.limit(1).scalar_subquery() == 1
-
-
 def _name_of(key: str, runs: FromClause) -> ColumnElement[Any]:
     table = _TABLES[key].alias()
     if key == "experiment":
@@ -298,8 +294,7 @@ def _name_of(key: str, runs: FromClause) -> ColumnElement[Any]:
     return query.scalar_subquery()
 
 
-# Makes :class:`RunRecord` from rows: one query for the runs, one for parameters, one for metrics.
-
+# -- records from rows: one query for the runs, one for parameters, one for metrics ------------------------------------
 
 _CONVERTED = {"protocol_override", "stop_when", "disturbance"}
 _AS_STORED = sorted(set(RunRecord.__dataclass_fields__) & set(RunRow.__table__.c.keys()) - _CONVERTED)
@@ -420,6 +415,7 @@ COUNTED = 1_000
 """Matches are counted up to this number; an exact count of more would have to look at all of them."""
 
 _SAMPLE = 300
+"""The number of runs that starts are compared on."""
 _TRIED = 12
 """At most so many starts are compared on the sample."""
 
@@ -463,10 +459,18 @@ class Matches:
     sql: Sql
 
     def page(self, order: Order, after: list[Any] | None, limit: int) -> tuple[Count, list[tuple[Any, ...]]]:
-        """How many runs match, and up to ``limit`` page keys after ``after``."""
+        """The number of matches, and up to ``limit`` page keys after ``after``."""
         total, found = self.survey()
         if found is not None:
-            return total, self._sorted(found, order, after, limit)
+            runs = RUNS.alias()
+            keyed = select(*_labelled(order.columns(runs))).where(among(runs.c.id, found)).subquery()
+            keys = list(keyed.c)
+            query = select(*keys)
+            if after is not None:
+                query = query.where(behind(keys, after, descending=order.sort.descending))
+            by_value = [keys[0].is_(None)] if len(keys) > 1 else []  # NULLs last, in both directions
+            query = query.order_by(*by_value, *ordered(keys, descending=order.sort.descending)).limit(limit)
+            return total, [tuple(row) for row in self.connection.execute(query)]
         walked: list[tuple[Any, ...]] = []
         for query in order.walk(self.search.tree, after, limit):
             if len(walked) < limit:
@@ -474,7 +478,7 @@ class Matches:
         return total, walked
 
     def survey(self) -> tuple[Count, Sequence[int] | None]:
-        """How many runs match, and their ids if they are few. An index may know the exact number of many."""
+        """The number of matches, and their ids if they are few. An index may know the exact number of many."""
         total = self.count_by_index()
         if self.search.tree is None or (total is not None and total.number > COUNTED):
             return total or Count(0), None
@@ -484,7 +488,7 @@ class Matches:
         return Count(len(found)), found
 
     def exact_count(self) -> int:
-        """How many runs match, however long counting takes."""
+        """The number of matches, however long counting takes."""
         total = self.count_by_index()
         return self._number(self.ids(None).subquery()) if total is None else total.number
 
@@ -506,24 +510,12 @@ class Matches:
         runs = RUNS.alias()
         return select(runs.c.id).where(self.sql.test(self.search.tree, runs)).limit(limit)
 
-    def _sorted(self, found: Sequence[int], order: Order, after: list[Any] | None, limit: int) -> list[tuple[Any, ...]]:
-        """The page among these runs."""
-        runs = RUNS.alias()
-        columns = [column.label(f"key_{place}") for place, column in enumerate(order.columns(runs))]
-        keyed = select(*columns).where(among(runs.c.id, found)).subquery()
-        keys = list(keyed.c)
-        query = select(*keys)
-        if after is not None:
-            query = query.where(behind(keys, after, descending=order.sort.descending))
-        by_value = [keys[0].is_(None)] if len(keys) > 1 else []
-        query = query.order_by(*by_value, *ordered(keys, descending=order.sort.descending)).limit(limit)
-        return [tuple(row) for row in self.connection.execute(query)]
-
     def _best_start(self) -> Start | None:
         """The cheapest start. A sample of runs shows how many runs each of them yields."""
         found = list(islice(starts(self.search.tree), _TRIED))
         if len(found) < 2:
             return found[0] if found else None
+        # Seeded by the newest run, so that all pages of a list get the same start. Few ids below it are missing.
         newest = self.connection.execute(select(func.max(RUNS.c.id))).scalar_one() or 0
         sample = Random(newest).sample(range(1, newest + 1), min(newest, _SAMPLE))  # noqa: S311 - no secret
         runs = RUNS.alias()
@@ -536,5 +528,5 @@ class Matches:
 
 
 def among(column: ColumnElement[int], ids: Sequence[int]) -> ColumnElement[bool]:
-    """Whether it is one of ``ids``. They become part of the statement: drivers limit the number of parameters."""
+    """Test for one of ``ids``. They become part of the statement: drivers limit the number of parameters."""
     return column.in_(bindparam(None, list(ids), expanding=True, literal_execute=True))

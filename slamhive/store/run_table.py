@@ -100,7 +100,7 @@ class RunTableRepository(Repository):
         return {run_id: value for run_id, value in self._rows(query, MetricValueRow.run_id, run_ids)}  # noqa: C416
 
     def evaluated(self, run_ids: Sequence[int], fingerprint: str | None = None) -> dict[int, EvaluationState]:
-        """How the evaluations of runs ended, under any protocol or that of ``fingerprint``; a success comes first.
+        """The ends of the evaluations of runs, under any protocol or that of ``fingerprint``; a success comes first.
 
         Runs without an ended evaluation are left out.
         """
@@ -196,12 +196,9 @@ class RunTableRepository(Repository):
                 yield row[:-1]
 
 
-def _version_label() -> ColumnElement[str]:
-    """``aloam@2``; NULL for a run that never started."""
-    return (AlgorithmVersionRow.package + VERSION_SIGN + cast(AlgorithmVersionRow.number, String(10))).label("version")
-
-
 def _facts() -> Select[Any]:
+    # ``aloam@2``; NULL for a run that never started
+    version = AlgorithmVersionRow.package + VERSION_SIGN + cast(AlgorithmVersionRow.number, String(10))
     return (
         select(
             RunRow.id,
@@ -212,7 +209,7 @@ def _facts() -> Select[Any]:
             RunRow.reason,
             RunRow.seed,
             RunRow.executor,
-            _version_label(),
+            version.label("version"),
             ConfigurationRow.variant,
             ExperimentRow.name.label("experiment"),
             HostRow.cpu_model.label("host"),

@@ -32,9 +32,6 @@ from slamhive.store.rows import Repository, changed, chunks, cut
 from slamhive.store.run_listing import list_page, run_query, to_records
 from slamhive.store.sharing import SharingRepository
 
-# Deleted runs: their rows are removed, and nothing but their files in the trash brings them back.
-
-
 _RUNS = RunRow.__table__
 _DELETED = DeletedRunRow.__table__
 _OF_RUNS = tuple(model.__table__ for model in (MetricValueRow, EvaluationRow, RunEventRow, RunNoteRow, RunTagRow))
@@ -192,7 +189,7 @@ class RunRepository(Repository):
         )
 
     def counts_by_state(self) -> dict[RunState, int]:
-        """How many runs are in each state, 0 included."""
+        """The number of runs in each state, 0 included."""
         rows = self._connection.execute(select(_RUNS.c.state, func.count()).group_by(_RUNS.c.state))
         found = {row[0]: row[1] for row in rows}
         return {state: found.get(state, 0) for state in RunState}
@@ -235,12 +232,13 @@ class RunRepository(Repository):
         if target is RunState.FAILED and fields.get("reason") is None:
             raise InvalidInput(f"run {run_id} cannot fail without a reason")
         values = {**_defaults(row, target, now), **_checked(fields), "state": target}
+        # Compare and set: the move was checked against a state that another process may have changed since.
         condition = [_RUNS.c.id == run_id, _RUNS.c.state == row.state]
         if owner is not None:
             condition.append(_RUNS.c.lease_owner == owner)
         if changed(self._connection, update(_RUNS).where(*condition).values(values)) != 1:
             raise LeaseLost(f"run {run_id} was changed by another process while it moved to {target}")
-        self._write_event(run_id, RunEvent(now, row.state, target, why))
+        self._connection.execute(insert(_EVENTS).values(event_row(run_id, RunEvent(now, row.state, target, why))))
         if row.state is RunState.QUEUED and target is RunState.CANCELLED:
             changes_of(self._connection).cancelled.append(([run_id], now, why))
         return RunState(row.state)
@@ -259,7 +257,7 @@ class RunRepository(Repository):
 
         Raises Conflict if the run has ended.
         """
-        while True:
+        while True:  # a worker may claim the run, or end it, between the look and the change
             state = RunState(self._current(run_id).state)
             if state is RunState.CANCELLED and self._is_repeated(run_id, state, now):
                 return state
@@ -296,9 +294,6 @@ class RunRepository(Repository):
         latest = select(_EVENTS).where(_EVENTS.c.run_id == run_id).order_by(_EVENTS.c.id.desc()).limit(1)
         event = self._connection.execute(latest).one_or_none()
         return event is not None and event.to_state is target and event.at == now
-
-    def _write_event(self, run_id: int, event: RunEvent) -> None:
-        self._connection.execute(insert(_EVENTS).values(event_row(run_id, event)))
 
 
 def queued_event(request: RunRequest, at: datetime) -> RunEvent:
@@ -343,7 +338,7 @@ def _checked(fields: RunFields) -> dict[str, Any]:
 
 
 def _defaults(row: Any, target: RunState, now: datetime) -> dict[str, Any]:
-    """What a move writes besides its fields."""
+    """The columns that a move writes besides its fields."""
     if target is RunState.RUNNING and row.started_at is None:
         return {"started_at": now}
     if target is RunState.QUEUED:

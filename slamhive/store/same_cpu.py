@@ -7,9 +7,8 @@ model from then on.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
 
 from sqlalchemy import exists, func, select, update
 
@@ -33,10 +32,6 @@ _RUNS = RunRow.__table__
 _ACTIVE = tuple(state for state in RunState if state.active)
 
 
-def _never(_executor: str) -> bool:
-    return False
-
-
 @dataclass(frozen=True, slots=True)
 class MeasuredMachine:
     """The machine of a worker.
@@ -47,7 +42,7 @@ class MeasuredMachine:
     """
 
     cpu_model: str
-    elsewhere: Callable[[str], bool] = field(default=_never)
+    elsewhere: Callable[[str], bool] = lambda _executor: False
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +76,9 @@ class SameCpu(Repository):
         The first machine that takes a run of an experiment decides its CPU model. Where an engine chooses the machine,
         the first run goes alone until it has started, because until then nobody knows the CPU model.
         """
-        row = self._experiment_of(run_id)
+        of = _EXPERIMENTS.c
+        query = select(of.id, of.executor, of.cpu_model).join(_RUNS, _RUNS.c.experiment_id == of.id)
+        row = self._connection.execute(query.where(_RUNS.c.id == run_id)).one_or_none()
         if row is None or row.cpu_model is None:
             return None
         elsewhere = machine.elsewhere(row.executor)
@@ -91,7 +88,8 @@ class SameCpu(Repository):
         self._connection.execute(select(_EXPERIMENTS.c.id).where(_EXPERIMENTS.c.id == row.id).with_for_update())
         known = self.known(row.id)
         if known is None and elsewhere:
-            return int(row.id) if self._has_active_runs(row.id) else None
+            active = select(func.count()).where(_RUNS.c.experiment_id == row.id, _RUNS.c.state.in_(_ACTIVE))
+            return int(row.id) if self._number(active) > 0 else None
         wanted = known or machine.cpu_model
         self._connection.execute(update(_EXPERIMENTS).where(_EXPERIMENTS.c.id == row.id).values(cpu_model=wanted))
         return None if elsewhere or wanted == machine.cpu_model else int(row.id)
@@ -119,18 +117,8 @@ class SameCpu(Repository):
         )
         return self._connection.scalar(query)
 
-    def _experiment_of(self, run_id: int) -> Any:
-        of = _EXPERIMENTS.c
-        query = select(of.id, of.executor, of.cpu_model).join(_RUNS, _RUNS.c.experiment_id == of.id)
-        return self._connection.execute(query.where(_RUNS.c.id == run_id)).one_or_none()
 
-    def _has_active_runs(self, experiment_id: int) -> bool:
-        query = select(func.count()).where(_RUNS.c.experiment_id == experiment_id, _RUNS.c.state.in_(_ACTIVE))
-        return self._number(query) > 0
-
-
-# What earlier runs tell about the nodes of a cluster, and about how long a run takes.
-
+# -- earlier runs: the nodes of a cluster, and the time that a run takes -----------------------------------------------
 
 NODE = "node"
 """Where executors on several machines note the node of a run, in its handle."""

@@ -44,7 +44,6 @@ from slamhive.filters.fields import BUILT_IN, VARIANT_PREFIX, Field, FieldKind, 
 from slamhive.filters.syntax import PRESENCE, Junction, Sign, join, leaves
 from slamhive.store.metrics import CODES, VERDICT
 from slamhive.store.models import (
-    MEASURED_PROTOCOL_ID,
     AlgorithmRow,
     AlgorithmVersionRow,
     ConfigurationRow,
@@ -62,8 +61,7 @@ from slamhive.store.models import (
 )
 from slamhive.store.tables import TableBase
 
-# Comparisons with the note and the tags of runs, as the rows behind them.
-
+# -- comparisons with the note and the tags of runs, as the rows behind them -------------------------------------------
 
 OPPOSITE = {Sign.NOT_EQUAL: Sign.EQUAL, Sign.NOT_IN: Sign.IN, Sign.UNLIKE: Sign.LIKE}
 """The comparisons that a run fulfils if it does not fulfil the other one: a run may have several tags."""
@@ -76,13 +74,21 @@ def noted(leaf: Condition, compare: Callable[[Any, Condition], ColumnElement[boo
     return rows, query if leaf.sign in PRESENCE else query.where(compare(rows.c[leaf.field.name], leaf))
 
 
-# Comparisons of the trust in a run as comparisons of what was measured, by the limits of the one rule.
+# -- comparisons of the trust in a run, as comparisons of what was measured --------------------------------------------
 
 
 def trust_tree(leaf: Condition) -> Bound:
     """The condition behind ``leaf``, which names levels of trust."""
     levels = list(TrustLevel) if leaf.sign is Sign.HAS else [TrustLevel(str(value)) for value in leaf.values]
-    trees = {TrustLevel.HIGH: _high(), TrustLevel.LIMITED: _limited(), TrustLevel.LOW: _low()}
+    low = _above({limit.metric: limit.low_above for limit in LIMITS})
+    doubtful = join("or", [_above({limit.metric: limit.limited_above for limit in LIMITS}), _disturbed(yes=True)])
+    # Playback in sequence waits for the algorithm and drops nothing; in real time, dropped frames must be counted.
+    counted = join("or", [_playback(PlaybackMode.SEQUENTIAL), Condition(metric_field(DROPPED_FRAMES), Sign.HAS)])
+    trees = {
+        TrustLevel.HIGH: join("and", [_disturbed(yes=False), counted, Junction("not", (doubtful,))]),
+        TrustLevel.LIMITED: join("and", [doubtful, Junction("not", (low,))]),
+        TrustLevel.LOW: low,
+    }
     ended = (RunState.SUCCEEDED.value, RunState.FAILED.value) if levels else ()
     parts: list[Bound] = [
         Condition(BUILT_IN["state"], Sign.IN, ended),
@@ -93,25 +99,8 @@ def trust_tree(leaf: Condition) -> Bound:
     return join("and", parts)
 
 
-def _low() -> Bound:
-    return _above({limit.metric: limit.low_above for limit in LIMITS})
-
-
-def _limited() -> Bound:
-    return join("and", [_doubtful(), Junction("not", (_low(),))])
-
-
-def _high() -> Bound:
-    counted = join("or", [_playback(PlaybackMode.SEQUENTIAL), Condition(metric_field(DROPPED_FRAMES), Sign.HAS)])
-    return join("and", [_disturbed(yes=False), counted, Junction("not", (_doubtful(),))])
-
-
-def _doubtful() -> Bound:
-    return join("or", [_above({limit.metric: limit.limited_above for limit in LIMITS}), _disturbed(yes=True)])
-
-
 def _above(values: dict[str, float | None]) -> Bound:
-    """Whether one of these metrics exceeds its value. Some count in real time only."""
+    """Test if one of these metrics exceeds its value. Some count in real time only."""
     parts: list[Bound] = []
     for limit in LIMITS:
         value = values[limit.metric]
@@ -129,8 +118,7 @@ def _disturbed(*, yes: bool) -> Condition:
     return Condition(BUILT_IN["disturbed"], Sign.EQUAL, (yes,))
 
 
-# Comparisons of the verdict as comparisons of the state of a run and of the stored verdict.
-
+# -- comparisons of the verdict, as comparisons of the state of a run and of the stored verdict ------------------------
 
 _STORED = Field(VERDICT, "stored verdict", FieldKind.NUMBER, Source.METRIC)
 STORED_FAILURE = Condition(_STORED, Sign.MORE, (CODES[VerdictKind.GOOD],))
@@ -147,8 +135,7 @@ def verdict_tree(leaf: Condition) -> Bound:
     return join("or", parts) if parts else Condition(_STORED, Sign.IN, ())
 
 
-# The ids behind the names of a search: metrics, parameters and protocols.
-
+# -- the ids behind the names of a search: metrics, parameters and protocols -------------------------------------------
 
 _KINDS = {
     ParameterType.INT: FieldKind.NUMBER,
@@ -204,12 +191,6 @@ def stored_parameters(connection: Connection) -> list[ParameterKind]:
         kinds = [FieldKind.NUMBER] * bool(numbers) + [FieldKind.TEXT] * bool(texts)
         found += [ParameterKind(VARIANT_PREFIX + name, kind) for kind in kinds]
     return found
-
-
-def stored_protocols(connection: Connection) -> dict[str, str]:
-    """{fingerprint: label} of all protocols."""
-    query = select(ProtocolRow.fingerprint, ProtocolRow.label).where(ProtocolRow.id != MEASURED_PROTOCOL_ID)
-    return {row.fingerprint: row.label for row in connection.execute(query)}
 
 
 def _parameter_ids(connection: Connection, names: set[str]) -> dict[str, tuple[int, ...]]:
@@ -287,7 +268,7 @@ class Sql:
     # -- a test of one run -----------------------------------------------------------------------------------------
 
     def test(self, tree: Bound | None, runs: FromClause) -> ColumnElement[bool]:
-        """Whether a row of ``runs`` matches; never NULL."""
+        """Test if a row of ``runs`` matches; never NULL."""
         if tree is None:
             return true()
         if not isinstance(tree, Junction):
@@ -303,31 +284,20 @@ class Sql:
         source = leaf.field.source
         if source in DERIVED:
             return self.test(DERIVED[source](leaf), runs)
-        own: dict[Source, Callable[[Condition, FromClause], ColumnElement[bool]]] = {
-            Source.RUN: self.on_run,
-            Source.METRIC: self._on_metric,
-            Source.PARAMETER: self._on_parameter,
-            Source.NOTE: self._on_notes,
-        }
-        return own.get(source, self._on_configurations)(leaf, runs)
-
-    def _on_metric(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
-        found = self.figures_where(leaf, by_value=False)
-        return NEVER if found is None else _any(found[1].where(found[0].c.run_id == runs.c.id))
-
-    def _on_parameter(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
-        values, query = self._parameter_values(leaf, by_value=False)
-        return _any(query.where(values.c.configuration_id == runs.c.configuration_id))
-
-    def _on_configurations(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
-        rows, query = self._configurations(leaf)
-        return _any(query.where(rows.c.id == runs.c.configuration_id))
-
-    def _on_notes(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
-        """A comparison with the note or the tags. A run fulfils ``!=`` if none of its tags equals the value."""
-        rows, query = noted(replace(leaf, sign=OPPOSITE.get(leaf.sign, leaf.sign)), self.compare)
-        found = _any(query.where(rows.c.run_id == runs.c.id))
-        return not_(found) if leaf.sign in OPPOSITE else found
+        if source is Source.RUN:
+            return self.on_run(leaf, runs)
+        if source is Source.METRIC:
+            figures = self.figures_where(leaf, by_value=False)
+            return NEVER if figures is None else _any(figures[1].where(figures[0].c.run_id == runs.c.id))
+        if source is Source.NOTE:
+            # A run may have several tags. It fulfils ``!=`` if none of them equals the value.
+            rows, query = noted(replace(leaf, sign=OPPOSITE.get(leaf.sign, leaf.sign)), self.compare)
+            found = _any(query.where(rows.c.run_id == runs.c.id))
+            return not_(found) if leaf.sign in OPPOSITE else found
+        of_values = source is Source.PARAMETER
+        rows, query = self._parameter_values(leaf, by_value=False) if of_values else self._configurations(leaf)
+        configuration = rows.c.configuration_id if of_values else rows.c.id
+        return _any(query.where(configuration == runs.c.configuration_id))
 
     def on_run(self, leaf: Condition, runs: FromClause, *, guarded: bool = True) -> ColumnElement[bool]:
         """A condition on a column. If ``guarded`` it is never NULL and uses no index."""
@@ -338,7 +308,9 @@ class Sql:
         if leaf.sign is Sign.HAS:
             return value.is_not(None)
         if leaf.field.name == "visibility":
-            return self.compare(_visibility(runs.c.audience), leaf)
+            # An audience is a visibility, or names the owner of a private run.
+            shared = runs.c.audience.in_([kind.value for kind in Visibility if kind is not Visibility.PRIVATE])
+            return self.compare(case((shared, runs.c.audience), else_=Visibility.PRIVATE.value), leaf)
         if leaf.field.name == "disturbed":
             disturbed = leaf.values[0] is (leaf.sign is Sign.EQUAL)
             known = value > "" if disturbed else value == ""
@@ -354,7 +326,7 @@ class Sql:
         return func.coalesce(found, false()) if guarded and name in _GUARDED else found
 
     def failed(self, runs: FromClause) -> ColumnElement[bool]:
-        """Whether a row of ``runs`` counts as failed, by its end or by its verdict."""
+        """Test if a row of ``runs`` counts as failed, by its end or by its verdict."""
         ended_badly: ColumnElement[bool] = runs.c.state == RunState.FAILED
         found = self.figures_where(STORED_FAILURE, by_value=True)
         if found is None:
@@ -376,6 +348,7 @@ class Sql:
         if chosen is None or not (key == VERDICT or CATALOGUE[key].needs_protocol):
             return rows, query.where((rows.c.is_current if by_value else rows.c.is_current + 0) == 1)
         if by_value:
+            # Every row fulfils it. It lets the index be used, in which ``is_current`` stands before the value.
             query = query.where(rows.c.is_current.in_([0, 1]))
         return rows, query.where(rows.c.protocol_id == chosen)
 
@@ -477,15 +450,10 @@ class Sql:
         if self._names.glob:
             found: ColumnElement[bool] = column.bool_op("GLOB")(pattern.replace("[", "[[]"))
             return found
+        # MySQL has no GLOB. LIKE distinguishes case under the binary collation of the tables.
         escaped = "".join(f"|{c}" if c in "|%_" else {"*": "%", "?": "_"}.get(c, c) for c in pattern)
         like: ColumnElement[bool] = column.like(escaped, escape="|")
         return like
-
-
-def _visibility(audience: ColumnElement[Any]) -> ColumnElement[Any]:
-    """The visibility in an audience; the other audiences name an owner."""
-    others = [kind.value for kind in Visibility if kind is not Visibility.PRIVATE]
-    return case((audience.in_(others), audience), else_=Visibility.PRIVATE.value)
 
 
 def _disturbed_by(column: ColumnElement[Any], leaf: Condition) -> ColumnElement[bool]:
@@ -497,12 +465,11 @@ def _disturbed_by(column: ColumnElement[Any], leaf: Condition) -> ColumnElement[
 
 
 def _any(query: Select[Any]) -> ColumnElement[bool]:
-    """Whether ``query`` has a row, tested run by run. A database may turn EXISTS into a join over all runs."""
+    """Test if ``query`` has a row, run by run. A database may turn EXISTS into a join over all runs."""
     return func.coalesce(query.limit(1).scalar_subquery(), 0) == 1
 
 
-# Where a search can start: lists of runs that an index yields and that contain every match.
-
+# -- starts of a search: lists of runs that an index yields and that contain every match -------------------------------
 
 _INDEXED = frozenset(
     {
@@ -540,7 +507,7 @@ class Start:
 
     @property
     def cost(self) -> int:
-        """What it costs to test one run, compared with other starts."""
+        """The cost of testing one run, compared with other starts."""
         return _LOOK_UP if self._needs_run else 1
 
     def ids(self, sql: Sql) -> Select[Any]:

@@ -1,4 +1,4 @@
-"""What searches need besides lists of runs: names, counts, groups and saved searches."""
+"""Names, counts and groups for searches, and saved searches. Lists of runs are in ``run_listing``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Row, delete, func, insert, literal, select, update
+from sqlalchemy import delete, func, insert, literal, select, update
 
 from slamhive.base.errors import unknown
 from slamhive.domain.run import RunState
@@ -14,12 +14,21 @@ from slamhive.filters.binding import Search
 from slamhive.filters.fields import ParameterKind
 from slamhive.store.changes import changes_of
 from slamhive.store.metrics import VERDICT
-from slamhive.store.models import AlgorithmRow, DatasetRow, EvaluationRow, MetricRow, RunRow, SavedSearchRow
+from slamhive.store.models import (
+    MEASURED_PROTOCOL_ID,
+    AlgorithmRow,
+    DatasetRow,
+    EvaluationRow,
+    MetricRow,
+    ProtocolRow,
+    RunRow,
+    SavedSearchRow,
+)
 from slamhive.store.records import Count, GroupPage, Repeats, RunSort, SavedSearchRecord
 from slamhive.store.rows import Repository, changed
-from slamhive.store.run_groups import group_page, group_repeats
+from slamhive.store.run_groups import Groups
 from slamhive.store.run_listing import Matches
-from slamhive.store.search_sql import Sql, look_up, stored_parameters, stored_protocols
+from slamhive.store.search_sql import Sql, look_up, stored_parameters
 
 _SAVED = SavedSearchRow.__table__
 
@@ -33,10 +42,11 @@ class SearchRepository(Repository):
 
     def protocols(self) -> dict[str, str]:
         """{fingerprint: label} of all protocols."""
-        return stored_protocols(self._connection)
+        query = select(ProtocolRow.fingerprint, ProtocolRow.label).where(ProtocolRow.id != MEASURED_PROTOCOL_ID)
+        return {row.fingerprint: row.label for row in self._connection.execute(query)}
 
     def unevaluated(self) -> int:
-        """How many runs succeeded and have neither metrics of a protocol nor a queued or running evaluation."""
+        """The number of successful runs with neither metrics of a protocol nor a queued or running evaluation."""
         runs, evaluations = RunRow.__table__, EvaluationRow.__table__
         waiting = select(literal(1)).where(evaluations.c.run_id == runs.c.id, evaluations.c.open == 1)
         query = select(func.count()).where(
@@ -58,11 +68,11 @@ class SearchRepository(Repository):
         return self._column(query)
 
     def exact_count(self, search: Search) -> int:
-        """How many runs match, however long counting takes."""
+        """The number of matches, however long counting takes."""
         return self._matches(search).exact_count()
 
     def count(self, search: Search) -> Count:
-        """How many runs match; exact up to :data:`slamhive.store.run_listing.COUNTED`, and beyond if that is cheap."""
+        """The number of matches; exact up to ``run_listing.COUNTED``, and beyond if that is cheap."""
         return self._matches(search).survey()[0]
 
     def run_ids(self, search: Search) -> list[int]:
@@ -70,7 +80,7 @@ class SearchRepository(Repository):
         return sorted(self._connection.execute(self._matches(search).ids(None)).scalars())
 
     def total(self) -> int:
-        """How many runs there are."""
+        """The number of all runs."""
         return self._number(select(func.count()).select_from(RunRow.__table__))
 
     def with_metrics(self, search: Search) -> dict[str, int]:
@@ -88,11 +98,11 @@ class SearchRepository(Repository):
 
     def groups(self, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         """One page of the configurations of matching runs, with mean and spread of ``metrics`` over the repeats."""
-        return group_page(self._connection, search, sort, after, limit, metrics)
+        return Groups.of(self._connection, search, sort).page(after, limit, metrics)
 
     def repeats(self, search: Search, ids: Sequence[int], metrics: Sequence[str]) -> Repeats:
         """The first values of ``metrics`` of some configurations, of their matching runs that did not fail."""
-        return group_repeats(self._connection, search, ids, metrics)
+        return Groups.of(self._connection, search, RunSort("configuration")).repeats(ids, metrics)
 
     # -- saved searches --------------------------------------------------------------------------------------------
 
@@ -107,7 +117,19 @@ class SearchRepository(Repository):
 
     def saved(self) -> list[SavedSearchRecord]:
         """All of them by name."""
-        return [_saved(row) for row in self._connection.execute(select(_SAVED).order_by(_SAVED.c.name))]
+        return [
+            SavedSearchRecord(
+                name=row.name,
+                filter_text=row.filter_text,
+                columns=tuple(row.shown_columns),
+                sort=RunSort(row.sort, row.descending),
+                grouped=row.grouped,
+                pinned=row.pinned,
+                colours=row.colours,
+                sparks=row.sparks,
+            )
+            for row in self._connection.execute(select(_SAVED).order_by(_SAVED.c.name))
+        ]
 
     def saved_named(self, name: str) -> SavedSearchRecord:
         """The one of this name; raises NotFound."""
@@ -124,19 +146,6 @@ class SearchRepository(Repository):
 
     def _matches(self, search: Search) -> Matches:
         return Matches(self._connection, search, Sql(look_up(self._connection, search)))
-
-
-def _saved(row: Row[Any]) -> SavedSearchRecord:
-    return SavedSearchRecord(
-        name=row.name,
-        filter_text=row.filter_text,
-        columns=tuple(row.shown_columns),
-        sort=RunSort(row.sort, row.descending),
-        grouped=row.grouped,
-        pinned=row.pinned,
-        colours=row.colours,
-        sparks=row.sparks,
-    )
 
 
 def saved_columns(record: SavedSearchRecord) -> dict[str, Any]:

@@ -101,7 +101,7 @@ class SharingRepository(Repository):
         self._connection.execute(update(_ANALYSES).where(_ANALYSES.c.token == token).values(sharing_columns(sharing)))
 
     def in_use(self) -> bool:
-        """Whether anything belongs to an account."""
+        """True if anything belongs to an account."""
         tables = (_RUNS, _EXPERIMENTS, _ANALYSES)
         queries = (select(table.c.id).where(table.c.owner.is_not(None)).limit(1) for table in tables)
         return any(self._connection.execute(query).first() is not None for query in queries)

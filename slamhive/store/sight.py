@@ -1,4 +1,4 @@
-"""What a viewer may see: rows that are hidden from the viewer are in no answer of the database.
+"""Hides rows from a viewer: no answer of the database contains a row that the viewer may not see.
 
 A connection that reads for a viewer adds a condition to each SELECT, also to those inside others, while SQLAlchemy
 turns it into text. So no query has to think of viewers, and none can forget them. Where nothing is hidden, nothing is
@@ -80,7 +80,7 @@ class _Sight:
         return names, found
 
     def _sources(self, query: Select[Any]) -> Sequence[FromClause]:
-        """What ``query`` selects from. To find out, SQLAlchemy compiles it, which must add nothing."""
+        """The tables and joins that ``query`` selects from. SQLAlchemy compiles it for this, which must add nothing."""
         self.statement, statement = None, self.statement
         try:
             return query.get_final_froms()
@@ -128,7 +128,7 @@ def seeing_all(query: Select[Any]) -> Select[Any]:
 
 
 def _seen(rows: FromClause, *, signed_in: bool, counts: bool) -> ColumnElement[bool]:
-    """Whether the viewer sees a row.
+    """Tell if the viewer sees a row.
 
     An index serves it only where all rows are counted: databases would sort others instead of walking along an order.
     """
@@ -181,7 +181,7 @@ def _viewer() -> Viewer:
 
 
 def _hidden(rows: FromClause, *, signed_in: bool) -> ColumnElement[bool]:
-    """Whether a row is hidden: an index finds such rows between the audiences of the viewer."""
+    """Tell if a row is hidden: an index finds such rows between the audiences of the viewer."""
     mine, audience = _audiences(signed_in=signed_in), rows.c.audience
     between = [and_(audience > low, audience < high) for low, high in pairwise(mine)]
     return or_(audience < mine[0], *between, audience > mine[-1])

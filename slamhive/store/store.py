@@ -58,8 +58,9 @@ class Store:
         return database_label(self.engine)
 
     def read(self, work: Callable[[Transaction], T]) -> T:
-        """What ``work`` returns, from one consistent view of the database. On SQLite it never waits for a writer."""
+        """Return what ``work`` returns, from one consistent view of the database. SQLite never waits for a writer."""
         snapshot = self._snapshot
+        # Hidden rows are chosen when a connection begins, so a snapshot serves the viewer that it began for.
         if snapshot is not None and snapshot.viewer == self.viewer:
             return self.retried(lambda: snapshot.read(work))
         return self.retried(lambda: self._attempt(self.engine, work))
@@ -86,19 +87,25 @@ class Store:
         return getattr(self._of_thread, "snapshot", None)
 
     def write(self, work: Callable[[Transaction], T]) -> T:
-        """What ``work`` returns, once everything it wrote is on disk. If it raises, nothing is."""
+        """Return what ``work`` returns, once everything it wrote is on disk. If it raises, nothing is."""
         attempts: list[Changes] = []
         if self._snapshot is not None:
             self._snapshot.end()
-        audited = self._audited(work)
+        act = self._act
+
+        def audited(transaction: Transaction) -> T:
+            result = work(transaction)
+            if act is not None:  # in the same transaction, so that change and line are both stored, or neither
+                transaction.audit.add(act)
+            return result
 
         def attempt() -> T:
-            changes = Changes()
+            changes = Changes()  # new for each attempt: one that was rolled back has stored nothing
             attempts.append(changes)
             return self._attempt(self._writing, audited, changes)
 
         result = self.retried(attempt)
-        self._of_thread.act = None
+        self._of_thread.act = None  # one line for each request, however many transactions it takes
         self._tell(attempts)
         self._written += 1
         if self._written % WRITES_BETWEEN_LOOKS == 0:
@@ -132,7 +139,7 @@ class Store:
 
     @property
     def account(self) -> str:
-        """Who asks in this thread; empty for somebody without an account."""
+        """The account that asks in this thread; empty for somebody without one."""
         return getattr(self._of_thread, "account", "")
 
     @property
@@ -153,19 +160,6 @@ class Store:
     @property
     def _act(self) -> AuditAct | None:
         return getattr(self._of_thread, "act", None)
-
-    def _audited(self, work: Callable[[Transaction], T]) -> Callable[[Transaction], T]:
-        """``work``, followed by the line of the act if there is one: both are stored, or neither."""
-        act = self._act
-        if act is None:
-            return work
-
-        def both(transaction: Transaction) -> T:
-            result = work(transaction)
-            transaction.audit.add(act)
-            return result
-
-        return both
 
     @contextmanager
     def unheard(self) -> Iterator[None]:
@@ -202,6 +196,7 @@ class Store:
     def _tell(self, attempts: Sequence[Changes]) -> None:
         """Tell the listener what the last attempt has stored."""
         changes = attempts[-1]
+        # A connection that breaks during COMMIT leaves open whether an earlier attempt was stored after all.
         changes.uncertain = len(attempts) > 1 and any(attempts)
         if self.listener is not None and changes:
             with self.seen_by(None):  # what it keeps is for everybody
@@ -214,26 +209,24 @@ class Store:
             return work(Transaction(connection, self._clock))
 
     def retried(self, attempt: Callable[[], T]) -> T:
-        """What ``attempt`` returns. It is called again while the database is locked or away."""
+        """Return what ``attempt`` returns. It is called again while the database is locked or away."""
         began = self._clock.monotonic_s()
         pause_s = FIRST_PAUSE_S
         while True:
             try:
                 result = attempt()
             except DBAPIError as error:
-                self._raise_unless_worth_waiting(error, self._clock.monotonic_s() - began)
+                waited_s = self._clock.monotonic_s() - began
+                if not is_transient(self.engine, error):
+                    raise (explained(self.engine, error) or error) from None
+                if waited_s >= self._retry_s:
+                    raise gave_up(self.engine, error, waited_s) from None
                 if pause_s == FIRST_PAUSE_S:
                     logger.warning("database %s: %s; trying again", self.label, short(error))
                 self._clock.sleep(pause_s)
                 pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
             else:
                 return result
-
-    def _raise_unless_worth_waiting(self, error: DBAPIError, waited_s: float) -> None:
-        if not is_transient(self.engine, error):
-            raise (explained(self.engine, error) or error) from None
-        if waited_s >= self._retry_s:
-            raise gave_up(self.engine, error, waited_s) from None
 
 
 class AbsentStore(Store):

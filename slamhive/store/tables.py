@@ -1,4 +1,4 @@
-"""How tables are written down: one class each, whose attributes are the columns.
+"""Declares tables: one class each, whose attributes are the columns.
 
 The columns are those of SQLAlchemy Core. Its object-relational mapper would take half as long to import as the rest of
 a command that lists runs, and adds to each statement; no query here asks for objects.
@@ -65,8 +65,7 @@ def optional(kind: TypeEngine[T] | type[TypeEngine[T]], *parts: Any, **options: 
     return Column(kind, *parts, nullable=True, **options)
 
 
-# Column types that mean the same on SQLite and on MySQL / MariaDB.
-
+# -- column types that mean the same on SQLite and on MySQL / MariaDB --------------------------------------------------
 
 E = TypeVar("E", bound=StrEnum)
 

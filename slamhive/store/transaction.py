@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import UTC
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from sqlalchemy import Connection, Engine, text
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from slamhive.store.sharing import SharingRepository
 
 T = TypeVar("T")
-
 
 _repository = lazy_names(__name__)
 
@@ -99,11 +98,10 @@ class Transaction:
         """
         now = self._clock.utc_now()
         shared = self._clock is SYSTEM_CLOCK and self.database.dialect.name == "mysql"
-        return Lease(owner, self._server_time() if shared else now, lasts_s, recorded_at=now)
-
-    def _server_time(self) -> datetime:
-        told: datetime = self.database.execute(text("SELECT UTC_TIMESTAMP(6)")).scalar_one()
-        return told.replace(tzinfo=UTC)
+        decisive = now
+        if shared:
+            decisive = self.database.execute(text("SELECT UTC_TIMESTAMP(6)")).scalar_one().replace(tzinfo=UTC)
+        return Lease(owner, decisive, lasts_s, recorded_at=now)
 
 
 class Snapshot:
@@ -123,7 +121,7 @@ class Snapshot:
         self._transaction: Transaction | None = None
 
     def read(self, work: Callable[[Transaction], T]) -> T:
-        """What ``work`` returns. A broken transaction is ended: the next read begins another."""
+        """Return what ``work`` returns. A broken transaction is ended: the next read begins another."""
         try:
             if self._transaction is None:
                 self._connection = self._engine.connect()
@@ -141,8 +139,7 @@ class Snapshot:
         self._connection = self._transaction = None
 
 
-# Errors of the database: whether another attempt may help, and one line for the user.
-
+# -- errors of the database: those worth another attempt, and one line for the user ------------------------------------
 
 FULL_DISK_BYTES = 1_000_000
 """With less free space than this, a failed access to an SQLite file means a full disk: files grow in pages."""
@@ -150,6 +147,7 @@ FULL_DISK_BYTES = 1_000_000
 _SQLITE_TRANSIENT = {
     sqlite3.SQLITE_BUSY,
     sqlite3.SQLITE_LOCKED,
+    # The disk may be away for a moment. SQLite reports a full one in the same way; ``is_transient`` excludes it.
     sqlite3.SQLITE_CANTOPEN,
     sqlite3.SQLITE_IOERR,
     sqlite3.SQLITE_PROTOCOL,
@@ -196,7 +194,7 @@ def error_code(error: DBAPIError) -> int | None:
 
 
 def is_transient(engine: Engine, error: DBAPIError) -> bool:
-    """Whether the same transaction may succeed a moment later: a lock, a deadlock, a server that is away."""
+    """True if the same transaction may succeed a moment later: a lock, a deadlock, a server that is away."""
     if isinstance(error.orig, sqlite3.Error):
         return error_code(error) in _SQLITE_TRANSIENT and not _is_full_disk(engine, error)
     return isinstance(error, InterfaceError) or error.connection_invalidated or error_code(error) in _MYSQL_TRANSIENT
@@ -218,7 +216,7 @@ def explained(engine: Engine, error: DBAPIError) -> SlamHiveError | None:
 
 
 def _is_full_disk(engine: Engine, error: DBAPIError) -> bool:
-    """Whether a failed access is that of a full disk, which SQLite reports as an I/O error or as a file it cannot open.
+    """Tell if the disk is full, which SQLite reports as an I/O error or as a file that it cannot open.
 
     The index of the write-ahead log is mapped into memory: even a reader needs a page of disk for it.
     """
@@ -239,7 +237,7 @@ def gave_up(engine: Engine, error: DBAPIError, waited_s: float) -> Unavailable:
         else "see whether the server runs and can be reached, then try again"
     )
     return Unavailable(
-        f"database {database_label(engine)} does not answer since {waited_s:.0f} s: {short(error)}",
+        f"database {database_label(engine)} has not answered for {waited_s:.0f} s: {short(error)}",
         f"nothing that was stored is lost; {remedy}",
     )
 

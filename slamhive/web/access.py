@@ -1,13 +1,13 @@
-"""Who may ask for what: one table of kinds of requests, asked once for each request before any page code runs."""
+"""Permissions of requests, lines of the audit log, and callers; asked once per request, before any page code runs."""
 
 from __future__ import annotations
 
 import threading
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 from cachetools import TTLCache, cached
 from flask import Flask, Response, current_app, make_response, redirect, request, session, url_for
@@ -45,7 +45,7 @@ LONGEST_NEXT = 2000
 
 @dataclass(frozen=True, slots=True)
 class AccessRule:
-    """What addresses ask for: ``look`` with GET, ``change`` with POST."""
+    """The actions that addresses ask for: ``look`` with GET, ``change`` with POST."""
 
     look: Action = Action.VIEW
     change: Action = Action.CHANGE
@@ -89,7 +89,7 @@ CLOSED = AccessRule(Action.ADMINISTER, Action.ADMINISTER)
 
 
 def action_of(endpoint: str | None, method: str) -> Action | None:
-    """What a request asks for; None if everybody may. An unknown address is treated like a page."""
+    """The action that a request asks for; None if everybody may. An unknown address is treated like a page."""
     if endpoint in OPEN:
         return None
     rule = STANDARD if endpoint is None else _rule(endpoint)
@@ -117,7 +117,7 @@ def refusal(caller: Caller, action: Action | None, *, view_only: bool) -> Respon
         raise Forbidden(f"your role, {caller.role}, does not allow this: {action}", "ask an admin of this server")
     if request.method != "GET" or wants_json() or request.headers.get("Sec-Fetch-Mode", "navigate") != "navigate":
         remedy = f"sign in at {url_for(LOGIN)}, or send an API token"
-        raise Unauthenticated("this server needs to know who you are", remedy)
+        raise Unauthenticated("sign-in required", remedy)
     return make_response(redirect(url_for(LOGIN, next=_here()), 302))
 
 
@@ -127,8 +127,7 @@ def _here() -> str | None:
     return None if here == "/" or len(here) > LONGEST_NEXT else here
 
 
-# What the audit log says of a request that changes something.
-
+# -- lines of the audit log, about requests that change something ------------------------------------------------------
 
 PAGES = "pages"
 _LARGEST = 2**53 - 1
@@ -138,12 +137,16 @@ _NAMED = ("name", "group", "title", "executor", "node", "visibility", "search")
 
 
 def acting(store: Store, caller: Caller, new_runs: NewRuns) -> AbstractContextManager[None]:
-    """What this thread stores from now on is done by the caller of this request, and belongs to them."""
-    return store.acting(_act(caller, _subject()), Visibility(new_runs))
+    """Let what this thread stores be done by the caller of this request, and belong to them."""
+    # Values of the address, and selected runs and names of the web form. Never what could be a secret.
+    values = request.view_args or {}
+    parts = [f"{name.removesuffix('_id')} {value}" for name, value in values.items()]
+    parts += [f"{name} {request.form[name]}" for name in _NAMED if request.form.get(name)]
+    return store.acting(_act(caller, "; ".join([*parts, *_selected()])), Visibility(new_runs))
 
 
 def signing_in(store: Store, name: str) -> AbstractContextManager[None]:
-    """What this thread stores is the session of ``name``. Nothing is stored of somebody who is not let in."""
+    """Let this thread store the session of ``name``. Nothing is stored of somebody who is not let in."""
     return store.acting(_act(Caller(frozenset(), name[:64]), ""))
 
 
@@ -159,37 +162,22 @@ def _act(caller: Caller, subject: str) -> AuditAct:
     )
 
 
-def _subject() -> str:
-    """On what: values of the address, and selected runs and names of the web form. Never what could be a secret."""
-    values = request.view_args or {}
-    parts = [f"{name.removesuffix('_id')} {value}" for name, value in values.items()]
-    parts += [f"{name} {request.form[name]}" for name in _NAMED if request.form.get(name)]
-    return "; ".join([*parts, *_selected()])
-
-
 def _selected() -> list[str]:
     """The runs that the web form or the JSON of the request names."""
     try:
         body = parse_json_object(request.get_data(), "the body") if request.is_json else {}
-        runs = _runs_of_json(body) if request.is_json else _runs_of_form()
+        sent = request.form.getlist("run")[:_MOST_NUMBERS]
+        runs = {whole_number(text, "run", 1, _LARGEST) for text in sent}
     except InvalidInput:  # the view says so
         return []
+    if isinstance(body.get("runs"), list):
+        runs = {run for run in body["runs"][:_MOST_NUMBERS] if type(run) is int}
     visibility = [f"visibility {body['visibility']}"] if body.get("visibility") in list(Visibility) else []
     found = [f"search {body['where']}"] if isinstance(body.get("where"), str) else []
     return [*visibility, *found, *([in_ranges(sorted(runs))] if runs else [])]
 
 
-def _runs_of_form() -> set[int]:
-    return {whole_number(text, "run", 1, _LARGEST) for text in request.form.getlist("run")[:_MOST_NUMBERS]}
-
-
-def _runs_of_json(body: Mapping[str, Any]) -> set[int]:
-    runs = body.get("runs")
-    return {run for run in runs[:_MOST_NUMBERS] if type(run) is int} if isinstance(runs, list) else set()
-
-
-# Who sends a request: the one place that says it, for pages and for the web API.
-
+# -- callers: the one place that says who sends a request, for pages and for the web API -------------------------------
 
 NOBODY = Caller(NOBODY_MAY)
 _LOCAL = Caller(EVERYTHING)
@@ -198,7 +186,7 @@ _SESSION = "_user_id"
 
 
 class _SignedIn(UserMixin):  # type: ignore[misc]
-    """What Flask-Login keeps in the cookie of the session: the secret of :class:`Session`, and nothing else."""
+    """The content of the session's cookie, kept by Flask-Login: the secret of a session, and nothing else."""
 
     def __init__(self, secret: str, caller: Caller) -> None:
         self.id = secret
@@ -246,7 +234,7 @@ class Callers:
         return cast("Caller", current_user.caller) if current_user.is_authenticated else NOBODY
 
     def viewer(self, caller: Caller) -> Viewer | None:
-        """What ``caller`` may see of runs, experiments and analyses; None for everything.
+        """The viewer that ``caller`` is for runs, experiments and analyses; None sees everything.
 
         Visitors of a view-only server see what is public, if the installation has accounts.
         """

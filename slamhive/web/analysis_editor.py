@@ -31,7 +31,7 @@ _METRICS = ("metric", "metrics", "rank_by")
 
 
 class Form(Protocol):
-    """What is sent by a page."""
+    """The fields that a page sends."""
 
     def getlist(self, key: str) -> list[str]:
         """All values under a key."""
@@ -96,27 +96,20 @@ def entry_of(card: Card, form: Form) -> dict[str, Any]:
         values = [value for value in form.getlist(field.name) if value]
         if values:
             entry[field.option] = values if field.several else values[0]
-    return _example(card) if entry == {"form": card.key} else entry
+    return dict(strict_yaml.parse(card.example, "example")["forms"][0]) if entry == {"form": card.key} else entry
 
 
 def choosing(card: Card, content: Mapping[str, Any]) -> Card:
     """The card with the choices of an entry that somebody has written; what its fields do not offer is offered too."""
-    return replace(card, fields=tuple(_choosing(field, content) for field in card.fields))
-
-
-def _choosing(field: CardField, content: Mapping[str, Any]) -> CardField:
-    if field.option not in content:
-        return field
-    value = content[field.option]
-    wanted = [str(entry) for entry in (value if isinstance(value, list) else [value])]
-    offered = [(choice.value, choice.label) for choice in field.choices]
-    missing = [(key, key) for key in wanted if key not in dict(offered)]
-    choices = tuple(PlotTypeChoice(key, label, key in wanted) for key, label in [*offered, *missing])
-    return replace(field, choices=choices)
-
-
-def _example(card: Card) -> dict[str, Any]:
-    return dict(strict_yaml.parse(card.example, "example")["forms"][0])
+    fields = []
+    for field in card.fields:
+        value = content.get(field.option)
+        wanted = [str(entry) for entry in (value if isinstance(value, list) else [value])]
+        offered = [(choice.value, choice.label) for choice in field.choices]
+        missing = [(key, key) for key in wanted if key not in dict(offered)]
+        choices = tuple(PlotTypeChoice(key, label, key in wanted) for key, label in [*offered, *missing])
+        fields.append(replace(field, choices=choices) if field.option in content else field)
+    return replace(card, fields=tuple(fields))
 
 
 def _card(plot: Any, offered: OfferedColumns) -> Card:
@@ -155,7 +148,7 @@ def _card(plot: Any, offered: OfferedColumns) -> Card:
 
 
 def _values(plot: Any, name: str, offered: OfferedColumns) -> list[tuple[str, str]]:
-    """What a field can be set to, with labels; empty for an option that names no column."""
+    """The choices of a field, with labels; empty for an option that names no column."""
     metrics = [(column.key, _label(column.key, column.label, column.unit)) for column in offered.metrics]
     numbers = [(column.key, _label(column.key, column.label, column.unit)) for column in offered.numbers]
     groups = [(column.key, _label(column.key, column.label, column.unit)) for column in offered.groups]
@@ -176,7 +169,7 @@ def _axes(plot: Any) -> list[str]:
 
 
 def _is_free(plot: Any) -> bool:
-    """Whether its axes may be metrics: where a plot has a metric besides, its axes are parameters."""
+    """True if its axes may be metrics: where a plot has a metric besides, its axes are parameters."""
     return "metric" not in plot.options.model_fields
 
 
@@ -233,10 +226,9 @@ def kind_of(described: Mapping[str, Any]) -> str:
     return {"string": "text", "integer": "whole number"}.get(str(described.get("type")), str(described.get("type")))
 
 
-# The entries of the list ``forms`` in the text of an analysis: added, replaced, moved and removed, line by line.
-#
-# Everything else in the text stays as it is written, comments too.
+# -- the list ``forms`` in the text of an analysis: entries are added, replaced, moved and removed line by line --------
 
+# Everything else in the text stays as it is written, comments too.
 
 _LIST = "forms"
 _KIND = "form"
@@ -260,7 +252,7 @@ class Entry:
 
     @property
     def words(self) -> str:
-        """What it says besides, in one line."""
+        """Its other options, in one line."""
         return ", ".join(f"{name}: {_in_words(value)}" for name, value in self.content.items() if name != _KIND)
 
 
@@ -314,7 +306,10 @@ def replaced_entry(text: str, number: int, content: Mapping[str, Any]) -> str:
     lines, entry = text.split("\n"), find_entry(text, number)
     dash = next(place for place in range(entry.begin, entry.end) if lines[place].lstrip().startswith("-"))
     written = _written(content, _indent(lines[dash]))
-    return "\n".join([*lines[:dash], *written, *_blank_end(lines, entry), *lines[entry.end :]])
+    end = entry.end  # the blank lines that end the entry stay
+    while not lines[end - 1].strip():
+        end -= 1
+    return "\n".join([*lines[:dash], *written, *lines[end:]])
 
 
 def moved_entry(text: str, number: int, steps: int) -> str:
@@ -379,14 +374,6 @@ def _comments_above(lines: list[str], dash: int, least: int) -> int:
     return begin
 
 
-def _blank_end(lines: list[str], entry: Entry) -> list[str]:
-    """The blank lines that end an entry."""
-    end = entry.end
-    while not lines[end - 1].strip():
-        end -= 1
-    return lines[end : entry.end]
-
-
 def _indent(line: str) -> int:
     return len(line) - len(line.lstrip())
 
@@ -401,7 +388,7 @@ def _in_words(value: Any) -> str:
     return "none" if value is None else str(value)
 
 
-# The buttons of the editor of analyses that change the plots of its text: insert, edit, replace, move, remove.
+# -- the buttons of the editor that change the plots of its text -------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -414,7 +401,7 @@ class ChangedAnalysis:
 
 
 class AnalysisChanges:
-    """What the buttons do. A button sends a verb, a colon, and what it is about: a plot type, a number, or both.
+    """Changes by the buttons. A button sends a verb, a colon, and its subject: a plot type, a number, or both.
 
     Args:
         text: Of the editor.
@@ -479,8 +466,7 @@ def _number(text: str) -> int:
     return int(text)
 
 
-# Analysis files written by pages: a first one for a search or an experiment, the constraint selector.
-
+# -- analysis files written by pages: a first one for a search or an experiment, the constraint selector ---------------
 
 FIRST = """name: A first look
 text: |

@@ -17,11 +17,11 @@ from slamhive.base.budget import Budget, Lent
 from slamhive.base.clock import utc_now
 from slamhive.base.settings import Mode, Settings
 from slamhive.base.shown_paths import relative_paths
-from slamhive.domain.accounts import VISIBILITY_LABELS, Action, Caller, Role
+from slamhive.domain.accounts import VISIBILITY_LABELS, Action, Role
 from slamhive.domain.run import RunState
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
-from slamhive.services.stored_analyses import AnalysisComputer, may_analyse
+from slamhive.services.stored_analyses import may_analyse
 from slamhive.store import Store
 from slamhive.web import api, assets, context, formatting
 from slamhive.web.caching import PageCache, add_caching, add_compression, keep_pages
@@ -122,21 +122,26 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.extensions[context.VARIANTS_EXTENSION] = VariantMaker(hive)
     app.extensions[context.CHECKS_EXTENSION] = DatasetChecker(hive)
     app.extensions[context.UPLOADS_EXTENSION] = UploadWork(hive, app.extensions[context.BUDGET_EXTENSION])
-    app.extensions[context.COMPUTER_EXTENSION] = _analysis_computer(hive)
+    # On a view-only server that accepts analyses, the web server computes them, because no worker runs.
+    computes = hive.settings.mode is Mode.VIEW_ONLY and may_analyse(hive.settings)
+    app.extensions[context.COMPUTER_EXTENSION] = hive.analysis_computer() if computes else None
     app.extensions[context.RATES_EXTENSION] = visitor_limits(hive.settings.analyses_per_hour_per_address)
     app.jinja_options["trim_blocks"] = True
     app.jinja_options["lstrip_blocks"] = True
+    # Flask runs ``after_request`` functions in the reverse order of their registration. Answers get their security
+    # headers, then an ETag, and are compressed last.
     add_compression(app)
     add_caching(app)
     app.extensions[context.SIGN_IN_EXTENSION] = SignInLimits()
     _allow_parts_of_files(app)
     callers = protect(app, hive, host or hive.settings.host)
+    # After the checks, which hold for kept pages too; before the transaction, which kept pages do not need.
     if hive.settings.mode is Mode.VIEW_ONLY:
         keep_pages(app, PageCache())
     _show_one_moment(app, hive.store)
     Bootstrap5(app)
     csrf = CSRFProtect(app)
-    csrf.exempt(api.blueprint)
+    csrf.exempt(api.blueprint)  # its changes need a header of ours, which no web form of another site can send
     handle_errors(app)
     app.extensions[context.PROVIDER_EXTENSION] = None
     if callers.needed:
@@ -207,23 +212,14 @@ def check_plugin_pages() -> None:
     register_blueprints(Flask("slamhive.web"))
 
 
-def _analysis_computer(hive: Hive) -> AnalysisComputer | None:
-    """On a view-only server that accepts analyses, the web server computes them, because no worker runs."""
-    if hive.settings.mode is not Mode.VIEW_ONLY or not may_analyse(hive.settings):
-        return None
-    return hive.analysis_computer()
-
-
-def _algorithm_names(hive: Hive) -> frozenset[str]:
-    """The algorithms that have a page, read once for each request."""
-    if "algorithm_names" not in g:
-        g.algorithm_names = frozenset(entry.name for entry in hive.catalogue.algorithms())
-    names: frozenset[str] = g.algorithm_names
-    return names
-
-
 def _add_template_words(app: Flask, hive: Hive) -> None:
     """Add filters and names for all templates."""
+
+    def has_algorithm(name: str) -> bool:
+        if "algorithm_names" not in g:  # read once for each request: a list asks for every row
+            g.algorithm_names = frozenset(entry.name for entry in hive.catalogue.algorithms())
+        return name in g.algorithm_names
+
     app.jinja_env.filters.update(
         duration=formatting.duration,
         exact_time=formatting.exact_time,
@@ -241,7 +237,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         RunState=RunState,
         asset=assets.asset_url,
         has_challenges=lambda: bool(hive.challenges.names()),
-        has_algorithm=lambda name: name in _algorithm_names(hive),
+        has_algorithm=has_algorithm,
         catalogue=catalogue_presenter,
         help_of=help_pages.OF_PAGE,
         relative_time=formatting.relative_time,
@@ -253,11 +249,10 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
     @app.context_processor
     def request_words() -> dict[str, Any]:
         caller = context.caller()
-        words = {"now": utc_now(), "caller": caller, "view_only": Action.CHANGE not in caller.may}
-        return {**words, "may_share": lambda owner: _may_share(caller, owner)}
 
+        def may_share(owner: str | None) -> bool:
+            changes = caller.role is not None and Action.CHANGE in caller.may  # without accounts, nobody has a role
+            return changes and (caller.role is Role.ADMIN or owner == caller.account)
 
-def _may_share(caller: Caller, owner: str | None) -> bool:
-    """Whether pages offer to share what belongs to ``owner``: only where there are accounts."""
-    changes = caller.role is not None and Action.CHANGE in caller.may
-    return changes and (caller.role is Role.ADMIN or owner == caller.account)
+        view_only = Action.CHANGE not in caller.may
+        return {"now": utc_now(), "caller": caller, "view_only": view_only, "may_share": may_share}

@@ -12,8 +12,7 @@ from flask import Flask, Response, g, request, session
 
 from slamhive.base.clock import monotonic_s
 
-# Pages, data and scripts are sent compressed to browsers that accept gzip; plotly.js shrinks from 4.8 to 1.4 MB.
-
+# -- pages, data and scripts are sent compressed to browsers that accept gzip; plotly.js shrinks from 4.8 to 1.4 MB ----
 
 LEAST_BYTES = 1_000
 """A shorter answer fits into one packet."""
@@ -63,7 +62,7 @@ class _Files:
 
 
 def accepts_gzip() -> bool:
-    """Whether whoever asks takes gzip."""
+    """True if whoever asks takes gzip."""
     said = request.headers.get("Accept-Encoding", "")
     return "gzip" in said and (";" not in said or bool(request.accept_encodings["gzip"]))
 
@@ -80,7 +79,7 @@ def _send_as_gzip(response: Response, compressed: bytes) -> None:
 
 
 def worth_compressing(response: Response) -> bool:
-    """Whether an answer is text of some length; downloads and streams are not, which may be large."""
+    """Tell if an answer is text of some length; downloads and streams are not, which may be large."""
     is_file = request.endpoint in _FILES
     if request.method != "GET" or response.status_code != 200 or response.content_encoding:
         return False

@@ -83,19 +83,14 @@ def send_image(name: str, asked: ImageEntry) -> ChallengeSubmission:
     if asked.package is not None:
         made = challenges.submit_version(name, entrant, hive().versions.find(asked.package), asked.phase or None)
     else:
-        made = _send_upload(name, entrant, asked)
+        token, owner = str(asked.upload), mine or ""
+        with _working(name, Lent.IMAGES):
+            hive().uploads.folder(token, owner).check_complete()
+            with hive().upload_imports.opened(token, owner) as path:
+                made = challenges.submit_image(name, entrant, path, asked.phase or None)
+            hive().uploads.remove(token, owner)
     hive().store.note_act()
     return made
-
-
-def _send_upload(name: str, entrant: Entrant, asked: ImageEntry) -> ChallengeSubmission:
-    token, owner = str(asked.upload), caller().account or ""
-    with _working(name, Lent.IMAGES):
-        hive().uploads.folder(token, owner).check_complete()
-        with hive().upload_imports.opened(token, owner) as path:
-            made = hive().challenges.submit_image(name, entrant, path, asked.phase or None)
-        hive().uploads.remove(token, owner)
-        return made
 
 
 def cancel(name: str, submission: str) -> ChallengeSubmission:
@@ -106,7 +101,7 @@ def cancel(name: str, submission: str) -> ChallengeSubmission:
 
 
 def may_submit() -> bool:
-    """Whether the caller may submit."""
+    """True if the caller may submit."""
     return Action.SUBMIT in caller().may
 
 

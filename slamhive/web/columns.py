@@ -22,7 +22,7 @@ from slamhive.web.formatting import DASH, TableCell, display_unit, exact_time, m
 
 
 class ColumnKind(StrEnum):
-    """How the template draws a cell. All kinds but TEXT and NUMBER have their own markup."""
+    """The way that the template draws a cell. All kinds but TEXT and NUMBER have their own markup."""
 
     TEXT = "text"
     NUMBER = "number"
@@ -51,7 +51,7 @@ class ListColumn:
 
     @property
     def numeric(self) -> bool:
-        """Whether cells are right-aligned with tabular digits."""
+        """True if cells are right-aligned with tabular digits."""
         return self.kind in (ColumnKind.NUMBER, ColumnKind.RUN)
 
 
@@ -156,13 +156,9 @@ def column(key: str, vocabulary: Vocabulary | None = None) -> ListColumn:
     parameters = {} if vocabulary is None else vocabulary.parameters
     if vocabulary is None or name not in parameters:
         raise unknown("column", key, [*columns, *parameters])
-    return _parameter_column(key, name, vocabulary)
-
-
-def _parameter_column(key: str, name: str, vocabulary: Vocabulary) -> ListColumn:
-    """A parameter column, by key or by a general name that several algorithms share."""
+    # ``name`` is the key of one algorithm, or a general name that stands for the keys of several.
     own_keys = vocabulary.own_keys.get(name, (name,))
-    first = vocabulary.parameters[name][0]
+    first = parameters[name][0]
 
     def cell(run: RunRecord) -> TableCell:
         value = next((run.parameters[own] for own in own_keys if own in run.parameters), None)
@@ -255,7 +251,7 @@ def _protocol(run: RunRecord) -> TableCell:
     return TableCell(run.protocol.label, f"fingerprint {run.protocol.fingerprint}")
 
 
-# How the list of runs is drawn, apart from what it lists: pinned columns, colours by value, sparklines.
+# -- the look of the list of runs: pinned columns, colours by value, sparklines ----------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,5 +288,5 @@ class ListLook:
 def _chosen(args: MultiDict[str, str], name: str) -> bool:
     text = args.get(name, "").strip()
     if text not in {"", "yes", "no"}:
-        raise InvalidInput(f"{name}={text[:40]!r} is not known", "use yes or no")
+        raise InvalidInput(f"{name} expects yes or no, got {text[:40]!r}")
     return text == "yes"

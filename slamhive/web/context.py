@@ -71,12 +71,12 @@ def rate_limit(name: str) -> RateLimit:
 
 
 def callers() -> Callers:
-    """What says who calls."""
+    """Finds the caller of a request."""
     return cast("Callers", current_app.extensions[CALLERS_EXTENSION])
 
 
 def caller() -> Caller:
-    """Who sends this request, found before any page code runs."""
+    """The sender of this request, found before any page code runs."""
     return cast("Caller", g.get("caller") or callers().unknown)
 
 
@@ -86,5 +86,5 @@ def provider() -> IdentityProvider | None:
 
 
 def sign_in_limits() -> SignInLimits:
-    """How often callers may be wrong when they sign in."""
+    """The limits of failed attempts to sign in."""
     return cast("SignInLimits", current_app.extensions[SIGN_IN_EXTENSION])

@@ -50,6 +50,25 @@ class StepFields:
     sensors: str
     options: Mapping[str, str] = field(default_factory=dict)
 
+    @classmethod
+    def from_form(cls, texts: Mapping[str, str]) -> StepFields:
+        """Read the fields of one step of the web form."""
+        name, kind, sensors = (texts.get(key, "") for key in _STEP_OWN)
+        return cls(name, kind, sensors, {key: text for key, text in texts.items() if key not in _STEP_OWN})
+
+    @classmethod
+    def from_yaml(cls, name: str, content: Mapping[str, Any]) -> StepFields:
+        """Read one step of an experiment in YAML."""
+        options = {key: _text(value) for key, value in content.items() if key not in _STEP_OWN}
+        return cls(name, _text(content.get("step", "")), ", ".join(_words(content.get("sensors"))), options)
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The step as YAML has it, without empty options."""
+        options = {key: _value(text) for key, text in self.options.items() if text.strip()}
+        sensors = [word.strip() for word in re.split(r"[,|]", self.sensors) if word.strip()]
+        return {"step": self.kind.strip(), "sensors": _one_or_list(sensors), **options}
+
 
 @dataclass(frozen=True, slots=True)
 class ExperimentFields:
@@ -66,7 +85,7 @@ class ExperimentFields:
 
     @property
     def has_limits(self) -> bool:
-        """Whether any limit or stop rule is set."""
+        """True if any limit or stop rule is set."""
         return any(text for name, text in self.values.items() if name.startswith(("limits/", "stop_when/")))
 
     def with_step(self, step: StepFields) -> ExperimentFields:
@@ -102,7 +121,7 @@ def fields_from_form(form: MultiDict[str, str]) -> ExperimentFields:
         values,
         tuple(dict.fromkeys(form.getlist("algorithms"))),
         tuple(dict.fromkeys(form.getlist("datasets"))),
-        tuple(_step_from_form(steps[number]) for number in sorted(steps)),
+        tuple(StepFields.from_form(steps[number]) for number in sorted(steps)),
     )
 
 
@@ -122,7 +141,11 @@ def fields_from_yaml(text: str) -> ExperimentFields:
         if isinstance(entries, list):
             values[name] = "\n".join(", ".join(_texts(entry)) for entry in entries)
     values["sensors"] = "\n".join(f"{role}={_text(name)}" for role, name in _mapping(content.get("sensors")).items())
-    values |= _evaluation_texts(content.get("evaluate"))
+    evaluate = content.get("evaluate")
+    if isinstance(evaluate, dict):
+        values["evaluate/alignment"] = _text(evaluate.get("alignment", ""))
+    elif evaluate is False:
+        values["evaluate"] = "no"
     for key, entry in _mapping(content.get("parameters")).items():
         if isinstance(entry, dict):
             values |= {f"{_PARAMETERS}{key}/{own}": _text(value) for own, value in entry.items()}
@@ -132,7 +155,7 @@ def fields_from_yaml(text: str) -> ExperimentFields:
         values,
         tuple(_words(content.get("algorithms"))),
         tuple(_words(content.get("datasets"))),
-        tuple(_step_from_yaml(name, _mapping(step)) for name, step in _mapping(content.get("steps")).items()),
+        tuple(StepFields.from_yaml(name, _mapping(step)) for name, step in _mapping(content.get("steps")).items()),
     )
 
 
@@ -141,16 +164,19 @@ def yaml_from_fields(fields: ExperimentFields) -> str:
     content: dict[str, Any] = {name: fields.value(name).strip() for name in _WORDS[:2]}
     content["algorithms"] = _one_or_list(fields.algorithms)
     content["datasets"] = _one_or_list(fields.datasets)
-    content["steps"] = {step.name.strip(): _step_content(step) for step in fields.steps}
+    content["steps"] = {step.name.strip(): step.content for step in fields.steps}
     content["parameters"] = _parameter_content(fields)
-    content["sensors"] = _sensor_content(fields.value("sensors"))
+    # ``ROLE=SENSOR`` lines; for one without a sensor, the check of the experiment names the sensors that fit.
+    chosen = (line.partition("=") for line in _lines(fields.value("sensors")))
+    content["sensors"] = {role.strip(): name.strip() or role.strip() for role, _, name in chosen}
     for name in _SETS:
         content[name] = [[word.strip() for word in line.split(",")] for line in _lines(fields.value(name))]
     content["where"] = _one_or_list(_lines(fields.value("where")))
     content |= {name: _value(fields.value(name)) for name in _VALUES[:-1]}
     for section, keys in _SECTIONS.items():
         content[section] = {key: _value(fields.value(f"{section}/{key}")) for key in keys}
-    content["evaluate"] = _evaluation_content(fields)
+    evaluate = {"alignment": fields.value("evaluate/alignment").strip()}
+    content["evaluate"] = False if fields.value("evaluate") == "no" else evaluate
     content["executor"] = fields.value("executor").strip()
     content["priority"] = _value(fields.value("priority"))
     return strict_yaml.dump(_without_empty(content) or {"name": ""})
@@ -192,24 +218,6 @@ def _field_name(path: KeyPath, fields: ExperimentFields) -> str | None:
     return "/".join(map(str, path[:3]))
 
 
-def _step_from_form(texts: Mapping[str, str]) -> StepFields:
-    options = {key: text for key, text in texts.items() if key not in _STEP_OWN}
-    name, kind, sensors = (texts.get(key, "") for key in _STEP_OWN)
-    return StepFields(name, kind, sensors, options)
-
-
-def _step_from_yaml(name: str, content: Mapping[str, Any]) -> StepFields:
-    options = {key: _text(value) for key, value in content.items() if key not in _STEP_OWN}
-    sensors = ", ".join(_words(content.get("sensors")))
-    return StepFields(name, _text(content.get("step", "")), sensors, options)
-
-
-def _step_content(step: StepFields) -> dict[str, Any]:
-    options = {key: _value(text) for key, text in step.options.items() if text.strip()}
-    sensors = [word.strip() for word in re.split(r"[,|]", step.sensors) if word.strip()]
-    return {"step": step.kind.strip(), "sensors": _one_or_list(sensors), **options}
-
-
 def _parameter_content(fields: ExperimentFields) -> dict[str, Any]:
     """Shared parameters first, then those of single algorithms."""
     content: dict[str, Any] = {}
@@ -224,24 +232,6 @@ def _parameter_content(fields: ExperimentFields) -> dict[str, Any]:
         else:
             content[owner] = _value(text)
     return dict(sorted(content.items(), key=lambda entry: isinstance(entry[1], dict)))
-
-
-def _sensor_content(text: str) -> dict[str, str]:
-    """``ROLE=SENSOR`` lines; for one without a sensor, the check of the experiment names the sensors that fit."""
-    parts = (line.partition("=") for line in _lines(text))
-    return {role.strip(): name.strip() or role.strip() for role, _, name in parts}
-
-
-def _evaluation_texts(raw: object) -> dict[str, str]:
-    if isinstance(raw, dict):
-        return {"evaluate/alignment": _text(raw.get("alignment", ""))}
-    return {"evaluate": "no"} if raw is False else {}
-
-
-def _evaluation_content(fields: ExperimentFields) -> object:
-    if fields.value("evaluate") == "no":
-        return False
-    return {"alignment": fields.value("evaluate/alignment").strip()}
 
 
 def _without_empty(content: Mapping[str, Any]) -> dict[str, Any]:

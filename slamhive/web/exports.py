@@ -10,7 +10,6 @@ from werkzeug.datastructures import MultiDict
 from slamhive.base.files import temporary_folder
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.services.exports import ExportFormat, GroupExport, Page, Record, RunExport, TableExport
-from slamhive.services.hive import Hive
 from slamhive.store.records import GroupRecord, RunRecord
 from slamhive.web.context import hive
 from slamhive.web.queries import EXPORT_LIMIT, RunListQuery
@@ -21,26 +20,19 @@ def export_file(kind: ExportFormat, args: MultiDict[str, str]) -> Response:
     services = hive()
     vocabulary = services.searches.vocabulary()
     query = RunListQuery.from_args(args, vocabulary)
-    if query.grouped:
-        metrics = [key for key in query.columns if key in CATALOGUE]
-        return _file("configurations", kind, GroupExport(metrics), _group_pages(services, query, metrics))
-    return _file("runs", kind, RunExport(query.columns, vocabulary), _run_pages(services, query))
+    metrics = [key for key in query.columns if key in CATALOGUE]
 
-
-def _run_pages(services: Hive, query: RunListQuery) -> Page[RunRecord]:
-    def page(after: str | None) -> tuple[Sequence[RunRecord], str | None]:
+    def runs(after: str | None) -> tuple[Sequence[RunRecord], str | None]:
         found = services.runs.page(query.search, query.sort, after, EXPORT_LIMIT)
         return found.records, found.next_key
 
-    return page
-
-
-def _group_pages(services: Hive, query: RunListQuery, metrics: Sequence[str]) -> Page[GroupRecord]:
-    def page(after: str | None) -> tuple[Sequence[GroupRecord], str | None]:
+    def groups(after: str | None) -> tuple[Sequence[GroupRecord], str | None]:
         found = services.searches.groups(query.search, query.sort, after, EXPORT_LIMIT, metrics)
         return found.records, found.next_key
 
-    return page
+    if query.grouped:
+        return _file("configurations", kind, GroupExport(metrics), groups)
+    return _file("runs", kind, RunExport(query.columns, vocabulary), runs)
 
 
 def _file(name: str, kind: ExportFormat, content: TableExport[Record], pages: Page[Record]) -> Response:
@@ -50,7 +42,12 @@ def _file(name: str, kind: ExportFormat, content: TableExport[Record], pages: Pa
         return first if after is None else pages(after)
 
     if kind is ExportFormat.PARQUET:
-        response = _parquet(content, page)
+        with temporary_folder() as folder:
+            path = folder / "table.parquet"
+            content.parquet(page, path)  # as a whole, because the index of a Parquet file is at its end
+            stream = path.open("rb")  # stays readable after the folder is removed
+        response = send_file(stream, mimetype=kind.media_type)
+        response.call_on_close(stream.close)
     else:
         response = Response(_pieces(content, kind, page), mimetype=kind.media_type)
     response.headers["Content-Disposition"] = f'attachment; filename="{name}.{kind.value}"'
@@ -61,14 +58,3 @@ def _pieces(content: TableExport[Record], kind: ExportFormat, page: Page[Record]
     if kind is ExportFormat.CSV:
         return content.csv(page)
     return content.ndjson(page) if kind is ExportFormat.NDJSON else content.json(page)
-
-
-def _parquet(content: TableExport[Record], page: Page[Record]) -> Response:
-    """Write the whole Parquet file first, because its index is at its end; it is deleted after the response."""
-    with temporary_folder() as folder:
-        path = folder / "table.parquet"
-        content.parquet(page, path)
-        stream = path.open("rb")  # stays readable after the folder is removed
-    response = send_file(stream, mimetype=ExportFormat.PARQUET.media_type)
-    response.call_on_close(stream.close)
-    return response

@@ -71,16 +71,12 @@ def _with_one_time_axis(figures: dict[str, Figure], series: RunSeries) -> dict[s
         figures[key]["layout"]["xaxis"]["range"] = [low, high]
         if series.played_s is not None:
             first, last = series.played_s
-            figures[key]["layout"]["shapes"] = [
-                _not_played(start, end) for start, end in ((low, first), (last, high)) if start < end
-            ]
+            look = {"type": "rect", "layer": "below", "fillcolor": "rgba(128,128,128,0.15)", "line": {"width": 0}}
+            height = {"xref": "x", "yref": "paper", "y0": 0, "y1": 1}
+            idle = [(start, end) for start, end in ((low, first), (last, high)) if start < end]
+            shapes = [{**look, **height, "x0": start, "x1": end} for start, end in idle]
+            figures[key]["layout"]["shapes"] = shapes
     return figures
-
-
-def _not_played(start_s: float, end_s: float) -> Figure:
-    """A grey area over the whole height."""
-    place = {"xref": "x", "x0": start_s, "x1": end_s, "yref": "paper", "y0": 0, "y1": 1}
-    return {"type": "rect", "layer": "below", "fillcolor": "rgba(128,128,128,0.15)", "line": {"width": 0}, **place}
 
 
 def timeline(series: RunSeries) -> dict[str, Any] | None:
@@ -189,12 +185,11 @@ def figure_csv(series: RunSeries, figure: str) -> str:
 def figure_table(series: RunSeries, figure: str) -> tuple[list[str], list[Sequence[float | str]]] | None:
     """The data of a plot as a header and rows; None if there is none."""
     if figure == "path":
-        tracks = [(name, track) for name, track in _named_tracks(series) if track is not None]
-        rows: list[Sequence[float | str]] = [
-            (name, float(at), *map(float, position))
-            for name, track in tracks
-            for at, position in zip(track.times_s, track.positions_m, strict=True)
-        ]
+        rows: list[Sequence[float | str]] = []
+        for name, track in (("groundtruth", series.groundtruth), ("estimate", series.estimate)):
+            if track is not None:
+                poses = zip(track.times_s, track.positions_m, strict=True)
+                rows += [(name, float(at), *map(float, position)) for at, position in poses]
         return (["trajectory", "timestamp_s", "x_m", "y_m", "z_m"], rows) if rows else None
     samples, unit = {
         "error": (series.error, "error_m"),
@@ -206,10 +201,6 @@ def figure_table(series: RunSeries, figure: str) -> tuple[list[str], list[Sequen
         return None
     pairs: list[Sequence[float | str]] = list(zip(samples.times_s.tolist(), samples.values.tolist(), strict=True))
     return ["time_s", unit], pairs
-
-
-def _named_tracks(series: RunSeries) -> tuple[tuple[str, PathSeries | None], ...]:
-    return ("groundtruth", series.groundtruth), ("estimate", series.estimate)
 
 
 def _plane_figure(plane: str, groundtruth: PathSeries | None, estimate: tuple[str, PathSeries, str] | None) -> Figure:

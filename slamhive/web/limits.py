@@ -1,4 +1,4 @@
-"""How often one network address may start expensive work."""
+"""Limits of expensive work and of failed sign-ins, by network address."""
 
 from __future__ import annotations
 
@@ -69,8 +69,7 @@ def visitor_limits(analyses_per_hour: int) -> dict[str, RateLimit]:
     }
 
 
-# How often names and addresses may be wrong when they sign in, so that passwords cannot be tried out.
-
+# -- failed attempts to sign in: too few to try out passwords ----------------------------------------------------------
 
 WINDOW_S = 900.0
 MOST_OF_BOTH = 5
@@ -117,7 +116,7 @@ class SignInLimits:
 
 
 def network_of(address: str) -> str:
-    """What one visitor can choose addresses from: an IPv4 address, or 64 bits of an IPv6 address."""
+    """The addresses that one visitor can choose from: an IPv4 address, or 64 bits of an IPv6 address."""
     try:
         found = ip_address(address)
     except ValueError:

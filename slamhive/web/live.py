@@ -96,13 +96,14 @@ class LiveHub:
 
     @property
     def _ended(self) -> bool:
-        """Whether streams end because the server closes or polling broke. Pages then reconnect and restart polling."""
+        """True if streams end, because the server closes or polling broke. Pages then reconnect and restart polling."""
         return self._closed or self._poller is None
 
     def _poll(self) -> None:
+        """Poll until no page listens."""
         try:
             self._poll_while_needed()
-        finally:
+        finally:  # a bug ends this thread: the streams end too, and the next one starts another thread
             with self._changed:
                 if self._poller is threading.current_thread():
                     self._poller = None

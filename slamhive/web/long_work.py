@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 from slamhive.base.budget import Budget, BudgetShare, Lent
@@ -15,17 +15,11 @@ from slamhive.documents.imports import (
     AlgorithmUpload,
     DatasetUpload,
     ImportedDocument,
-    ImportProgress,
     RunsUpload,
-    Upload,
 )
 from slamhive.domain.configuration import Variant
-from slamhive.domain.dataset import Dataset
 from slamhive.services.hive import Hive
 from slamhive.services.runs import check_dataset_files
-from slamhive.services.uploads import StoredUpload
-from slamhive.web import access
-from slamhive.web.context import caller, dataset_checker, hive, upload_work, variant_maker
 
 logger = logging.getLogger(__name__)
 
@@ -108,7 +102,7 @@ def carried_out(
     return replace(work, fraction=1.0, done=True, problem=problem)
 
 
-# Creates variants and checks datasets when a page asks for it.
+# -- variants and checks of datasets, for pages and programs -----------------------------------------------------------
 
 
 class VariantMaker(Background):
@@ -117,8 +111,18 @@ class VariantMaker(Background):
     def __init__(self, hive: Hive) -> None:
         super().__init__(hive, "variant", "a variant of {} is being created")
 
-    def start(self, dataset: Dataset, variant: Variant) -> threading.Thread:
-        """Start creating ``variant``, which is already checked; raises Conflict while another one is being created."""
+    def start(self, name: str, steps: Variant) -> threading.Thread:
+        """Start making a variant of the dataset called ``name``, after all checks that are possible in advance.
+
+        Raises Conflict while another one is being created.
+        """
+        self._hive.check_writable()
+        dataset = self._hive.catalogue.dataset(name)
+        variant = self._hive.variants.resolve(dataset, steps)
+        if not variant:
+            raise InvalidInput(f"these steps change nothing in {name}", "add a step that changes the data")
+        check_dataset_files(dataset)
+        self._hive.variants.check(dataset, variant)
 
         def make(progress: Progress) -> None:
             with self._hive.variants.hold(dataset, variant, progress):
@@ -128,6 +132,15 @@ class VariantMaker(Background):
         self._hive.store.note_act()
         return began
 
+    def drop(self, name: str, key: str) -> str:
+        """Remove the variant of the dataset called ``name`` whose key begins with ``key``; its whole key."""
+        self._hive.check_writable()
+        entry = self._hive.variants.find(key)
+        if entry.dataset != name:
+            raise NotFound(f"{name} has no variant {key[:40]!r}")
+        self._hive.variants.drop(entry.key)
+        return entry.key
+
 
 class DatasetChecker(Background):
     """Checks one dataset at a time."""
@@ -135,46 +148,21 @@ class DatasetChecker(Background):
     def __init__(self, hive: Hive) -> None:
         super().__init__(hive, "check", "dataset {} is being checked")
 
-    def start(self, dataset: Dataset) -> threading.Thread:
-        """Start checking ``dataset``; raises InvalidInput without a recording, Conflict while another check runs."""
+    def start(self, name: str) -> threading.Thread:
+        """Start checking the dataset called ``name``.
+
+        Raises InvalidInput without a recording, Conflict while another check runs.
+        """
+        self._hive.check_writable()
+        dataset = self._hive.catalogue.dataset(name)
+        check_dataset_files(dataset)
         dataset.check_recorded()
         began = self.begin(LongWork(dataset.name), lambda progress: self._hive.dataset_checks.check(dataset, progress))
         self._hive.store.note_act()
         return began
 
 
-def begin_check(hive: Hive, name: str) -> None:
-    """Start checking the dataset called ``name``, for a page or a program."""
-    hive.check_writable()
-    dataset = hive.catalogue.dataset(name)
-    check_dataset_files(dataset)
-    dataset_checker().start(dataset)
-
-
-def begin_variant(hive: Hive, name: str, steps: Variant) -> None:
-    """Start making a variant of the dataset called ``name``, after all checks that are possible in advance."""
-    hive.check_writable()
-    dataset = hive.catalogue.dataset(name)
-    variant = hive.variants.resolve(dataset, steps)
-    if not variant:
-        raise InvalidInput(f"these steps change nothing in {name}", "add a step that changes the data")
-    check_dataset_files(dataset)
-    hive.variants.check(dataset, variant)
-    variant_maker().start(dataset, variant)
-
-
-def drop_variant(hive: Hive, name: str, key: str) -> str:
-    """Remove the variant of the dataset called ``name`` whose key begins with ``key``; its whole key."""
-    hive.check_writable()
-    entry = hive.variants.find(key)
-    if entry.dataset != name:
-        raise NotFound(f"{name} has no variant {key[:40]!r}")
-    hive.variants.drop(entry.key)
-    return entry.key
-
-
-# Imports uploads when a program asks for it.
-
+# -- imports of uploads, for programs ----------------------------------------------------------------------------------
 
 _MOST_KEPT = 1000
 
@@ -206,21 +194,24 @@ class UploadWork:
         return self._works.get(token)
 
     def start(
-        self, asked: Asked, owner: str, task: Callable[[Progress, BudgetShare], ImportedDocument]
+        self,
+        asked: Asked,
+        owner: str,
+        task: Callable[[Progress, BudgetShare], ImportedDocument],
+        act: AbstractContextManager[None],
     ) -> threading.Thread:
-        """Start an import whose uploads are complete.
+        """Start an import whose uploads are complete. ``act`` is entered around the work, to say who does it.
 
         Raises Conflict if this upload is being imported, and Unavailable while there are as many imports as there may
         be. The message says which these are, and for how long they have been working.
         """
         self._hive.check_writable()
         self._hive.upload_imports.check(asked, owner)
-        act = access.acting(self._hive.store, caller(), self._hive.settings.new_runs) if owner else nullcontext()
         share = self._budget.open_share(_WHAT[type(asked)])
         try:
             share.take(Lent.IMPORTS, 1)
             work = self._begun(asked.upload)
-        except BaseException:
+        except BaseException:  # no thread will give it back
             share.give_back()
             raise
 
@@ -259,19 +250,3 @@ class UploadWork:
             failed = [token for token, entry in self._works.items() if entry.done]
             for token in failed[:-_MOST_KEPT]:
                 del self._works[token]
-
-
-def owner() -> str:
-    """Whose uploads this request is about: those of its account."""
-    return caller().account or ""
-
-
-def shown(token: str) -> Upload:
-    """An upload with its import; raises NotFound."""
-    return document(hive().uploads.get(token, owner()))
-
-
-def document(upload: StoredUpload) -> Upload:
-    """An upload with its import."""
-    work = upload_work().latest(upload.token)
-    return Upload.of(upload, work=None if work is None or upload.imported else ImportProgress.of(work))

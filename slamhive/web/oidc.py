@@ -41,7 +41,7 @@ class IdentityProvider:
             return cast("Response", self._client.authorize_redirect(back))
 
     def returned(self) -> Identity:
-        """Who the provider says this request is from.
+        """The identity that the provider gives to the sender of this request.
 
         Raises Unauthenticated if it refuses, or if its answer is not for this browser, this server and this moment.
         Raises Unavailable if it does not answer.
@@ -89,7 +89,7 @@ def find_provider(app: Flask, settings: Settings) -> IdentityProvider | None:
     if not issuer:
         return None
     if not is_provider_address(issuer):
-        raise InvalidInput(f"OIDC_ISSUER={issuer[:_SHOWN]!r} is no issuer", "use its address, beginning with https://")
+        raise InvalidInput(f"OIDC_ISSUER expects an address, got {issuer[:_SHOWN]!r}", "begin it with https://")
     if not settings.oidc_client_id:
         raise InvalidInput("OIDC_CLIENT_ID is not set", "register this server at the provider, which names it")
     try:

@@ -47,7 +47,7 @@ _BOUNDS = {"min.": Sign.AT_LEAST, "max.": Sign.AT_MOST}
 
 @dataclass(frozen=True, slots=True)
 class RunListQuery:
-    """What the runs page shows. Equal queries have equal addresses.
+    """The query of the runs page. Equal queries have equal addresses.
 
     ``where`` is the typed filter, ``fields`` the values of the search fields: {name: values}. ``search`` combines both.
     ``look`` is how the list is drawn.
@@ -145,17 +145,15 @@ class RunListQuery:
 
     @property
     def restricted(self) -> bool:
-        """Whether any filter is set."""
+        """True if any filter is set."""
         return self.search.tree is not None
 
     def in_words(self) -> str:
         """Search and order as a phrase: ``state failed, sorted by ATE RMSE, smallest first``."""
-        return ", ".join(part for part in (in_words(self.search), self._order_in_words()) if part)
-
-    def _order_in_words(self) -> str:
         chosen = all_columns().get(self.sort.key)
         title = self.sort.key if chosen is None else chosen.title
-        return order_in_words(self.sort, title, numeric=chosen is None or chosen.numeric)
+        order = order_in_words(self.sort, title, numeric=chosen is None or chosen.numeric)
+        return ", ".join(part for part in (in_words(self.search), order) if part)
 
 
 def filled(args: MultiDict[str, str]) -> dict[str, list[str]]:
@@ -174,7 +172,7 @@ def form_fields(args: MultiDict[str, str]) -> dict[str, tuple[str, ...]]:
 
 
 def summary(query: RunListQuery, shown: int, count: Count, left_out: LeftOut) -> str:
-    """What the page shows, how many runs, and what is left out, as text."""
+    """A line about the page: its search, the number of runs, and those that are left out."""
     return summary_in_words(
         shown, count, query.in_words(), left_out, grouped=query.grouped, further=query.after is not None
     )
@@ -232,8 +230,7 @@ def _order(args: MultiDict[str, str], *, default_descending: bool) -> bool:
     return default_descending if not text else text == "desc"
 
 
-# The query in the address of the configurations page: filters and page position.
-
+# -- the query in the address of the configurations page: filters and page position ------------------------------------
 
 CONFIGURATION_ID = "<int(max=9007199254740991):configuration_id>"
 """Configuration numbers up to what JSON and every database can store."""
@@ -244,7 +241,7 @@ _USED = {"": None, "yes": True, "no": False}
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationQuery:
-    """What the configurations page shows. Equal queries have equal addresses."""
+    """The query of the configurations page. Equal queries have equal addresses."""
 
     filter: ConfigurationFilter
     after: str | None
@@ -292,7 +289,7 @@ class ConfigurationQuery:
 
     @property
     def restricted(self) -> bool:
-        """Whether any filter is set."""
+        """True if any filter is set."""
         return self.filter != ConfigurationFilter()
 
     def at(self, after: str | None) -> ConfigurationQuery:
@@ -300,7 +297,7 @@ class ConfigurationQuery:
         return replace(self, after=after)
 
     def summary(self, shown: int, total: int) -> str:
-        """What the page shows, as a sentence."""
+        """The content of the page, as a sentence."""
         wanted = self.filter
         parts = [
             *(
@@ -322,8 +319,7 @@ def _named(args: MultiDict[str, str], name: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(part.strip() for text in args.getlist(name) for part in text.split(",") if part.strip()))
 
 
-# The queries in the addresses of experiment pages: axes of the grid, and position in the table.
-
+# -- the queries in the addresses of experiment pages: axes of the grid, and position in the table ---------------------
 
 CELLS_LENGTH = 50
 MOST_CELLS = 200
@@ -377,7 +373,7 @@ def page_number(args: MultiDict[str, str], pages: int) -> int:
 
 
 def repeats_count(form: MultiDict[str, str]) -> int:
-    """How many repeats to add; raises InvalidInput."""
+    """The number of repeats to add; raises InvalidInput."""
     return whole_number(form.get("count", ""), "repeats", 1, MAX_REPEATS)
 
 

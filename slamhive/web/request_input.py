@@ -95,8 +95,7 @@ def _split(address: str) -> Any:
         return None
 
 
-# JSON requests and responses of the web API.
-
+# -- JSON requests and responses of the web API ------------------------------------------------------------------------
 
 Body = TypeVar("Body")
 

@@ -159,18 +159,12 @@ def secret_key(settings: Settings) -> str:
         return settings.secret_key
     path = settings.data / "secret_key"
     try:
-        return _read_key(path) or _make_key(path)
+        stored = path.read_text(encoding="ascii").strip() if path.exists() else ""
+        return stored or _make_key(path)
     except OSError as error:
         raise Unavailable(
             f"{path} cannot be used: {error.strerror}", "check its permissions, or set SECRET_KEY"
         ) from None
-
-
-def _read_key(path: Path) -> str | None:
-    try:
-        return path.read_text(encoding="ascii").strip() or None
-    except FileNotFoundError:
-        return None
 
 
 def _make_key(path: Path) -> str:
@@ -184,7 +178,7 @@ def _make_key(path: Path) -> str:
             stream.flush()
             os.fsync(stream.fileno())
         with suppress(FileExistsError):
-            path.hardlink_to(aside)
+            path.hardlink_to(aside)  # unlike a rename, a link fails if another server was faster
     finally:
         aside.unlink(missing_ok=True)
     return path.read_text(encoding="ascii").strip()

@@ -39,6 +39,11 @@ class WebServer:
     def __init__(self, hive: Hive, host: str, port: int) -> None:
         listener = listen(host, port)
         app = create_app(hive, host)
+        headers: dict[str, Any] = {}  # without a trusted proxy, waitress believes none
+        if hive.settings.trusted_proxy:
+            forwarded = {"x-forwarded-for", "x-forwarded-host", "x-forwarded-proto"}
+            headers = {"trusted_proxy": hive.settings.trusted_proxy, "trusted_proxy_count": 1}
+            headers["trusted_proxy_headers"] = forwarded
         self._hub = cast("LiveHub", app.extensions[LIVE_EXTENSION])
         self._computer = cast("AnalysisComputer | None", app.extensions[COMPUTER_EXTENSION])
         self.budget = cast("Budget", app.extensions[BUDGET_EXTENSION])
@@ -54,7 +59,7 @@ class WebServer:
             self.budget,
             threads=THREADS,
             max_request_body_size=max(BODY_LIMITS.values()) + MOST_UPLOAD_BYTES,
-            **_proxy_options(hive.settings.trusted_proxy),
+            **headers,
         )
         self.url = self._server.url
 
@@ -94,11 +99,3 @@ def serve(hive: Hive, host: str, port: int) -> None:
     server = WebServer(hive, host, port)
     logger.info("serving %s", server.url)
     server.run()
-
-
-def _proxy_options(trusted: str) -> dict[str, Any]:
-    """What waitress believes of headers that say who is behind a proxy; without a trusted proxy, nothing."""
-    if not trusted:
-        return {}
-    headers = {"x-forwarded-for", "x-forwarded-host", "x-forwarded-proto"}
-    return {"trusted_proxy": trusted, "trusted_proxy_count": 1, "trusted_proxy_headers": headers}

@@ -13,11 +13,9 @@ from typing import Any
 from jinja2 import Environment
 
 from slamhive.base.errors import NotFound, SlamHiveError
-from slamhive.domain.dataset import Dataset
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.names import check_name
 from slamhive.services.analysis import script_json
-from slamhive.services.experiments import ExperimentStatus
 from slamhive.services.hive import Hive
 from slamhive.web.formatting import display_unit, significant
 from slamhive.web.presenters import catalogue, rankings
@@ -78,8 +76,12 @@ class CataloguePages:
         dataset = None
         with suppress(SlamHiveError):  # runs of an archive may have none
             dataset = self._hive.catalogue.dataset(name)
-        drawn = None if dataset is None else _drawing(dataset)
-        if drawn is not None:
+        found = None if dataset is None else ground_truth_figures(dataset, most_points=_POINTS)
+        drawn = None
+        if found is not None:
+            # The path is stored once, in 3D; the page makes its planes.
+            kept = path_once(found["figures"])
+            drawn = {"figures": kept, "plane": found["best_plane"], "reasons": found["reasons"]}
             script = f"window.slamhiveDraw({script_json(drawn)});\n"
             place.with_name(f"{place.name}.js").write_text(script, encoding="utf-8")
         scene = scene_name(name) if dataset is not None and self._scenes.write_dataset(place.parent, dataset) else None
@@ -94,44 +96,30 @@ class CataloguePages:
         self._render("algorithm", place, name=name, algorithm=algorithm, shares=_shares(rows, "dataset"))
 
     def _experiment(self, place: Path, name: str, rows: Sequence[Row]) -> None:
-        status = None
+        status, ranked = None, []
         if self._whole:
             with suppress(NotFound):  # public runs of an experiment that is not
                 status = self._hive.experiments.status(name)
+        if status is not None:
+            counts = {axis: len(values) for axis, values in self._hive.experiments.axes(name).items()}
+            ranked = rankings.of_experiment(self._hive, status, rankings.naming_axes(counts))
         shares = {dataset: _shares(found, "algorithm") for dataset, found in sorted(_by(rows, "dataset").items())}
         self._render(
             "experiment",
             place,
             name=name,
             status=status,
-            rankings=[] if status is None else self._rankings(status),
+            rankings=ranked,
             title=None if status is None else rankings.title(status),
             columns=rankings.columns(),
             shares=shares,
         )
-
-    def _rankings(self, status: ExperimentStatus) -> list[rankings.RankingView]:
-        """As on the page of the experiment."""
-        counts = {axis: len(values) for axis, values in self._hive.experiments.axes(status.name).items()}
-        return rankings.of_experiment(self._hive, status, rankings.naming_axes(counts))
 
     def _render(self, kind: str, place: Path, **content: Any) -> None:
         template = self._environment.get_template(f"published/{kind}.html")
         unit = display_unit(CATALOGUE[ERROR]).unit
         text = template.render(site=self._site, root="../", catalogue=catalogue, error_unit=unit, **content)
         place.with_name(f"{place.name}.html").write_text(text, encoding="utf-8")
-
-
-def _drawing(dataset: Dataset) -> dict[str, Any] | None:
-    """The path of the ground truth, its speed and angular rate; None without one that can be read.
-
-    The path is stored once, in 3D; the page makes its planes.
-    """
-    found = ground_truth_figures(dataset, most_points=_POINTS)
-    if found is None:
-        return None
-    kept = path_once(found["figures"])
-    return {"figures": kept, "plane": found["best_plane"], "reasons": found["reasons"]}
 
 
 def _shares(rows: Sequence[Row], column: str) -> list[Share]:

@@ -13,6 +13,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,7 @@ _METRICS = ("ate.rmse", "ate.max", "rpe.trans_rmse", "tracked_fraction", "cpu.me
 
 
 def thinned(series: RunSeries) -> RunSeries:
-    """What a site shows of ``series``."""
+    """The part of ``series`` that a site shows."""
     most = {"estimate": POINTS, "groundtruth": POINTS, "error": POINTS}
     most |= dict.fromkeys(("cpu", "memory", "latency"), POINTS_OF_USE)
     known = {name: getattr(series, name) for name in most}
@@ -124,7 +125,7 @@ def run_script(run: RunRecord, record: Mapping[str, Any], drawn: Mapping[str, An
 
 
 def metric_definitions(keys: Sequence[str]) -> list[dict[str, Any]]:
-    """What a comparison says of the metrics with these keys, in the order of the catalogue."""
+    """Descriptions of the metrics with these keys for a comparison, in the order of the catalogue."""
     return [_definition(metric) for metric in with_unknown(keys)]
 
 
@@ -179,8 +180,8 @@ def table_script(rows: Sequence[Mapping[str, Any]]) -> str:
 _FLAT = frozenset(f"path_{plane}" for plane in PLANES)
 
 
-# The 3D views of a static site: scenes, maps and the modules that show them, as scripts.
-#
+# -- the 3D views of a static site: scenes, maps and the modules that show them, as scripts ----------------------------
+
 # A page in a folder can neither fetch a file nor load a module. So a script puts data into ``slamhiveData`` under its
 # own name, and another one holds the text of the modules, which ``site-viewer.js`` makes modules of.
 
@@ -305,8 +306,7 @@ def _script(name: str, content: Any) -> str:
     return f"(window.slamhiveData ??= {{}})[{script_json(name)}] = {script_json(content)};\n"
 
 
-# Pages of runs that an older site has already: those of runs that have not changed are taken over.
-
+# -- pages that an older site has already: those of runs that have not changed are taken over --------------------------
 
 PAGES = "pages.json"
 """The file beside the pages that says of what each was made."""
@@ -317,13 +317,13 @@ _DIGITS = 32
 
 
 def digest_of(parts: Iterable[object]) -> str:
-    """What changes with any of the parts."""
+    """A digest of all parts."""
     text = "\0".join([__version__, str(LAYOUT), *map(str, parts)])
     return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
 
 
 def stamps(paths: Iterable[Path]) -> Sequence[tuple[int, int]]:
-    """What changes with the files: modification time (ns) and size (bytes) of each; zeros for one that is not there."""
+    """Modification time (ns) and size (bytes) of each file, which change with it; zeros for one that is not there."""
     found = []
     for path in paths:
         try:
@@ -345,7 +345,11 @@ class KeptPages:
 
     def __init__(self, folder: Path, *, afresh: bool) -> None:
         self._folder = folder
-        self._known = {} if afresh else _site_kept_read(folder / PAGES)
+        self._known: Mapping[str, object] = {}
+        # An older site without digests that can be read has no page to take over.
+        with suppress(OSError, SlamHiveError):
+            if not afresh and (folder / PAGES).stat().st_size <= _MOST_BYTES:
+                self._known = parse_json_object((folder / PAGES).read_bytes(), PAGES)
         self._digests: dict[str, str] = {}
         self.kept = 0
 
@@ -364,16 +368,6 @@ class KeptPages:
     def write(self, target: Path) -> None:
         """Say of what each page was made."""
         (target / PAGES).write_text(json.dumps(self._digests) + "\n", encoding="utf-8")
-
-
-def _site_kept_read(path: Path) -> Mapping[str, object]:
-    """The digests of an older site; none if they cannot be read."""
-    try:
-        if path.stat().st_size > _MOST_BYTES:
-            return {}
-        return parse_json_object(path.read_bytes(), path.name)
-    except (OSError, SlamHiveError):
-        return {}
 
 
 def _link(source: Path, target: Path) -> None:

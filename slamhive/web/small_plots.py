@@ -38,7 +38,7 @@ def repeats_path(values: Sequence[float]) -> str:
 
 
 def repeats_words(values: Sequence[float], factor: float, unit: str) -> str:
-    """What :func:`repeats_path` draws, in words: ``5 good runs in order: 0.10, 0.12 m``."""
+    """The drawing of :func:`repeats_path` in words: ``5 good runs in order, from 0.10 to 0.12 m``."""
     low, high = (significant(value * factor, 3) for value in (min(values), max(values)))
     return f"{len(values)} good runs in order, from {low} to {high} {unit}".strip()
 
@@ -61,10 +61,9 @@ def _point(x: float, y: float) -> str:
     return f"{_MARGIN + across * x:.1f} {HEIGHT - _MARGIN - up * y:.1f}"
 
 
-# Strips: the values of one configuration as dots on an axis that others share, and its failed runs beside them.
-#
-# All places are percentages of the width, so that dots stay round and text keeps its size at any width.
+# -- strips: the values of one configuration on an axis that others share, and its failed runs beside them -------------
 
+# All places are percentages of the width, so that dots stay round and text keeps its size at any width.
 
 FIRST, LAST = 4.0, 96.0
 LAST_WITH_FAILURES = 78.0

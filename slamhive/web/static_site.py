@@ -80,7 +80,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class SiteRequest:
-    """What to publish: finished runs with these numbers (None: all). ``query`` describes the selection.
+    """A site to write: finished runs with these numbers (None: all). ``query`` describes the selection.
 
     ``unpublished``: also what is not public, if the installation has accounts. ``afresh``: write each page again, also
     of runs that have not changed since the site was written before.
@@ -105,13 +105,12 @@ class StaticSite:
         self._root = hive.catalogue.project_root
         self._scenes = SiteScenes(hive, list(self._algorithms))
         self._pages = KeptPages(request.folder.absolute() / "runs", afresh=request.afresh)
-        self._of_all = digest_of(
-            [request.title, [_template(self._root, name) for name in _TEMPLATES], [*self._algorithms]]
-        )
+        templates = [(self._root / "templates" / name).read_text(encoding="utf-8") for name in _TEMPLATES]
+        self._of_all = digest_of([request.title, templates, [*self._algorithms]])
 
     @property
     def kept(self) -> int:
-        """How many pages of runs were taken over from the site that was there before."""
+        """The number of pages of runs that were taken over from the site that was there before."""
         return self._pages.kept
 
     def write(self, progress: Progress) -> int:
@@ -123,25 +122,23 @@ class StaticSite:
         if folder.exists() and not (folder / MARK).is_file() and (not folder.is_dir() or any(folder.iterdir())):
             raise Conflict(f"{folder} is not empty and not a published site", "choose an empty or a new folder")
         with published(self._hive.store, unpublished=self._request.unpublished):
-            return self._write_aside(folder, progress)
-
-    def _write_aside(self, folder: Path, progress: Progress) -> int:
-        run_ids = self._run_ids()
-        if not run_ids:
-            public = "" if self._hive.store.viewer is None else "public "
-            raise InvalidInput(f"there are no finished {public}runs to publish", "list runs with: slamhive runs")
-        aside = folder.with_name(f".{folder.name}.partial")
-        try:
-            shutil.rmtree(aside, ignore_errors=True)
-            self._write(aside, run_ids, progress)
-            if folder.exists():
-                shutil.rmtree(folder)
-            aside.rename(folder)
-        except OSError as error:
-            raise Unavailable(f"{folder} cannot be written: {error.strerror}", "check space and permissions") from None
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
-        return len(run_ids)
+            run_ids = self._run_ids()
+            if not run_ids:
+                public = "" if self._hive.store.viewer is None else "public "
+                raise InvalidInput(f"there are no finished {public}runs to publish", "list runs with: slamhive runs")
+            aside = folder.with_name(f".{folder.name}.partial")
+            try:
+                shutil.rmtree(aside, ignore_errors=True)
+                self._write(aside, run_ids, progress)
+                if folder.exists():
+                    shutil.rmtree(folder)
+                aside.rename(folder)
+            except OSError as error:
+                reason = f"{folder} cannot be written: {error.strerror}"
+                raise Unavailable(reason, "check space and permissions") from None
+            finally:
+                shutil.rmtree(aside, ignore_errors=True)
+            return len(run_ids)
 
     def _run_ids(self) -> list[int]:
         asked = self._request.run_ids
@@ -240,27 +237,19 @@ class StaticSite:
             ],
             parameters=parameter_rows(run, algorithm, self._match(run, record)),
             facts=_facts(run, algorithm),
-            log=self._log(run),
+            log=self._hive.runs.log(run.id, LOG_BYTES),
             scene=scene_name(run.id) if has_scene else None,
         )
         (folder / f"{run.id}.html").write_text(text, encoding="utf-8")
         (folder / f"{run.id}.js").write_text(run_script(run, record, drawn, scene=has_scene), encoding="utf-8")
 
-    def _log(self, run: RunRecord) -> str:
-        """The end of the log of a run."""
-        return self._hive.runs.log(run.id, LOG_BYTES)
-
     def _match(self, run: RunRecord, record: dict[str, Any]) -> MatchDocument | None:
-        """As :func:`match_of_run`, but asks only once for each configuration."""
+        """Like :func:`match_of_run`, but asks only once for each configuration."""
         if "match" in record:
             return match_of_run(self._hive, record, run.configuration_id)
         if run.configuration_id not in self._matches:
             self._matches[run.configuration_id] = match_of_configuration(self._hive, run.configuration_id)
         return self._matches[run.configuration_id]
-
-
-def _template(project_root: Path, name: str) -> str:
-    return (project_root / "templates" / name).read_text(encoding="utf-8")
 
 
 def _environment(project_root: Path) -> Environment:
@@ -271,7 +260,7 @@ def _environment(project_root: Path) -> Environment:
 
 
 def _compared(measured: set[str]) -> dict[str, Any]:
-    """What a comparison in the browser needs to know besides the runs; each colour with the one for dark pages."""
+    """The data besides the runs for a comparison in the browser; each colour with the one for dark pages."""
     from slamhive.analysis.statistics import student_factors  # noqa: PLC0415 - scipy takes half a second to load
 
     return {

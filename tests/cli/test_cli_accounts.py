@@ -94,7 +94,7 @@ def test_tokens_are_made_listed_and_revoked(data: Path) -> None:
         (("disable", "ana"), None, "unknown account 'ana'"),
         (("token", "create", "ana", "ci"), None, "unknown account 'ana'"),
         (("token", "create", "anna", "c i"), None, "token name 'c i' is not allowed"),
-        (("token", "revoke", "7"), None, "there is no such API token"),
+        (("token", "revoke", "7"), None, "unknown API token"),
     ],
 )
 def test_mistakes_are_one_line_and_change_nothing(

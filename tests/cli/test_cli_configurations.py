@@ -112,7 +112,7 @@ def test_yaml_out_and_in(configuration: Command, tmp_path: Path):
         (("delete", "taken", "9"), "unknown configuration 9"),
         (("list", "--where", "seconds"), "is not NAME=VALUE"),
         (("list", "--where", "second=1"), "did you mean 'seconds'?"),
-        (("list", "--after", "x"), "page key 'x' is not one of ours"),
+        (("list", "--after", "x"), "unknown page key 'x'"),
         (("list", "--group", "none"), "unknown group 'none'"),
         (("group", "g", "9"), "unknown configuration 9"),
         (("group", "g", "taken", "--remove"), "configuration 1 is not in the group 'g'"),

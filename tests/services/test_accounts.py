@@ -223,7 +223,7 @@ def test_a_session_is_no_token_and_a_token_no_session(accounts: Accounts) -> Non
 def test_tokens_are_revoked_by_their_owner_or_an_admin(accounts: Accounts) -> None:
     accounts.add("ben", Role.MEMBER, PASSWORD)
     key, text = accounts.create_token("anna", TokenRequest("ci", [Scope.READ]))
-    with pytest.raises(NotFound, match="no such API token"):
+    with pytest.raises(NotFound, match="unknown API token"):
         accounts.revoke(key.id, "ben")
     accounts.revoke(key.id, "anna")
     with pytest.raises(Unauthenticated):

@@ -91,7 +91,7 @@ def test_sessions_end_and_tokens_stay(store: Store, anna: int) -> None:
     assert found(store, "b") is None
     (token,) = store.read(lambda t: t.accounts.tokens())
     assert store.read(lambda t: t.accounts.token(token.id, "anna")) == token
-    with pytest.raises(NotFound, match="no such API token"):
+    with pytest.raises(NotFound, match="unknown API token"):
         store.read(lambda t: t.accounts.token(token.id, "ben"))
     store.write(lambda t: t.accounts.touch(token.id, LATER))
     assert store.read(lambda t: t.accounts.token(token.id)).used_at == LATER

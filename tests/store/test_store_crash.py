@@ -95,7 +95,7 @@ def test_a_server_that_stays_away_is_one_line(own_server: DatabaseServer) -> Non
     url = own_server.create_database("slamhive")
     store = open_store(url, retry_s=0.5)
     own_server.kill()
-    with pytest.raises(Unavailable, match=r"does not answer since \d s: .*; nothing that was stored is lost") as caught:
+    with pytest.raises(Unavailable, match=r"has not answered for \d s: .*; nothing that was stored is lost") as caught:
         store.read(lambda tx: tx.runs.page())
     assert own_server.password not in str(caught.value)
     store.close()

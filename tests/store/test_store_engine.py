@@ -197,7 +197,7 @@ def test_a_database_locked_for_too_long_is_one_line(sqlite_path: Path, clock: Ma
     other = sqlite3.connect(sqlite_path, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     with pytest.raises(
-        Unavailable, match=r"does not answer since 6\d s: database is locked; nothing .* is lost"
+        Unavailable, match=r"has not answered for 6\d s: database is locked; nothing .* is lost"
     ) as caught:
         store.write(lambda tx: tx.catalogue.algorithms())
     assert "\n" not in str(caught.value)
@@ -238,7 +238,7 @@ def test_an_io_error_on_a_full_disk_is_said_to_be_one_at_once(
         store.read(fail)
     assert clock.pauses == []
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=10**9))
-    with pytest.raises(Unavailable, match="does not answer since 6"):
+    with pytest.raises(Unavailable, match="has not answered for 6"):
         store.read(fail)
     store.close()
 
@@ -279,7 +279,7 @@ def test_a_server_that_is_not_there_is_one_line_without_the_password(clock: Manu
     engine = make_engine(f"mysql+pymysql://u:{SECRET}@127.0.0.1:1/slamhive")
     store = Store(engine, 3.0, clock.as_clock())
     with pytest.raises(
-        Unavailable, match=r"database mysql 127\.0\.0\.1:1/slamhive does not answer since \d s"
+        Unavailable, match=r"database mysql 127\.0\.0\.1:1/slamhive has not answered for \d s"
     ) as caught:
         store.read(lambda tx: tx.runs.page())
     assert SECRET not in str(caught.value)

@@ -265,7 +265,7 @@ def test_a_timestamp_that_is_none_is_one_line(web: Web, timestamp: str):
     answer = moment(web, timestamp)
     assert answer.status_code == 400
     error = answer.get_json()["error"]
-    assert error["message"] == f"timestamp={timestamp!r} is no time"
+    assert error["message"] == f"timestamp expects a time in s, got {timestamp!r}"
     assert error["remedy"].startswith("give a header timestamp in s")
 
 

@@ -15,6 +15,7 @@ from slamhive.base.project import project_root
 from slamhive.services.executors import Executors
 from slamhive.services.hive import open_hive
 from slamhive.web.context import VARIANTS_EXTENSION
+from slamhive.web.run_form import read_steps
 from slamhive.web.security import API_HEADER
 from tests.services.recorded_track import make_recorded_track
 from tests.services.tiny_project import environment, make_project
@@ -97,10 +98,10 @@ def test_one_at_a_time(track: Web, monkeypatch: pytest.MonkeyPatch):
         yield
 
     monkeypatch.setattr(track.hive.variants, "hold", hold)
-    dataset = track.hive.catalogue.dataset("track")
-    thread = maker.start(dataset, ())
+    steps = read_steps("rate every=2")
+    thread = maker.start("track", steps)
     with pytest.raises(Conflict, match="a variant of track is being created; wait"):
-        maker.start(dataset, ())
+        maker.start("track", steps)
     assert "Creating a variant, 0 % done" in track.client.get("/datasets/track").text
     go_on.set()
     thread.join()

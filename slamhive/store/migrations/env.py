@@ -1,4 +1,4 @@
-"""What Alembic runs around the migrations: on the connection that :mod:`slamhive.store.migrate` gives it."""
+"""Entry point of Alembic: runs migrations on the connection that :mod:`slamhive.store.migrate` gives it."""
 
 from __future__ import annotations
 

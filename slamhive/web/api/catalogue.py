@@ -48,7 +48,7 @@ from slamhive.services.datasets import dataset_document
 from slamhive.services.evaluations import protocols_document
 from slamhive.web.api.operation import CONFIGURATION_ARGUMENTS, PUBLIC_ARGUMENTS, TABLE, TIME_ARGUMENTS, Section
 from slamhive.web.context import dataset_checker, hive, variant_maker
-from slamhive.web.long_work import LongWork, begin_check, begin_variant, drop_variant
+from slamhive.web.long_work import LongWork
 from slamhive.web.queries import ConfigurationQuery
 from slamhive.web.views.datasets import asked_time_s, frame_answer
 
@@ -83,7 +83,7 @@ def protocols() -> ProtocolsDocument:
     return protocols_document(hive().protocols.used())
 
 
-# Datasets, their checks and their variants.
+# -- datasets, their checks and their variants -------------------------------------------------------------------------
 
 
 @TABLE.get(Section.DATASETS, "/datasets", Datasets)
@@ -125,7 +125,7 @@ def dataset_check(name: str) -> DatasetCheck:
 @TABLE.post(Section.DATASETS, "/datasets/{name}/check", DatasetWork, status=202)
 def check_dataset(name: str) -> DatasetWork:
     """Start checking one dataset."""
-    begin_check(hive(), name)
+    dataset_checker().start(name)
     return _work(name)
 
 
@@ -147,14 +147,14 @@ def variants(name: str) -> VariantsDocument:
 @TABLE.post(Section.DATASETS, "/datasets/{name}/variants", DatasetWork, body=VariantRequest, status=202)
 def make_variant(name: str, body: VariantRequest) -> DatasetWork:
     """Start making a variant of one dataset."""
-    begin_variant(hive(), name, body.steps)
+    variant_maker().start(name, body.steps)
     return _work(name)
 
 
 @TABLE.post(Section.DATASETS, "/datasets/{name}/variants/{key}/drop", Removal)
 def remove_variant(name: str, key: str) -> Removal:
     """Remove a variant that nothing uses; runs that need it make it again."""
-    return Removal(removed=drop_variant(hive(), name, key))
+    return Removal(removed=variant_maker().drop(name, key))
 
 
 @TABLE.get(Section.DATASETS, "/public-datasets", PublicDatasets, PUBLIC_ARGUMENTS)
@@ -172,8 +172,7 @@ def _shown(work: LongWork | None) -> BackgroundWork | None:
     return None if work is None else BackgroundWork.of(work)
 
 
-# Configurations: what runs execute.
-
+# -- configurations: what runs execute ---------------------------------------------------------------------------------
 
 SOURCE = "the text"
 
@@ -264,7 +263,7 @@ def _stored(stored: Stored) -> StoredConfiguration:
     return StoredConfiguration.of(document, created=stored.created, notes=stored.notes)
 
 
-# The machines that execute runs.
+# -- the machines that execute runs ------------------------------------------------------------------------------------
 
 
 @TABLE.get(Section.SERVER, "/nodes", OverviewDocument)
@@ -291,12 +290,12 @@ def _overview() -> OverviewDocument:
     return OverviewDocument.of(hive().nodes.overview())
 
 
-# What this server is.
+# -- this server -------------------------------------------------------------------------------------------------------
 
 
 @TABLE.get(Section.SERVER, "/server", Server)
 def server() -> Server:
-    """What this server is, and whether it changes anything."""
+    """The version of this server, and whether it changes anything."""
     services = hive()
     mode = services.settings.mode
     changes = mode is not Mode.VIEW_ONLY

@@ -134,7 +134,7 @@ def add_repeats(name: str, body: RepeatsRequest) -> ExperimentStatusDocument:
     return ExperimentStatusDocument.of(hive().experiments.status(name))
 
 
-# Analyses: reports that a worker computes from a file.
+# -- analyses: reports that a worker computes from a file --------------------------------------------------------------
 
 
 @TABLE.get(Section.ANALYSES, "/analyses", AnalysesDocument)
@@ -205,7 +205,7 @@ def delete_analysis(token: str) -> Removal:
     return Removal(removed=token)
 
 
-# Challenges: what they ask for, rankings, and submissions.
+# -- challenges: tasks, rankings, and submissions ----------------------------------------------------------------------
 
 
 @TABLE.get(Section.CHALLENGES, "/challenges", ChallengesDocument)
@@ -216,7 +216,7 @@ def challenges() -> ChallengesDocument:
 
 @TABLE.get(Section.CHALLENGES, "/challenges/{name}", Challenge)
 def challenge(name: str) -> Challenge:
-    """What a challenge asks for, how it counts, and its phases."""
+    """The task of a challenge, its scoring, and its phases."""
     return hive().challenges.get(name)
 
 

@@ -139,7 +139,7 @@ class ApiOperation:
 
     @property
     def once(self) -> bool:
-        """Whether an ``Idempotency-Key`` is heeded."""
+        """True if an ``Idempotency-Key`` is heeded."""
         return self.method == "POST" and not isinstance(self.body, Bytes)
 
     @property
@@ -226,8 +226,7 @@ def _said(view: Callable[..., Any], method: str, path: str, section: Section) ->
     return view.__name__, method, path, section, inspect.cleandoc(view.__doc__ or "")
 
 
-# The arguments that several operations share, and the places in paths.
-
+# -- the arguments that several operations share, and the places in paths ----------------------------------------------
 
 TEXT: Mapping[str, Any] = {"type": "string"}
 _NUMBER: Mapping[str, Any] = {"type": "integer", "minimum": 0, "maximum": LARGEST_RUN_ID}
@@ -343,7 +342,6 @@ LOG_ARGUMENTS = (
 )
 
 
-# The table of all operations of the web API. The modules beside it fill it.
-
+# -- the table of all operations of the web API, which the modules beside it fill --------------------------------------
 
 TABLE = Table(PLACES)

@@ -113,7 +113,7 @@ def run_metrics(run_id: int) -> ProtocolMetrics:
 
 @TABLE.get(Section.RUNS, "/runs/{run_id}/progress", ProgressDocument)
 def run_progress(run_id: int) -> ProgressDocument:
-    """How far one run is."""
+    """The progress of one run."""
     services = hive()
     state = services.runs.get(run_id).state
     progress = services.runs.progress(run_id)
@@ -176,7 +176,7 @@ def run_plot(run_id: int, plot: str) -> Response:
 
 @TABLE.get(Section.RUNS, "/runs/{run_id}/moment", RunMoment, TIMESTAMP_ARGUMENTS)
 def run_moment(run_id: int) -> RunMoment:
-    """What is known of one run at a timestamp: the position error, and whether the frame was dropped."""
+    """One run at a timestamp: the position error, and whether the frame was dropped."""
     return RunMoment.of(hive().runs.moment(run_id, asked_timestamp_s()))
 
 
@@ -207,7 +207,7 @@ def _fingerprints(run_id: int) -> list[str]:
     return list(dict.fromkeys(entry.protocol.fingerprint for entry in services.evaluations.of_run(run_id)))
 
 
-# Changes of runs: start, cancel, evaluate, tag, delete and restore.
+# -- changes of runs: start, cancel, evaluate, tag, delete and restore -------------------------------------------------
 
 
 @TABLE.post(Section.RUN_CHANGES, "/runs", RunsDocument, body=Submission, status=201)
@@ -351,7 +351,7 @@ def _change_found(action: FoundAction, body: FoundRuns) -> ActedOn:
     return ActedOn.of(change_found(services, action, run_ids, body))
 
 
-# Saved searches, and the names that a filter may use.
+# -- saved searches, and the names that a filter may use ---------------------------------------------------------------
 
 
 @TABLE.get(Section.SEARCHES, "/fields", FilterFields)

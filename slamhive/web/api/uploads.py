@@ -2,45 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import nullcontext
 from typing import IO
 
 from flask import request
 
 from slamhive.base.bounds import whole_number
+from slamhive.base.budget import BudgetShare
 from slamhive.documents.api_answers import Removal
 from slamhive.documents.imports import (
     LARGEST_UPLOAD_BYTES,
     AlgorithmUpload,
     DatasetUpload,
+    ImportedDocument,
+    ImportProgress,
     RunsUpload,
     Upload,
     UploadRequest,
     UploadsDocument,
 )
-from slamhive.services.uploads import PART_BYTES
+from slamhive.services.uploads import PART_BYTES, StoredUpload
+from slamhive.web import access
 from slamhive.web.api.operation import PART_ARGUMENTS, TABLE, Bytes, Section
-from slamhive.web.context import hive, upload_work
-from slamhive.web.long_work import document, owner, shown
+from slamhive.web.context import caller, hive, upload_work
+from slamhive.web.long_work import Asked, Progress
 
 
 @TABLE.get(Section.UPLOADS, "/uploads", UploadsDocument)
 def uploads() -> UploadsDocument:
     """The uploads of the caller, the newest first."""
-    return UploadsDocument(uploads=tuple(map(document, hive().uploads.listed(owner()))))
+    return UploadsDocument(uploads=tuple(map(_document, hive().uploads.listed(_owner()))))
 
 
 @TABLE.get(Section.UPLOADS, "/uploads/{upload}", Upload)
 def upload(upload: str) -> Upload:
     """One upload: how much has arrived, how far its import is, and what it has become."""
-    return shown(upload)
+    return _shown(upload)
 
 
 @TABLE.post(Section.UPLOADS, "/uploads", Upload, body=UploadRequest, status=201)
 def create_upload(body: UploadRequest) -> Upload:
     """Begin an upload. Then send its bytes in parts."""
-    made = hive().uploads.create(body, owner())
+    made = hive().uploads.create(body, _owner())
     hive().store.note_act()
-    return shown(made.token)
+    return _shown(made.token)
 
 
 @TABLE.post(
@@ -54,14 +60,14 @@ def send_part(upload: str, body: IO[bytes]) -> Upload:
     """
     offset = whole_number(request.args.get("offset", ""), "offset", 0, LARGEST_UPLOAD_BYTES)
     hive().check_writable()
-    hive().uploads.folder(upload, owner()).append(offset, body)
-    return shown(upload)
+    hive().uploads.folder(upload, _owner()).append(offset, body)
+    return _shown(upload)
 
 
 @TABLE.post(Section.UPLOADS, "/uploads/{upload}/delete", Removal)
 def delete_upload(upload: str) -> Removal:
     """Remove one upload. What was imported from it stays."""
-    hive().uploads.remove(upload, owner())
+    hive().uploads.remove(upload, _owner())
     hive().store.note_act()
     return Removal(removed=upload)
 
@@ -69,17 +75,15 @@ def delete_upload(upload: str) -> Removal:
 @TABLE.post(Section.UPLOADS, "/datasets/import", Upload, body=DatasetUpload, status=202)
 def import_dataset(body: DatasetUpload) -> Upload:
     """Start making a dataset of an upload: one file, or a zip or tar archive of a folder."""
-    imports, mine = hive().upload_imports, owner()
-    upload_work().start(body, mine, lambda progress, share: imports.dataset(body, mine, progress, share))
-    return shown(body.upload)
+    imports, mine = hive().upload_imports, _owner()
+    return _started(body, lambda progress, share: imports.dataset(body, mine, progress, share))
 
 
 @TABLE.post(Section.UPLOADS, "/runs/import", Upload, body=RunsUpload, status=202)
 def import_runs(body: RunsUpload) -> Upload:
     """Start importing the trajectories in an uploaded archive as runs."""
-    imports, mine = hive().upload_imports, owner()
-    upload_work().start(body, mine, lambda progress, share: imports.runs(body, mine, progress, share))
-    return shown(body.upload)
+    imports, mine = hive().upload_imports, _owner()
+    return _started(body, lambda progress, share: imports.runs(body, mine, progress, share))
 
 
 @TABLE.post(Section.UPLOADS, "/algorithms/import", Upload, body=AlgorithmUpload, status=202)
@@ -89,6 +93,27 @@ def import_algorithm(body: AlgorithmUpload) -> Upload:
     A zip archive of a folder is built where its Dockerfile says so. A tar file is an image that `docker save` wrote, or
     what `slamhive algorithm export` wrote.
     """
-    imports, mine = hive().upload_imports, owner()
-    upload_work().start(body, mine, lambda progress, share: imports.algorithm(body, mine, progress, share))
-    return shown(body.upload)
+    imports, mine = hive().upload_imports, _owner()
+    return _started(body, lambda progress, share: imports.algorithm(body, mine, progress, share))
+
+
+def _owner() -> str:
+    """The account whose uploads this request is about."""
+    return caller().account or ""
+
+
+def _shown(token: str) -> Upload:
+    """An upload with its import; raises NotFound."""
+    return _document(hive().uploads.get(token, _owner()))
+
+
+def _document(upload: StoredUpload) -> Upload:
+    work = upload_work().latest(upload.token)
+    return Upload.of(upload, work=None if work is None or upload.imported else ImportProgress.of(work))
+
+
+def _started(body: Asked, task: Callable[[Progress, BudgetShare], ImportedDocument]) -> Upload:
+    """Start an import for the caller; the upload as it is then."""
+    act = access.acting(hive().store, caller(), hive().settings.new_runs) if _owner() else nullcontext()
+    upload_work().start(body, _owner(), task, act)
+    return _shown(body.upload)

@@ -101,11 +101,11 @@ def calibration_rows(sensor: Sensor) -> list[tuple[str, str]]:
     return found
 
 
-# How an algorithm fits a dataset, for pages.
+# -- the match of an algorithm and a dataset, for pages ----------------------------------------------------------------
 
 
 def match_of_run(services: Hive, record: dict[str, Any], configuration_id: int) -> MatchDocument | None:
-    """What the record of a run says, or what its configuration says now if the run has not started."""
+    """The match in the record of a run, or that of its configuration now if the run has not started."""
     if "match" not in record:
         return match_of_configuration(services, configuration_id)
     try:
@@ -115,15 +115,14 @@ def match_of_run(services: Hive, record: dict[str, Any], configuration_id: int) 
 
 
 def match_of_configuration(services: Hive, configuration_id: int) -> MatchDocument | None:
-    """How the algorithm fits the dataset now; None if one of them is gone, or if they do not fit any more."""
+    """The match of algorithm and dataset now; None if one of them is gone, or if they do not fit any more."""
     try:
         return MatchDocument.of_match(services.configurations.match(configuration_id))
     except SlamHiveError:
         return None
 
 
-# The ground truth of a dataset as plots.
-
+# -- the ground truth of a dataset as plots ----------------------------------------------------------------------------
 
 _COLOUR = OKABE_ITO[0]
 

@@ -13,7 +13,7 @@ from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.report import Plot
 from slamhive.domain.metrics import Direction, Group, Metric
 from slamhive.domain.names import plural
-from slamhive.services.run_comparison import Figure, MetricLine, RunColumn, RunComparison, SettingLine
+from slamhive.services.run_comparison import Figure, RunColumn, RunComparison
 from slamhive.web.formatting import DASH, DisplayUnit, TableCell, display_unit, significant
 
 _PLACES = {
@@ -76,7 +76,13 @@ def heads(compared: RunComparison) -> list[Head]:
 
 def setting_rows(compared: RunComparison) -> list[SettingRow]:
     """All settings; those that differ come first."""
-    rows = [_setting_row(line) for line in compared.settings]
+    rows = []
+    for line in compared.settings:
+        cells = tuple(
+            TableCell(DASH, "not stated", missing=True) if text is None else TableCell(text) for text in line.texts
+        )
+        name = line.key.removeprefix(_PARAMETER)
+        rows.append(SettingRow(name, line.key.startswith(_PARAMETER), line.differs, cells))
     return sorted(rows, key=lambda row: not row.differs)
 
 
@@ -85,7 +91,15 @@ def metric_groups(compared: RunComparison) -> dict[str, list[ComparedMetric]]:
     accuracy = [line for line in compared.metrics if line.metric.needs_protocol]
     groups = {group.value: [line for line in accuracy if line.metric.group is group] for group in Group}
     groups["measured during the run"] = [line for line in compared.metrics if not line.metric.needs_protocol]
-    return {name: [_metric_row(line) for line in lines] for name, lines in groups.items() if lines}
+    better = {Direction.LOWER: "lower is better", Direction.HIGHER: "higher is better"}
+    found: dict[str, list[ComparedMetric]] = {}
+    for name, lines in groups.items():
+        for line in lines:
+            metric, unit = line.metric, display_unit(line.metric)
+            cells = tuple(_metric_cell(figure, unit, metric) for figure in line.figures)
+            row = ComparedMetric(metric, unit.unit, better.get(metric.direction, ""), cells, line.best)
+            found.setdefault(name, []).append(row)
+    return found
 
 
 def address_args(compared: RunComparison) -> dict[str, str]:
@@ -141,20 +155,6 @@ def _note(column: RunColumn, *, grouped: bool) -> str:
             [plural(len(column.runs), "run"), *(f"{count} {word}" for word, count in counts.items() if count)]
         )
     return "failed" if column.failed else ""
-
-
-def _setting_row(line: SettingLine) -> SettingRow:
-    cells = tuple(
-        TableCell(DASH, "not stated", missing=True) if text is None else TableCell(text) for text in line.texts
-    )
-    return SettingRow(line.key.removeprefix(_PARAMETER), line.key.startswith(_PARAMETER), line.differs, cells)
-
-
-def _metric_row(line: MetricLine) -> ComparedMetric:
-    unit = display_unit(line.metric)
-    better = {Direction.LOWER: "lower is better", Direction.HIGHER: "higher is better"}.get(line.metric.direction, "")
-    cells = tuple(_metric_cell(figure, unit, line.metric) for figure in line.figures)
-    return ComparedMetric(line.metric, unit.unit, better, cells, line.best)
 
 
 def _metric_cell(figure: Figure | None, unit: DisplayUnit, metric: Metric) -> TableCell:

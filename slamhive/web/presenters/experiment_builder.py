@@ -1,4 +1,4 @@
-"""What the experiment builder offers: algorithms, datasets, parameters and kinds of steps."""
+"""The choices of the experiment builder (algorithms, datasets, parameters, kinds of steps), and its drafts."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Builder:
     kinds: Mapping[str, list[tuple[str, str]]]
 
     def typed(self, entries: Iterable[ParameterField]) -> bool:
-        """Whether any of these parameters has a value."""
+        """True if any of these parameters has a value."""
         return any(self.fields.value(entry.name) for entry in entries)
 
 
@@ -101,6 +101,15 @@ def builder(fields: ExperimentFields, algorithms: Sequence[Algorithm], datasets:
     if len(chosen) == 1 and not any(name.startswith(f"parameters/{chosen[0].name}/") for name in fields.values):
         own = {}
     known = {entry.name for entries in (shared, *own.values()) for entry in entries}
+    steps = []
+    for step in fields.steps:
+        options: tuple[OptionInfo, ...] = ()
+        try:
+            options, words = describe_options(step.kind), describe_step(step.kind)
+        except NotFound as error:
+            words = str(error)
+        names = {option.name for option in options}
+        steps.append(StepRow(step, words, options, tuple(name for name in step.options if name not in names)))
     return Builder(
         fields=fields,
         algorithms=_algorithm_choices(fields, algorithms),
@@ -108,7 +117,7 @@ def builder(fields: ExperimentFields, algorithms: Sequence[Algorithm], datasets:
         shared=shared,
         own=own,
         strange=[name for name in fields.values if name.startswith("parameters/") and name not in known],
-        steps=[_step_row(step) for step in fields.steps],
+        steps=steps,
         kinds=kinds_by_sensor(),
     )
 
@@ -119,7 +128,7 @@ def shared_parameters(algorithms: Iterable[Algorithm]) -> list[ParameterField]:
     for algorithm in algorithms:
         for parameter in algorithm.parameters:
             found.setdefault(parameter.general or parameter.key, []).append((algorithm.name, parameter))
-    return [_shared_field(label, entries) for label, entries in found.items()]
+    return [_field(f"parameters/{label}", label, entries) for label, entries in found.items()]
 
 
 def own_parameters(algorithm: Algorithm) -> list[ParameterField]:
@@ -189,10 +198,6 @@ def _dataset_choices(
     return choices
 
 
-def _shared_field(label: str, entries: Sequence[tuple[str, Parameter]]) -> ParameterField:
-    return _field(f"parameters/{label}", label, entries)
-
-
 def _default(parameter: Parameter) -> str:
     if parameter.source is not None:
         return f"from {parameter.source}"
@@ -217,17 +222,7 @@ def _agreed(texts: Sequence[str], otherwise: str) -> str:
     return texts[0] if len(set(texts)) == 1 else otherwise
 
 
-def _step_row(step: StepFields) -> StepRow:
-    try:
-        options, summary = describe_options(step.kind), describe_step(step.kind)
-    except NotFound as error:
-        options, summary = (), str(error)
-    known = {option.name for option in options}
-    return StepRow(step, summary, options, tuple(name for name in step.options if name not in known))
-
-
-# An experiment being edited: its YAML, the fields, and the preview or the error.
-
+# -- an experiment being edited: its YAML, the fields, and the preview or the error ------------------------------------
 
 MOST_TEXT = LONGEST_YAML
 """Characters in the YAML of an experiment."""

@@ -222,9 +222,11 @@ def preview_facts(preview: ExperimentPreview) -> list[tuple[str, str]]:
     """The preview as names and texts."""
     combined = f"{thousands(preview.cells)} of {plural(preview.combinations, 'combination')}"
     identical = f", {thousands(preview.merged)} identical to another" if preview.merged else ""
+    again = plural(preview.repeat_disturbed, "repeat")
+    repeats = f"; up to {again} of each disturbed run, not counted here" if preview.repeat_disturbed else ""
     return [
         ("Configurations", combined + identical),
-        ("Runs", thousands(preview.runs) + _repetitions(preview)),
+        ("Runs", thousands(preview.runs) + repeats),
         ("Existing", _known(preview)),
         ("Time", f"about {duration(preview.time_s)} on {plural(preview.slots, 'slot')}; {_time_basis(preview)}"),
         ("Variants", _variants(preview)),
@@ -260,12 +262,6 @@ def _protocol(figures: CellFigures, labels: Mapping[str, str]) -> str:
         return DASH
     name = "not evaluated" if figures.protocol is None else labels.get(figures.protocol, figures.protocol)
     return f"{name}, {plural(figures.runs, 'run')}"
-
-
-def _repetitions(preview: ExperimentPreview) -> str:
-    if not preview.repeat_disturbed:
-        return ""
-    return f"; up to {plural(preview.repeat_disturbed, 'repeat')} of each disturbed run, not counted here"
 
 
 def _known(preview: ExperimentPreview) -> str:
@@ -325,8 +321,7 @@ def _figure(metric: Metric, spread: MetricSpread | None) -> TableCell:
     return TableCell(text, exact, note=median_text(spread.n, spread.median * factor))
 
 
-# The current activity as JSON for open pages.
-
+# -- the current activity as JSON for open pages -----------------------------------------------------------------------
 
 ACTIVE_STATES = tuple(state for state in RunState if state.active)
 MOST_ACTIVE = 50

@@ -162,6 +162,10 @@ def _row(
     name = configuration_name(ranked.cell.values, axes) or ranked.cell.name
     texts = [significant(value * shown.factor, 3) for _, value in values]
     drawn = f"{shown.unit}: {', '.join(texts)}" if texts else "no good run"
+    beside = []
+    for key in BESIDE:
+        measured = [run.metrics[key] for run in good if run.metrics and key in run.metrics]
+        beside.append(metric_cell(CATALOGUE[key], fmean(measured) if measured else None))
     return RankRow(
         place=DASH if ranked.place is None else str(ranked.place),
         name=name,
@@ -180,7 +184,7 @@ def _row(
         mean=_mean(metric, ranked),
         good=f"{thousands(n)} of {thousands(ranked.total)}",
         failed=ranked.lost,
-        beside=tuple(_mean_of(CATALOGUE[key], good) for key in BESIDE),
+        beside=tuple(beside),
         trust=_trust(good),
         selects=selection([run.id for run in ranked.runs]),
         words=f"ATE RMSE in {drawn}",
@@ -213,11 +217,6 @@ def _mean(metric: Metric, ranked: RankedCell) -> TableCell:
     std = None if ranked.good.n < 2 else ranked.good.variance**0.5 * shown.factor
     exact = f"mean of {plural(ranked.good.n, 'good run')} {shown.unit}".strip()
     return TableCell(mean_text(ranked.good.mean * shown.factor, std), exact)
-
-
-def _mean_of(metric: Metric, runs: Sequence[RunRecord]) -> TableCell:
-    values = [run.metrics[metric.key] for run in runs if run.metrics and metric.key in run.metrics]
-    return metric_cell(metric, fmean(values) if values else None)
 
 
 def _trust(runs: Sequence[RunRecord]) -> tuple[str, str, str]:

@@ -133,7 +133,7 @@ def outcome(run: RunRecord) -> str:
 
 
 def remedy(run: RunRecord) -> str:
-    """What to do about a failed run; empty for any other."""
+    """The remedy for a failed run; empty for any other."""
     return _sentence(REMEDIES[run.reason]) if run.state is RunState.FAILED and run.reason is not None else ""
 
 
@@ -172,7 +172,7 @@ def trust_words(run: RunRecord) -> list[str]:
 
 
 def machine(run: RunRecord) -> TableCell | None:
-    """Whether a finished run was disturbed, and what was not recorded, with the reasons on hover."""
+    """The disturbance of a finished run, and what was not recorded, with the reasons on hover."""
     if run.executor == IMPORTED or run.state not in (RunState.SUCCEEDED, RunState.FAILED):
         return None
     if run.disturbance is None:
@@ -186,7 +186,7 @@ def machine(run: RunRecord) -> TableCell | None:
 
 
 def protections(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """How the limits of the run were enforced, in rows; empty for imported runs and runs of early versions."""
+    """The ways in which the limits of the run were enforced; empty for imported runs and runs of early versions."""
     told = record.get("protections")
     if not isinstance(told, Mapping):
         return []
@@ -293,7 +293,7 @@ def stills(files: Collection[str], fingerprint: str | None) -> dict[str, str]:
     return {plot: key for plot, key in wanted.items() if key in files}
 
 
-# Metrics of a run by protocol and by published tool, for its page.
+# -- metrics of a run by protocol and by published tool ----------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What the 3D view of a page shows: paths and where they are, as JSON; points of maps as bytes."""
+"""The data of 3D views: paths as JSON, points of maps as bytes, and what sensors saw at a moment."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.run_folder.point_cloud import MapCloud
 from slamhive.services.hive import Hive
-from slamhive.services.runs import Array, FrameFate, Moment, PathSeries, RunScene, ScenePath
+from slamhive.services.runs import Array, FrameFate, Moment, RunScene, ScenePath
 from slamhive.store import RunRecord
 from slamhive.trajectory.alignment import IDENTITY, Similarity
 from slamhive.web.figures import best_plane
@@ -79,7 +79,10 @@ def scene_json(
         z_up: Whether z is known to point up; otherwise it follows from the plane in which the body moves.
     """
     tracks = [shown.path.track for shown in paths]
-    centre_m = _centre_m(tracks)
+    centre_m: Array = np.zeros(3)
+    if tracks:
+        ends = [part for track in tracks for part in (track.positions_m.min(axis=0), track.positions_m.max(axis=0))]
+        centre_m = (np.min(ends, axis=0) + np.max(ends, axis=0)) / 2
     from_s = min((float(track.times_s.min()) for track in tracks), default=0.0)
     until_s = max((float(track.times_s.max()) for track in tracks), default=0.0)
     up = _UP["xy" if z_up or not tracks else best_plane(tracks[0])]
@@ -135,7 +138,7 @@ def reference_of(dataset: Dataset | None) -> Path | None:
 
 
 def is_z_up(dataset: Dataset | None) -> bool:
-    """Whether z of the ground truth is known to point up."""
+    """True if z of the ground truth is known to point up."""
     return dataset is not None and dataset.groundtruth is not None and dataset.groundtruth.gravity_aligned
 
 
@@ -180,14 +183,6 @@ def _path(shown: ShownPath, centre_m: Array, from_s: float) -> Json:
     }
 
 
-def _centre_m(tracks: Sequence[PathSeries]) -> Array:
-    if not tracks:
-        return np.zeros(3)
-    ends = [part for track in tracks for part in (track.positions_m.min(axis=0), track.positions_m.max(axis=0))]
-    centre_m: Array = (np.min(ends, axis=0) + np.max(ends, axis=0)) / 2
-    return centre_m
-
-
 def _low(values: Array) -> float:
     return float(np.nanmin(np.where(np.isfinite(values), values, np.nan)))
 
@@ -204,8 +199,7 @@ def _levels(values: Array) -> bytes:
     return content + b"\0" * (-len(content) % _ALIGNMENT_BYTES)
 
 
-# A moment of a run: what is known of it in words, and where the images and sweeps of that moment are.
-
+# -- a moment of a run, in words, and the images and sweeps of that moment ---------------------------------------------
 
 _IMAGES = frozenset({SensorKind.CAMERA, SensorKind.DEPTH})
 

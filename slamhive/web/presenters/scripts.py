@@ -1,4 +1,4 @@
-"""What a page shows, as lines to copy: the same in Python, on the command line and with curl."""
+"""Lines to copy that do what a page does: in Python, on the command line and with curl."""
 
 from __future__ import annotations
 

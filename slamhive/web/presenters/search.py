@@ -93,6 +93,8 @@ def choices(
     """The selection lists, grouped. Names in ``stored`` without a folder stay selectable."""
     there = ({entry.name for entry in algorithms}, {entry.name for entry in datasets})
     gone = [[(GONE, name, name) for name in stored[place] if name not in there[place]] for place in (0, 1)]
+    groups = tuple((name, f"{name}, all kinds") for name in GROUPS)
+    kinds = tuple((kind.value, kind.label) for kind in VerdictKind)
     found = {
         "algorithm": (
             "Algorithms",
@@ -102,12 +104,12 @@ def choices(
         "sensor": ("Sensors", _plain(SensorSetup)),
         "state": ("State", _plain(RunState)),
         "reason": ("Failure reason", _plain(FailureReason)),
-        "verdict": ("Verdict", _verdicts()),
+        "verdict": ("Verdict", {"": groups, "single kinds": kinds}),
         "trust": ("Trust", _plain(TRUST.choices)),
         "executor": ("Executor", _plain(EXECUTORS.names())),
         "experiment": ("Experiment", {}),
     }
-    return [_choice(name, title, groups, fields.get(name, ())) for name, (title, groups) in found.items()]
+    return [_choice(name, title, offered, fields.get(name, ())) for name, (title, offered) in found.items()]
 
 
 def ranges(fields: Mapping[str, tuple[str, ...]], stored: Iterable[str]) -> dict[str, list[RangeField]]:
@@ -167,7 +169,15 @@ def group_columns(columns: Sequence[str]) -> list[GroupColumn]:
 
 def group_rows(groups: Iterable[GroupRecord], columns: Sequence[GroupColumn]) -> list[GroupRow]:
     """A row per configuration, and another for each further protocol of its runs."""
-    return [row for group in groups for row in _rows_of(group, columns)]
+    rows = []
+    for group in groups:
+        text = ", ".join(f"{key}={value_text(value)}" for key, value in group.parameters.items())
+        for place, (label, figures) in enumerate(by_protocol(group)):
+            spreads = [figures.get(column.metric.key) for column in columns]
+            cells = tuple(_spread_cell(column.metric, spread) for column, spread in zip(columns, spreads, strict=True))
+            means = tuple(None if spread is None else spread.mean for spread in spreads)
+            rows.append(GroupRow(group, label, text or DASH, cells, means, first=place == 0))
+    return rows
 
 
 def with_repeats(rows: Sequence[GroupRow], columns: Sequence[GroupColumn], repeats: Repeats) -> list[GroupRow]:
@@ -190,7 +200,7 @@ def mixed_protocols(labels: Iterable[ProtocolLabel | None]) -> list[ProtocolLabe
 
 
 def protocol_warning(mixed: Sequence[ProtocolLabel]) -> str:
-    """What precedes the links to each of these protocols; empty for none."""
+    """The text before the links to each of these protocols; empty for none."""
     if not mixed:
         return ""
     return f"This list mixes errors of {len(mixed)} protocols, which are not comparable. Show them under one:"
@@ -205,17 +215,6 @@ def trajectory_warning(runs: Iterable[RunRecord]) -> str:
         f"This list mixes {' and '.join(kind.adjective for kind in several)} trajectories, which are not comparable. "
         f"Filter by trajectory = {several[0]}, or evaluate under a protocol that names one."
     )
-
-
-def _rows_of(group: GroupRecord, columns: Sequence[GroupColumn]) -> list[GroupRow]:
-    text = ", ".join(f"{key}={value_text(value)}" for key, value in group.parameters.items())
-    rows = []
-    for place, (label, figures) in enumerate(by_protocol(group)):
-        spreads = [figures.get(column.metric.key) for column in columns]
-        cells = tuple(_spread_cell(column.metric, spread) for column, spread in zip(columns, spreads, strict=True))
-        means = tuple(None if spread is None else spread.mean for spread in spreads)
-        rows.append(GroupRow(group, label, text or DASH, cells, means, first=place == 0))
-    return rows
 
 
 def _spread_cell(metric: Metric, spread: Spread | None) -> TableCell:
@@ -241,11 +240,6 @@ def _plain(values: Iterable[str]) -> dict[str, tuple[tuple[str, str], ...]]:
     return {"": tuple((str(value), str(value).replace("_", " ")) for value in values)}
 
 
-def _verdicts() -> dict[str, tuple[tuple[str, str], ...]]:
-    kinds = tuple((kind.value, kind.label) for kind in VerdictKind)
-    return {"": tuple((name, f"{name}, all kinds") for name in GROUPS), "single kinds": kinds}
-
-
 def _grouped(entries: Iterable[tuple[str, str, str]]) -> dict[str, tuple[tuple[str, str], ...]]:
     found: dict[str, tuple[tuple[str, str], ...]] = {}
     for group, value, label in sorted(entries):
@@ -253,17 +247,12 @@ def _grouped(entries: Iterable[tuple[str, str, str]]) -> dict[str, tuple[tuple[s
     return found
 
 
-def _algorithm(algorithm: Algorithm) -> tuple[str, str, str]:
-    return algorithm.package.name, algorithm.name, f"{algorithm.name} ({algorithm.setup.value})"
-
-
 def _sensors(dataset: Dataset) -> str:
     """The group of a dataset: its kinds of sensors."""
     return " + ".join(sorted({sensor.kind.value for sensor in dataset.sensors})) or "no sensors"
 
 
-# The columns that the list of runs offers, in groups: of the run, metrics by family, parameters by algorithm.
-
+# -- the columns that the list of runs offers, in groups ---------------------------------------------------------------
 
 OF_RUN = "Run"
 SHARED = "Parameters that several algorithms share"
@@ -323,7 +312,7 @@ def _columns(names: Iterable[str], vocabulary: Vocabulary) -> list[ListColumn]:
     return [column(PARAMETER_PREFIX + name if name in fixed else name, vocabulary) for name in names]
 
 
-# The columns that the list of runs shows, with the addresses that move and pin each of them.
+# -- the columns that the list of runs shows, with the addresses that move and pin each of them ------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,10 +361,9 @@ def arranged(base: str, columns: Sequence[ListColumn], pinned: int) -> list[Arra
     ]
 
 
-# Colours by value: how good each metric in a list is, compared with the others that are shown.
-#
-# Only what can be compared is compared: good runs of the same dataset, and errors under the same protocol.
+# -- colours by value: how good each metric in a list is, compared with the others that are shown ----------------------
 
+# Only what can be compared is compared: good runs of the same dataset, and errors under the same protocol.
 
 WORST = 6
 """The largest level; half of it is neither good nor bad."""
@@ -393,7 +381,7 @@ def coloured_runs(rows: Sequence[ListRow]) -> list[ListRow]:
         if metric is None:
             continue
         values = [_value(row.run, metric) for row in rows]
-        found = levels(values, [_class_of(row.run, metric) for row in rows], metric.direction)
+        found = levels(values, [_class(row.run.dataset, row.run.protocol, metric) for row in rows], metric.direction)
         for line, heat in zip(cells, found, strict=True):
             line[place] = (shown, replace(line[place][1], heat=heat))
     return [replace(row, cells=tuple(line)) for row, line in zip(rows, cells, strict=True)]
@@ -404,7 +392,7 @@ def coloured_groups(rows: Sequence[GroupRow], columns: Sequence[GroupColumn]) ->
     cells: list[list[TableCell]] = [list(row.cells) for row in rows]
     for place, shown in enumerate(columns):
         values = [row.means[place] for row in rows]
-        classes = [_group_class(row, shown.metric) for row in rows]
+        classes = [_class(row.group.dataset, row.protocol, shown.metric) for row in rows]
         for line, heat in zip(cells, levels(values, classes, shown.metric.direction), strict=True):
             line[place] = replace(line[place], heat=heat)
     return [replace(row, cells=tuple(line)) for row, line in zip(rows, cells, strict=True)]
@@ -444,11 +432,5 @@ def _value(run: RunRecord, metric: Metric) -> float | None:
     return None if failed else (run.metrics or {}).get(metric.key)
 
 
-def _class_of(run: RunRecord, metric: Metric) -> Class:
-    protocol = run.protocol.fingerprint if metric.needs_protocol and run.protocol is not None else None
-    return run.dataset, protocol
-
-
-def _group_class(row: GroupRow, metric: Metric) -> Class:
-    protocol = row.protocol.fingerprint if metric.needs_protocol and row.protocol is not None else None
-    return row.group.dataset, protocol
+def _class(dataset: str, protocol: ProtocolLabel | None, metric: Metric) -> Class:
+    return dataset, protocol.fingerprint if metric.needs_protocol and protocol is not None else None

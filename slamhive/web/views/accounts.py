@@ -58,8 +58,10 @@ def from_provider() -> Response:
     services, following = hive(), session.get(_NEXT, "")
     try:
         identity = _provider().returned()
+        chosen = services.settings.oidc_new_accounts
+        role = None if chosen is NewAccounts.NONE else Role(chosen.value)
         with access.signing_in(services.store, identity.name or identity.subject):
-            opened = services.accounts.sign_in_as(identity, _role_of_new_accounts())
+            opened = services.accounts.sign_in_as(identity, role)
     except SlamHiveError as error:
         return make_response(_login(following, error), status_of(error))
     callers().begin(opened)
@@ -124,13 +126,8 @@ def _provider() -> IdentityProvider:
     """The provider of the settings; raises NotFound if there is none."""
     found = provider()
     if found is None:
-        raise NotFound("this server knows no provider of OpenID Connect", "sign in with name and password")
+        raise NotFound("no OpenID Connect provider is configured", "sign in with name and password")
     return found
-
-
-def _role_of_new_accounts() -> Role | None:
-    chosen = hive().settings.oidc_new_accounts
-    return None if chosen is NewAccounts.NONE else Role(chosen.value)
 
 
 def _login(following: str, error: SlamHiveError | None = None) -> Response:
@@ -174,7 +171,7 @@ def _to_next(target: str) -> Response:
 
 
 def is_own_address(target: str) -> bool:
-    """Whether ``target`` is a path of this server: browsers take two slashes, either way round, for another one."""
+    """Tell if ``target`` is a path of this server: browsers take two slashes, either way round, for another one."""
     if not target.startswith("/") or target.startswith(("//", "/\\")) or len(target) > LONGEST_NEXT:
         return False
     try:
@@ -184,8 +181,7 @@ def is_own_address(target: str) -> bool:
     return not parts.scheme and not parts.netloc and "\\" not in target and target.isprintable()
 
 
-# Pages for admins: the accounts, and the audit log.
-
+# -- pages for admins: the accounts, and the audit log -----------------------------------------------------------------
 
 administration_blueprint = Blueprint("administration", __name__)
 
@@ -218,6 +214,6 @@ def audit() -> str:
 
 
 def in_words(action: str) -> str:
-    """What an action of the audit log does: the first sentence about the view of that name, or its name."""
+    """An action of the audit log in words: the first sentence about the view of that name, or its name."""
     about = getattr(current_app.view_functions.get(action), "__doc__", None)
     return action if about is None else about.partition("\n")[0].partition(". ")[0].removesuffix(".")

@@ -60,7 +60,13 @@ def new() -> str:
     """The editor with a first analysis of an ``experiment``, or of the runs that ``where`` selects."""
     name = request.args.get("experiment")
     if name:
-        return _editor(experiment_text(name, hive().experiments.axes(name), lambda *pair: _are_crossed(name, *pair)))
+
+        def crossed(first: str, second: str) -> bool:
+            """Tell if values of two axes are combined; on linked axes, one value follows from the other."""
+            grid = hive().experiments.grid(name, first, second)
+            return len(grid.cells) > max(len(grid.rows), len(grid.columns))
+
+        return _editor(experiment_text(name, hive().experiments.axes(name), crossed))
     return _editor(first_text(request.args.get("where", "")[:50_000]))
 
 
@@ -209,12 +215,12 @@ def delete(token: str) -> Response:
 
 
 def _taken() -> bool:
-    """Whether this server takes an analysis of this caller."""
+    """True if this server takes an analysis of this caller."""
     return may_analyse(hive().settings) and Action.ANALYSE in caller().may
 
 
 def _previews(text: str) -> dict[str, Any]:
-    """What the template of the previews shows."""
+    """The content of the template of the previews."""
     if not _taken():
         raise Forbidden("this server accepts no new analyses", "compute it in your own installation")
     try:
@@ -251,17 +257,11 @@ def _editor(
 
 
 def _offered(text: str) -> OfferedColumns | None:
-    """What the runs of the text can be drawn over; None if it selects none."""
+    """The columns that the runs of the text can be drawn over; None if it selects none."""
     try:
         return hive().analyses.offered(text)
     except SlamHiveError:
         return None
-
-
-def _are_crossed(name: str, first: str, second: str) -> bool:
-    """Whether an experiment combines the values of two axes; on linked axes, one value follows from the other."""
-    grid = hive().experiments.grid(name, first, second)
-    return len(grid.cells) > max(len(grid.rows), len(grid.columns))
 
 
 def _checked(text: str) -> Response:

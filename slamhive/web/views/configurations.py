@@ -53,6 +53,7 @@ def show(configuration_id: int) -> str:
     record = service.get(configuration_id)
     algorithm = _algorithms().get(record.configuration.algorithm)
     match = match_of_configuration(hive(), configuration_id)
+    filled_in: dict[str, Any] = {name: text for name, text in _values_of(record).items() if text}
     return render_template(
         "configurations/show.html",
         record=record,
@@ -62,7 +63,7 @@ def show(configuration_id: int) -> str:
         outdated=presenter.outdated(record, algorithm),
         runs=presenter.run_rows(service.latest_runs(configuration_id, RUNS_SHOWN), _algorithms().values()),
         columns=presenter.run_columns(),
-        start=_form_address(record),
+        start=address("start.form", **filled_in),
         groups=[name for name in service.groups() if name not in record.groups],
     )
 
@@ -241,12 +242,6 @@ def _values_of(record: ConfigurationRecord) -> dict[str, str]:
     except SlamHiveError:
         content = record.configuration
         return {"algorithm": content.algorithm, "dataset": content.dataset}
-
-
-def _form_address(record: ConfigurationRecord) -> str:
-    """Address of the web form that starts runs, filled from this configuration."""
-    fields: dict[str, Any] = {name: text for name, text in _values_of(record).items() if text}
-    return address("start.form", **fields)
 
 
 def _algorithms() -> dict[str, Algorithm]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, url_for
 
 from slamhive.analysis.chart import OKABE_ITO
@@ -11,9 +13,8 @@ from slamhive.domain.configuration import Variant
 from slamhive.domain.dataset import Dataset
 from slamhive.filters.words import matching
 from slamhive.recordings.views import FrameView
-from slamhive.services.datasets import MotionSummary, strip_times_s
+from slamhive.services.datasets import strip_times_s
 from slamhive.store.records import RunSort
-from slamhive.web import long_work
 from slamhive.web.context import dataset_checker, hive, variant_maker
 from slamhive.web.figures import sweep_figure
 from slamhive.web.formatting import plural
@@ -65,6 +66,9 @@ def show(name: str) -> str:
     services = hive()
     dataset = services.catalogue.dataset(name)
     runs = services.runs.page(matching(datasets=(name,)), RunSort(), None, _RUNS)
+    motion = None
+    with suppress(InvalidInput, NotFound):  # no ground truth that can be read; the page says so elsewhere
+        motion = services.dataset_views.motion(dataset)
     return render_template(
         "datasets/show.html",
         dataset=dataset,
@@ -80,22 +84,14 @@ def show(name: str) -> str:
         runs=runs.records,
         strip_times_s=strip_times_s(dataset),
         time_s=asked_time_s(dataset),
-        motion=_motion(dataset),
+        motion=motion,
     )
-
-
-def _motion(dataset: Dataset) -> MotionSummary | None:
-    """The motion in the ground truth, None where there is no file that can be read; the page says so elsewhere."""
-    try:
-        return hive().dataset_views.motion(dataset)
-    except (InvalidInput, NotFound):
-        return None
 
 
 @blueprint.post("/<name>/check")
 def check(name: str) -> Response:
     """Start checking the dataset."""
-    long_work.begin_check(hive(), name)
+    dataset_checker().start(name)
     flash("The dataset is being checked. The findings appear when the check is finished.", "info")
     return make_response(redirect(url_for("datasets.show", name=name, _anchor="checks"), 303))
 
@@ -103,7 +99,7 @@ def check(name: str) -> Response:
 @blueprint.post("/<name>/variants")
 def make_variant(name: str) -> Response:
     """Start creating a variant, after all checks that are possible in advance."""
-    long_work.begin_variant(hive(), name, read_steps(request.form.get("steps", "")))
+    variant_maker().start(name, read_steps(request.form.get("steps", "")))
     flash("The variant is being created. It appears in the list when it is finished.", "info")
     return _to_variants(name)
 
@@ -111,7 +107,7 @@ def make_variant(name: str) -> Response:
 @blueprint.post("/<name>/variants/<key>/drop")
 def drop_variant(name: str, key: str) -> Response:
     """Remove a variant that nothing uses."""
-    long_work.drop_variant(hive(), name, key)
+    variant_maker().drop(name, key)
     flash("The variant is removed. Runs that need it create it again.", "success")
     return _to_variants(name)
 

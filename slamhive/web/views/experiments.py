@@ -16,7 +16,7 @@ from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.executors.registry import EXECUTORS
 from slamhive.experiments.experiment import Experiment
 from slamhive.experiments.file import parse_experiment
-from slamhive.services.experiments import METRICS, Cell, ConfigurationStanding, ExperimentSource, ExperimentStatus
+from slamhive.services.experiments import METRICS, ConfigurationStanding, ExperimentSource, ExperimentStatus
 from slamhive.services.sharing import SharingChange
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
@@ -26,7 +26,6 @@ from slamhive.web.presenters import experiments as presenter
 from slamhive.web.presenters import rankings
 from slamhive.web.presenters.experiment_builder import (
     MOST_TEXT,
-    Builder,
     ExperimentDraft,
     builder,
     copied,
@@ -80,6 +79,10 @@ def show(name: str) -> str:
     grid = GridQuery.from_args(request.args, axes)
     metrics = [CATALOGUE[key] for key in METRICS]
     shown_axes = rankings.naming_axes(axes)
+    # A run of each protocol in these cells knows its label.
+    compared = {run.protocol: run.id for cell in page.cells for run in cell.runs if run.protocol is not None}
+    protocols = [hive().runs.get(run_id).protocol for run_id in compared.values()]
+    labels = {protocol.fingerprint: protocol.label for protocol in protocols if protocol is not None}
     return render_template(
         "experiments/show.html",
         status=status,
@@ -94,7 +97,7 @@ def show(name: str) -> str:
         page=page,
         cells=cells,
         metrics=metrics,
-        lines=presenter.cell_lines(name, page.cells, shown_axes, metrics, _protocol_labels(page.cells)),
+        lines=presenter.cell_lines(name, page.cells, shown_axes, metrics, labels),
         scripts=experiment_scripts(name, hive().settings),
         rankings=rankings.of_experiment(hive(), status, shown_axes),
         ranking_title=rankings.title(status),
@@ -165,15 +168,7 @@ def with_time_left(found: Iterable[ExperimentStatus]) -> list[ExperimentStatus]:
     ]
 
 
-def _protocol_labels(cells: Iterable[Cell]) -> dict[str, str]:
-    """{fingerprint: label} of the protocols in these cells."""
-    runs = {run.protocol: run.id for cell in cells for run in cell.runs if run.protocol is not None}
-    protocols = [hive().runs.get(run_id).protocol for run_id in runs.values()]
-    return {protocol.fingerprint: protocol.label for protocol in protocols if protocol is not None}
-
-
-# The experiment builder: fields and YAML side by side, a preview, and the start.
-
+# -- the experiment builder: fields and YAML side by side, a preview, and the start ------------------------------------
 
 experiment_builder_blueprint = Blueprint("experiment_builder", __name__, url_prefix="/new-experiment")
 """Not below ``/experiments``, where any name may be an experiment."""
@@ -231,18 +226,12 @@ def _parts(edited: ExperimentDraft) -> dict[str, Any]:
 
 
 def _builder_words(edited: ExperimentDraft) -> dict[str, Any]:
+    installed = hive().catalogue.algorithms(), hive().catalogue.datasets()
     alignments = [("", "default for the sensors"), *((entry.value, label) for entry, label in ALIGNMENT_LABELS.items())]
     return {
         "draft": edited,
-        "builder": _builder(edited),
+        "builder": None if edited.fields is None else builder(edited.fields, *installed),
         "alignments": alignments,
         "executors": [("", "from the settings"), *((name, name) for name in EXECUTORS.names())],
         "most_text": MOST_TEXT,
     }
-
-
-def _builder(edited: ExperimentDraft) -> Builder | None:
-    if edited.fields is None:
-        return None
-    catalogue = hive().catalogue
-    return builder(edited.fields, catalogue.algorithms(), catalogue.datasets())

@@ -10,9 +10,7 @@ from flask import Blueprint, Response, jsonify, make_response, request, url_for
 
 from slamhive.analysis.chart import RUN_COLOURS, colour_of
 from slamhive.base.errors import InvalidInput, NotFound
-from slamhive.services.run_comparison import RunComparison
 from slamhive.services.runs import MapViews, path_of
-from slamhive.store.records import RunRecord
 from slamhive.trajectory.alignment import IDENTITY, Similarity
 from slamhive.web.context import hive
 from slamhive.web.figures import best_plane, captions, figure_csv, run_figures, timeline
@@ -84,7 +82,7 @@ def asked_timestamp_s() -> float:
     timestamp_s = request.args.get("timestamp", type=float)
     if timestamp_s is None or not 0 <= timestamp_s <= LATEST_TIMESTAMP_S:
         raise InvalidInput(
-            f"timestamp={request.args.get('timestamp', '')[:40]!r} is no time",
+            f"timestamp expects a time in s, got {request.args.get('timestamp', '')[:40]!r}",
             f"give a header timestamp in s, up to {LATEST_TIMESTAMP_S:g}",
         )
     return timestamp_s
@@ -98,8 +96,7 @@ def figure_data(run_id: int, figure: str) -> Response:
     return response
 
 
-# The data of the 3D views: of a run with its map, of a comparison, and of a dataset.
-
+# -- the data of 3D views: of a run with its map, of a comparison, and of a dataset ------------------------------------
 
 scenes_blueprint = Blueprint("scenes", __name__)
 
@@ -130,7 +127,7 @@ def run_map(run_id: int) -> Response:
     record = services.runs.get(run_id)
     frame = services.runs.map_frame(record)
     if frame.to_scene is None:
-        raise NotFound(f"what moves the map of run {run_id} to the ground truth is not known", "download the file")
+        raise NotFound(f"the place of run {run_id}'s map relative to the ground truth is unknown", "download the file")
     reference = reference_of(dataset_of(services, record.dataset)) if frame.aligned else None
     return _points(services.map_views, services.runs.folder(run_id).map, reference, frame.to_scene)
 
@@ -141,12 +138,16 @@ def comparison() -> Response:
     services = hive()
     compared = asked_comparison()
     first = compared.runs[0].dataset
-    here = [(place, record) for place, record in _by_column(compared) if record.dataset == first]
+    # Each run with the number of its column, which decides its colour.
+    columns = enumerate(compared.columns)
+    here = [(place, record) for place, column in columns for record in column.runs if record.dataset == first]
     fingerprint = None if compared.protocol is None else compared.protocol.fingerprint
     scenes = {} if fingerprint is None else {run.id: services.runs.scene(run.id, fingerprint) for _, run in here}
     shown = {run_id: scene for run_id, scene in scenes.items() if scene.aligned}
     paths = [
-        ShownPath(f"run {record.id}, {record.algorithm}", _column_colour(place), shown[record.id].paths[0])
+        ShownPath(
+            f"run {record.id}, {record.algorithm}", RUN_COLOURS[place % len(RUN_COLOURS)], shown[record.id].paths[0]
+        )
         for place, record in here
         if record.id in shown
     ]
@@ -187,15 +188,6 @@ def dataset_map(name: str) -> Response:
 
 def _answer(title: str, paths: list[ShownPath], cloud: ShownMap | None, notes: list[str], **more: Any) -> Response:
     return make_response(jsonify(scene_json(title, paths, cloud, notes, **more)))
-
-
-def _by_column(compared: RunComparison) -> list[tuple[int, RunRecord]]:
-    """Each run with the number of its column, which decides its colour."""
-    return [(place, record) for place, column in enumerate(compared.columns) for record in column.runs]
-
-
-def _column_colour(place: int) -> str:
-    return RUN_COLOURS[place % len(RUN_COLOURS)]
 
 
 def _map(views: MapViews, path: Path, there: str, reference: Path | None) -> tuple[ShownMap | None, str]:

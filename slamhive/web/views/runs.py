@@ -36,7 +36,7 @@ from slamhive.web.columns import column
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
 from slamhive.web.formatting import plural
-from slamhive.web.presenters import catalogue, runs, scripts, search
+from slamhive.web.presenters import catalogue, scripts, search
 from slamhive.web.presenters import runs as presenter
 from slamhive.web.presenters.experiments import progress_json
 from slamhive.web.presenters.search import column_groups
@@ -115,11 +115,6 @@ def _group_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary) -> 
     )
 
 
-def _analysis_url(query: RunListQuery) -> str:
-    """Address of a new analysis of these runs."""
-    return address("analyses.new", where=query.search.text)
-
-
 def _search_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary, **content: Any) -> str:
     """Render the search page. Without rows it shows why the query is invalid."""
     saved, algorithms = services.searches.saved(), services.catalogue.algorithms()
@@ -139,7 +134,7 @@ def _search_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary, **
             services.catalogue.datasets(),
             services.searches.names(),
         ),
-        analysis_url=_analysis_url(query),
+        analysis_url=address("analyses.new", where=query.search.text),
         scripts=scripts.search_scripts(query.search.text, query.sort, services.settings),
         ranges=search.ranges(query.fields, services.searches.metrics()),
         parquet=find_spec("pyarrow") is not None,
@@ -154,7 +149,7 @@ def show(run_id: int) -> str:
     run = services.runs.get(run_id)
     evaluations = services.evaluations.of_run(run_id)
     algorithm = next((entry for entry in services.catalogue.algorithms() if entry.name == run.algorithm), None)
-    choices = runs.protocol_choices(run, evaluations, request.args.get("protocol"))
+    choices = presenter.protocol_choices(run, evaluations, request.args.get("protocol"))
     chosen = next((entry for entry in choices if entry.chosen), None)
     tools = _tools(services, run)
     notes = evaluation_notes(services.runs.folder(run_id), None if chosen is None else chosen.fingerprint)
@@ -177,12 +172,12 @@ def show(run_id: int) -> str:
         match=match,
         protocols=choices,
         chosen=chosen,
-        accuracy=runs.accuracy_rows(run, choices, services.current_protocols.figures(run_id)),
+        accuracy=presenter.accuracy_rows(run, choices, services.current_protocols.figures(run_id)),
         hints=notes.hints,
-        missing=runs.missing_by_reason(notes.missing),
+        missing=presenter.missing_by_reason(notes.missing),
         repeats=services.run_comparisons.repeats(run, MOST_RUNS),
-        tools=runs.tool_rows(tools),
-        tools_waiting=runs.waiting(tools),
+        tools=presenter.tool_rows(tools),
+        tools_waiting=presenter.waiting(tools),
         measured=presenter.metric_rows(run, needs_protocol=False),
         protections=presenter.protections(record),
         gpu=presenter.gpu(record),
@@ -197,7 +192,7 @@ def show(run_id: int) -> str:
         stills=presenter.stills(
             {file.key for file in downloads}, None if run.protocol is None else run.protocol.fingerprint
         ),
-        protocol_groups=runs.protocol_groups(),
+        protocol_groups=presenter.protocol_groups(),
         scripts=scripts.run_scripts(run_id, services.settings),
     )
 

@@ -64,8 +64,7 @@ def delete(name: str) -> Response:
     return make_response(redirect(address("runs.index"), 303))
 
 
-# One search over everything: the page behind the search box of every page.
-
+# -- one search over everything: the page behind the search box of every page ------------------------------------------
 
 finding_blueprint = Blueprint("finding", __name__)
 
@@ -97,7 +96,7 @@ _ADDRESSES: dict[FoundKind, Callable[[str], str]] = {
 
 @finding_blueprint.get("/find")
 def index() -> str:
-    """What the words in the address may mean, by kind."""
+    """The meanings of the words in the address, by kind."""
     text = request.args.get("q", "").strip()[:LONGEST_TEXT]
     found = dict(find(hive(), text))
     if pages := best(text, help_pages.entries()):

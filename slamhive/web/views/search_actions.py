@@ -28,7 +28,7 @@ _LARGEST_COUNT = 2**53
 
 @blueprint.get("")
 def show() -> str:
-    """How many runs the search matches, and what can be done with all of them."""
+    """The page with the number of matching runs, and the actions on all of them."""
     services = hive()
     services.check_writable()
     query = _asked()
@@ -94,7 +94,10 @@ def _run_ids() -> Sequence[int]:
 
 def _to_list(acted: Acted, words: str) -> Response:
     """Back to the list, which says what was done."""
-    flash(f"{words} {_left_out(acted)}".strip(), _category(acted))
+    category = "success" if acted.done else "warning"
+    if acted.at is not None and acted.done:
+        category = f"{UNDO_TOGETHER} {acted.deleted_at_text}"
+    flash(f"{words} {_left_out(acted)}".strip(), category)
     return make_response(redirect(list_address(filled(request.args)), 303))
 
 
@@ -104,9 +107,3 @@ def _asked() -> RunListQuery:
 
 def _left_out(acted: Acted) -> str:
     return f"{plural(acted.left_out, 'run')} left out: {'; '.join(acted.words)}." if acted.left_out else ""
-
-
-def _category(acted: Acted) -> str:
-    if acted.at is not None and acted.done:
-        return f"{UNDO_TOGETHER} {acted.deleted_at_text}"
-    return "success" if acted.done else "warning"

@@ -1,4 +1,4 @@
-"""Whether the machine of a run was disturbed, and how often the run may be repeated for that."""
+"""Disturbances of the machine of a run, and how often the run may be repeated for that."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which sensors users chose for a configuration."""
+"""Sensors that users chose for a configuration."""
 
 from __future__ import annotations
 

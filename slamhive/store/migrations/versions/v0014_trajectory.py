@@ -1,4 +1,4 @@
-"""Which trajectory a run gives as its main one."""
+"""The trajectory that a run gives as its main one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which account asked for a run."""
+"""The account that asked for a run."""
 
 from __future__ import annotations
 

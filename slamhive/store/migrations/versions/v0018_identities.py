@@ -1,4 +1,4 @@
-"""Who somebody is at a provider of OpenID Connect."""
+"""Identities of accounts at providers of OpenID Connect."""
 
 from __future__ import annotations
 
