@@ -180,7 +180,7 @@ def test_experiments_of_before_are_not_told(hive: Hive, inbox: Inbox) -> None:
 
 
 def test_the_worker_sends_beside_its_work(hive: Hive, inbox: Inbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker, "EVERY_S", 0.05)
+    monkeypatch.setattr(worker, "NOTICES_EVERY_S", 0.05)
     hive.settings = hive.settings.with_values({"notify_webhook": inbox.address})
     start(hive, GOOD)
     hive.worker().run(until_idle=True)
