@@ -57,7 +57,7 @@ _GIT_VARIABLES = {"GIT_TERMINAL_PROMPT": "0", "GIT_LFS_SKIP_SMUDGE": "1", "LC_AL
 
 
 class SourceKind(StrEnum):
-    """What a source is."""
+    """Kind of a source."""
 
     FOLDER = "folder"
     REPOSITORY = "Git repository"
@@ -83,7 +83,7 @@ class OpenedSource:
 
 
 def kind_of(source: str) -> SourceKind:
-    """What ``source`` is; raises NotFound or InvalidInput."""
+    """Classify ``source``; raises NotFound or InvalidInput."""
     if _GIT.fullmatch(source):
         return SourceKind.REPOSITORY
     path = Path(source or "-").expanduser()
@@ -189,7 +189,7 @@ def package_name(source: OpenedSource) -> str:
 
 @dataclass(frozen=True, slots=True)
 class PackageImportRequest:
-    """What the user asks for.
+    """Request of a user to import a package.
 
     Attributes:
         name: Of the package; None for that of the source.
@@ -210,7 +210,7 @@ class PackageImportRequest:
 
 
 class Way(StrEnum):
-    """How an import gets the image."""
+    """Way in which an import gets the image."""
 
     BUILD = "build"
     LOAD = "load"
@@ -219,7 +219,7 @@ class Way(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PlannedPackage:
-    """What an import will do.
+    """Plan of an import.
 
     Attributes:
         name: Of the package.
@@ -290,7 +290,7 @@ def _image_of(
     tools: ImageTools,
     own_images: Collection[str],
 ) -> tuple[Way, str, str]:
-    """How to get the image of a folder: way, from where, and why."""
+    """Decide how to get the image of a folder: way, from where, and why."""
     if request.image is not None:
         is_file = kind_of(request.image) is SourceKind.ARCHIVE
         place = str(Path(request.image).expanduser().resolve()) if is_file else request.image
@@ -439,7 +439,7 @@ _KEPT_DOCKERFILE = "Dockerfile.imported"
 
 @dataclass(frozen=True, slots=True)
 class ImportedPackage:
-    """What an import made: the algorithms, and what to say about them, one line each."""
+    """Result of an import: the algorithms, and one line for each remark."""
 
     algorithms: tuple[Algorithm, ...]
     notes: tuple[str, ...]

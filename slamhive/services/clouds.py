@@ -60,7 +60,7 @@ def _silent(_text: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Swept:
-    """What a sweep did in one region; ``foreign`` belongs to other installations and was left."""
+    """Result of a sweep in one region; ``foreign`` belongs to other installations and was left."""
 
     provider: str
     region: str
@@ -95,7 +95,7 @@ class Clouds:
         self._records = CloudRecords(settings.clouds_folder)
 
     def plan(self, path: Path) -> CloudPlanDocument:
-        """What the cloud file at ``path`` asks for; no provider is asked. Raises InvalidInput."""
+        """Read the plan in the cloud file at ``path``; no provider is asked. Raises InvalidInput."""
         order, _ = self._order(path)
         return CloudPlanDocument.of(make_plan(order, self._work(order, path), self._clock.utc_now()))
 

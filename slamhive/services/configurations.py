@@ -155,7 +155,7 @@ class Stored:
 
 
 def unwatchable(rules: StopWhen, algorithms: Iterable[Algorithm]) -> str | None:
-    """Which of the rules cannot be watched for which algorithms, in words; None if all can."""
+    """Say which of the rules cannot be watched for which algorithms; None if all can."""
     silent = sorted({entry.name for entry in algorithms if not entry.package.reports_tracking})
     if rules.lost_tracking_s is None or not silent:
         return None
@@ -344,7 +344,7 @@ class Configurations:
         return self._store.read(work)
 
     def match(self, configuration_id: int) -> Match:
-        """How algorithm and dataset of this configuration fit, as they are now; raises NotFound or InvalidInput."""
+        """Match algorithm and dataset of this configuration as they are now; raises NotFound or InvalidInput."""
         stored = self._store.read(lambda t: t.configurations.get(configuration_id))
         algorithm, dataset = self._catalogue.algorithm(stored.algorithm_label), self._catalogue.dataset(stored.dataset)
         return match_of(algorithm, self._variants.planned(dataset, stored.variant), stored.parameters, stored.sensors)

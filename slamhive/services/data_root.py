@@ -13,7 +13,7 @@ REMEDY = "name another with --data or SLAMHIVE_DATA; slamhive demo, dataset room
 
 
 class DataRoot(StrEnum):
-    """What a command needs of the data root and its database."""
+    """Needs of a command for the data root and its database."""
 
     MADE = "made"
     """Both are created if missing."""
@@ -60,7 +60,7 @@ def _check_there(settings: Settings) -> None:
 
 
 def _is_new(settings: Settings) -> bool:
-    """Whether the folder is a new data root: it has datasets, but no runs that a lost database could have held."""
+    """Tell if the folder is a new data root: it has datasets, but no runs that a lost database could have held."""
     runs = settings.runs_folder
     return settings.datasets_folder.is_dir() and not (runs.is_dir() and any(runs.iterdir()))
 

@@ -31,7 +31,7 @@ from slamhive.services.datasets import Catalogue, check_writable
 
 @dataclass(frozen=True, slots=True)
 class FetchRequest:
-    """What a user asks for.
+    """Request of a user.
 
     Attributes:
         sequences: ``COLLECTION/SEQUENCE``, where ``*`` and ``?`` may stand in the second part.
@@ -68,7 +68,7 @@ class FetchPlan:
 
     @property
     def download_bytes(self) -> int | None:
-        """How much has to be downloaded, None if a size is unknown."""
+        """Bytes to download, None if a size is unknown."""
         sizes = [file.estimate_bytes for file in self.files if file.name not in self.by_hand]
         return None if None in sizes else sum(size for size in sizes if size is not None)
 
@@ -254,7 +254,7 @@ class Fetching:
         self._pace = pace or Pace()
 
     def plan(self, request: FetchRequest) -> tuple[FetchPlan, ...]:
-        """What ``request`` means, checked as far as possible without the net.
+        """Resolve ``request``, checked as far as possible without the net.
 
         Raises:
             NotFound: Nothing has that name; there is no such source.

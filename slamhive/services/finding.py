@@ -24,7 +24,7 @@ LONGEST_TEXT = 200
 
 
 def find(hive: Hive, text: str) -> Mapping[FoundKind, tuple[Found, ...]]:
-    """What ``text`` may mean, by kind; kinds without anything are left out. Only the first 200 characters count."""
+    """List the possible meanings of ``text`` by kind, without empty kinds. Only the first 200 characters count."""
     text = text.strip()[:LONGEST_TEXT]
     if not text:
         return {}

@@ -28,7 +28,7 @@ LONGEST_KEY = 255
 
 @dataclass(frozen=True, slots=True)
 class KeptAnswer:
-    """What the first request was answered with: HTTP status and JSON text."""
+    """Answer to the first request: HTTP status and JSON text."""
 
     status: int
     body: str

@@ -65,7 +65,7 @@ def table_markdown(table: ResultTable) -> str:
 
 
 def numeric_columns(table: ResultTable) -> list[bool]:
-    """Which columns hold numbers, or texts that are numbers."""
+    """Find the columns that hold numbers, or texts that are numbers."""
     return [table.is_number(place) for place in range(len(table.columns))]
 
 

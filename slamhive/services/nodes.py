@@ -96,7 +96,7 @@ class Engine:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """What machines with the same processor measured in the last ``hours``: runs that ended.
+    """Measurements of machines with the same processor in the last ``hours``, from runs that ended.
 
     ``disturbed_fraction`` is that of the runs that know whether they were disturbed, None if there is none.
     """
@@ -199,7 +199,7 @@ class EngineAnswers:
         self._questions: dict[str, _Question] = {}
 
     def of(self, name: str, ask: Callable[[], AnswerT]) -> AnswerT:
-        """What ``ask`` returns or raises, asked now or a moment ago. Raises Unavailable if that takes too long."""
+        """Return or raise the answer of ``ask``, asked now or a moment ago. Raises Unavailable if it takes too long."""
         with self._lock:
             question = self._questions.get(name)
             if question is None or self._is_old(question):

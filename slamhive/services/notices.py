@@ -59,11 +59,11 @@ class Webhook:
 
     @property
     def name(self) -> str:
-        """See :class:`Channel`."""
+        """Check a mail address."""
         return f"webhook {urlsplit(self.address).hostname}"
 
     def send(self, notice: Notice) -> None:
-        """See :class:`Channel`. Redirects are not followed."""
+        """Post to the address. Redirects are not followed."""
         import requests  # noqa: PLC0415 - few installations send anything
 
         body = json.dumps({"text": notice.words, **notice.content}).encode()
@@ -95,11 +95,11 @@ class Mail:
 
     @property
     def name(self) -> str:
-        """See :class:`Channel`."""
+        """Check a web address."""
         return f"e-mail by {self.host}"
 
     def send(self, notice: Notice) -> None:
-        """See :class:`Channel`."""
+        """Send the mail."""
         try:
             with self._connected() as server:
                 if self.user:
@@ -199,7 +199,7 @@ GIVEN_UP_AFTER = timedelta(days=2)
 
 
 class Sent(Document):
-    """What has happened to a notice, by channel."""
+    """Delivery of a notice, by channel."""
 
     arrived: tuple[str, ...] = ()
     first_tried: Moment | None = None
@@ -263,7 +263,7 @@ class Notices:
         return arrived
 
     def _due(self, status: ExperimentStatus, record: NoticeRecord) -> Iterator[tuple[str, NoticeEvent]]:
-        """What is to be said about an experiment, whether or not it was said, and the key of each."""
+        """Return everything there is to say about an experiment, said or not, and the key of each."""
         if _FAILING in record.sent or self._is_failing(status):
             yield _FAILING, NoticeEvent.FAILING
         if status.standing is ConfigurationStanding.FINISHED and not self._evaluates(status):
@@ -274,7 +274,7 @@ class Notices:
         return self._store.read(lambda t: is_failing(t, status, self._settings.notify_failures))
 
     def _is_over(self, sent: Sent) -> bool:
-        """Whether a notice has arrived everywhere, or is not tried again."""
+        """Tell if a notice has arrived everywhere, or is not tried again."""
         arrived = all(channel.name in sent.arrived for channel in self._channels)
         return arrived or (sent.first_tried is not None and self._now() - sent.first_tried > GIVEN_UP_AFTER)
 

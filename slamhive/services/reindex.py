@@ -29,7 +29,7 @@ BATCH = 100
 
 @dataclass
 class ReindexReport:
-    """What was restored. ``skipped`` are the folders that could not be read, with the reason.
+    """Counts of restored rows. ``skipped`` are the folders that could not be read, with the reason.
 
     ``waiting`` runs come from the ledger: they have no folder, because no worker had started them. ``queued`` runs of
     ``experiments`` were in neither and have been queued again.

@@ -54,7 +54,7 @@ class Unmarked:
         return f"{self.part} is marked as better: {self.why}"
 
     def holds_for(self, metric: Metric) -> bool:
-        """Whether ``metric`` belongs to the part."""
+        """Tell if ``metric`` belongs to the part."""
         return self.part is MarkedPart.ALL or metric.needs_protocol is (self.part is MarkedPart.ACCURACY)
 
 
@@ -106,7 +106,7 @@ class RunColumn:
 
     @property
     def can_be_better(self) -> bool:
-        """Whether one of its runs neither failed nor has low trust: its values are those of the algorithm."""
+        """True if one of its runs neither failed nor has low trust: its values are those of the algorithm."""
         low = {run.id for run in self.runs if run.trust is not None and run.trust.level is TrustLevel.LOW}
         return any(run_id not in low and run_id not in self.failed for run_id in self.run_ids)
 
@@ -130,7 +130,7 @@ class SettingLine:
 
     @property
     def differs(self) -> bool:
-        """Whether the columns have different values."""
+        """True if the columns have different values."""
         return len(set(self.texts)) > 1
 
 
@@ -159,7 +159,7 @@ class MetricLine:
 
     @property
     def differs(self) -> bool:
-        """Whether the columns have different values, in the digits that are shown."""
+        """True if the columns have different values, in the digits that are shown."""
         return len({None if figure is None else figure.shown for figure in self.figures}) > 1
 
     def document(self, columns: Sequence[str]) -> ComparedMetric:
@@ -200,12 +200,12 @@ class RunComparison:
 
     @property
     def marks_nothing(self) -> bool:
-        """Whether no metric at all is marked as better."""
+        """True if no metric at all is marked as better."""
         return any(entry.part is MarkedPart.ALL for entry in self.unmarked)
 
     @property
     def single_runs(self) -> bool:
-        """Whether each column is one run, so that nobody knows how much repeats would differ."""
+        """True if each column is one run, so that nobody knows how much repeats would differ."""
         return all(len(column.runs) == 1 for column in self.columns)
 
     @property
@@ -333,7 +333,7 @@ def _best(metric: Metric, columns: Sequence[RunColumn], samples: Sequence[Sequen
 
 
 def _differ(first: Sequence[float], second: Sequence[float]) -> bool:
-    """Whether two groups differ by more than chance. Two single values are compared as they are."""
+    """Tell if two groups differ by more than chance. Two single values are compared as they are."""
     if min(len(first), len(second)) < 2:
         return len(first) == len(second)
     import numpy as np  # noqa: PLC0415 - loaded for repeats only, with scipy
@@ -344,7 +344,7 @@ def _differ(first: Sequence[float], second: Sequence[float]) -> bool:
 
 
 def colour_order(comparison: RunComparison) -> list[int]:
-    """What the colours of the plots mean, in order: configurations if they are grouped, otherwise runs."""
+    """List the meanings of the plot colours in order: configurations if they are grouped, otherwise runs."""
     first = (column.runs[0] for column in comparison.columns)
     return [run.configuration_id if comparison.grouped else run.id for run in first]
 
@@ -556,5 +556,5 @@ def _columns(
 
 
 def _failed(run: RunRecord, values: Mapping[str, float]) -> bool:
-    """Whether a run counts as failed under the protocol of these values; a run that lacks them is not judged."""
+    """Tell if a run counts as failed under the protocol of these values; a run that lacks them is not judged."""
     return run.state is RunState.FAILED or (bool(values) and judge(values).kind.failed)

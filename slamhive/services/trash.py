@@ -42,7 +42,7 @@ _FIELDS = {"id": int, "algorithm": str, "dataset": str, "at": str, "repeated_by"
 
 @dataclass(frozen=True, slots=True)
 class DeletedRun:
-    """What a list shows of a deleted run. ``repeated_by``: runs that repeated it. ``kept``: its files are there.
+    """Row of a deleted run in lists. ``repeated_by``: runs that repeated it. ``kept``: its files are there.
 
     ``audience``: who saw it.
     """

@@ -71,7 +71,7 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, slots=True)
 class Promise:
-    """What a program said of the file before it sent it. ``owner`` is its account, empty without accounts."""
+    """Announcement of a file before it is sent. ``owner`` is the account of the program, empty without accounts."""
 
     name: str
     size_bytes: int
@@ -88,7 +88,7 @@ class UploadFolder:
 
     @property
     def promise(self) -> Promise:
-        """What was said of the file; raises NotFound if there is no such upload."""
+        """Return the announcement of the file; raises NotFound if there is no such upload."""
         path = self.root / PROMISE
         if not path.exists():
             raise self.unknown
@@ -101,12 +101,12 @@ class UploadFolder:
 
     @property
     def received_bytes(self) -> int:
-        """How much has arrived; 0 again after the import, which removes the bytes."""
+        """Return the number of bytes that have arrived; 0 again after the import, which removes them."""
         return self.content.stat().st_size if self.content.exists() else 0
 
     @property
     def imported(self) -> ImportedDocument | None:
-        """What was made of it."""
+        """Return the result of the import."""
         path = self.root / RESULT
         return ImportedDocument.read(read_record(path)) if path.exists() else None
 
@@ -403,7 +403,7 @@ class UploadImports:
     executors: Executors
 
     def check(self, request: DatasetUpload | RunsUpload | AlgorithmUpload, owner: str) -> None:
-        """What can be said before the import begins: raises NotFound, and Conflict for uploads that lack bytes."""
+        """Describe the import before it begins: raises NotFound, and Conflict for uploads that lack bytes."""
         for token in _tokens(request):
             self.uploads.folder(token, owner).check_complete()
 

@@ -84,11 +84,11 @@ class Accounts:
         return self._store.read(lambda t: t.accounts.named(name))
 
     def exist(self) -> bool:
-        """Whether anybody can sign in."""
+        """Tell if anybody can sign in."""
         return self._store.read(lambda t: t.accounts.exist())
 
     def in_use(self) -> bool:
-        """Whether there ever was an account: then not everybody may see everything."""
+        """Tell if there ever was an account: then not everybody may see everything."""
         return self._store.read(lambda t: t.accounts.in_use())
 
     def set_role(self, name: str, role: Role) -> Account:
@@ -197,7 +197,7 @@ class Accounts:
         return self._changed(name, work)
 
     def identities(self, name: str) -> Sequence[Identity]:
-        """Who may use an account from a provider; raises NotFound."""
+        """Find the account of a person from a provider; raises NotFound."""
         return self._store.read(lambda t: t.accounts.identities(t.accounts.named(name).id))
 
     def check_own_password(self, name: str, password: str) -> None:
@@ -267,7 +267,7 @@ class Accounts:
 
 
 def digest_of(secret: str) -> str:
-    """What is stored of a secret. It has 256 random bits, so that a slow hash would add nothing."""
+    """Return the stored form of a secret. It has 256 random bits, so that a slow hash would add nothing."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
@@ -304,7 +304,7 @@ def _refused() -> Unauthenticated:
 
 
 def accounts_needed(settings: Settings, host: str) -> bool:
-    """Whether a server that binds to ``host`` asks who calls. One that only shows never does."""
+    """Tell if a server that binds to ``host`` asks for sign-in. One that only shows never does."""
     if settings.mode is Mode.VIEW_ONLY:
         return False
     if settings.auth is Auth.AUTO:

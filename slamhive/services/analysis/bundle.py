@@ -67,7 +67,7 @@ def table_csv(table: ResultTable) -> str:
 
 
 def parquet_there() -> bool:
-    """Whether pyarrow is installed, which writes Parquet files."""
+    """Tell if pyarrow is installed, which writes Parquet files."""
     return find_spec("pyarrow") is not None
 
 
@@ -130,7 +130,7 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, slots=True)
 class Printing:
-    """How the plots of a report are printed.
+    """Print options for the plots of a report.
 
     Attributes:
         formats: From :data:`slamhive.analysis.chart.PRINT_FORMATS` and ``PAPER_FORMATS``.

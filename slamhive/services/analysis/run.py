@@ -200,7 +200,7 @@ class AnalysisOutcome:
 
     @property
     def complete(self) -> bool:
-        """Whether every plot could be made."""
+        """True if every plot could be made."""
         return all(plot.error is None for plot in self.plots)
 
 

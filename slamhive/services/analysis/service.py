@@ -88,7 +88,7 @@ class AnalysisService:
         return make_report(outcome, utc_now(), self._citations.of_names(*names))
 
     def offered(self, text: str) -> OfferedColumns:
-        """What the runs that a file selects can be drawn over; nothing while none is evaluated.
+        """List the axes over which the selected runs can be drawn; nothing while none is evaluated.
 
         Raises as :meth:`read` and :meth:`compute`.
         """
@@ -106,7 +106,7 @@ class AnalysisService:
         return offered_columns(table, sorted(measured), len(run_ids))
 
     def references(self, analysis: Analysis) -> tuple[Reference, ...]:
-        """What to cite for the runs that an analysis selects now; raises as :meth:`compute`."""
+        """List the works to cite for the runs that an analysis selects now; raises as :meth:`compute`."""
         return self._citations.of_runs(self._selected(analysis))
 
     def fingerprint(self, analysis: Analysis) -> str:
@@ -125,7 +125,7 @@ class AnalysisService:
         )
 
     def _may_be_axis(self, name: str) -> bool:
-        """Whether the file of a stored experiment contains the name, and so may have an axis called so."""
+        """Tell if the file of a stored experiment contains the name, and so may have an axis called so."""
         return self._store.read(lambda t: t.experiments.mention(name))
 
     def _selected(self, analysis: Analysis) -> tuple[int, ...]:

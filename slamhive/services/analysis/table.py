@@ -149,7 +149,7 @@ _ENDINGS = {"hz": "Hz", "s": "s", "m": "m", "px": "px", "rad": "rad"}
 
 @dataclass(frozen=True, slots=True)
 class TableRequest:
-    """Which runs and metrics; ``protocol`` is a fingerprint, None for each run's current protocol."""
+    """Selection of runs and metrics; ``protocol`` is a fingerprint, None for each run's current protocol."""
 
     run_ids: Sequence[int]
     keys: Collection[str]
@@ -218,7 +218,7 @@ def _undisturbed(facts: Columns) -> Columns:
 
 
 def _disturbance_words(kinds: str | None) -> str | None:
-    """What disturbed a run, from the column for searches; None if unknown."""
+    """Say what disturbed a run, from the column for searches; None if unknown."""
     if kinds is None:
         return None
     return ", ".join(DisturbanceKind(kind).label for kind in kinds.split()) or UNDISTURBED

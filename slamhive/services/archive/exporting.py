@@ -46,7 +46,7 @@ from slamhive.store.records import AlgorithmVersion, ExperimentRecord, RunRecord
 
 
 class Extra(StrEnum):
-    """What an export adds."""
+    """Options of an export."""
 
     PACKAGES = "packages"
     IMAGES = "images"
@@ -55,7 +55,7 @@ class Extra(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Packing:
-    """How versions are packed: by whom, in which empty folder meanwhile, and whether with their images."""
+    """Packing of versions: by whom, in which empty folder meanwhile, and with or without their images."""
 
     versions: Versions
     aside: Path
@@ -95,7 +95,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class ExportRequest:
-    """What to export: all runs (``run_ids`` None) with everything else that is stored, or these with what they need.
+    """Selection of an export: all runs (``run_ids`` None) with everything else stored, or these with what they need.
 
     ``unpublished``: also what is not public. It makes no difference where there are no accounts.
     """
@@ -110,7 +110,7 @@ class ExportRequest:
 
 @dataclass
 class ExportReport:
-    """How many rows of each kind are in the archive, and how many runs, and files of runs, are not, by reason."""
+    """Number of rows of each kind in the archive, and of runs and files that were left out, by reason."""
 
     counts: Counter[str] = field(default_factory=Counter)
     left_out: Counter[str] = field(default_factory=Counter)

@@ -97,7 +97,7 @@ class ArchiveReader:
         return [name for name in self._members if name.startswith(prefix)]
 
     def has(self, name: str) -> bool:
-        """Whether there is a member of this name."""
+        """Tell if there is a member of this name."""
         return name in self._members
 
     def read(self, name: str) -> bytes:
@@ -296,7 +296,7 @@ CheckProgress = Callable[[float, str], None]
 
 @dataclass
 class Contents:
-    """What is known of an archive that was checked.
+    """Knowledge of an archive that was checked.
 
     Attributes:
         runs: {uid: number}.

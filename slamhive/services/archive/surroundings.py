@@ -1,4 +1,4 @@
-"""What runs of an archive refer to, merged with what is here: what is here stays as it is."""
+"""Merge of everything that runs of an archive refer to with what is here; what is here stays as it is."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Surroundings:
         self._cells()
 
     def import_after_runs(self, counts: Counter[str], *, kept_numbers: bool) -> None:
-        """What refers to all of it. Analyses may name runs by number: they come only where numbers are kept."""
+        """Import everything that refers to runs. Analyses name runs by number: they come only where numbers are kept."""
         self._labels()
         if kept_numbers:
             self._analyses(counts)
@@ -99,7 +99,7 @@ class Surroundings:
                 self._store.write(lambda t: t.analyses.put(record))  # noqa: B023
 
     def experiment_name(self, name: str | None) -> str | None:
-        """What the experiment of this name in the archive is called here."""
+        """Return the name here of an experiment in the archive."""
         return None if name is None else self._experiment_names.get(name)
 
     def seen_by(self, experiment: str | None) -> Visibility | None:
@@ -259,7 +259,7 @@ class Surroundings:
 
 
 def _definitions(line: ConfigurationLine, aliases: dict[tuple[str, str], Any]) -> list[Parameter]:
-    """How the parameters were defined; the general name of one that is defined here is the one it has here."""
+    """Return the stored definitions of parameters; one that is defined here keeps its general name from here."""
     algorithm = line.configuration.algorithm
     return [replace(entry, general=aliases.get((algorithm, entry.key), entry.general)) for entry in line.definitions]
 

@@ -319,7 +319,7 @@ def _ended(line: EvaluationLine) -> EndedEvaluation:
 
 
 def _whole(kind: type[Document], read: Callable[[], T], what: str = "") -> T:
-    """What ``read`` finds; raises InvalidInput that names the kind of line."""
+    """Read one line; raises InvalidInput that names the kind of line."""
     try:
         return read()
     except ValueError as error:

@@ -126,7 +126,7 @@ def in_memory(path: Path, name: str, kind: Format, share: BudgetShare) -> Iterat
 
 
 def check_trajectory(definition: Definition, entry: SequenceEntry, name: str, data: bytes) -> StoredFile:
-    """What the time range of a sequence says of a TUM trajectory; raises InvalidInput if it is none of the sequence."""
+    """Compare a TUM trajectory with the time range of its sequence; raises InvalidInput if it does not belong to it."""
     assert entry.time_range_s is not None  # the definition was checked
     first_s, last_s = entry.time_range_s
     stamps_s = parse_tum(data, name, definition.protocol.duplicates).stamps_s + definition.protocol.time_offset_s
@@ -219,7 +219,7 @@ class Estimate:
 
 @dataclass
 class Estimates:
-    """What there is of a submission: trajectories, and by sequence why others do not count."""
+    """Trajectories of a submission, and by sequence the reasons why others do not count."""
 
     found: list[Estimate] = field(default_factory=list)
     failures: dict[str, list[RunFailure]] = field(default_factory=dict)

@@ -83,12 +83,12 @@ class Definition:
 
     @property
     def preset(self) -> ChallengePreset:
-        """How it counts."""
+        """Way of counting."""
         return PRESETS[self.file.preset]
 
     @cached_property
     def protocol(self) -> Protocol:
-        """How each sequence is evaluated; raises InvalidInput or NotFound."""
+        """Protocol of each sequence; raises InvalidInput or NotFound."""
         asked = self.preset.protocol or self.file.protocol
         if isinstance(asked, dict):
             return protocol_from_content(asked)
@@ -96,12 +96,12 @@ class Definition:
 
     @cached_property
     def metric(self) -> Metric:
-        """What counts of a sequence; raises NotFound."""
+        """Metric that counts of a sequence; raises NotFound."""
         return metric(self.preset.metric or str(self.file.metric))
 
     @property
     def scoring(self) -> Scoring:
-        """What values count."""
+        """Points that values are worth."""
         worst = self.preset.worst if self.file.worst is None else self.file.worst
         return Scoring(self.preset.rule, worst, self.metric.direction is Direction.HIGHER)
 
@@ -122,7 +122,7 @@ class Definition:
         return [entry for entry in self.file.sequences if phase.sequences is None or entry.name in phase.sequences]
 
     def takes(self, phase: PhaseEntry) -> tuple[Taken, ...]:
-        """What a phase takes: trajectories unless a recording is secret, and images if all recordings are here."""
+        """List what a phase takes: trajectories unless a recording is secret, and images if all recordings are here."""
         entries = self.sequences_of(phase)
         found = () if any(entry.secret for entry in entries) else (Taken.TRAJECTORIES,)
         images = self.file.images is not None and all(entry.recording is not None for entry in entries)

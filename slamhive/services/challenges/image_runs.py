@@ -286,7 +286,7 @@ class ImageWork:
                 yield found
 
     def _is_over(self, folder: ChallengeFolder, found: SubmissionFolder) -> bool:
-        """Whether there is nothing to run; a damaged submission is left to the next worker, and holds up nobody."""
+        """Tell if there is nothing to run; a damaged submission is left to the next worker, and holds up nobody."""
         try:
             return found.sent.image is None or folder.ended_runs(found.root.name) is not None
         except SlamHiveError as error:

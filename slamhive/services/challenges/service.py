@@ -108,7 +108,7 @@ def _fill(folder: Path, file: ChallengeFile, truths: dict[str, bytes], source: P
 
 
 def _published(entry: SequenceEntry) -> SequenceEntry:
-    """What everybody may know: the times of a secret recording would tell when it was made, and how long it is."""
+    """Return the public part: the times of a secret recording would tell when it was made, and how long it is."""
     kept = {"groundtruth": None, "recording": None if entry.recording is None else entry.name}
     return entry.model_copy(update={**kept, "time_range_s": None} if entry.secret else kept)
 
@@ -199,7 +199,7 @@ class ChallengeService:
         return found
 
     def get(self, name: str) -> Challenge:
-        """What is public of a challenge; raises NotFound."""
+        """Return the public part of a challenge; raises NotFound."""
         return challenge_of(self._folder(name).definition, self._clock())
 
     def check(self, name: str, files: Mapping[str, Path], phase: str | None = None) -> list[str]:

@@ -35,7 +35,7 @@ _FOLDER_MODE, _FILE_MODE = 0o750, 0o640
 
 @dataclass(frozen=True, slots=True)
 class Entrant:
-    """Who submits. ``account`` is empty on the command line, and on a server without accounts."""
+    """Team that submits. ``account`` is empty on the command line, and on a server without accounts."""
 
     team: str
     account: str = ""
@@ -65,7 +65,7 @@ def open_phase(definition: Definition, asked: str | None, now: datetime) -> Phas
 
 @dataclass(frozen=True, slots=True)
 class Submitted:
-    """What is kept of a submission: an identity, facts, and what writes its files into a folder."""
+    """Kept part of a submission: an identity, facts, and a function that writes its files into a folder."""
 
     digest: str
     write: Callable[[Path], None]

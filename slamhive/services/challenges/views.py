@@ -1,4 +1,4 @@
-"""What is shown of challenges and submissions. Nothing here opens the secret folder."""
+"""Public views of challenges and submissions, and the ranking. Nothing here opens the secret folder."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from slamhive.services.challenges.folder import SubmissionFolder
 
 
 def scores_shown(phase: PhaseEntry, now: datetime) -> bool:
-    """Whether the scores of a phase are shown."""
+    """Tell if the scores of a phase are shown."""
     return phase.scores is Reveal.AT_ONCE or phase_state(phase.begins, phase.ends, now) is PhaseState.ENDED
 
 
@@ -114,7 +114,7 @@ def score_of(definition: Definition, result: StoredResult) -> float:
 
 
 def weight_of(definition: Definition, result: StoredResult, sequence: str) -> float:
-    """How much a sequence weighs."""
+    """Return the weight of a sequence."""
     return result.weights[sequence] if definition.scoring.rule is Rule.POOLED else 1.0
 
 
@@ -125,7 +125,7 @@ def _state(result: StoredResult | None) -> SubmissionState:
 
 
 def _log(definition: Definition, found: SubmissionFolder, result: StoredResult | None, *, shown: bool) -> list[str]:
-    """What was done with each trajectory: facts of the submission, of the public file, and of shown values."""
+    """Describe each trajectory: facts of the submission, of the public file, and of shown values."""
     sent = found.sent
     lines = [_line(name, facts, definition.file.least_coverage) for name, facts in sent.files.items()]
     if found.cancelled:

@@ -41,7 +41,7 @@ Stamp = tuple[int, int, int]
 
 
 def stamp_of(path: Path | str) -> Stamp | None:
-    """What changes with a file; None if there is none, or if it cannot be reached."""
+    """Return a value that changes with the file; None if there is none, or if it cannot be reached."""
     try:
         status = os.stat(path)  # noqa: PTH116 - a Path for each would take longer than the call
     except OSError:
@@ -84,7 +84,7 @@ class BrokenEntry:
 
 @dataclass(frozen=True, slots=True)
 class PlannedImport:
-    """What an import will make: the name of the dataset, the format that was found or named, and the plan."""
+    """Plan of an import: the name of the dataset, the format that was found or named, and the work."""
 
     name: str
     format: str
@@ -273,7 +273,7 @@ class Catalogue:
         return loaded
 
     def _scan_algorithms(self) -> tuple[Sequence[Algorithm], list[BrokenEntry]]:
-        """What algorithms and broken folders there are. If no file has changed, the files are not looked into."""
+        """Find algorithms and broken folders. If no file has changed, the files are not looked into."""
         from slamhive.packages.algorithm_file import ALGORITHM_FILE, load_algorithms
         from slamhive.packages.folders import ALGORITHM_FOLDERS
 
@@ -324,7 +324,7 @@ class Catalogue:
                     yield root / name
 
     def _scan_datasets(self) -> tuple[Sequence[Dataset], list[BrokenEntry]]:
-        """As :meth:`_scan_algorithms`, of datasets."""
+        """Find datasets and broken folders, like :meth:`_scan_algorithms`."""
         from slamhive.packages.dataset_file import DATASET_FILE, load_dataset
 
         stamps = stamped(self._settings.datasets_folder, DATASET_FILE)

@@ -64,7 +64,7 @@ def evaluation_files(folder: RunFolder, dataset: Dataset) -> dict[str, Path]:
 
 
 def _is_file(path: Path) -> bool:
-    """Whether it is a regular file: an algorithm may have replaced it with a link."""
+    """Tell if it is a regular file: an algorithm may have replaced it with a link."""
     try:
         return stat.S_ISREG(path.lstat().st_mode)
     except OSError:

@@ -81,7 +81,7 @@ _MOST_NAMED = 3
 
 
 def pairing_key(content: ConfigurationContent) -> str:
-    """What configurations that differ in their version alone have in common."""
+    """Common part of configurations that differ in their version alone."""
     return replace(content.configuration, version=None).content_hash
 
 
@@ -107,7 +107,7 @@ def find_pair(
 
 
 def _alike(held: ConfigurationContent, found: ConfigurationContent) -> bool:
-    """Whether all but the parameters is equal."""
+    """Tell if all but the parameters is equal."""
     maps = [None if entry.map is None else entry.map.content for entry in (held, found)]
     return maps[0] == maps[1] and all(getattr(held, name) == getattr(found, name) for name in _ALIKE)
 
@@ -322,7 +322,7 @@ _CANDIDATES_MOST_NAMED = 10
 
 @dataclass(frozen=True, slots=True)
 class GateCheck:
-    """What is compared with what.
+    """Pairs of configurations to compare.
 
     Attributes:
         baseline: The runs to compare with.

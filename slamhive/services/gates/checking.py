@@ -263,7 +263,7 @@ def _open_questions(metrics: Sequence[GateMetric], missing: Sequence[str]) -> It
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """How runs are repeated: ``first`` of each configuration, then more within ``budget``; None: no more."""
+    """Rule for repeating runs: ``first`` of each configuration, then more within ``budget``; None: no more."""
 
     first: int
     budget: GateBudget | None = None

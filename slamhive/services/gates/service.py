@@ -105,7 +105,7 @@ class Gates:
         return answer_of(check, pairs, paired.notes, significance, looks)
 
     def reruns(self, check: GateCheck, algorithms: Sequence[str], executor: str | None = None) -> list[Rerun]:
-        """What to run again for these algorithms, ``NAME`` or ``NAME@VERSION``. Nothing is queued yet.
+        """Plan the runs to repeat for these algorithms, ``NAME`` or ``NAME@VERSION``. Nothing is queued yet.
 
         Raises NotFound for an algorithm that the baseline has no runs of, and InvalidInput or NotFound for what cannot
         run here.

@@ -116,7 +116,7 @@ def _spreads_deg(file: PoseFile, unit: TimeUnit, truth: ImportTruth) -> dict[Qua
 
 
 def _partner_spreads_deg(file: PoseFile, unit: TimeUnit, partner: Partner) -> dict[QuaternionOrder, float]:
-    """As :func:`_spreads_deg` for a ground truth, with the better of the two orders of its estimate.
+    """Measure :func:`_spreads_deg` for a ground truth, with the better of the two orders of its estimate.
 
     An order that the ground truth states is contradicted only by an estimate whose order is certain.
     """

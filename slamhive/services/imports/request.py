@@ -130,7 +130,7 @@ class Reading:
 
 @dataclass
 class ImportReport:
-    """What was imported, or with ``dry_run`` would be.
+    """Result of an import, or with ``dry_run`` of its rehearsal.
 
     Attributes:
         run_ids: The runs of all files, new ones and those imported before.

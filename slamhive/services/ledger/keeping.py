@@ -163,7 +163,7 @@ class Missing:
             after = found[-1][0]
 
     def _untold(self, run_id: int, state: RunState, told: set[int]) -> bool:
-        """Whether neither the book nor the run's folder says that it is in ``state``."""
+        """Tell if neither the book nor the run's folder says that it is in ``state``."""
         if run_id in told:
             return False
         folder = RunFolder(self._settings.runs_folder / str(run_id))
@@ -239,7 +239,7 @@ class Ledger:
         self._replace(files.searches, search_lines)
 
     def knows_more(self) -> bool:
-        """Whether the ledger has entries but the database is empty, so it was lost."""
+        """Tell if the ledger has entries but the database is empty, so it was lost."""
         if not self._store.read(lambda t: t.ledger.empty()):
             return False
         return bool(live_configurations(self.files.configurations)) or any(self.files.searches.read())

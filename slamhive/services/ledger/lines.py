@@ -122,7 +122,7 @@ def live_configurations(book: Book) -> dict[int, int]:
 
 
 def label_line(record: ConfigurationRecord) -> Line:
-    """What users say about a configuration now."""
+    """Line with the current notes of users on a configuration."""
     return LabelLine.of(record, label=record.id).content
 
 

@@ -78,7 +78,7 @@ class LedgerRestore:
     # -- before the folders ----------------------------------------------------------------------------------------
 
     def restore_before_runs(self) -> None:
-        """What runs refer to: algorithms, datasets, configurations."""
+        """Add the algorithms, datasets and configurations that runs refer to."""
         for line in self._files.catalogue.read():
             self._guarded(self._files.catalogue, lambda: self._restore_catalogue(line))  # noqa: B023
         last = live_configurations(self._files.configurations)
@@ -343,6 +343,6 @@ def _shared_as(run: LedgerRun, sharing: Sharing | None) -> LedgerRun:
 
 
 def _definitions(entry: LedgerConfiguration, aliases: Mapping[tuple[str, str], Any]) -> list[Parameter]:
-    """How the parameters were defined; the general name of one that is defined here is the one it has here."""
+    """Return the stored definitions of parameters; one that is defined here keeps its general name from here."""
     algorithm = entry.configuration.algorithm
     return [replace(known, general=aliases.get((algorithm, known.key), known.general)) for known in entry.definitions]

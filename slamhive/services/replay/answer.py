@@ -128,7 +128,7 @@ def _trajectories(runs: Iterable[RunRecord], runs_folder: Path) -> Iterator[str]
 
 
 def _remarks(configurations: Sequence[Recorded], pairs: Sequence[RunPair]) -> Iterator[str]:
-    """What limits the answer, one sentence each."""
+    """List the limits of the answer, one sentence each."""
     for entry, pair in zip(configurations, pairs, strict=True):
         if entry.version.identity != entry.recorded_identity:
             yield (

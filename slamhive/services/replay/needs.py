@@ -1,4 +1,4 @@
-"""What is asked of a replay, and what it found in the bundle."""
+"""Request for a replay, and what it needs and finds in the bundle."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from slamhive.store.records import AlgorithmVersion
 
 @dataclass(frozen=True, slots=True)
 class ReplayRequest:
-    """How a bundle is replayed.
+    """Options of a replay.
 
     Attributes:
         path: The bundle, a file that ``slamhive archive export`` wrote.
@@ -61,7 +61,7 @@ class Needs:
 
 
 def needs_of(archive: ArchiveReader) -> Needs:
-    """What the bundle needs; raises InvalidInput if none of its runs can run again."""
+    """Collect the needs of the bundle; raises InvalidInput if none of its runs can run again."""
     uids, datasets, left_out = [], dict[str, str | None](), Counter[str]()
     for _, file in recorded_runs(archive):
         reason = None

@@ -48,11 +48,11 @@ class Computing:
 
     @property
     def goes_on(self) -> bool:
-        """Whether it has not ended."""
+        """True until it has ended."""
         return self._child.poll() is None
 
     def said(self) -> dict[str, Any]:
-        """What it reported at its end, or ``error`` with the reason why it reported nothing."""
+        """Return its final report, or ``error`` with the reason why there is none."""
         return _said(self._child.returncode, _tail(self._output), _tail(self._errors))
 
 

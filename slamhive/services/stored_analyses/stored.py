@@ -103,7 +103,7 @@ class AnalysisFolder:
 
     @property
     def whole(self) -> bool:
-        """Whether all results exist."""
+        """True if all results exist."""
         return all((self.root / name).is_file() for name in RESULTS)
 
     @property
@@ -172,7 +172,7 @@ _TOKEN = re.compile(r"[0-9a-f]{32}")
 
 
 def may_analyse(settings: Settings) -> bool:
-    """Whether the installation accepts new analyses; in view-only mode they come from visitors and are not listed."""
+    """True if the installation keeps new analyses; in view-only mode they come from visitors and are not listed."""
     return settings.mode is not Mode.VIEW_ONLY or not settings.no_new_analysis
 
 
@@ -239,7 +239,7 @@ class StoredAnalyses:
 
     @staticmethod
     def is_token(text: str) -> bool:
-        """Whether a text looks like the token of an analysis."""
+        """Tell if a text looks like the token of an analysis."""
         return _TOKEN.fullmatch(text) is not None
 
     def listed(self, limit: int = 500) -> list[AnalysisRecord]:

@@ -273,7 +273,7 @@ def opened_version(path: Path, root: Path | None = None) -> Iterator[PackedVersi
 
 
 def is_export(path: Path) -> bool:
-    """Whether ``path`` is an archive of ours, and not one that ``docker save`` alone has written."""
+    """Tell if ``path`` is an archive of ours, and not one that ``docker save`` alone has written."""
     try:
         with tarfile.open(path, mode="r|*") as archive:
             first = archive.next()

@@ -72,7 +72,7 @@ class Versions:
         return self._store.read(lambda t: t.versions.of(package))
 
     def labels(self) -> list[str]:
-        """How users name the versions that have not been removed."""
+        """List the names of the versions that have not been removed."""
         records = self._store.read(lambda t: t.versions.all())
         return [record.label for record in records if record.removed_at is None]
 
@@ -118,7 +118,7 @@ class Versions:
     # -- verifying -------------------------------------------------------------------------------------------------
 
     def verify(self, name: str | None = None) -> list[VersionFinding]:
-        """What has changed or vanished: images, environments, kept folders, and the packages themselves."""
+        """Report what has changed or vanished: images, environments, kept folders, and the packages themselves."""
         wanted = None if name is None else self.package_of(name)
         records = self._store.read(lambda t: t.versions.all())
         findings = []
@@ -144,7 +144,7 @@ class Versions:
     def _verify_package(
         self, package: str, versions: list[VersionRecord], executors: list[Executor]
     ) -> list[VersionFinding]:
-        """Whether the folder was edited after the last build, and whether a name leads to an unknown image."""
+        """Report a folder that was edited after the last build, and a name that leads to an unknown image."""
         try:
             here = self._catalogue.package(package)
         except SlamHiveError as error:
