@@ -71,7 +71,7 @@ class Surroundings:
         self._cells()
 
     def import_after_runs(self, counts: Counter[str], *, kept_numbers: bool) -> None:
-        """Import everything that refers to runs. Analyses name runs by number: they come only where numbers are kept."""
+        """Import what refers to runs. Analyses name runs by number: they come only where numbers are kept."""
         self._labels()
         if kept_numbers:
             self._analyses(counts)
