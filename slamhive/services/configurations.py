@@ -308,7 +308,8 @@ class Configurations:
         submission.check()
         algorithm = self._catalogue.algorithm(submission.algorithm)
         dataset = self._catalogue.dataset(submission.dataset)
-        configuration = submission.configuration(algorithm, self._map_of(submission, algorithm))
+        used = None if submission.map is None else self.find_map(submission.map, algorithm).map
+        configuration = submission.configuration(algorithm, used)
         variant = self._variants.resolve(dataset, configuration.variant)
         self._variants.plan(dataset, variant)
         chosen = algorithm.stated_choice(dataset, configuration.sensors)
@@ -322,9 +323,6 @@ class Configurations:
     def find_map(self, reference: str, algorithm: Algorithm) -> FoundMap:
         """The map of a run, for a run of ``algorithm``; raises NotFound or InvalidInput."""
         return find_map(self._store, self._settings.runs_folder, reference, algorithm)
-
-    def _map_of(self, submission: Submission, algorithm: Algorithm) -> InputMap | None:
-        return None if submission.map is None else self.find_map(submission.map, algorithm).map
 
     def map_note(self, submission: Submission) -> str | None:
         """In words, that the map of a submission shows another dataset; None if there is nothing to say."""

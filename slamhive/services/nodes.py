@@ -202,7 +202,7 @@ class EngineAnswers:
         """Return or raise the answer of ``ask``, asked now or a moment ago. Raises Unavailable if it takes too long."""
         with self._lock:
             question = self._questions.get(name)
-            if question is None or self._is_old(question):
+            if question is None or (question.done.is_set() and monotonic_s() - question.answered_s >= self._kept_s):
                 question = self._questions[name] = _Question(ask)
         if not question.done.wait(max(0.0, question.begun_s + self._patience_s - monotonic_s())):
             raise Unavailable(f"{name} has not answered for {self._patience_s:g} s", "slamhive doctor examines it")
@@ -215,9 +215,6 @@ class EngineAnswers:
         """Ask again next time: something has changed."""
         with self._lock:
             self._questions.pop(name, None)
-
-    def _is_old(self, question: _Question) -> bool:
-        return question.done.is_set() and monotonic_s() - question.answered_s >= self._kept_s
 
 
 # The nodes of all executors in use, and draining one.

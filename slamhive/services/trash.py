@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -137,7 +137,10 @@ class Trash:
         check_writable(self._settings)
         runs, evaluated, repeats = self._store.read(lambda t: _needed(t, list(dict.fromkeys(run_ids))))
         for run in runs:
-            _check_unused(run, evaluated)
+            if not run.state.ended:
+                raise Conflict(f"run {run.id} has not ended, it is {run.state}", "cancel it first")
+            if run.id in evaluated:
+                raise Conflict(f"run {run.id} is being evaluated", "wait until that has ended")
         deleted = [Deleted(run.uid, run.id, at or utc_now()) for run in runs]
         for run, entry in zip(runs, deleted, strict=True):
             folder = self._folder(run.uid)
@@ -242,13 +245,6 @@ class Trash:
 def _needed(t: Transaction, run_ids: Sequence[int]) -> tuple[tuple[RunRecord, ...], set[int], dict[int, list[int]]]:
     """The runs, those of them that are being evaluated, and {run: the runs that repeat it}."""
     return t.runs.get_many(run_ids), t.evaluations.with_open(run_ids), t.deleted_runs.repeated_by(run_ids)
-
-
-def _check_unused(run: RunRecord, evaluated: Collection[int]) -> None:
-    if not run.state.ended:
-        raise Conflict(f"run {run.id} has not ended, it is {run.state}", "cancel it first")
-    if run.id in evaluated:
-        raise Conflict(f"run {run.id} is being evaluated", "wait until that has ended")
 
 
 def _move(source: Path, target: Path) -> None:

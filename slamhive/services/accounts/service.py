@@ -161,25 +161,24 @@ class Accounts:
                     f"no account here belongs to {identity.name or identity.subject!r}",
                     "ask an admin, who links one with slamhive account link",
                 )
-            found = self._join(identity, new)
+            # Add an account with a password that nobody knows.
+            name, now = account_name_of(identity.name or identity.subject), self._now()
+            password_hash = passwords.hash_password(secrets.token_urlsafe(_SECRET_BYTES))
+
+            def work(t: Transaction) -> AccountCredentials:
+                if t.accounts.find(name, locked=True) is not None:
+                    raise Conflict(
+                        f"the name {name!r} is taken here", "ask an admin to link it (slamhive account link)"
+                    )
+                account = t.accounts.add(name, new, password_hash, now)
+                t.accounts.link(account.id, identity, now)
+                return AccountCredentials(account, password_hash)
+
+            found = self._store.write(work)
         secret = secrets.token_urlsafe(_SECRET_BYTES)
         key, known = self._new_key(KeyKind.SESSION, secret, SESSION_LASTS), found
         self._store.write(lambda t: _open_session(t, known, key, None))
         return AccountSession(secret, _session_caller(found.account))
-
-    def _join(self, identity: Identity, role: Role) -> AccountCredentials:
-        """A new account for an identity. It has a password that nobody knows."""
-        name, now = account_name_of(identity.name or identity.subject), self._now()
-        password_hash = passwords.hash_password(secrets.token_urlsafe(_SECRET_BYTES))
-
-        def work(t: Transaction) -> AccountCredentials:
-            if t.accounts.find(name, locked=True) is not None:
-                raise Conflict(f"the name {name!r} is taken here", "ask an admin to link it (slamhive account link)")
-            account = t.accounts.add(name, role, password_hash, now)
-            t.accounts.link(account.id, identity, now)
-            return AccountCredentials(account, password_hash)
-
-        return self._store.write(work)
 
     def link(self, name: str, identity: Identity) -> Account:
         """Let somebody whom a provider vouches for use an account; raises NotFound, InvalidInput or Conflict."""

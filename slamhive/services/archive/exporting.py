@@ -147,40 +147,34 @@ def export_archive(
     if not request.path.absolute().parent.is_dir():
         raise InvalidInput(f"the folder of {request.path} does not exist", "make it first")
     with published(store, unpublished=request.unpublished):
-        return _export(settings, store, request, progress, versions)
-
-
-def _export(
-    settings: Settings, store: Store, request: ExportRequest, progress: Progress, versions: Versions | None
-) -> ExportReport:
-    report = ExportReport()
-    run_ids = _ended(store, request, report)
-    if not run_ids:
-        public = " and is public" if store.viewer is not None else ""
-        raise InvalidInput(f"there is no run to export that has ended{public}", "slamhive runs lists them")
-    with archive_writer(request.path.absolute()) as archive:
-        export = _Export(settings, store, archive, request, report)
-        for start in range(0, len(run_ids), BATCH):
-            for _ in export.runs(run_ids[start : start + BATCH]):
-                report.counts["runs"] += 1
-                progress(report.counts["runs"], len(run_ids))
-        export.rest(run_ids)
-        if versions is not None and {Extra.PACKAGES, Extra.IMAGES} & set(request.extra):
-            with temporary_folder(root=request.path.absolute().parent) as aside:
-                packing = Packing(versions, aside, images=Extra.IMAGES in request.extra)
-                report.counts.update(add_versions(archive, export.used, packing))
-        archive.finish(
-            ArchiveManifest(
-                made_at=utc_now().isoformat(timespec="seconds"),
-                software=__version__,
-                counts=dict(report.counts),
-                without=tuple(part.value for part in request.without),
-                left_out=dict(report.left_out),
-                files_left_out=dict(report.files_left_out),
+        report = ExportReport()
+        run_ids = _ended(store, request, report)
+        if not run_ids:
+            public = " and is public" if store.viewer is not None else ""
+            raise InvalidInput(f"there is no run to export that has ended{public}", "slamhive runs lists them")
+        with archive_writer(request.path.absolute()) as archive:
+            export = _Export(settings, store, archive, request, report)
+            for start in range(0, len(run_ids), BATCH):
+                for _ in export.runs(run_ids[start : start + BATCH]):
+                    report.counts["runs"] += 1
+                    progress(report.counts["runs"], len(run_ids))
+            export.rest(run_ids)
+            if versions is not None and {Extra.PACKAGES, Extra.IMAGES} & set(request.extra):
+                with temporary_folder(root=request.path.absolute().parent) as aside:
+                    packing = Packing(versions, aside, images=Extra.IMAGES in request.extra)
+                    report.counts.update(add_versions(archive, export.used, packing))
+            archive.finish(
+                ArchiveManifest(
+                    made_at=utc_now().isoformat(timespec="seconds"),
+                    software=__version__,
+                    counts=dict(report.counts),
+                    without=tuple(part.value for part in request.without),
+                    left_out=dict(report.left_out),
+                    files_left_out=dict(report.files_left_out),
+                )
             )
-        )
-    report.size_bytes = request.path.stat().st_size
-    return report
+        report.size_bytes = request.path.stat().st_size
+        return report
 
 
 def _ended(store: Store, request: ExportRequest, report: ExportReport) -> list[int]:

@@ -229,23 +229,19 @@ def open_archive(path: Path) -> Iterator[ArchiveReader]:
         os.close(descriptor)
         raise InvalidInput(f"{path} is not a file", "give a file that slamhive archive export has written")
     with os.fdopen(descriptor, "rb") as stream:
-        _check_directory(stream, path)
+        # Refuse a file that is no zip file, was cut short, or whose list of members is too long for memory.
+        size = zip_directory_bytes(stream)
+        if size is None:
+            raise InvalidInput(f"{path} is no archive, or was cut short", _DAMAGED)
+        if size > LARGEST_DIRECTORY_BYTES:
+            raise InvalidInput(f"{path} lists its members in {size} bytes, more than any export writes")
+        stream.seek(0)
         try:
             file = zipfile.ZipFile(stream)
         except _BROKEN as error:
             raise InvalidInput(f"{path} is damaged: {error}", _DAMAGED) from None
         with file:
             yield ArchiveReader(file, path)
-
-
-def _check_directory(stream: IO[bytes], path: Path) -> None:
-    """Refuse a file that is no zip file, was cut short, or whose list of members is too long for memory."""
-    size = zip_directory_bytes(stream)
-    if size is None:
-        raise InvalidInput(f"{path} is no archive, or was cut short", _DAMAGED)
-    if size > LARGEST_DIRECTORY_BYTES:
-        raise InvalidInput(f"{path} lists its members in {size} bytes, more than any export writes")
-    stream.seek(0)
 
 
 def _checked_members(file: zipfile.ZipFile, path: Path, format_: ArchiveFormat) -> dict[str, zipfile.ZipInfo]:

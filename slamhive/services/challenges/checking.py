@@ -100,7 +100,12 @@ def _checked(definition: Definition, entry: SequenceEntry, name: str, path: Path
     kind = definition.preset.format
     with in_memory(path, name, kind, share) as data:
         if kind is Format.KITTI:
-            facts = _check_frames(entry, name, data)
+            matrices = parse_kitti_matrices(data, name)
+            if len(matrices) != entry.poses:
+                raise InvalidInput(
+                    f"{name} has {len(matrices)} poses, {entry.name} has {entry.poses} frames", "write them all"
+                )
+            facts = StoredFile(poses=len(matrices), coverage=None, enough=True)
         else:
             facts = check_trajectory(definition, entry, name, data)
     return CheckedFile(entry.name, facts, path, kind)
@@ -140,13 +145,6 @@ def check_trajectory(definition: Definition, entry: SequenceEntry, name: str, da
     gap_s = definition.protocol.gap_threshold_s
     coverage = measure_completeness(stamps_s, np.array(entry.time_range_s), gap_s).tracked_fraction
     return StoredFile(poses=len(stamps_s), coverage=coverage, enough=coverage >= definition.file.least_coverage)
-
-
-def _check_frames(entry: SequenceEntry, name: str, data: bytes) -> StoredFile:
-    matrices = parse_kitti_matrices(data, name)
-    if len(matrices) != entry.poses:
-        raise InvalidInput(f"{name} has {len(matrices)} poses, {entry.name} has {entry.poses} frames", "write them all")
-    return StoredFile(poses=len(matrices), coverage=None, enough=True)
 
 
 # Finds the files of a submission: trajectories, folders of them, and archives. They stay on the disk.

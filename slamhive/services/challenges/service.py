@@ -308,7 +308,11 @@ class ChallengeService:
         """Let a phase end at another time; raises NotFound, InvalidInput, and Conflict for one that has ended."""
         folder = self._folder(name)
         found = folder.definition.phase(phase)
-        self._check_movable(found)
+        ended = phase_state(found.begins, found.ends, self._clock()) is PhaseState.ENDED
+        if ended and found.scores is Reveal.AT_END:
+            raise Conflict(
+                f"phase {found.name} has ended, and its scores are shown", "add a phase by a challenge of its own"
+            )
         if found.begins is not None and ends <= found.begins:
             raise InvalidInput(f"phase {phase} begins at {found.begins:%Y-%m-%d %H:%M %Z}", "let it end after that")
         return self._end(folder, {phase: ends})
@@ -329,13 +333,6 @@ class ChallengeService:
         made = changes.model_copy(update={"ends": {**changes.ends, **ends}})
         write_aside(folder.root / CHANGES, json.dumps(made.content, indent=1))
         return self.get(folder.root.name)
-
-    def _check_movable(self, phase: PhaseEntry) -> None:
-        ended = phase_state(phase.begins, phase.ends, self._clock()) is PhaseState.ENDED
-        if ended and phase.scores is Reveal.AT_END:
-            raise Conflict(
-                f"phase {phase.name} has ended, and its scores are shown", "add a phase by a challenge of its own"
-            )
 
     def _folder(self, name: str) -> ChallengeFolder:
         return challenge_folder(self._settings.challenges_folder, name)

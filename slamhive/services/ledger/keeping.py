@@ -90,7 +90,13 @@ class Missing:
         stored, counted = self._store.read(lambda t: (t.ledger.stored_cells(), t.ledger.sizes()))
         for record in self._store.read(lambda t: t.experiments.all()):
             if stored.get(record.uid, 0) > len(told[record.uid]):
-                yield from self._cells_of(record.id, record.uid)
+                after = -1
+                while cells := self._store.read(lambda t: t.experiments.cells(record.id, after, _AT_ONCE)):  # noqa: B023
+                    yield cell_line(
+                        record.uid,
+                        [NewCell(cell.number, cell.name, cell.configuration_id, cell.values) for cell in cells],
+                    )
+                    after = cells[-1].number
             if sizes.get(record.uid) != counted[record.uid]:
                 yield {"experiment": record.uid, "size": counted[record.uid]}
 
@@ -138,14 +144,6 @@ class Missing:
     def _records(self, ids: list[int]) -> Iterator[ConfigurationRecord]:
         for part in _parts(ids):
             yield from self._store.read(lambda t: t.configuration_book.records(part))  # noqa: B023
-
-    def _cells_of(self, experiment: int, uid: str) -> Iterator[Line]:
-        after = -1
-        while cells := self._store.read(lambda t: t.experiments.cells(experiment, after, _AT_ONCE)):  # noqa: B023
-            yield cell_line(
-                uid, [NewCell(cell.number, cell.name, cell.configuration_id, cell.values) for cell in cells]
-            )
-            after = cells[-1].number
 
     def _cancelled(self, run_ids: list[int]) -> Iterator[Line]:
         together: dict[tuple[datetime, str], list[int]] = defaultdict(list)

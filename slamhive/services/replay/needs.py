@@ -157,7 +157,22 @@ class Packages:
             return self._versions.register(executor, package, wanted.identity)
         member = version_member(name, wanted.identity, wanted.package_hash)
         if self._archive.has(member) and self._request.load_image:
-            return self._from_bundle(name, wanted, executor, member)
+            try:
+                make_shared_folder(self._folder)
+            except OSError as error:
+                raise Unavailable(f"{self._folder} cannot be made: {error.strerror}", remedy_of(error)) from None
+            with temporary_folder(".version-", self._folder) as aside:
+                path = aside / "version.tar"
+                self._archive.unpack(member, path)
+                with opened_version(path, aside) as packed:
+                    found = (packed.package.name, packed.identity, packed.package_hash)
+                    if found != (name, wanted.identity, wanted.package_hash):
+                        raise InvalidInput(
+                            f"the bundle holds another version of {name} than its runs used", "export it again"
+                        )
+                    if packed.has_image and executor.capabilities.needs is PackageNeed.IMAGE:
+                        return self._loaded(packed, path, executor)
+                    return self._built(packed.package, wanted, executor)
         if package is None:
             offered = self._archive.has(member)
             raise NotFound(
@@ -165,24 +180,6 @@ class Packages:
                 _LOAD if offered else "ask for a bundle that was exported --with packages or --with images",
             )
         return self._built(package, wanted, executor, offered=self._archive.has(member))
-
-    def _from_bundle(self, name: str, wanted: AlgorithmVersion, executor: Executor, member: str) -> VersionRecord:
-        try:
-            make_shared_folder(self._folder)
-        except OSError as error:
-            raise Unavailable(f"{self._folder} cannot be made: {error.strerror}", remedy_of(error)) from None
-        with temporary_folder(".version-", self._folder) as aside:
-            path = aside / "version.tar"
-            self._archive.unpack(member, path)
-            with opened_version(path, aside) as packed:
-                found = (packed.package.name, packed.identity, packed.package_hash)
-                if found != (name, wanted.identity, wanted.package_hash):
-                    raise InvalidInput(
-                        f"the bundle holds another version of {name} than its runs used", "export it again"
-                    )
-                if packed.has_image and executor.capabilities.needs is PackageNeed.IMAGE:
-                    return self._loaded(packed, path, executor)
-                return self._built(packed.package, wanted, executor)
 
     def _loaded(self, packed: PackedVersion, path: Path, executor: Executor) -> VersionRecord:
         """Load the image without the names that the archive gives it: they could take those of images that are here."""

@@ -114,12 +114,7 @@ class Worker:
                 shared = share_cores(slots)
         notices = notices_of(self._settings, self._store)
         with WorkerLock(self._settings.data), noticing(notices), serving_nodes(self._settings):
-            # A lease outlives its worker by up to LEASE_S. If the process is gone, its runs need not wait for that.
-            owners = self._store.read(lambda t: t.queue.owners() | t.evaluations.owners() | t.analyses.owners())
-            for owner in owners:
-                if owner != self.owner and owner_is_dead(owner):
-                    logger.info("worker %s is dead: its runs are taken over", owner)
-                    self._store.write(partial(_release, owner=owner))
+            self._take_over_from_the_dead()
             self._store.recheck()
             self._sweep()
             threads = [
@@ -263,6 +258,17 @@ class Worker:
         except Unavailable:
             return run
         return current
+
+    def _take_over_from_the_dead(self) -> None:
+        """Release the runs of killed workers on this machine.
+
+        A lease outlives its worker by up to LEASE_S. If the process is known to be gone, its runs need not wait.
+        """
+        owners = self._store.read(lambda t: t.queue.owners() | t.evaluations.owners() | t.analyses.owners())
+        for owner in owners:
+            if owner != self.owner and owner_is_dead(owner):
+                logger.info("worker %s is dead: its runs are taken over", owner)
+                self._store.write(partial(_release, owner=owner))
 
     def _sweep(self) -> None:
         """Remove leftovers of killed workers, and do what they had left to do."""
