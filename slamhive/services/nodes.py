@@ -260,8 +260,14 @@ class Nodes:
         expected_s = self._store.read(lambda t: {run.id: t.placing.measured_s(run.configuration_id) for run in active})
         runs = [_run(record, expected_s[record.id], now) for record in active]
         names = {run.executor for run in runs} | set(queued)
+        if asks:
+            engines = tuple(self._engines(names, runs, since))
+        else:
+            engines = tuple(
+                Engine(name, (), tuple(run for run in runs if run.executor == name)) for name in sorted(names)
+            )
         return Overview(
-            engines=tuple(self._engines(names, runs, since)) if asks else tuple(_unasked(names, runs)),
+            engines=engines,
             machines=tuple(Machine.of(entry, HOURS) for entry in measured),
             queued=sum(queued.values()),
             left=self._left(),
@@ -330,11 +336,6 @@ class Nodes:
         active = [entry.name for entry in self._experiments.list() if entry.standing is ConfigurationStanding.ACTIVE]
         found = (self._experiments.status(name).left for name in active)
         return sum((left for left in found if left is not None), Remaining(0.0))
-
-
-def _unasked(names: Collection[str], runs: Sequence[NodeRun]) -> Iterator[Engine]:
-    for name in sorted(names):
-        yield Engine(name, (), tuple(run for run in runs if run.executor == name))
 
 
 def _run(record: RunRecord, expected_s: float | None, now: datetime) -> NodeRun:

@@ -135,7 +135,12 @@ class Trash:
         Runs that are deleted with the same ``at`` can be restored together; the default is now.
         """
         check_writable(self._settings)
-        runs, evaluated, repeats = self._store.read(lambda t: _needed(t, list(dict.fromkeys(run_ids))))
+        wanted = list(dict.fromkeys(run_ids))
+
+        def look(t: Transaction) -> tuple[tuple[RunRecord, ...], set[int], dict[int, list[int]]]:
+            return t.runs.get_many(wanted), t.evaluations.with_open(wanted), t.deleted_runs.repeated_by(wanted)
+
+        runs, evaluated, repeats = self._store.read(look)
         for run in runs:
             if not run.state.ended:
                 raise Conflict(f"run {run.id} has not ended, it is {run.state}", "cancel it first")
@@ -240,11 +245,6 @@ class Trash:
 
     def _run_folder(self, run_id: int) -> Path:
         return self._settings.runs_folder / str(run_id)
-
-
-def _needed(t: Transaction, run_ids: Sequence[int]) -> tuple[tuple[RunRecord, ...], set[int], dict[int, list[int]]]:
-    """The runs, those of them that are being evaluated, and {run: the runs that repeat it}."""
-    return t.runs.get_many(run_ids), t.evaluations.with_open(run_ids), t.deleted_runs.repeated_by(run_ids)
 
 
 def _move(source: Path, target: Path) -> None:

@@ -482,7 +482,7 @@ class UploadImports:
 
         What is unpacked is taken out of ``share``, and leaves the room on the disk that runs need.
         """
-        folder = path.parent / "unpacked" / _stem(path.name)
+        folder = path.parent / "unpacked" / (PurePosixPath(path.name).stem.removesuffix(".tar") or path.name)
         folder.mkdir(parents=True)
 
         def room(piece_bytes: int) -> None:
@@ -492,12 +492,6 @@ class UploadImports:
         unpack(path, kind_of(path.name), folder, room=room)
         entries = visible_files(folder)
         return entries[0] if len(entries) == 1 and entries[0].is_dir() else folder
-
-
-def _stem(name: str) -> str:
-    """The name without the endings of an archive."""
-    stem = PurePosixPath(name).stem
-    return stem.removesuffix(".tar") or name
 
 
 def import_dataset(

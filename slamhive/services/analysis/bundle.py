@@ -170,7 +170,9 @@ def report_files(
                 name = file_name(plot.place, chart.key, ending)
                 yield f"figures/{name}", print_chart(chart, ending, printing.font)
         for table in plot.tables:
-            yield from _table_files(plot.place, table)
+            for ending in endings_of(table):
+                if ending != "parquet" or parquet_there():
+                    yield f"tables/{file_name(plot.place, table.key, ending)}", table_file(table, ending)
     if set(PAPER_FORMATS) <= set(printing.formats):
         yield "figures/figures.tex", _figures_latex(report).encode()
 
@@ -277,12 +279,6 @@ def _shown_table(table: ResultTable, most_rows: int) -> ShownTable:
 def figures_json(report: Report) -> dict[str, Any]:
     """{place-key: JSON for Plotly} of all plots of a report."""
     return {f"{plot.place}-{chart.key}": plotly_figure(chart) for plot in report.forms for chart in plot.charts}
-
-
-def _table_files(place: int, table: ResultTable) -> Iterator[tuple[str, bytes]]:
-    for ending in endings_of(table):
-        if ending != "parquet" or parquet_there():
-            yield f"tables/{file_name(place, table.key, ending)}", table_file(table, ending)
 
 
 def script_json(content: Any) -> Markup:

@@ -190,7 +190,7 @@ def load_table(
     if request.exclude_disturbed:
         facts = _undisturbed(facts)
     variants = facts.pop("variant")
-    facts["variant"] = [_variant_words(variant) for variant in variants]
+    facts["variant"] = ["; ".join(map(str, load(Variant, entry))) if entry else None for entry in variants]
     facts |= seen_columns(facts["dataset"], variants, datasets)
     facts["sensors"] = [sensors.get(name) for name in facts["algorithm"]]
     own = {name: values for name, values in parameters.items() if name not in COLUMNS}  # what sensors gave is known
@@ -202,7 +202,10 @@ def load_table(
     words = [datasets[name].attributes if name in datasets else () for name in facts["dataset"]]
     values = _by_id(figures, facts["run_id"])
     table = make_table(facts, columns, values, request.rule, installed=sensors, attributes=words)
-    repeated = _repeated(variants, new, facts["run_id"])
+    # Leave out the step options if all runs with steps come from experiments: their axes show the same.
+    named = {run_id for values_of_axis in new.values() for run_id in values_of_axis}
+    covered = all(run_id in named for run_id, entry in zip(facts["run_id"], variants, strict=True) if entry)
+    repeated = set(_variant_columns(variants)) if covered else set()
     left_out = selected - len(facts["run_id"]) if request.exclude_disturbed else None
     return replace(table.described(known, repeated), not_evaluated=not_evaluated, without_disturbed=left_out)
 
@@ -265,13 +268,6 @@ def check_size(run_ids: Sequence[int], limit: int) -> None:
         raise InvalidInput(f"the selection has {len(run_ids)} runs, {limit} are allowed", "narrow it")
 
 
-def _repeated(variants: Sequence[Any], axes: Mapping[str, Mapping[int, Any]], run_ids: Sequence[int]) -> set[str]:
-    """The step options to leave out: if all runs with steps come from experiments, the axes show the same."""
-    named = {run_id for values in axes.values() for run_id in values}
-    covered = all(run_id in named for run_id, variant in zip(run_ids, variants, strict=True) if variant)
-    return set(_variant_columns(variants)) if covered else set()
-
-
 def _unit(name: str, units: Mapping[str, str]) -> str:
     """The unit of a parameter, or of a step option according to the suffix of its name."""
     if not name.startswith(VARIANT_PREFIX):
@@ -306,11 +302,6 @@ def _variant_columns(variants: Sequence[Any]) -> dict[str, list[Any]]:
             for option, value in step["options"].items():
                 columns[f"{VARIANT_PREFIX}{step['kind']}.{option}"][row] = value
     return columns
-
-
-def _variant_words(variant: Any) -> str | None:
-    """The steps in words; None for the original recording."""
-    return "; ".join(map(str, load(Variant, variant))) if variant else None
 
 
 # Whether the columns that an analysis file names can exist, before anything is computed.

@@ -42,11 +42,9 @@ from slamhive.store import Store, Transaction
 from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.records import AlgorithmVersion, ExperimentRecord, RunRecord
 
-# What an export adds on request, so that its runs can be repeated elsewhere: packages, images and recordings.
-
 
 class Extra(StrEnum):
-    """Options of an export."""
+    """Additions to an export, so that its runs can be repeated elsewhere."""
 
     PACKAGES = "packages"
     IMAGES = "images"
@@ -220,7 +218,9 @@ class _Export:
 
     def rest(self, run_ids: Sequence[int]) -> None:
         """Add what the runs refer to, and if all are exported, everything else."""
-        experiments = self._experiments_of_runs()
+        every = self._request.run_ids is None
+        found = self._store.read(lambda t: t.experiments.all())
+        experiments = [record for record in reversed(found) if every or record.name in self._experiments]
         ids = [record.id for record in experiments]
         if self._request.run_ids is None:
             configurations = self._store.read(lambda t: t.archive.all_configurations())
@@ -296,12 +296,6 @@ class _Export:
                 self._archive.add_file(f"{own}{name}", path)
 
     # -- what runs refer to ----------------------------------------------------------------------------------------
-
-    def _experiments_of_runs(self) -> list[ExperimentRecord]:
-        found = self._store.read(lambda t: t.experiments.all())
-        return [
-            record for record in reversed(found) if self._request.run_ids is None or record.name in self._experiments
-        ]
 
     def _experiment(self, record: ExperimentRecord) -> None:
         self._line(layout.EXPERIMENTS, ExperimentLine.of(record).content)

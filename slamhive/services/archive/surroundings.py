@@ -207,10 +207,12 @@ class Surroundings:
         if name != record.name:
             self._notes.append(f"experiment {record.name} is called {name} here: there is another one of its name")
         shared = taken_over(self._store.maker, record.visibility)
+        # Nothing of an experiment that is not whole must be queued again here.
+        whole = record.complete and self._contents.runs_of_experiment.get(record.name, 0) >= record.runs
         settled = replace(
             record,
             name=name,
-            state=self._settled_state(record),
+            state=record.state if whole else ExperimentState.CANCELLED,
             owner=shared.owner,
             visibility=shared.visibility,
         )
@@ -226,11 +228,6 @@ class Surroundings:
             folder.write(StoredExperiment.of(settled), record.source)
             self._store.write(lambda t: t.archive.put_experiment(record.uid, name, values))
         counts["experiments"] += 1
-
-    def _settled_state(self, record: ExperimentRecord) -> ExperimentState:
-        """Nothing of an experiment that is not whole must be queued again here."""
-        whole = record.complete and self._contents.runs_of_experiment.get(record.name, 0) >= record.runs
-        return record.state if whole else ExperimentState.CANCELLED
 
     def _free_name(self, record: ExperimentRecord) -> str:
         for number in count(1):

@@ -163,7 +163,9 @@ class ImageRunsOfPhase:
         logs.mkdir(mode=0o750, exist_ok=True)
         number = run.seed - self.rules.seed + 1
         name = run.dataset if self.rules.repeats == 1 else f"{run.dataset}-{number}"
-        write_aside(logs / f"{name}.txt", _without_controls(text + said), 0o640)
+        # Nothing that could steer a terminal.
+        kept = "".join(character for character in text + said if character.isprintable() or character in "\n\t")
+        write_aside(logs / f"{name}.txt", kept, 0o640)
 
     def cancel(self) -> list[RunRecord]:
         """Cancel the runs that have not ended; those that a worker still has to end."""
@@ -175,11 +177,6 @@ def _failure(run: RunRecord | None) -> str | None:
     if run is None:
         return RunFailure.NOT_FITTING.value
     return None if run.state is RunState.SUCCEEDED else RunFailure.of(run.reason).value
-
-
-def _without_controls(text: str) -> str:
-    """``text`` without what could steer a terminal."""
-    return "".join(character for character in text if character.isprintable() or character in "\n\t")
 
 
 logger = logging.getLogger(__name__)

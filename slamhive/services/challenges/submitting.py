@@ -152,22 +152,17 @@ def _admitted(
     folder: ChallengeFolder, phase: PhaseEntry, entrant: Entrant, digest: str, now: datetime
 ) -> SubmissionFolder | None:
     """The same submission if it was sent today; None for a new one that may be sent. Raises as :func:`enter`."""
-    _check_owner(folder, entrant)
+    if entrant.account:
+        # The first account that submits for a team keeps it; on the command line, everybody is the organiser.
+        for found in folder.submissions():
+            if found.sent.team.casefold() == entrant.team.casefold() and found.sent.account != entrant.account:
+                raise Forbidden(f"team {entrant.team} belongs to another account", "choose another name for your team")
     today = list(folder.submissions(f"{now:{DAY}}", phase))
     for found in today:
         if (found.sent.digest, found.sent.team) == (digest, entrant.team):
             return found
     _check_limit(folder.definition, phase, entrant, [found.sent for found in today])
     return None
-
-
-def _check_owner(folder: ChallengeFolder, entrant: Entrant) -> None:
-    """The first account that submits for a team keeps it; on the command line, everybody is the organiser."""
-    if not entrant.account:
-        return
-    for found in folder.submissions():
-        if found.sent.team.casefold() == entrant.team.casefold() and found.sent.account != entrant.account:
-            raise Forbidden(f"team {entrant.team} belongs to another account", "choose another name for your team")
 
 
 def _check_limit(definition: Definition, phase: PhaseEntry, entrant: Entrant, sent: Sequence[StoredSubmission]) -> None:

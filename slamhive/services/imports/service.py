@@ -123,7 +123,11 @@ class Imports:
                 homes.algorithms[name] = choose_algorithm(self._store, self._catalogue, name, setup)
             except SlamHiveError as error:
                 _note(error, "algorithm", name, found.candidates, report)
-        self._check_sensor_names(request, found)
+        names = {entry.algorithm for entry in found.candidates}
+        for name in request.sensors:
+            if name and name not in names:
+                known = ", ".join(sorted(names))
+                raise InvalidInput(f"--sensors names {name!r}, but no trajectory is of it", f"there are {known}")
         return homes
 
     def _find_datasets(
@@ -152,15 +156,6 @@ class Imports:
             except SlamHiveError as error:
                 homes.lost.add(name)
                 _note(error, "dataset", name, usable, report)
-
-    def _check_sensor_names(self, request: ImportRequest, found: FoundImports) -> None:
-        names = {entry.algorithm for entry in found.candidates}
-        for name in request.sensors:
-            if name and name not in names:
-                raise InvalidInput(
-                    f"--sensors names {name!r}, of which there is no trajectory",
-                    f"there are {', '.join(sorted(names))}",
-                )
 
     def _batch(self, loaded: list[Loaded], homes: _Homes, request: ImportRequest, report: ImportReport) -> None:
         """File new runs, and create missing folders."""

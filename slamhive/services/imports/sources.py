@@ -126,7 +126,11 @@ def _in_table(request: ImportRequest, found: FoundImports) -> Iterator[ImportCan
         text = read_bounded(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InvalidInput(f"{path} is not a text file", "save the table as CSV in UTF-8") from None
-    columns, rows = _read_table(path, text)
+    reader = csv.DictReader(io.StringIO(text, newline=""))
+    try:
+        columns, rows = [name or "" for name in reader.fieldnames or []], list(reader)
+    except csv.Error as error:
+        raise InvalidInput(f"{path}, line {reader.line_num}: {error}", "save the table as CSV") from None
     _check_columns(path, columns)
     for number, row in enumerate(rows, start=2):
         name = f"{path.name}, row {number}"
@@ -134,14 +138,6 @@ def _in_table(request: ImportRequest, found: FoundImports) -> Iterator[ImportCan
             yield _row(request, found, {key: (row.get(key) or "").strip() for key in columns}, name)
         except SlamHiveError as error:
             found.problems.append(ImportProblem(name, str(error)))
-
-
-def _read_table(path: Path, text: str) -> tuple[list[str], list[dict[str, str]]]:
-    reader = csv.DictReader(io.StringIO(text, newline=""))
-    try:
-        return [name or "" for name in reader.fieldnames or []], list(reader)
-    except csv.Error as error:
-        raise InvalidInput(f"{path}, line {reader.line_num}: {error}", "save the table as CSV") from None
 
 
 def _check_columns(path: Path, columns: list[str]) -> None:

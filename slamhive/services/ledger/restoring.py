@@ -215,7 +215,10 @@ class LedgerRestore:
         for line in self._files.runs.read():
             found: list[LedgerRun] = []
             self._guarded(self._files.runs, lambda: found.extend(runs_of(line)))  # noqa: B023
-            found = [_shared_as(run, shared.get(run.id)) for run in found]
+            for place, run in enumerate(found):
+                if (said := shared.get(run.id)) is not None:  # shared while it waited
+                    request = replace(run.request, owner=said.owner, visibility=said.visibility)
+                    found[place] = replace(run, request=request)
             for start in range(0, len(found), _AT_ONCE):
                 restored += self._restore_runs(found[start : start + _AT_ONCE], experiments, cancelled)
         self._store.write(lambda t: t.ledger.ask_to_end(cancelled.active))
@@ -333,13 +336,6 @@ class LedgerRestore:
         except (SlamHiveError, *NOT_A_LINE) as error:
             detail = str(error) if isinstance(error, SlamHiveError) else repr(error)
             self.problems.append(f"{book.path.name}: {detail}")
-
-
-def _shared_as(run: LedgerRun, sharing: Sharing | None) -> LedgerRun:
-    """The run as it was shared while it waited; as it was asked for if nobody shared it."""
-    if sharing is None:
-        return run
-    return replace(run, request=replace(run.request, owner=sharing.owner, visibility=sharing.visibility))
 
 
 def _definitions(entry: LedgerConfiguration, aliases: Mapping[tuple[str, str], Any]) -> list[Parameter]:

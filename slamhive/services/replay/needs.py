@@ -274,10 +274,12 @@ class Recordings:
         if exists and dataset.bag_path.exists():
             return True
         if self._donor(dataset) is None and not self._members(dataset):
+            source = f" it comes from {dataset.source};" if dataset.source else ""
             raise NotFound(
                 f"the recording {dataset.bag} of dataset {name} ({dataset.checksum[:_SHOWN]}) is neither here nor in "
                 "the bundle",
-                _where_to_get(dataset),
+                f"slamhive dataset fetch gets public sequences (slamhive dataset search {dataset.name});{source} or "
+                "ask for a bundle that was exported --with recordings",
             )
         return False
 
@@ -334,11 +336,3 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
-
-
-def _where_to_get(dataset: Dataset) -> str:
-    source = f" it comes from {dataset.source};" if dataset.source else ""
-    return (
-        f"slamhive dataset fetch gets public sequences (slamhive dataset search {dataset.name});{source} or ask for a "
-        "bundle that was exported --with recordings"
-    )

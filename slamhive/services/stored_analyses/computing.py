@@ -252,7 +252,12 @@ class AnalysisComputer:
             thread.join()
 
     def _work(self) -> None:
-        self._free_what_the_dead_hold()
+        try:
+            for owner in self._store.read(lambda t: t.analyses.owners()):
+                if owner != self._owner and owner_is_dead(owner):
+                    self._store.write(lambda t, owner=owner: t.analyses.release_all(owner))  # type: ignore[misc]
+        except SlamHiveError as error:
+            logger.warning("analyses: %s", error)
         while not self._stopping.is_set():
             self._asked.clear()
             try:
@@ -267,14 +272,6 @@ class AnalysisComputer:
                 self._stopping.wait(TROUBLE_S)
                 continue
             self._asked.wait(IDLE_S)
-
-    def _free_what_the_dead_hold(self) -> None:
-        try:
-            for owner in self._store.read(lambda t: t.analyses.owners()):
-                if owner != self._owner and owner_is_dead(owner):
-                    self._store.write(lambda t, owner=owner: t.analyses.release_all(owner))  # type: ignore[misc]
-        except SlamHiveError as error:
-            logger.warning("analyses: %s", error)
 
 
 # Small pictures of the plots of an analysis that is still being written, over a part of its runs.

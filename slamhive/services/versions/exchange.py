@@ -333,7 +333,9 @@ def _unpack_checked(path: Path, aside: Path) -> dict[str, Any]:
     if MANIFEST not in texts or DESCRIPTION not in texts:
         raise InvalidInput(f"{path} is not complete: it lacks {MANIFEST}", _REMEDY)
     found.pop(MANIFEST)
-    if found != dict(_manifest(texts[MANIFEST])):
+    lines = texts[MANIFEST].decode(errors="replace").splitlines()
+    stated = {name: checksum for checksum, _, name in (line.partition("  ") for line in lines)}
+    if found != stated:
         raise InvalidInput(f"{path} is damaged: its content does not have the checksums of {MANIFEST}", _REMEDY)
     return _description(path, texts[DESCRIPTION])
 
@@ -358,12 +360,6 @@ def _write(target: Path, content: HashedReader) -> None:
                 stream.write(block)
     except OSError as error:
         raise Unavailable(f"{target} cannot be written: {error.strerror}", "check space and rights") from None
-
-
-def _manifest(text: bytes) -> Iterator[tuple[str, str]]:
-    for line in text.decode(errors="replace").splitlines():
-        checksum, _, name = line.partition("  ")
-        yield name, checksum
 
 
 def _description(path: Path, text: bytes) -> dict[str, Any]:
