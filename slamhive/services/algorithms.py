@@ -43,8 +43,9 @@ from slamhive.packages.published.folder import (
 from slamhive.services.datasets import Catalogue, check_writable
 from slamhive.services.executors import Executors
 
-# What the source of an import is: a folder, a Git repository, an archive of an image, or the name of an image.
+logger = logging.getLogger(__name__)
 
+# Sources: a folder, a Git repository, an archive of an image, or the name of an image.
 
 _GIT = re.compile(r"(?:https?|ssh|git|file)://\S+|[\w.-]+@[\w.-]+:\S+")
 _REFERENCE = re.compile(r"[A-Za-z0-9][\w./-]{0,200}")
@@ -184,7 +185,7 @@ def package_name(source: OpenedSource) -> str:
     return _NAME_PARTS.sub("-", name).strip("-_.").replace("..", "-")[:64] or "algorithm"
 
 
-# What an import will do: read the folder, choose where the image comes from, draft ``algorithm.yaml``.
+# Plans.
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,7 +322,6 @@ def _image_of(
 
 # Archives that ``docker save`` wrote. They may come from anywhere, so the names in them are not taken over.
 
-
 _BLOCK_BYTES = 1 << 20
 _MOST_TEXT_BYTES = 10_000_000
 _MANIFEST, _INDEX, _NAMES = "manifest.json", "index.json", "repositories"
@@ -427,10 +427,7 @@ class _Counted(io.RawIOBase):
         return data
 
 
-# Imports and removes algorithm packages of others. They lie in the data root, one folder each.
-
-
-logger = logging.getLogger(__name__)
+# Imports.
 
 Progress = Callable[[str], None]
 _KEPT_DOCKERFILE = "Dockerfile.imported"

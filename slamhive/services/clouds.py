@@ -26,8 +26,6 @@ from slamhive.experiments.file import parse_experiment
 from slamhive.services.datasets import Catalogue, check_writable
 from slamhive.services.experiments import ExperimentService, ExperimentSource
 
-# How much work a cloud file is for: what the preview of its experiment estimates.
-
 
 def work_of(order: CloudFile, path: Path, experiments: Callable[[], ExperimentService], catalogue: Catalogue) -> Work:
     """The work that the cloud file at ``path`` names; raises as the preview of an experiment."""
@@ -47,7 +45,6 @@ def work_of(order: CloudFile, path: Path, experiments: Callable[[], ExperimentSe
 
 
 # Clusters of rented machines, from the plan until nothing is left.
-
 
 Tell = Callable[[str], None]
 Place = tuple[ProviderName, str]

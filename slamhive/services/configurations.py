@@ -40,8 +40,7 @@ from slamhive.store import (
     Transaction,
 )
 
-# Text about configurations: names, notes and conditions that users type, and records as JSON.
-
+# Texts that users type, and records as JSON.
 
 LONGEST_NAME = 64
 LONGEST_NOTE = 2000
@@ -96,7 +95,7 @@ def configuration_document(record: ConfigurationRecord) -> schema.ConfigurationD
     return schema.ConfigurationDocument.of(content, parameters=parameters, **said)
 
 
-# Requested changes of configurations, and their results.
+# Changes and their results.
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +150,6 @@ class Stored:
         return f"{self.record.label} is new" if self.created else f"the same as {self.record.label}"
 
 
-# What a request for runs implies: rules without effect, and the protocol.
-
-
 def unwatchable(rules: StopWhen, algorithms: Iterable[Algorithm]) -> str | None:
     """Say which of the rules cannot be watched for which algorithms; None if all can."""
     silent = sorted({entry.name for entry in algorithms if not entry.package.reports_tracking})
@@ -163,8 +159,7 @@ def unwatchable(rules: StopWhen, algorithms: Iterable[Algorithm]) -> str | None:
     return f"lost_tracking_s has no effect on {', '.join(silent)}, which {does} not say which frames are tracked"
 
 
-# The map of one run as an input of another.
-
+# Maps of runs as input of others.
 
 _UID = re.compile(r"[0-9a-f]{32}")
 _MOST_DIGITS = 18
@@ -226,9 +221,6 @@ def _checked(run: RunRecord, runs_folder: Path, algorithm: Algorithm, file: str)
     if not path.is_file() or path.is_symlink():
         raise InvalidInput(f"run {run.id} has saved no map", f"repeat it with --set save_map=true: it lacks {file}")
     return path
-
-
-# Configurations: create, copy, modify, label, group, delete, export and import. Their content never changes.
 
 
 NO_FILTER = ConfigurationFilter()

@@ -1,4 +1,4 @@
-"""Public sequences: the catalogue of what can be fetched, checks of its addresses, and the way to a dataset."""
+"""Public sequences: the catalogue of collections, checks of addresses, and the way from an address to a dataset."""
 
 from __future__ import annotations
 
@@ -25,8 +25,6 @@ from slamhive.downloads.web import AccessToken, Timeouts
 from slamhive.packages.collection_file import kind_of, load_collection
 from slamhive.recordings.importing import ImportOptions
 from slamhive.services.datasets import Catalogue, check_writable
-
-# What to fetch, and what that takes.
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +145,7 @@ def links_of(collections: Iterable[Collection], environment: Mapping[str, str]) 
     return list(links.values())
 
 
-# The catalogue of public collections: what can be fetched, found by words.
-
+# The catalogue of public collections.
 
 CATALOGUE_FOLDER = Path("datasets") / "catalogue"
 
@@ -218,8 +215,7 @@ class Collections:
         return tuple((collection, entry) for collection in self.all for entry in collection.sequences)
 
 
-# From an address to a dataset: download, check, unpack, import, clean up.
-
+# Fetching: download, check, unpack, import, clean up.
 
 Progress = Callable[[float, str], None]
 """Called with the fraction done (0..1) and the current activity."""

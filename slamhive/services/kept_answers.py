@@ -122,8 +122,7 @@ def _known(path: Path, key: str, asked: str) -> KeptAnswer | None:
     return KeptAnswer(int(content["status"]), str(content["body"]))
 
 
-# What takes long to read from a large file and is looked at again: kept in memory, within a bound.
-
+# Results that take long to read from a large file, kept in memory within a bound.
 
 _Key = TypeVar("_Key", bound=Hashable)
 _View = TypeVar("_View")

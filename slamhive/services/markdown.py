@@ -1,4 +1,4 @@
-"""Convert untrusted Markdown to safe HTML."""
+"""Markdown in both directions: untrusted text to safe HTML, and tables to Markdown."""
 
 from __future__ import annotations
 
@@ -41,9 +41,6 @@ def markdown_html(text: str, link: Callable[[str], str] | None = None) -> str:
 def slug(heading: str) -> str:
     """The anchor of a heading, as on the documentation site: ``what-protects-it`` for ``What protects it``."""
     return re.sub(r"[\s-]+", "-", _NO_SLUG.sub("", heading).strip().lower())
-
-
-# Write tables and text as Markdown.
 
 
 _RANKS: Mapping[int | None, str] = {1: "**%s**", 2: "<ins>%s</ins>"}

@@ -21,8 +21,6 @@ from slamhive.store import RunRecord, Store
 from slamhive.store.durations import MachineRuns
 from slamhive.store.same_cpu import NODE
 
-# What is known of nodes, for command line, page and JSON.
-
 
 @dataclass(frozen=True, slots=True)
 class NodeRun:
@@ -152,7 +150,6 @@ class Overview:
 
 # Engines are asked in threads, so that one that does not answer holds nobody up for long.
 
-
 PATIENCE_S = 5.0
 """How long anybody waits for an engine."""
 KEPT_S = 5.0
@@ -215,9 +212,6 @@ class EngineAnswers:
         """Ask again next time: something has changed."""
         with self._lock:
             self._questions.pop(name, None)
-
-
-# The nodes of all executors in use, and draining one.
 
 
 HOURS = 24.0

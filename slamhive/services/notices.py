@@ -31,8 +31,7 @@ from slamhive.services.experiments import ConfigurationStanding, ExperimentStatu
 from slamhive.store import Store, Transaction
 from slamhive.store.records import ExperimentRecord
 
-# The ways in which a notice reaches people: a webhook, and e-mail.
-
+logger = logging.getLogger(__name__)
 
 TIMEOUT_S = 10.0
 SIGNATURE_HEADER = "X-SLAM-Hive-Signature"
@@ -181,13 +180,8 @@ def _mail(settings: Settings) -> Mail:
     )
 
 
-# Finds what is to be said about experiments, and sends each notice until it has arrived once by each channel.
-#
-# What was sent is in ``notices.json`` in the folder of the experiment. It is written after the sending: if the worker
-# is killed in between, the notice is sent again, and never lost.
-
-
-logger = logging.getLogger(__name__)
+# Sending. What was sent is in ``notices.json`` in the folder of the experiment, written after the sending: if the
+# worker is killed in between, the notice is sent again, and never lost.
 
 RECORD = "notices.json"
 LOCK = ".notices.lock"

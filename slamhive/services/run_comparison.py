@@ -1,4 +1,4 @@
-"""Comparing a few runs: their settings, their metrics under one protocol, and the analysis that draws them."""
+"""Comparison of a few runs: their settings, their metrics under one protocol, and the analysis that draws them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.report import Plot
     from slamhive.services.analysis import AnalysisService
 
-# Which metrics of a comparison are marked as better: those of runs that differ in nothing that explains them.
+# Better metrics are marked if the runs differ in nothing that explains them.
 
 
 class MarkedPart(StrEnum):
@@ -72,9 +72,6 @@ def unmarked_parts(runs: Sequence[RunRecord], *, mixed_trajectories: bool) -> tu
     accuracy = (Unmarked(MarkedPart.ACCURACY, "kinds of trajectories are mixed"),) if mixed_trajectories else ()
     measured = (Unmarked(MarkedPart.MEASURED, f"the runs are of {plural(len(models), 'CPU model')}"),)
     return accuracy + (measured if len(models) > 1 else ())
-
-
-# What a comparison of runs shows, and which runs it accepts.
 
 
 FEWEST_RUNS, MOST_RUNS = 2, 20
@@ -260,7 +257,6 @@ def read_run_ids(texts: Iterable[str]) -> tuple[int, ...]:
 
 # Metrics side by side, and the analysis that draws the runs.
 
-
 _TIME_LIMIT_S = 60.0
 _UNDER_PROTOCOL = ({"form": "trajectories", "with_failed": True, "in_3d": True},)
 _MEASURED = ({"form": "usage"}, {"form": "latency"})
@@ -388,7 +384,7 @@ def _fingerprint(comparison: RunComparison) -> str | None:
     return None if comparison.protocol is None else comparison.protocol.fingerprint
 
 
-# The settings of runs in texts, to see what differs.
+# Settings as texts, to see what differs.
 
 
 def setting_lines(columns: Sequence[Sequence[Mapping[str, str]]]) -> tuple[SettingLine, ...]:
@@ -446,8 +442,7 @@ def _text(value: object) -> str:
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
-# Comparing a few runs.
-
+# The comparison.
 
 _MOST_NAMED = 5
 _ByProtocol = Mapping[str | None, Mapping[str, float]]

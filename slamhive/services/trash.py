@@ -33,8 +33,7 @@ from slamhive.services.runs import (
 from slamhive.store import RunRecord, Store, Transaction
 from slamhive.store.runs import Deleted
 
-# The folder of a deleted run: ``<data>/trash/<uid>/`` holds its run folder as it was, and what else belongs to it.
-
+# ``<data>/trash/<uid>/`` holds the run folder as it was, and what else belongs to it.
 
 _UID = re.compile(r"[0-9a-f]{32}")
 _FIELDS = {"id": int, "algorithm": str, "dataset": str, "at": str, "repeated_by": list}
@@ -110,7 +109,7 @@ def deleted_runs(root: Path) -> Iterator[DeletedRun]:
                 yield DeletedFolder(path).read()
 
 
-# Moves runs to the trash and back. Files move first, because folders are the truth.
+# Files move before rows change, because folders are the truth.
 
 
 class Trash:

@@ -56,11 +56,8 @@ from slamhive.services.imports import ImportRequest, Imports, TrajectoryFormat
 from slamhive.services.versions import Versions, is_export
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 
-# The folder of one upload: what was promised, the bytes that have arrived, and what was made of them.
-#
-# Bytes are appended in order, so the size of the file says how far an upload is, also after a kill. Whether they are
-# the right ones shows its SHA-256, which is checked before anything is imported.
-
+# One upload. Bytes are appended in order, so the size of the file says how far it is, also after a kill. Its SHA-256
+# is checked before anything is imported.
 
 PROMISE, CONTENT, RESULT = "upload.json", "content", "imported.json"
 _PIECE_BYTES = 256 * 1024
@@ -236,8 +233,7 @@ def _sha256(path: Path, size_bytes: int, progress: Progress) -> str:
     return digest.hexdigest()
 
 
-# All uploads of an installation. Each belongs to the account that created it; others do not see it.
-
+# All uploads. Each belongs to the account that created it; others do not see it.
 
 PART_BYTES = 8_000_000
 """The most that one request sends: little is lost with a connection, and nothing has to wait long."""
@@ -371,8 +367,7 @@ def _expires_at(folder: UploadFolder) -> datetime:
     return datetime.fromtimestamp(folder.changed_s, UTC) + KEPT
 
 
-# Datasets, runs and algorithms from uploads: the imports of the command line, with the files that arrived.
-
+# Imports of what has arrived, as by the command line.
 
 _CHECKED, _UNPACKED = 0.1, 0.3
 """The fractions of an import after which the SHA-256 is checked, and the archive unpacked."""

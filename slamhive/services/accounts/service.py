@@ -1,4 +1,4 @@
-"""The accounts of one installation. Changes are audited by the store, if their caller has said who asks."""
+"""Accounts of one installation, sign-in, and tokens. The store audits changes, if their caller has said who asks."""
 
 from __future__ import annotations
 
@@ -299,9 +299,6 @@ def _refused() -> Unauthenticated:
     return Unauthenticated("name or password is wrong")
 
 
-# Whether callers of the web server have to sign in.
-
-
 def accounts_needed(settings: Settings, host: str) -> bool:
     """Tell if a server that binds to ``host`` asks for sign-in. One that only shows never does."""
     if settings.mode is Mode.VIEW_ONLY:
@@ -311,7 +308,7 @@ def accounts_needed(settings: Settings, host: str) -> bool:
     return settings.auth is Auth.ACCOUNTS
 
 
-# What leaves an installation that has accounts: what is public, unless somebody asks for all of it.
+# Where there are accounts, only what is public leaves, unless somebody asks for all of it.
 
 
 @contextmanager

@@ -27,9 +27,6 @@ from slamhive.services.analysis.run import SHOWN_ROWS, WHOLE_ROWS, file_name
 from slamhive.services.exports import safe_cell
 from slamhive.services.markdown import markdown_html, numeric_columns, ranked, table_markdown
 
-# Write tables of analyses as CSV, Parquet, LaTeX and Markdown.
-
-
 LATEX_ROWS = 500
 """Most rows of a printed table; the CSV file has all rows."""
 

@@ -35,7 +35,7 @@ from slamhive.services.runs import LIMIT_BYTES, gap_of, latency_of, read_track
 from slamhive.store import Store
 from slamhive.store.records import EvaluationState
 
-# Files of run folders that analyses read: evaluated trajectories and sampled resource usage.
+# Files of run folders: evaluated trajectories and sampled resource usage.
 
 
 class StoredRunFiles:
@@ -100,8 +100,7 @@ class StoredRunFiles:
         return RunFolder(self._runs_folder / str(run_id))
 
 
-# What the images and IMU messages of a run were like: the sensors of its dataset, as its variant leaves them.
-
+# Images and IMU messages as a run saw them: the sensors of its dataset, as its variant leaves them.
 
 COLUMNS = ("image_width", "image_height", "image_rate_hz", "imu_rate_hz")
 Seen = tuple[float | None, ...]
@@ -304,7 +303,7 @@ def _variant_columns(variants: Sequence[Any]) -> dict[str, list[Any]]:
     return columns
 
 
-# Whether the columns that an analysis file names can exist, before anything is computed.
+# Columns of an analysis file are checked before anything is computed.
 
 
 def check_columns(analysis: Analysis, vocabulary: Vocabulary, is_axis: Callable[[str], bool]) -> None:

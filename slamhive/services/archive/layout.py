@@ -185,8 +185,7 @@ def _safe_part(part: str) -> bool:
     return plain and part not in ("", ".", "..") and length <= _LONGEST_PART_BYTES
 
 
-# The files of a run folder that an archive holds.
-
+# Files of a run folder that an archive holds.
 
 ODD_NAMES = "files with names that no archive holds"
 STRANGE_FILES = "files that do not belong to a run folder"

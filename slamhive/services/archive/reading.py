@@ -320,8 +320,8 @@ def check_archive(archive: ArchiveReader, progress: CheckProgress, place: Place 
     archive.verify(lambda done, total: progress(0.8 * done / max(total, 1), "comparing checksums"), place)
     contents = Contents()
     _check_runs(archive, contents, progress)
-    names = [writing.dataset_from_line(content)[0] for content in archive.lines(layout.DATASETS)]
-    contents.datasets.update({name: archived_dataset(archive, name) for name in names})
+    described = [writing.dataset_from_line(content)[0] for content in archive.lines(layout.DATASETS)]
+    contents.datasets.update({name: archived_dataset(archive, name) for name in described})
     algorithms = {writing.read_line(AlgorithmLine, content).name for content in archive.lines(layout.ALGORITHMS)}
     configurations = set()
     for content in archive.lines(layout.CONFIGURATIONS):

@@ -147,8 +147,7 @@ def check_trajectory(definition: Definition, entry: SequenceEntry, name: str, da
     return StoredFile(poses=len(stamps_s), coverage=coverage, enough=coverage >= definition.file.least_coverage)
 
 
-# Finds the files of a submission: trajectories, folders of them, and archives. They stay on the disk.
-
+# Files of a submission: trajectories, folders of them, and archives. They stay on the disk.
 
 MOST_FILES = 1000
 _LIMITS = UnpackLimits(ratio=50.0, always_bytes=20_000_000, total_bytes=MOST_BYTES, files=MOST_FILES)
@@ -202,7 +201,7 @@ def _size_bytes(path: Path) -> int:
     return size
 
 
-# The trajectories of a submission that can be evaluated, and why others cannot.
+# Trajectories to evaluate, and why others cannot be.
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +267,6 @@ def _known(failure: str | None) -> RunFailure:
 
 
 # Trajectories without timestamps, one pose a frame, as the evaluation takes them.
-
 
 FRAME_S = 0.1
 """Poses are matched by index, so any interval will do; the scanner of KITTI turns ten times a second."""

@@ -1,4 +1,4 @@
-"""Reads the file of a challenge, and says what follows from it."""
+"""Definition of a challenge: its file, checked, and the protocol, metric and scoring that follow from it."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ from slamhive.domain.names import check_name
 from slamhive.domain.protocol import Association, Protocol, protocol_from_content
 from slamhive.evaluation.presets import PRESETS as PROTOCOLS
 
-# How challenges of the field count: protocol, metric, and the rule that makes one score of many sequences.
-
+# Presets: protocol, metric, and the rule that makes one score of many sequences.
 
 MEAN, ETH3D, KITTI, HILTI_2026 = "mean", "eth3d", "kitti", "hilti-2026"
 WEIGHT = "kitti.segments"

@@ -44,10 +44,10 @@ from slamhive.services.challenges.views import shown_at
 from slamhive.services.datasets import check_writable
 from slamhive.store import RunRecord
 
-# The runs of one image on the recordings of a phase, in an installation of their own that only its owner can read.
-#
-# All of it can be repeated after a kill: what is there already is not made again.
+logger = logging.getLogger(__name__)
 
+# Images run in an installation of their own, which only its owner can read. All of it can be repeated after a kill:
+# what is there already is not made again.
 
 _PAGE = 500
 _MOST_LOST = 3
@@ -178,8 +178,6 @@ def _failure(run: RunRecord | None) -> str | None:
         return RunFailure.NOT_FITTING.value
     return None if run.state is RunState.SUCCEEDED else RunFailure.of(run.reason).value
 
-
-logger = logging.getLogger(__name__)
 
 LOOK_S = 2.0
 """How often an idle worker looks for images."""

@@ -35,8 +35,7 @@ from slamhive.services.versions import Versions, is_export, opened_version
 from slamhive.services.weights import WEIGHTS, WeightsStore
 from slamhive.store import Store, VersionRecord
 
-# Archives of images that teams send: what they hold, and how much room they take. Nothing in them is executed.
-
+# Archives that teams send. Nothing in them is executed.
 
 MB = 1_000_000
 _ENTRY_BYTES = 4096
@@ -121,7 +120,7 @@ def _reading(path: Path) -> Iterator[None]:
         raise InvalidInput(f"{path.name} cannot be read as an archive: {error}", _REMEDY) from None
 
 
-# The recordings of a challenge, which images run on: copied once, and linked into the installation of each image.
+# Recordings are copied once, and linked into the installation of each image.
 
 
 def keep_recording(source: Path, name: str, target: Path) -> None:

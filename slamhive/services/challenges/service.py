@@ -55,8 +55,9 @@ from slamhive.trajectory.layout import read_tum
 from slamhive.trajectory.pose_file import parse_kitti_matrices
 from slamhive.trajectory.table import read_bounded
 
-# Creates a challenge: keeps its ground truth apart, and publishes the rest.
+logger = logging.getLogger(__name__)
 
+# Creating: ground truth is kept apart, the rest is published.
 
 _PRIVATE_FOLDER, _PRIVATE_FILE = 0o700, 0o600
 
@@ -161,9 +162,6 @@ def _kitti_truth(entry: SequenceEntry, path: Path) -> dict[str, bytes]:
             "leave the sequence out, or use another preset",
         )
     return {f"{entry.name}.kitti": data, f"{entry.name}.tum": frame_trajectory(matrices)}
-
-
-logger = logging.getLogger(__name__)
 
 
 class ChallengeService:

@@ -159,8 +159,7 @@ def _line(name: str, facts: StoredFile, least: float) -> str:
     return f"{name}: {facts.poses:,} poses, {100 * facts.coverage:.1f} % of the time range{little}"
 
 
-# When results are shown. The time of an answer must not tell how long anything took.
-
+# Times of answers: they must not tell how long anything took.
 
 ANSWERS_EVERY = timedelta(minutes=1)
 """Of trajectories: how long an evaluation takes depends on both trajectories."""
@@ -174,7 +173,7 @@ def shown_at(now: datetime, every_h: int | None) -> datetime:
     return midnight + timedelta(hours=every_h * (now.hour // every_h + 1))
 
 
-# Ranks teams. All of it follows from the rounded values that are given out, so anybody can repeat it.
+# The ranking follows from the rounded values that are given out, so anybody can repeat it.
 
 
 @dataclass(frozen=True, slots=True)

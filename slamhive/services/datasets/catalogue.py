@@ -30,11 +30,8 @@ if TYPE_CHECKING:
     from slamhive.recordings.importing import ImportOptions, ImportPlan
     from slamhive.recordings.room import RoomOptions
 
-# Which folders hold a file, and whether any of those files has changed: what one look at a catalogue costs.
-#
-# A page looks at the catalogue several times. Listing a folder and asking for the status of each file takes a tenth
-# of the time that ``Path.glob`` takes.
-
+# Stamps tell if any file of a kind has changed. Pages look at the catalogue several times; listing a folder and asking
+# for the status of each file takes a tenth of the time that ``Path.glob`` takes.
 
 Stamp = tuple[int, int, int]
 """Time of the last change in ns, size in bytes and inode of a file: they differ once it has changed."""
@@ -443,9 +440,6 @@ def choose_algorithm(store: Store, catalogue: Catalogue, name: str, setup: Senso
             f"leave out its --sensors, or say --sensors {name}={known.setup.value}",
         )
     return known
-
-
-# The numbers that the database gives to algorithms, datasets and experiments.
 
 
 def stored_numbers(store: Store) -> Numbers:

@@ -210,8 +210,7 @@ def _after_the_end(dataset: Dataset, sensor: str, time_s: float) -> NotFound:
     )
 
 
-# Draws the ground truth of a dataset with matplotlib, for ``slamhive dataset show --plot``.
-
+# The plot of ``slamhive dataset show --plot``.
 
 _AXES = "xyz"
 _LINE, _START, _END = "#0072B2", "#009E73", "#D55E00"

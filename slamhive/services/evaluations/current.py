@@ -1,4 +1,4 @@
-"""The current protocol of a run, whose metrics are shown: its first, until the user chooses another."""
+"""Current protocol of a run, whose metrics are shown, and the same run as published tools measure it."""
 
 from __future__ import annotations
 
@@ -89,8 +89,7 @@ class CurrentProtocols:
         return [run.id for run in runs if run.protocol is not None and run.protocol.fingerprint != fingerprints[run.id]]
 
 
-# Compare the metrics of one run as computed by published tools.
-
+# Metrics of one run as published tools compute them.
 
 NOT_EVALUATED = "not evaluated"
 

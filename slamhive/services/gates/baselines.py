@@ -1,4 +1,4 @@
-"""Baselines: files that hold the values of runs, frozen at one time."""
+"""Baselines: files that hold the values of runs, frozen at one time, and the runs to compare with them."""
 
 from __future__ import annotations
 
@@ -27,8 +27,6 @@ from slamhive.services.datasets import check_writable
 from slamhive.services.searches import Searches
 from slamhive.store import RunRecord, Store, Transaction
 from slamhive.store.metrics import VERDICT, kind_of
-
-# The values of runs under one protocol, as baselines hold them and checks compare them.
 
 
 def measured_runs(t: Transaction, runs: Sequence[RunRecord], fingerprint: str) -> dict[int, MeasuredRun]:
@@ -73,8 +71,7 @@ def _can_become_worse(key: str) -> bool:
     return metric.direction is not Direction.NEUTRAL
 
 
-# Which configuration of a baseline a run belongs to. The version of the package is what may differ.
-
+# Matching runs with configurations of a baseline. The version of the package may differ.
 
 _ALIKE = ("algorithm", "dataset", "playback", "variant", "sensors")
 _MOST_NAMED = 3
@@ -314,8 +311,7 @@ def frozen_configuration(
     )
 
 
-# The runs that a gate checks, beside those of the baseline.
-
+# Pairing runs to check with those of the baseline.
 
 _CANDIDATES_MOST_NAMED = 10
 

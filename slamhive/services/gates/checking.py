@@ -33,8 +33,7 @@ from slamhive.domain.names import plural
 from slamhive.services.gates.baselines import GateCheck, RunPair
 from slamhive.services.gates.service import Gates
 
-# What limits the answer of a gate: few runs, other machines, disturbed runs.
-
+# Remarks on an answer: few runs, other machines, disturbed runs.
 
 _MEASURED = "CPU, memory and latency"
 
@@ -258,7 +257,7 @@ def _open_questions(metrics: Sequence[GateMetric], missing: Sequence[str]) -> It
         yield f"The baseline has {plural(len(missing), 'configuration')} without runs to check."
 
 
-# Runs of a gate, repeated until it can decide or its budget is spent.
+# Repeating runs until the gate can decide or its budget is spent.
 
 
 @dataclass(frozen=True, slots=True)

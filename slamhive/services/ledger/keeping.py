@@ -33,10 +33,9 @@ from slamhive.store.configuration_listing import ConfigurationRecord
 from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.records import NewCell
 
-# Finds what the database has and the ledger lacks. Lines are only added, since the database may be the older one.
-
-
 logger = logging.getLogger(__name__)
+
+# Lines are only added, since the database may be the older one.
 
 _AT_ONCE = 500
 

@@ -201,8 +201,7 @@ def last_shared(book: Book) -> dict[int, Sharing]:
     return found
 
 
-# Evaluations in the ledger: those requested, and how they ended.
-
+# Evaluations.
 
 Key = tuple[int, str, datetime]
 """Run, protocol fingerprint and time of the request, which together identify an evaluation."""

@@ -156,8 +156,7 @@ def _words(answer: Agreement, metrics: Sequence[ReplayMetric]) -> str:
     return f"Chance may explain what was found: {named or 'no metric has values'}. More repeats can decide."
 
 
-# The answer of a replay as rows of tables, and as Markdown.
-
+# Tables and Markdown.
 
 _SIGNS = {Agreement.AGREE: "✅", Agreement.DIFFERS: "❌", Agreement.UNDECIDED: "❔"}
 METRIC_HEADS = ("Metric", "Margin", "Change", "95 % interval", "p differs", "p within", "Answer")

@@ -114,8 +114,7 @@ class Prepared:
     notes: tuple[str, ...]
 
 
-# The versions that a replay needs: exactly those of the record, unless it is allowed to build them again.
-
+# Versions: exactly those of the record, unless it is allowed to build them again.
 
 _SHOWN = 19
 _LOAD = "give --load-image to take it from the bundle: it is code that will run on this machine"
@@ -212,8 +211,7 @@ class Packages:
         return self._versions.register(executor, package, identity)
 
 
-# The recordings that a replay needs: found by checksum in this installation, or in the bundle.
-
+# Recordings, found by checksum in this installation or in the bundle.
 
 Progress = Callable[[float, str], None]
 """So much of a checksum is shown: ``sha256:`` and twelve digits."""

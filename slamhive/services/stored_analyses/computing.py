@@ -28,9 +28,6 @@ from slamhive.services.stored_analyses.stored import PREVIEWS, SOURCE, AnalysisF
 from slamhive.store import Store
 from slamhive.store.records import AnalysisRecord, AnalysisState, LeaseLost
 
-# A process that computes an analysis or its previews, with limited resources.
-
-
 logger = logging.getLogger(__name__)
 
 CHILD = "slamhive.services.analysis_process"
@@ -210,8 +207,7 @@ class _Stopping(Exception):
     """The worker is stopping."""
 
 
-# Computes analyses where no worker runs, as on a view-only server: one thread, one process at a time.
-
+# Computing where no worker runs, as on a view-only server: one thread, one process at a time.
 
 IDLE_S = 30.0
 TROUBLE_S = 5.0
@@ -274,8 +270,7 @@ class AnalysisComputer:
             self._asked.wait(IDLE_S)
 
 
-# Small pictures of the plots of an analysis that is still being written, over a part of its runs.
-
+# Previews of an analysis that is being written, over a part of its runs.
 
 MOST_PREVIEWED_RUNS = 200
 MOST_PLOTS = 12

@@ -31,9 +31,6 @@ from slamhive.services.datasets import check_writable
 from slamhive.store import Store
 from slamhive.store.records import AnalysisRecord, AnalysisState
 
-# The folder of a stored analysis: its file, state and results. The folder is the truth.
-
-
 SOURCE, STATE, PROGRESS = "analysis.yaml", "state.json", "progress.json"
 REPORT, FIGURES, PAGE = "report.json.gz", "figures.json.gz", "page.json.gz"
 RESULTS = (REPORT, FIGURES, PAGE)
@@ -301,8 +298,7 @@ class StoredAnalyses:
         self.folder(token).remove()
 
 
-# The files of a stored analysis, created on request, one at a time: printing a plot takes a second.
-
+# Files are created on request, one at a time: printing a plot takes a second.
 
 MOST_WAIT_S = 30.0
 MOST_WAITING_FILES = 3

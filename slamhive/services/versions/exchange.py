@@ -155,8 +155,7 @@ def _add(archive: tarfile.TarFile, name: str, content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-# What is kept of a version: its image or environment, and the folder of the package as it was.
-
+# Kept versions: an image or environment, and the folder of the package as it was.
 
 _LEFT_OUT = shutil.ignore_patterns("__pycache__")
 
@@ -222,8 +221,7 @@ def check_version(store: Store, executor: Executor, algorithm: Algorithm) -> Non
             identity_of_version(store, executor, algorithm)
 
 
-# Reading the file that :mod:`slamhive.services.versions.exchange` wrote. Nothing in it is trusted.
-
+# Reading an exported version. Nothing in it is trusted.
 
 _MOST_PACKAGE_BYTES = 500_000_000
 _MOST_TEXT_BYTES = 20_000_000
