@@ -95,7 +95,7 @@ def kind_of(source: str) -> SourceKind:
     if source.startswith((".", "/", "~")) or source.endswith(".tar"):
         raise NotFound(f"{source} does not exist", "name a folder, a Git address, an image or a saved image")
     if not _IMAGE.fullmatch(source):
-        raise InvalidInput(f"{source!r} is no folder, Git address, image or archive")
+        raise InvalidInput(f"{source!r} is not a folder, Git address, image or archive")
     return SourceKind.IMAGE
 
 
@@ -350,7 +350,7 @@ class ImageArchive:
                     if count != 1:
                         raise InvalidInput(f"{self.path} holds {count} images, 1 is expected", "save one by itself")
                     return
-        raise InvalidInput(f"{self.path} is no saved image: it holds no {_MANIFEST}", "make it with docker save")
+        raise InvalidInput(f"{self.path} is not a saved image: it lacks {_MANIFEST}", "make it with docker save")
 
     def chunks(self, progress: Callable[[str], None]) -> Iterator[bytes]:
         """The archive without the names of images; afterwards ``checksum`` is that of the file as it is.

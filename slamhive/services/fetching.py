@@ -102,7 +102,7 @@ def parts_by_hand(sequence: Sequence, parts: tuple[Part, ...], archives: Sequenc
     for path in archives:
         if not path.is_file():
             raise InvalidInput(
-                f"{path} is no file", "give the downloaded file; a folder is for slamhive dataset import"
+                f"{path} is not a file", "give the downloaded file; a folder is for slamhive dataset import"
             )
     names = list(dict.fromkeys(part.file.name for part in parts))
     if len(names) == len(archives) == 1:

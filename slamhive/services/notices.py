@@ -152,7 +152,7 @@ def _checked_address(text: str) -> str:
         valid = False
     if not valid:
         # The address may hold a secret, so it is not repeated.
-        raise InvalidInput("NOTIFY_WEBHOOK is no address", "write it as https://chat.example.org/hooks/...")
+        raise InvalidInput("NOTIFY_WEBHOOK is not an address", "write it as https://chat.example.org/hooks/...")
     return text
 
 
@@ -162,7 +162,7 @@ def _mail(settings: Settings) -> Mail:
     for text in (*recipients, sender):
         if "@" not in text or not text.isprintable() or " " in text:
             raise InvalidInput(
-                f"{text[:80]!r} is no e-mail address",
+                f"{text[:80]!r} is not an e-mail address",
                 "check NOTIFY_MAIL_TO and NOTIFY_MAIL_FROM",
             )
     if len(recipients) > _MOST_RECIPIENTS:

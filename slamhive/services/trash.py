@@ -164,7 +164,7 @@ class Trash:
         try:
             moment = datetime.fromisoformat(at)
         except ValueError:
-            raise InvalidInput(f"{at[:40]!r} is no time", "write it as 2026-05-04T12:00:00.123456+00:00") from None
+            raise InvalidInput(f"{at[:40]!r} is not a time", "write it as 2026-05-04T12:00:00.123456+00:00") from None
         found = sorted(run.deleted.run_id for run in self.listed() if run.deleted.at == moment)
         if not found:
             raise NotFound(f"no run in the trash was deleted at {moment.isoformat()}", "see slamhive runs trash")

@@ -94,7 +94,7 @@ class UploadFolder:
     @property
     def unknown(self) -> NotFound:
         """The error for an upload that is not there, or not the caller's."""
-        return NotFound(f"there is no upload {self.root.name[:40]!r}", "they are removed a day after the last part")
+        return NotFound(f"unknown upload {self.root.name[:40]!r}", "they are removed a day after the last part")
 
     @property
     def received_bytes(self) -> int:
@@ -532,7 +532,7 @@ def import_runs(
 def _runs_request(request: RunsUpload, folder: Path) -> ImportRequest:
     if not folder.is_dir():
         raise InvalidInput(
-            f"{folder.name} is no archive", "send the trajectories as a zip or tar archive of their folder"
+            f"{folder.name} is not an archive", "send the trajectories as a zip or tar archive of their folder"
         )
     given = {
         "pattern": request.pattern,
@@ -562,7 +562,7 @@ def _member(kind: type[Kind], what: str, text: str | None) -> Kind | None:
     """The value that ``text`` names; raises InvalidInput."""
     known = [entry.value for entry in kind]
     if text is not None and text not in known:
-        raise InvalidInput(f"{what} {text[:40]!r} is not known; {nearest(text, known)}")
+        raise InvalidInput(f"unknown {what} {text[:40]!r}; {nearest(text, known)}")
     return None if text is None else kind(text)
 
 

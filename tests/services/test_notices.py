@@ -240,9 +240,9 @@ def test_e_mail_says_how_many_runs_are_good(hive: Hive, post: tuple[Post, int]) 
     [
         ({"notify_webhook": "ftp://x/secret-part"}, "NOTIFY_WEBHOOK"),
         ({"notify_mail_to": "anna"}, "'anna'"),
-        ({"notify_mail_to": "anna@lab.example"}, "is no e-mail address"),
+        ({"notify_mail_to": "anna@lab.example"}, "is not an e-mail address"),
         ({"notify_mail_to": "anna@lab.example", "smtp_user": "hive@lab.example"}, "SMTP_HOST"),
-        ({"notify_mail_to": "a@b.example\nBcc: all@b.example", "smtp_user": "h@b.example"}, "is no e-mail address"),
+        ({"notify_mail_to": "a@b.example\nBcc: all@b.example", "smtp_user": "h@b.example"}, "is not an e-mail address"),
     ],
 )
 def test_settings_that_cannot_work_are_named(settings: dict[str, Any], said: str) -> None:

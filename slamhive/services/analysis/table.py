@@ -322,4 +322,4 @@ def check_columns(analysis: Analysis, vocabulary: Vocabulary, is_axis: Callable[
     for plot in analysis.plots:
         for key in sorted(plot.plot_type.needs(plot.options)):
             if key not in known and not key.startswith(VARIANT_PREFIX) and not is_axis(key):
-                raise InvalidInput(f"{plot.place}: nothing is called {key[:80]!r}", vocabulary.nearest(key[:80]))
+                raise InvalidInput(f"{plot.place}: unknown name {key[:80]!r}", vocabulary.nearest(key[:80]))

@@ -228,7 +228,7 @@ def open_archive(path: Path) -> Iterator[ArchiveReader]:
         # Refuse a file that is no zip file, was cut short, or whose list of members is too long for memory.
         size = zip_directory_bytes(stream)
         if size is None:
-            raise InvalidInput(f"{path} is no archive, or was cut short", _DAMAGED)
+            raise InvalidInput(f"{path} is not an archive, or was cut short", _DAMAGED)
         if size > LARGEST_DIRECTORY_BYTES:
             raise InvalidInput(f"{path} lists its members in {size} bytes, more than any export writes")
         stream.seek(0)

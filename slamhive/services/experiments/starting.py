@@ -310,7 +310,7 @@ def check_same(
     """Raise Conflict unless the stored experiment has the same content as the file and was not cancelled."""
     if not experiment.has_hash(record.content_hash):
         raise Conflict(
-            f"{experiment.place}: an experiment called {record.name} is there already and states something else",
+            f"{experiment.place}: experiment {record.name} exists already with other content",
             "choose another name; add-repeats runs the same one more often",
         )
     if record.state is ExperimentState.CANCELLED:

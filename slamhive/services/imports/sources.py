@@ -53,13 +53,15 @@ def parse_setup(text: str) -> SensorSetup:
         return SensorSetup(text)
     except ValueError:
         known = [setup.value for setup in SensorSetup]
-        raise InvalidInput(f"sensors {text!r} are not known; {nearest(text, known)}") from None
+        raise InvalidInput(f"unknown sensors {text!r}; {nearest(text, known)}") from None
 
 
 def _in_folder(request: ImportRequest, found: FoundImports) -> Iterator[ImportCandidate]:
     root = request.source
     if not root.is_dir():
-        raise InvalidInput(f"{root} is no folder", "give the folder that holds the trajectories, or --table for a CSV")
+        raise InvalidInput(
+            f"{root} is not a folder", "give the folder that holds the trajectories, or --table for a CSV"
+        )
     pattern = PathPattern(request.pattern, needed=("algorithm", "dataset"))
     stamps: dict[str, Path] = {}
     beside = [
@@ -144,7 +146,7 @@ def _check_columns(path: Path, columns: list[str]) -> None:
     known = [*_NEEDED, *_OPTIONAL]
     for name in columns:
         if name not in known:
-            raise InvalidInput(f"{path} has a column {name[:40]!r} that is not known; {nearest(name, known)}")
+            raise InvalidInput(f"{path} has the unknown column {name[:40]!r}; {nearest(name, known)}")
     for name in _NEEDED:
         if name not in columns:
             raise InvalidInput(f"{path} lacks the column {name}", f"its first line has to name {', '.join(_NEEDED)}")
@@ -199,7 +201,7 @@ def _member(kind: type[_Member], column: str, row: dict[str, str]) -> _Member | 
         return None
     known = [entry.value for entry in kind]
     if text not in known:
-        raise InvalidInput(f"{column} {text[:40]!r} is not known; {nearest(text, known)}")
+        raise InvalidInput(f"unknown {column} {text[:40]!r}; {nearest(text, known)}")
     return kind(text)
 
 
@@ -232,5 +234,5 @@ def _without_doubles(found: FoundImports) -> Iterator[ImportCandidate]:
         if first is candidate.name:
             yield candidate
         else:
-            text = f"trial {candidate.trial} of {candidate.algorithm} on {candidate.dataset} is there twice"
+            text = f"trial {candidate.trial} of {candidate.algorithm} on {candidate.dataset} occurs twice"
             found.problems.append(ImportProblem(candidate.name, f"{text}: {first} is the other; number the trials"))
