@@ -462,8 +462,10 @@ class AlgorithmImports:
 
         Raises NotFound, InvalidInput, Conflict for a name that is taken, Unavailable.
         """
+        packages = [algorithm.package for algorithm in self._catalogue.algorithms()]
+        own = {entry.image for entry in packages if entry.folder.parent != self._settings.algorithms_folder}
         with opened(source) as found:
-            result = plan(found, request, self._tools(request.executor), self._own_images())
+            result = plan(found, request, self._tools(request.executor), own)
             self._check_free(check_name("package", result.name), replace=request.replace)
             yield result
 
@@ -506,11 +508,6 @@ class AlgorithmImports:
 
     def _tools(self, executor: str | None = None) -> ImageTools:
         return self._executors.get(self._executors.choose(executor)).image_tools()
-
-    def _own_images(self) -> set[str]:
-        """The names of the images of packages that were not imported."""
-        packages = (algorithm.package for algorithm in self._catalogue.algorithms())
-        return {package.image for package in packages if package.folder.parent != self._settings.algorithms_folder}
 
     def _check_free(self, name: str, *, replace: bool) -> None:
         """Raise Conflict if the name means something else here."""

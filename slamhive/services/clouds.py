@@ -6,7 +6,6 @@ import os
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 from slamhive.base import strict_yaml
@@ -224,12 +223,16 @@ class Clouds:
         return open_provider(*place, self._settings.cloud_endpoint, self._environment, self._clock)
 
     def _status(self, record: CloudRecord, provider: Provider) -> CloudStatus:
+        # At most: as if all machines had run since the start.
+        plan = record.plan
+        hours = (min(self._clock.utc_now(), record.ends_at) - record.made_at).total_seconds() / 3600
+        most_until_now = hours * (plan.hour_price * plan.nodes + plan.image_day_cost / 24)
         return CloudStatus.of(
             record,
             provider=record.plan.provider,
             region=record.plan.region,
             currency=record.plan.currency,
-            cost_until_now=_cost(record, self._clock.utc_now()),
+            cost_until_now=most_until_now,
             most_cost=record.plan.most_cost,
             resources=tuple(
                 CloudResource.of(entry, kind=entry.kind.value, state=entry.state.value)
@@ -244,9 +247,3 @@ def _order_of(record: CloudRecord) -> CloudFile:
 
 def _place(record: CloudRecord) -> Place:
     return ProviderName(record.plan.provider), record.plan.region
-
-
-def _cost(record: CloudRecord, now: datetime) -> float:
-    """At most: as if all machines ran since the start."""
-    hours = (min(now, record.ends_at) - record.made_at).total_seconds() / 3600
-    return hours * (record.plan.hour_price * record.plan.nodes + record.plan.image_day_cost / 24)

@@ -385,19 +385,16 @@ class Configurations:
             map=changes.map or (None if stored.map is None else stored.map.run),
         )
         moved = changes.algorithm is not None or changes.dataset is not None
-        problem = self._misfit(algorithm, submission) if moved and changes.sensors is None else None
+        problem = None
+        if moved and changes.sensors is None:
+            try:
+                algorithm.stated_choice(self._catalogue.dataset(submission.dataset), submission.sensors)
+            except SlamHiveError as error:
+                problem = error.message
         if problem is not None:
             submission = replace(submission, sensors={})
             notes.append(f"the choice of sensors is left out: {problem}")
         return submission, tuple(notes)
-
-    def _misfit(self, algorithm: Algorithm, submission: Submission) -> str | None:
-        """Why the sensors of ``submission`` cannot be chosen, None if they can."""
-        try:
-            algorithm.stated_choice(self._catalogue.dataset(submission.dataset), submission.sensors)
-        except SlamHiveError as error:
-            return error.message
-        return None
 
     def create(self, submission: Submission, label: Label = NO_LABEL) -> Stored:
         """Store the configuration of ``submission``, or find the identical one."""

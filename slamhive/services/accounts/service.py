@@ -227,7 +227,18 @@ class Accounts:
         text = TOKEN_BEGINS + secrets.token_urlsafe(_SECRET_BYTES)
         scopes = tuple(scope for scope in Scope if scope in request.scopes)
         key = self._new_key(KeyKind.TOKEN, text, timedelta(days=request.days), request.name, scopes)
-        return self._store.write(lambda t: _add_token(t, name, key)), text
+
+        def work(t: Transaction) -> Key:
+            account = t.accounts.named(name)
+            # Without ours, which is there after a lost answer.
+            tokens = [token for token in t.accounts.tokens(name) if token.digest != key.digest]
+            if any(token.name == key.name for token in tokens):
+                raise Conflict(f"{name} has a token {key.name!r} already", "revoke it, or choose another name")
+            if len(tokens) >= MOST_TOKENS:
+                raise Conflict(f"{name} has {MOST_TOKENS} tokens already", "revoke those that nobody uses")
+            return t.accounts.add_key(account.id, key)
+
+        return self._store.write(work), text
 
     def tokens(self, name: str | None = None) -> Sequence[Key]:
         """The API tokens of one account, or of all; raises NotFound."""
@@ -283,16 +294,6 @@ def _open_session(t: Transaction, found: AccountCredentials, key: NewKey, renewe
         t.accounts.set_password(found.account.name, renewed)
     t.accounts.forget_expired_sessions(key.created_at)
     t.accounts.add_key(found.account.id, key)
-
-
-def _add_token(t: Transaction, name: str, key: NewKey) -> Key:
-    account = t.accounts.named(name)
-    tokens = [token for token in t.accounts.tokens(name) if token.digest != key.digest]  # ours, after a lost answer
-    if any(token.name == key.name for token in tokens):
-        raise Conflict(f"{name} has a token {key.name!r} already", "revoke it, or choose another name")
-    if len(tokens) >= MOST_TOKENS:
-        raise Conflict(f"{name} has {MOST_TOKENS} tokens already", "revoke those that nobody uses")
-    return t.accounts.add_key(account.id, key)
 
 
 def _refused() -> Unauthenticated:

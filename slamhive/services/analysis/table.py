@@ -187,7 +187,13 @@ def load_table(
     facts["disturbed"] = [_disturbance_words(kinds) for kinds in facts.pop("disturbed_by")]
     selected = len(facts["run_id"])
     if request.exclude_disturbed:
-        facts = _undisturbed(facts)
+        kept = [words is None or words == UNDISTURBED for words in facts["disturbed"]]
+        if not any(kept) and kept:
+            raise InvalidInput(
+                f"all {len(kept)} runs were measured on a disturbed machine",
+                "leave out exclude_disturbed, or repeat them",
+            )
+        facts = {name: list(compress(column, kept)) for name, column in facts.items()}
     variants = facts.pop("variant")
     facts["variant"] = ["; ".join(map(str, load(Variant, entry))) if entry else None for entry in variants]
     facts |= seen_columns(facts["dataset"], variants, datasets)
@@ -207,16 +213,6 @@ def load_table(
     repeated = set(_variant_columns(variants)) if covered else set()
     left_out = selected - len(facts["run_id"]) if request.exclude_disturbed else None
     return replace(table.described(known, repeated), not_evaluated=not_evaluated, without_disturbed=left_out)
-
-
-def _undisturbed(facts: Columns) -> Columns:
-    """The facts of runs that were not disturbed; raises InvalidInput if there are none."""
-    kept = [words is None or words == UNDISTURBED for words in facts["disturbed"]]
-    if not any(kept) and kept:
-        raise InvalidInput(
-            f"all {len(kept)} runs were measured on a disturbed machine", "leave out exclude_disturbed, or repeat them"
-        )
-    return {name: list(compress(values, kept)) for name, values in facts.items()}
 
 
 def _disturbance_words(kinds: str | None) -> str | None:

@@ -92,6 +92,11 @@ def answer_of(
         looks: The number of this look.
     """
     metrics = compared(check, pairs, significance)
+    without = [
+        f"No good run to check has a value of {metric.label}."
+        for metric in metrics
+        if all(entry.candidate is None for entry in metric.configurations)
+    ]
     missing = tuple(name for name in check.baseline.names if name not in {pair.words for pair in pairs})
     answers = [entry.answer for entry in metrics]
     answer = Answer.over([*answers, Answer.UNDECIDED] if missing and not check.partial else answers)
@@ -104,7 +109,7 @@ def answer_of(
         metrics=tuple(metrics),
         configurations=tuple(map(_configuration, pairs)),
         missing=missing,
-        notes=(*notes, *remarks(pairs, significance), *_without_values(metrics)),
+        notes=(*notes, *remarks(pairs, significance), *without),
     )
 
 
@@ -231,12 +236,6 @@ def _configuration(pair: RunPair) -> GateConfiguration:
         failed=tuple(run.id for run, values in zip(pair.runs, pair.measured, strict=True) if values.failed is not None),
         versions=tuple(sorted({run.version_label for run in pair.runs if run.version_label is not None})),
     )
-
-
-def _without_values(metrics: Sequence[GateMetric]) -> Iterator[str]:
-    for metric in metrics:
-        if all(entry.candidate is None for entry in metric.configurations):
-            yield f"No good run to check has a value of {metric.label}."
 
 
 def _words(answer: Answer, metrics: Sequence[GateMetric], missing: Sequence[str]) -> str:

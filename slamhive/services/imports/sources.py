@@ -133,23 +133,19 @@ def _in_table(request: ImportRequest, found: FoundImports) -> Iterator[ImportCan
         columns, rows = [name or "" for name in reader.fieldnames or []], list(reader)
     except csv.Error as error:
         raise InvalidInput(f"{path}, line {reader.line_num}: {error}", "save the table as CSV") from None
-    _check_columns(path, columns)
+    for column in columns:
+        if column not in (*_NEEDED, *_OPTIONAL):
+            known = nearest(column, [*_NEEDED, *_OPTIONAL])
+            raise InvalidInput(f"{path} has the unknown column {column[:40]!r}; {known}")
+    for needed in _NEEDED:
+        if needed not in columns:
+            raise InvalidInput(f"{path} lacks the column {needed}", f"its first line has to name {', '.join(_NEEDED)}")
     for number, row in enumerate(rows, start=2):
         name = f"{path.name}, row {number}"
         try:
             yield _row(request, found, {key: (row.get(key) or "").strip() for key in columns}, name)
         except SlamHiveError as error:
             found.problems.append(ImportProblem(name, str(error)))
-
-
-def _check_columns(path: Path, columns: list[str]) -> None:
-    known = [*_NEEDED, *_OPTIONAL]
-    for name in columns:
-        if name not in known:
-            raise InvalidInput(f"{path} has the unknown column {name[:40]!r}; {nearest(name, known)}")
-    for name in _NEEDED:
-        if name not in columns:
-            raise InvalidInput(f"{path} lacks the column {name}", f"its first line has to name {', '.join(_NEEDED)}")
 
 
 def _row(request: ImportRequest, found: FoundImports, row: dict[str, str], name: str) -> ImportCandidate:
