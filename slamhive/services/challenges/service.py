@@ -232,9 +232,14 @@ class ChallengeService:
         found = enter(folder, open_phase(folder.definition, phase, now), entrant, files, now, share)
         return submission_of(folder.definition, found, now)
 
-    def submit_image(self, name: str, entrant: Entrant, image: Path, phase: str | None = None) -> ChallengeSubmission:
-        """Keep the archive of an image, and queue its runs; raises as :meth:`submit`."""
-        return self._submit_image(name, entrant, image, phase)
+    def submit_image(
+        self, name: str, entrant: Entrant, image: Path | StoredImage, phase: str | None = None
+    ) -> ChallengeSubmission:
+        """Keep the archive of an image, or note a version of this server, and queue its runs; raises as submit."""
+        check_writable(self._settings)
+        folder, now = self._folder(name), self._clock()
+        found = enter_image(folder, open_phase(folder.definition, phase, now), entrant, image, now)
+        return submission_of(folder.definition, found, now)
 
     def submit_version(
         self, name: str, entrant: Entrant, version: VersionRecord, phase: str | None = None
@@ -247,15 +252,7 @@ class ChallengeService:
         image = StoredImage(
             package=version.package, algorithm=chosen.name, version=version.number, identity=version.identity
         )
-        return self._submit_image(name, entrant, image, phase)
-
-    def _submit_image(
-        self, name: str, entrant: Entrant, image: Path | StoredImage, phase: str | None
-    ) -> ChallengeSubmission:
-        check_writable(self._settings)
-        folder, now = self._folder(name), self._clock()
-        found = enter_image(folder, open_phase(folder.definition, phase, now), entrant, image, now)
-        return submission_of(folder.definition, found, now)
+        return self.submit_image(name, entrant, image, phase)
 
     def check_image(self, name: str, image: Path, algorithm: str | None, phase: str | None = None) -> str:
         """A line about an archive that could be submitted; raises what :meth:`submit_image` would raise for it."""

@@ -83,10 +83,6 @@ class Gates:
         baseline = self.baselines.get(reference)
         return GateCheck(baseline, chosen_margins(margins, baseline.measured), frozenset(ignored), partial)
 
-    def find(self, where: str) -> list[int]:
-        """The runs that match a filter; raises FilterError."""
-        return self._searches.find(where)
-
     def lacking(self, check: GateCheck, run_ids: Sequence[int]) -> dict[Protocol, list[int]]:
         """{protocol of the baseline: runs that were not evaluated under it}; raises as :meth:`answer`."""
         return self._store.read(lambda t: lacking(t, check, pair_runs(check, t.runs.get_many(run_ids))))
