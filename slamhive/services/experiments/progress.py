@@ -112,9 +112,8 @@ class TimeLeft:
         # Fewer things left than slots: the others stay idle.
         time = amount.remaining(min(self._slots, max(waiting, evaluations)))
         measured = means.measured if waiting else not means.of_evaluation.guessed_s
-        phase = _phase(active, tuple(building), evaluations) or "waiting for a worker"
-        if phase == "waiting for a worker" and record.cpu_model:
-            phase += f", runs stay on {record.cpu_model}"
+        bound = f", runs stay on {record.cpu_model}" if record.cpu_model else ""
+        phase = _phase(active, tuple(building), evaluations) or f"waiting for a worker{bound}"
         return Left(time if measured else Remaining(time.seconds), phase)
 
     def _no_less(self, expected: Expected, under_way: Iterable[ActiveRun]) -> Expected:

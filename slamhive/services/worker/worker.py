@@ -115,7 +115,7 @@ class Worker:
         notices = notices_of(self._settings, self._store)
         with WorkerLock(self._settings.data), noticing(notices), serving_nodes(self._settings):
             self._take_over_from_the_dead()
-            self._store.recheck()
+            self._store.recheck()  # the ledger gets the lines that a kill or a full disk has left out
             self._sweep()
             threads = [
                 threading.Thread(target=self._slot, args=(shared[slot], until_idle), name=f"slot-{slot}")
@@ -135,6 +135,7 @@ class Worker:
                 self._stopping.set()
                 for thread in threads:
                     thread.join()
+                # The heartbeat ends after the slots: without it, another worker would take over their runs.
                 heartbeat_ends.set()
                 heartbeat.join()
                 try:
