@@ -182,7 +182,7 @@ def check(cli: CliContext, /, baseline_name: str, as_json: bool, **options: Any)
 
 
 def _of_existing(hive: Hive, prepared: GateCheck, options: dict[str, Any]) -> GateAnswer:
-    run_ids = hive.gates.find(options["where"])
+    run_ids = hive.searches.find(options["where"])
     if options["evaluate"]:
         from slamhive.cli.waiting import evaluate_to_end  # noqa: PLC0415 - few checks evaluate
         from slamhive.domain.protocol import exactly  # noqa: PLC0415

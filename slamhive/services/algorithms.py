@@ -43,8 +43,9 @@ from slamhive.packages.published.folder import (
 from slamhive.services.datasets import Catalogue, check_writable
 from slamhive.services.executors import Executors
 
-# What the source of an import is: a folder, a Git repository, an archive of an image, or the name of an image.
+logger = logging.getLogger(__name__)
 
+# Sources: a folder, a Git repository, an archive of an image, or the name of an image.
 
 _GIT = re.compile(r"(?:https?|ssh|git|file)://\S+|[\w.-]+@[\w.-]+:\S+")
 _REFERENCE = re.compile(r"[A-Za-z0-9][\w./-]{0,200}")
@@ -57,7 +58,7 @@ _GIT_VARIABLES = {"GIT_TERMINAL_PROMPT": "0", "GIT_LFS_SKIP_SMUDGE": "1", "LC_AL
 
 
 class SourceKind(StrEnum):
-    """What a source is."""
+    """Kind of a source."""
 
     FOLDER = "folder"
     REPOSITORY = "Git repository"
@@ -83,7 +84,7 @@ class OpenedSource:
 
 
 def kind_of(source: str) -> SourceKind:
-    """What ``source`` is; raises NotFound or InvalidInput."""
+    """Classify ``source``; raises NotFound or InvalidInput."""
     if _GIT.fullmatch(source):
         return SourceKind.REPOSITORY
     path = Path(source or "-").expanduser()
@@ -94,7 +95,7 @@ def kind_of(source: str) -> SourceKind:
     if source.startswith((".", "/", "~")) or source.endswith(".tar"):
         raise NotFound(f"{source} does not exist", "name a folder, a Git address, an image or a saved image")
     if not _IMAGE.fullmatch(source):
-        raise InvalidInput(f"{source!r} is no folder, Git address, image or archive")
+        raise InvalidInput(f"{source!r} is not a folder, Git address, image or archive")
     return SourceKind.IMAGE
 
 
@@ -184,12 +185,12 @@ def package_name(source: OpenedSource) -> str:
     return _NAME_PARTS.sub("-", name).strip("-_.").replace("..", "-")[:64] or "algorithm"
 
 
-# What an import will do: read the folder, choose where the image comes from, draft ``algorithm.yaml``.
+# Plans.
 
 
 @dataclass(frozen=True, slots=True)
 class PackageImportRequest:
-    """What the user asks for.
+    """Request of a user to import a package.
 
     Attributes:
         name: Of the package; None for that of the source.
@@ -210,7 +211,7 @@ class PackageImportRequest:
 
 
 class Way(StrEnum):
-    """How an import gets the image."""
+    """Way in which an import gets the image."""
 
     BUILD = "build"
     LOAD = "load"
@@ -219,7 +220,7 @@ class Way(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PlannedPackage:
-    """What an import will do.
+    """Plan of an import.
 
     Attributes:
         name: Of the package.
@@ -290,7 +291,7 @@ def _image_of(
     tools: ImageTools,
     own_images: Collection[str],
 ) -> tuple[Way, str, str]:
-    """How to get the image of a folder: way, from where, and why."""
+    """Decide how to get the image of a folder: way, from where, and why."""
     if request.image is not None:
         is_file = kind_of(request.image) is SourceKind.ARCHIVE
         place = str(Path(request.image).expanduser().resolve()) if is_file else request.image
@@ -321,7 +322,6 @@ def _image_of(
 
 # Archives that ``docker save`` wrote. They may come from anywhere, so the names in them are not taken over.
 
-
 _BLOCK_BYTES = 1 << 20
 _MOST_TEXT_BYTES = 10_000_000
 _MANIFEST, _INDEX, _NAMES = "manifest.json", "index.json", "repositories"
@@ -350,7 +350,7 @@ class ImageArchive:
                     if count != 1:
                         raise InvalidInput(f"{self.path} holds {count} images, 1 is expected", "save one by itself")
                     return
-        raise InvalidInput(f"{self.path} is no saved image: it holds no {_MANIFEST}", "make it with docker save")
+        raise InvalidInput(f"{self.path} is not a saved image: it lacks {_MANIFEST}", "make it with docker save")
 
     def chunks(self, progress: Callable[[str], None]) -> Iterator[bytes]:
         """The archive without the names of images; afterwards ``checksum`` is that of the file as it is.
@@ -427,10 +427,7 @@ class _Counted(io.RawIOBase):
         return data
 
 
-# Imports and removes algorithm packages of others. They lie in the data root, one folder each.
-
-
-logger = logging.getLogger(__name__)
+# Imports.
 
 Progress = Callable[[str], None]
 _KEPT_DOCKERFILE = "Dockerfile.imported"
@@ -439,7 +436,7 @@ _KEPT_DOCKERFILE = "Dockerfile.imported"
 
 @dataclass(frozen=True, slots=True)
 class ImportedPackage:
-    """What an import made: the algorithms, and what to say about them, one line each."""
+    """Result of an import: the algorithms, and one line for each remark."""
 
     algorithms: tuple[Algorithm, ...]
     notes: tuple[str, ...]
@@ -465,8 +462,10 @@ class AlgorithmImports:
 
         Raises NotFound, InvalidInput, Conflict for a name that is taken, Unavailable.
         """
+        packages = [algorithm.package for algorithm in self._catalogue.algorithms()]
+        own = {entry.image for entry in packages if entry.folder.parent != self._settings.algorithms_folder}
         with opened(source) as found:
-            result = plan(found, request, self._tools(request.executor), self._own_images())
+            result = plan(found, request, self._tools(request.executor), own)
             self._check_free(check_name("package", result.name), replace=request.replace)
             yield result
 
@@ -509,11 +508,6 @@ class AlgorithmImports:
 
     def _tools(self, executor: str | None = None) -> ImageTools:
         return self._executors.get(self._executors.choose(executor)).image_tools()
-
-    def _own_images(self) -> set[str]:
-        """The names of the images of packages that were not imported."""
-        packages = (algorithm.package for algorithm in self._catalogue.algorithms())
-        return {package.image for package in packages if package.folder.parent != self._settings.algorithms_folder}
 
     def _check_free(self, name: str, *, replace: bool) -> None:
         """Raise Conflict if the name means something else here."""

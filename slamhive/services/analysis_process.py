@@ -65,7 +65,7 @@ def limit_process(memory_bytes: int, time_limit_s: float) -> None:
 
 
 def _memory_is_used_up(memory_bytes: int) -> bool:
-    """Whether the process has come close to its limit. An import that finds no memory may raise anything."""
+    """Tell if the process has come close to its limit. An import that finds no memory may raise anything."""
     try:
         status = Path("/proc/self/status").read_text()
     except OSError:

@@ -39,7 +39,7 @@ class BoundTest:
         )
 
     def result(self, run: RunRecord) -> BoundResult:
-        """What the run, which has ended and been evaluated, shows."""
+        """Return the bounds that the run, which has ended and been evaluated, shows."""
         metrics = run.metrics or {}
         if run.state is RunState.SUCCEEDED:
             problem = self.bound.broken_by(run.poses, metrics)

@@ -1,4 +1,4 @@
-"""What to cite for runs: SLAM Hive, evo, and the algorithms and datasets, as their files state it."""
+"""Works to cite for runs: SLAM Hive, evo, and the algorithms and datasets, as their files state it."""
 
 from __future__ import annotations
 

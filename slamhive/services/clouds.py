@@ -6,7 +6,6 @@ import os
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 from slamhive.base import strict_yaml
@@ -25,8 +24,6 @@ from slamhive.documents.machines import CloudPlanDocument, CloudRecord, CloudRes
 from slamhive.experiments.file import parse_experiment
 from slamhive.services.datasets import Catalogue, check_writable
 from slamhive.services.experiments import ExperimentService, ExperimentSource
-
-# How much work a cloud file is for: what the preview of its experiment estimates.
 
 
 def work_of(order: CloudFile, path: Path, experiments: Callable[[], ExperimentService], catalogue: Catalogue) -> Work:
@@ -48,7 +45,6 @@ def work_of(order: CloudFile, path: Path, experiments: Callable[[], ExperimentSe
 
 # Clusters of rented machines, from the plan until nothing is left.
 
-
 Tell = Callable[[str], None]
 Place = tuple[ProviderName, str]
 """A provider and a region of it."""
@@ -60,7 +56,7 @@ def _silent(_text: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Swept:
-    """What a sweep did in one region; ``foreign`` belongs to other installations and was left."""
+    """Result of a sweep in one region; ``foreign`` belongs to other installations and was left."""
 
     provider: str
     region: str
@@ -95,7 +91,7 @@ class Clouds:
         self._records = CloudRecords(settings.clouds_folder)
 
     def plan(self, path: Path) -> CloudPlanDocument:
-        """What the cloud file at ``path`` asks for; no provider is asked. Raises InvalidInput."""
+        """Read the plan in the cloud file at ``path``; no provider is asked. Raises InvalidInput."""
         order, _ = self._order(path)
         return CloudPlanDocument.of(make_plan(order, self._work(order, path), self._clock.utc_now()))
 
@@ -227,12 +223,16 @@ class Clouds:
         return open_provider(*place, self._settings.cloud_endpoint, self._environment, self._clock)
 
     def _status(self, record: CloudRecord, provider: Provider) -> CloudStatus:
+        # At most: as if all machines had run since the start.
+        plan = record.plan
+        hours = (min(self._clock.utc_now(), record.ends_at) - record.made_at).total_seconds() / 3600
+        most_until_now = hours * (plan.hour_price * plan.nodes + plan.image_day_cost / 24)
         return CloudStatus.of(
             record,
             provider=record.plan.provider,
             region=record.plan.region,
             currency=record.plan.currency,
-            cost_until_now=_cost(record, self._clock.utc_now()),
+            cost_until_now=most_until_now,
             most_cost=record.plan.most_cost,
             resources=tuple(
                 CloudResource.of(entry, kind=entry.kind.value, state=entry.state.value)
@@ -247,9 +247,3 @@ def _order_of(record: CloudRecord) -> CloudFile:
 
 def _place(record: CloudRecord) -> Place:
     return ProviderName(record.plan.provider), record.plan.region
-
-
-def _cost(record: CloudRecord, now: datetime) -> float:
-    """At most: as if all machines ran since the start."""
-    hours = (min(now, record.ends_at) - record.made_at).total_seconds() / 3600
-    return hours * (record.plan.hour_price * record.plan.nodes + record.plan.image_day_cost / 24)

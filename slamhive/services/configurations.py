@@ -40,8 +40,7 @@ from slamhive.store import (
     Transaction,
 )
 
-# Text about configurations: names, notes and conditions that users type, and records as JSON.
-
+# Texts that users type, and records as JSON.
 
 LONGEST_NAME = 64
 LONGEST_NOTE = 2000
@@ -96,7 +95,7 @@ def configuration_document(record: ConfigurationRecord) -> schema.ConfigurationD
     return schema.ConfigurationDocument.of(content, parameters=parameters, **said)
 
 
-# Requested changes of configurations, and their results.
+# Changes and their results.
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,11 +150,8 @@ class Stored:
         return f"{self.record.label} is new" if self.created else f"the same as {self.record.label}"
 
 
-# What a request for runs implies: rules without effect, and the protocol.
-
-
 def unwatchable(rules: StopWhen, algorithms: Iterable[Algorithm]) -> str | None:
-    """Which of the rules cannot be watched for which algorithms, in words; None if all can."""
+    """Say which of the rules cannot be watched for which algorithms; None if all can."""
     silent = sorted({entry.name for entry in algorithms if not entry.package.reports_tracking})
     if rules.lost_tracking_s is None or not silent:
         return None
@@ -163,8 +159,7 @@ def unwatchable(rules: StopWhen, algorithms: Iterable[Algorithm]) -> str | None:
     return f"lost_tracking_s has no effect on {', '.join(silent)}, which {does} not say which frames are tracked"
 
 
-# The map of one run as an input of another.
-
+# Maps of runs as input of others.
 
 _UID = re.compile(r"[0-9a-f]{32}")
 _MOST_DIGITS = 18
@@ -226,9 +221,6 @@ def _checked(run: RunRecord, runs_folder: Path, algorithm: Algorithm, file: str)
     if not path.is_file() or path.is_symlink():
         raise InvalidInput(f"run {run.id} has saved no map", f"repeat it with --set save_map=true: it lacks {file}")
     return path
-
-
-# Configurations: create, copy, modify, label, group, delete, export and import. Their content never changes.
 
 
 NO_FILTER = ConfigurationFilter()
@@ -308,7 +300,8 @@ class Configurations:
         submission.check()
         algorithm = self._catalogue.algorithm(submission.algorithm)
         dataset = self._catalogue.dataset(submission.dataset)
-        configuration = submission.configuration(algorithm, self._map_of(submission, algorithm))
+        used = None if submission.map is None else self.find_map(submission.map, algorithm).map
+        configuration = submission.configuration(algorithm, used)
         variant = self._variants.resolve(dataset, configuration.variant)
         self._variants.plan(dataset, variant)
         chosen = algorithm.stated_choice(dataset, configuration.sensors)
@@ -322,9 +315,6 @@ class Configurations:
     def find_map(self, reference: str, algorithm: Algorithm) -> FoundMap:
         """The map of a run, for a run of ``algorithm``; raises NotFound or InvalidInput."""
         return find_map(self._store, self._settings.runs_folder, reference, algorithm)
-
-    def _map_of(self, submission: Submission, algorithm: Algorithm) -> InputMap | None:
-        return None if submission.map is None else self.find_map(submission.map, algorithm).map
 
     def map_note(self, submission: Submission) -> str | None:
         """In words, that the map of a submission shows another dataset; None if there is nothing to say."""
@@ -344,7 +334,7 @@ class Configurations:
         return self._store.read(work)
 
     def match(self, configuration_id: int) -> Match:
-        """How algorithm and dataset of this configuration fit, as they are now; raises NotFound or InvalidInput."""
+        """Match algorithm and dataset of this configuration as they are now; raises NotFound or InvalidInput."""
         stored = self._store.read(lambda t: t.configurations.get(configuration_id))
         algorithm, dataset = self._catalogue.algorithm(stored.algorithm_label), self._catalogue.dataset(stored.dataset)
         return match_of(algorithm, self._variants.planned(dataset, stored.variant), stored.parameters, stored.sensors)
@@ -395,19 +385,16 @@ class Configurations:
             map=changes.map or (None if stored.map is None else stored.map.run),
         )
         moved = changes.algorithm is not None or changes.dataset is not None
-        problem = self._misfit(algorithm, submission) if moved and changes.sensors is None else None
+        problem = None
+        if moved and changes.sensors is None:
+            try:
+                algorithm.stated_choice(self._catalogue.dataset(submission.dataset), submission.sensors)
+            except SlamHiveError as error:
+                problem = error.message
         if problem is not None:
             submission = replace(submission, sensors={})
             notes.append(f"the choice of sensors is left out: {problem}")
         return submission, tuple(notes)
-
-    def _misfit(self, algorithm: Algorithm, submission: Submission) -> str | None:
-        """Why the sensors of ``submission`` cannot be chosen, None if they can."""
-        try:
-            algorithm.stated_choice(self._catalogue.dataset(submission.dataset), submission.sensors)
-        except SlamHiveError as error:
-            return error.message
-        return None
 
     def create(self, submission: Submission, label: Label = NO_LABEL) -> Stored:
         """Store the configuration of ``submission``, or find the identical one."""

@@ -13,7 +13,7 @@ REMEDY = "name another with --data or SLAMHIVE_DATA; slamhive demo, dataset room
 
 
 class DataRoot(StrEnum):
-    """What a command needs of the data root and its database."""
+    """Needs of a command for the data root and its database."""
 
     MADE = "made"
     """Both are created if missing."""
@@ -40,7 +40,10 @@ def open_data_root(settings: Settings, expected: DataRoot) -> Store:
     if expected is not DataRoot.MADE:
         _check_there(settings)
     if expected is DataRoot.READ:
-        create = settings.mode is not Mode.VIEW_ONLY and _is_new(settings)
+        # A new data root has datasets, but no runs that a lost database could have held.
+        runs = settings.runs_folder
+        new = settings.datasets_folder.is_dir() and not (runs.is_dir() and any(runs.iterdir()))
+        create = settings.mode is not Mode.VIEW_ONLY and new
         store = open_store(settings.effective_database_url, settings.database_retry_s, create=create)
         _make_folders(settings)
         return store
@@ -57,12 +60,6 @@ def _check_there(settings: Settings) -> None:
         raise _unusable(settings, error) from None
     if not stat.S_ISDIR(found.st_mode):
         raise InvalidInput(f"data root {settings.data} is not a folder", REMEDY)
-
-
-def _is_new(settings: Settings) -> bool:
-    """Whether the folder is a new data root: it has datasets, but no runs that a lost database could have held."""
-    runs = settings.runs_folder
-    return settings.datasets_folder.is_dir() and not (runs.is_dir() and any(runs.iterdir()))
 
 
 def _make_folders(settings: Settings) -> None:

@@ -57,7 +57,7 @@ def examine(hive: Hive) -> list[DoctorCheck]:
 
 
 def examine_cluster(hive: Hive) -> list[DoctorCheck]:
-    """What each machine offers that the executor of the settings uses. Raises Unavailable if it uses none."""
+    """Report each machine that the executor of the settings uses. Raises Unavailable if it uses none."""
     executor = hive.executors.get(hive.executors.choose())
     return [
         DoctorCheck(
@@ -129,7 +129,7 @@ def _executor(hive: Hive) -> list[DoctorCheck]:
 
 
 def _executor_findings(hive: Hive) -> list[DoctorCheck]:
-    """What each executor that can be used reports."""
+    """Report each executor that can be used."""
     checks = []
     for executor in open_all(hive.executors.get):
         for finding in executor.examine() if executor.unavailable_because() is None else ():
@@ -160,7 +160,7 @@ def _gpus(_: Hive) -> list[DoctorCheck]:
 
 
 def _disturbance(_: Hive) -> list[DoctorCheck]:
-    """What of a disturbed machine can be seen here."""
+    """Report which signs of a disturbed machine can be read here."""
     counters = HostCounters()
     found = {what: read_or_why(source)[1] for what, source in {_CPU: counters.cpu, **sources(counters)}.items()}
     missing = {what: why for what, why in found.items() if why}

@@ -1,4 +1,4 @@
-"""Tables of runs and groups as CSV, JSON and Parquet files."""
+"""Tables of runs and configurations as CSV, JSON, NDJSON and Parquet, page by page, so that memory does not grow."""
 
 from __future__ import annotations
 
@@ -17,9 +17,6 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.trust import Disturbance, Trust
 from slamhive.filters.fields import PARAMETER_PREFIX, FieldKind, Vocabulary
 from slamhive.store.records import GroupRecord, ProtocolLabel, RunRecord, Spread
-
-# Write a table as CSV, JSON, NDJSON or Parquet, page by page, so that memory does not grow with the rows.
-
 
 Record = TypeVar("Record")
 Cell = TypeVar("Cell")
@@ -150,8 +147,7 @@ def safe_cell(value: Cell) -> Cell | str:
     return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA_STARTS) else value
 
 
-# Runs as a table: selected columns, parameters and metrics.
-
+# Runs as a table.
 
 _COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
     "id": lambda run: run.id,
@@ -234,8 +230,7 @@ def _is_number(key: str, vocabulary: Vocabulary) -> bool:
     return all(entry.kind is FieldKind.NUMBER for entry in vocabulary.parameters[key.removeprefix(PARAMETER_PREFIX)])
 
 
-# Configurations as a table: number of runs, mean and standard deviation of each metric.
-
+# Configurations as a table.
 
 HEAD = ("configuration", "algorithm", "dataset", "parameters", "runs", "failed", "protocol", "disturbed")
 _NUMBERS = frozenset({"configuration", "runs", "failed", "disturbed"})

@@ -1,4 +1,4 @@
-"""Public sequences: the catalogue of what can be fetched, checks of its addresses, and the way to a dataset."""
+"""Public sequences: the catalogue of collections, checks of addresses, and the way from an address to a dataset."""
 
 from __future__ import annotations
 
@@ -26,12 +26,10 @@ from slamhive.packages.collection_file import kind_of, load_collection
 from slamhive.recordings.importing import ImportOptions
 from slamhive.services.datasets import Catalogue, check_writable
 
-# What to fetch, and what that takes.
-
 
 @dataclass(frozen=True, slots=True)
 class FetchRequest:
-    """What a user asks for.
+    """Request of a user.
 
     Attributes:
         sequences: ``COLLECTION/SEQUENCE``, where ``*`` and ``?`` may stand in the second part.
@@ -68,7 +66,7 @@ class FetchPlan:
 
     @property
     def download_bytes(self) -> int | None:
-        """How much has to be downloaded, None if a size is unknown."""
+        """Bytes to download, None if a size is unknown."""
         sizes = [file.estimate_bytes for file in self.files if file.name not in self.by_hand]
         return None if None in sizes else sum(size for size in sizes if size is not None)
 
@@ -104,7 +102,7 @@ def parts_by_hand(sequence: Sequence, parts: tuple[Part, ...], archives: Sequenc
     for path in archives:
         if not path.is_file():
             raise InvalidInput(
-                f"{path} is no file", "give the downloaded file; a folder is for slamhive dataset import"
+                f"{path} is not a file", "give the downloaded file; a folder is for slamhive dataset import"
             )
     names = list(dict.fromkeys(part.file.name for part in parts))
     if len(names) == len(archives) == 1:
@@ -147,8 +145,7 @@ def links_of(collections: Iterable[Collection], environment: Mapping[str, str]) 
     return list(links.values())
 
 
-# The catalogue of public collections: what can be fetched, found by words.
-
+# The catalogue of public collections.
 
 CATALOGUE_FOLDER = Path("datasets") / "catalogue"
 
@@ -218,8 +215,7 @@ class Collections:
         return tuple((collection, entry) for collection in self.all for entry in collection.sequences)
 
 
-# From an address to a dataset: download, check, unpack, import, clean up.
-
+# Fetching: download, check, unpack, import, clean up.
 
 Progress = Callable[[float, str], None]
 """Called with the fraction done (0..1) and the current activity."""
@@ -254,7 +250,7 @@ class Fetching:
         self._pace = pace or Pace()
 
     def plan(self, request: FetchRequest) -> tuple[FetchPlan, ...]:
-        """What ``request`` means, checked as far as possible without the net.
+        """Resolve ``request``, checked as far as possible without the net.
 
         Raises:
             NotFound: Nothing has that name; there is no such source.

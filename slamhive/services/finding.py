@@ -1,4 +1,4 @@
-"""One search over everything that has a name: algorithms, datasets, experiments, runs, analyses, metrics."""
+"""Search over everything that has a name, and requests to change all runs that a search finds."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LONGEST_TEXT = 200
 
 
 def find(hive: Hive, text: str) -> Mapping[FoundKind, tuple[Found, ...]]:
-    """What ``text`` may mean, by kind; kinds without anything are left out. Only the first 200 characters count."""
+    """List the possible meanings of ``text`` by kind, without empty kinds. Only the first 200 characters count."""
     text = text.strip()[:LONGEST_TEXT]
     if not text:
         return {}
@@ -104,8 +104,7 @@ def _metrics() -> Iterator[Found]:
         yield Found(FoundKind.METRIC, key, key, f"{metric.label}: {metric.definition}")
 
 
-# Requests to change all runs of a search: those of the web API, which the Python client makes on files too.
-
+# Requests to change all runs of a search, of the web API and of the Python client.
 
 if TYPE_CHECKING:
     Carry = Callable[[Hive, Sequence[int], Any], Acted]

@@ -83,7 +83,7 @@ class Hive:
 
     @cached_property
     def accounts(self) -> Accounts:
-        """Who may use the web server."""
+        """Accounts of the web server."""
         from slamhive.services.accounts import Accounts
 
         return Accounts(self.store)
@@ -97,7 +97,7 @@ class Hive:
 
     @cached_property
     def executors(self) -> Executors:
-        """What runs are executed by."""
+        """Executors of runs."""
         from slamhive.services.executors import Executors
 
         return Executors(self.settings, self.project_root, self.worker_alive)
@@ -139,7 +139,7 @@ class Hive:
 
     @cached_property
     def configurations(self) -> Configurations:
-        """What runs execute."""
+        """Algorithm versions that runs execute."""
         from slamhive.services.configurations import Configurations
 
         return Configurations(self.settings, self.store, self.catalogue, self.variants)
@@ -167,7 +167,7 @@ class Hive:
 
     @cached_property
     def sharings(self) -> Sharings:
-        """Who owns runs, experiments and analyses, and who may see them."""
+        """Owners of runs, experiments and analyses, and who may see them."""
         from slamhive.services.sharing import Sharings
 
         return Sharings(self.settings, self.store)
@@ -223,14 +223,14 @@ class Hive:
 
     @cached_property
     def challenge_judge(self) -> ChallengeJudge:
-        """What evaluates submissions to challenges."""
+        """Evaluation of submissions to challenges."""
         from slamhive.services.challenges import ChallengeJudge
 
         return ChallengeJudge(self.settings, self.evaluations)
 
     @cached_property
     def challenge_images(self) -> ImageWork:
-        """What runs images that were submitted to challenges."""
+        """Runs of images that were submitted to challenges."""
         from slamhive.services.challenges import ImageWork
 
         return ImageWork(self.settings, self._installation_below)
@@ -321,7 +321,7 @@ class Hive:
 
     @cached_property
     def citations(self) -> Citations:
-        """What to cite for runs."""
+        """Works to cite for runs."""
         from slamhive.services.citations import Citations
 
         return Citations(self.store, self.catalogue)
@@ -349,7 +349,7 @@ class Hive:
 
     @cached_property
     def search_actions(self) -> SearchActions:
-        """What is done with all runs of a search."""
+        """Actions on all runs of a search."""
         from slamhive.services.search_actions import SearchActions
 
         return SearchActions(self.store, self.runs, self.evaluations, self.notes, self.sharings, self.trash)
@@ -393,7 +393,7 @@ class Hive:
         return Worker(self.settings, self.store, self.catalogue, self.executors.get, self.evaluations, work)
 
     def worker_alive(self) -> bool:
-        """Whether a worker of this data root is running on this machine."""
+        """Tell if a worker of this data root is running on this machine."""
         from slamhive.services.worker import WorkerLock
 
         return WorkerLock(self.settings.data).held_elsewhere()

@@ -28,7 +28,7 @@ LONGEST_KEY = 255
 
 @dataclass(frozen=True, slots=True)
 class KeptAnswer:
-    """What the first request was answered with: HTTP status and JSON text."""
+    """Answer to the first request: HTTP status and JSON text."""
 
     status: int
     body: str
@@ -122,8 +122,7 @@ def _known(path: Path, key: str, asked: str) -> KeptAnswer | None:
     return KeptAnswer(int(content["status"]), str(content["body"]))
 
 
-# What takes long to read from a large file and is looked at again: kept in memory, within a bound.
-
+# Results that take long to read from a large file, kept in memory within a bound.
 
 _Key = TypeVar("_Key", bound=Hashable)
 _View = TypeVar("_View")

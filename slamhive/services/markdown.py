@@ -1,4 +1,4 @@
-"""Convert untrusted Markdown to safe HTML."""
+"""Markdown in both directions: untrusted text to safe HTML, and tables to Markdown."""
 
 from __future__ import annotations
 
@@ -43,9 +43,6 @@ def slug(heading: str) -> str:
     return re.sub(r"[\s-]+", "-", _NO_SLUG.sub("", heading).strip().lower())
 
 
-# Write tables and text as Markdown.
-
-
 _RANKS: Mapping[int | None, str] = {1: "**%s**", 2: "<ins>%s</ins>"}
 
 
@@ -65,7 +62,7 @@ def table_markdown(table: ResultTable) -> str:
 
 
 def numeric_columns(table: ResultTable) -> list[bool]:
-    """Which columns hold numbers, or texts that are numbers."""
+    """Find the columns that hold numbers, or texts that are numbers."""
     return [table.is_number(place) for place in range(len(table.columns))]
 
 

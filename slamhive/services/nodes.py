@@ -21,8 +21,6 @@ from slamhive.store import RunRecord, Store
 from slamhive.store.durations import MachineRuns
 from slamhive.store.same_cpu import NODE
 
-# What is known of nodes, for command line, page and JSON.
-
 
 @dataclass(frozen=True, slots=True)
 class NodeRun:
@@ -96,7 +94,7 @@ class Engine:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """What machines with the same processor measured in the last ``hours``: runs that ended.
+    """Measurements of machines with the same processor in the last ``hours``, from runs that ended.
 
     ``disturbed_fraction`` is that of the runs that know whether they were disturbed, None if there is none.
     """
@@ -152,7 +150,6 @@ class Overview:
 
 # Engines are asked in threads, so that one that does not answer holds nobody up for long.
 
-
 PATIENCE_S = 5.0
 """How long anybody waits for an engine."""
 KEPT_S = 5.0
@@ -199,10 +196,10 @@ class EngineAnswers:
         self._questions: dict[str, _Question] = {}
 
     def of(self, name: str, ask: Callable[[], AnswerT]) -> AnswerT:
-        """What ``ask`` returns or raises, asked now or a moment ago. Raises Unavailable if that takes too long."""
+        """Return or raise the answer of ``ask``, asked now or a moment ago. Raises Unavailable if it takes too long."""
         with self._lock:
             question = self._questions.get(name)
-            if question is None or self._is_old(question):
+            if question is None or (question.done.is_set() and monotonic_s() - question.answered_s >= self._kept_s):
                 question = self._questions[name] = _Question(ask)
         if not question.done.wait(max(0.0, question.begun_s + self._patience_s - monotonic_s())):
             raise Unavailable(f"{name} has not answered for {self._patience_s:g} s", "slamhive doctor examines it")
@@ -215,12 +212,6 @@ class EngineAnswers:
         """Ask again next time: something has changed."""
         with self._lock:
             self._questions.pop(name, None)
-
-    def _is_old(self, question: _Question) -> bool:
-        return question.done.is_set() and monotonic_s() - question.answered_s >= self._kept_s
-
-
-# The nodes of all executors in use, and draining one.
 
 
 HOURS = 24.0
@@ -263,8 +254,14 @@ class Nodes:
         expected_s = self._store.read(lambda t: {run.id: t.placing.measured_s(run.configuration_id) for run in active})
         runs = [_run(record, expected_s[record.id], now) for record in active]
         names = {run.executor for run in runs} | set(queued)
+        if asks:
+            engines = tuple(self._engines(names, runs, since))
+        else:
+            engines = tuple(
+                Engine(name, (), tuple(run for run in runs if run.executor == name)) for name in sorted(names)
+            )
         return Overview(
-            engines=tuple(self._engines(names, runs, since)) if asks else tuple(_unasked(names, runs)),
+            engines=engines,
             machines=tuple(Machine.of(entry, HOURS) for entry in measured),
             queued=sum(queued.values()),
             left=self._left(),
@@ -333,11 +330,6 @@ class Nodes:
         active = [entry.name for entry in self._experiments.list() if entry.standing is ConfigurationStanding.ACTIVE]
         found = (self._experiments.status(name).left for name in active)
         return sum((left for left in found if left is not None), Remaining(0.0))
-
-
-def _unasked(names: Collection[str], runs: Sequence[NodeRun]) -> Iterator[Engine]:
-    for name in sorted(names):
-        yield Engine(name, (), tuple(run for run in runs if run.executor == name))
 
 
 def _run(record: RunRecord, expected_s: float | None, now: datetime) -> NodeRun:

@@ -31,8 +31,7 @@ from slamhive.services.experiments import ConfigurationStanding, ExperimentStatu
 from slamhive.store import Store, Transaction
 from slamhive.store.records import ExperimentRecord
 
-# The ways in which a notice reaches people: a webhook, and e-mail.
-
+logger = logging.getLogger(__name__)
 
 TIMEOUT_S = 10.0
 SIGNATURE_HEADER = "X-SLAM-Hive-Signature"
@@ -59,11 +58,11 @@ class Webhook:
 
     @property
     def name(self) -> str:
-        """See :class:`Channel`."""
+        """Check a mail address."""
         return f"webhook {urlsplit(self.address).hostname}"
 
     def send(self, notice: Notice) -> None:
-        """See :class:`Channel`. Redirects are not followed."""
+        """Post to the address. Redirects are not followed."""
         import requests  # noqa: PLC0415 - few installations send anything
 
         body = json.dumps({"text": notice.words, **notice.content}).encode()
@@ -95,11 +94,11 @@ class Mail:
 
     @property
     def name(self) -> str:
-        """See :class:`Channel`."""
+        """Check a web address."""
         return f"e-mail by {self.host}"
 
     def send(self, notice: Notice) -> None:
-        """See :class:`Channel`."""
+        """Send the mail."""
         try:
             with self._connected() as server:
                 if self.user:
@@ -153,7 +152,7 @@ def _checked_address(text: str) -> str:
         valid = False
     if not valid:
         # The address may hold a secret, so it is not repeated.
-        raise InvalidInput("NOTIFY_WEBHOOK is no address", "write it as https://chat.example.org/hooks/...")
+        raise InvalidInput("NOTIFY_WEBHOOK is not an address", "write it as https://chat.example.org/hooks/...")
     return text
 
 
@@ -163,7 +162,7 @@ def _mail(settings: Settings) -> Mail:
     for text in (*recipients, sender):
         if "@" not in text or not text.isprintable() or " " in text:
             raise InvalidInput(
-                f"{text[:80]!r} is no e-mail address",
+                f"{text[:80]!r} is not an e-mail address",
                 "check NOTIFY_MAIL_TO and NOTIFY_MAIL_FROM",
             )
     if len(recipients) > _MOST_RECIPIENTS:
@@ -181,13 +180,8 @@ def _mail(settings: Settings) -> Mail:
     )
 
 
-# Finds what is to be said about experiments, and sends each notice until it has arrived once by each channel.
-#
-# What was sent is in ``notices.json`` in the folder of the experiment. It is written after the sending: if the worker
-# is killed in between, the notice is sent again, and never lost.
-
-
-logger = logging.getLogger(__name__)
+# Sending. What was sent is in ``notices.json`` in the folder of the experiment, written after the sending: if the
+# worker is killed in between, the notice is sent again, and never lost.
 
 RECORD = "notices.json"
 LOCK = ".notices.lock"
@@ -199,7 +193,7 @@ GIVEN_UP_AFTER = timedelta(days=2)
 
 
 class Sent(Document):
-    """What has happened to a notice, by channel."""
+    """Delivery of a notice, by channel."""
 
     arrived: tuple[str, ...] = ()
     first_tried: Moment | None = None
@@ -234,7 +228,13 @@ class Notices:
 
     def work_once(self) -> int:
         """Send what is to be sent now; how many messages have arrived."""
-        since = self._since()
+        # Notices are sent from this time on: experiments that are older have ended without them.
+        path: Path = self._settings.ledger_folder / SINCE
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # An experiment may have been started a moment before its first worker.
+            write_aside(path, (self._now() - timedelta(minutes=10)).isoformat())
+        since = datetime.fromisoformat(path.read_text(encoding="ascii"))
         records = self._store.read(lambda t: t.experiments.all())
         recent = [record for record in records if record.created_at >= since]
         return sum(self._send_due(record) for record in recent if self._done.get(record.id) != record.runs)
@@ -244,42 +244,36 @@ class Notices:
         folder = self._settings.experiments_folder / status.name
         try:
             with exclusive(folder / LOCK):
-                return self._send_in_turn(status, folder / RECORD)
+                path = folder / RECORD
+                record = NoticeRecord.read(read_record(path)) if path.exists() else NoticeRecord()
+                arrived = 0
+                for key, event in self._due(status, record):
+                    before = record.sent.get(key, Sent())
+                    after = self._tried(before, self._notice(status, event))
+                    if after != before:
+                        arrived += len(after.arrived) - len(before.arrived)
+                        record = NoticeRecord(sent={**record.sent, key: after})
+                        write_aside(path, json.dumps(record.content, indent=1) + "\n")
+                    if event is NoticeEvent.FINISHED and self._is_over(after):
+                        self._done[status.id] = status.runs
+                return arrived
         except Busy:  # another worker, perhaps on another machine, sends them now
             return 0
 
-    def _send_in_turn(self, status: ExperimentStatus, path: Path) -> int:
-        record = NoticeRecord.read(read_record(path)) if path.exists() else NoticeRecord()
-        arrived = 0
-        for key, event in self._due(status, record):
-            before = record.sent.get(key, Sent())
-            after = self._tried(before, self._notice(status, event))
-            if after != before:
-                arrived += len(after.arrived) - len(before.arrived)
-                record = NoticeRecord(sent={**record.sent, key: after})
-                write_aside(path, json.dumps(record.content, indent=1) + "\n")
-            if event is NoticeEvent.FINISHED and self._is_over(after):
-                self._done[status.id] = status.runs
-        return arrived
-
     def _due(self, status: ExperimentStatus, record: NoticeRecord) -> Iterator[tuple[str, NoticeEvent]]:
-        """What is to be said about an experiment, whether or not it was said, and the key of each."""
-        if _FAILING in record.sent or self._is_failing(status):
+        """Return everything there is to say about an experiment, said or not, and the key of each."""
+        if _FAILING in record.sent or self._store.read(lambda t: is_failing(t, status, self._settings.notify_failures)):
             yield _FAILING, NoticeEvent.FAILING
-        if status.standing is ConfigurationStanding.FINISHED and not self._evaluates(status):
+        if status.standing is ConfigurationStanding.FINISHED and not (
+            self._store.read(lambda t: t.durations.open_evaluations(status.id)) > 0
+        ):
             # Repeats that are added later make another end.
             yield f"finished {status.runs}", NoticeEvent.FINISHED
 
-    def _is_failing(self, status: ExperimentStatus) -> bool:
-        return self._store.read(lambda t: is_failing(t, status, self._settings.notify_failures))
-
     def _is_over(self, sent: Sent) -> bool:
-        """Whether a notice has arrived everywhere, or is not tried again."""
+        """Tell if a notice has arrived everywhere, or is not tried again."""
         arrived = all(channel.name in sent.arrived for channel in self._channels)
         return arrived or (sent.first_tried is not None and self._now() - sent.first_tried > GIVEN_UP_AFTER)
-
-    def _evaluates(self, status: ExperimentStatus) -> bool:
-        return self._store.read(lambda t: t.durations.open_evaluations(status.id)) > 0
 
     def _tried(self, before: Sent, notice: Notice) -> Sent:
         """Send a notice where it has not arrived, if it is time to try."""
@@ -312,15 +306,6 @@ class Notices:
             address=f"{base}/experiments/{quote(status.name, safe='')}" if base else None,
             at=self._now(),
         )
-
-    def _since(self) -> datetime:
-        """Since when notices are sent. Experiments that are older have ended without them."""
-        path: Path = self._settings.ledger_folder / SINCE
-        if not path.exists():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            # An experiment may have been started a moment before its first worker.
-            write_aside(path, (self._now() - timedelta(minutes=10)).isoformat())
-        return datetime.fromisoformat(path.read_text(encoding="ascii"))
 
 
 def notices_of(settings: Settings, store: Store) -> Notices | None:

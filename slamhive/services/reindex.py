@@ -29,7 +29,7 @@ BATCH = 100
 
 @dataclass
 class ReindexReport:
-    """What was restored. ``skipped`` are the folders that could not be read, with the reason.
+    """Counts of restored rows. ``skipped`` are the folders that could not be read, with the reason.
 
     ``waiting`` runs come from the ledger: they have no folder, because no worker had started them. ``queued`` runs of
     ``experiments`` were in neither and have been queued again.
@@ -56,38 +56,33 @@ def reindex(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
     with the folders done and their total.
     """
     with hive.store.unheard():
-        report = _reindexed(hive, progress)
+        folders = run_folders(hive.settings.runs_folder)
+        report = ReindexReport()
+        deleted = [run.deleted for run in deleted_runs(hive.settings.trash_folder)]
+        hive.store.write(lambda t: t.deleted_runs.remember(deleted))
+        ledger = LedgerRestore(hive.store, hive.catalogue, hive.ledger.files, hive.settings.runs_folder)
+        for restored in hive.experiments.restore_rows():
+            report.experiments += restored.problem is None
+            _note(report, restored)
+        damaged = {path.name for path, _ in report.skipped}
+        ledger.restore_before_runs()
+        ledger.restore_cells()
+        for start in range(0, len(folders), BATCH):
+            part = folders[start : start + BATCH]
+            report.skipped += _file_folders(hive, part, report, ledger, damaged)
+            progress(start + len(part), len(folders))
+        report.waiting = ledger.restore_after_runs()
+        for restored in hive.experiments.restore_runs():
+            report.queued += restored.queued
+            _note(report, restored)
+        ledger.restore_evaluations()
+        report.skipped += [(hive.ledger.files.folder, problem) for problem in ledger.problems]
+        for path, problem in hive.stored_analyses.restore():
+            report.analyses += problem is None
+            if problem is not None:
+                report.skipped.append((path, problem))
     hive.ledger.check()
     hive.store.refresh_statistics()
-    return report
-
-
-def _reindexed(hive: Hive, progress: Callable[[int, int], None]) -> ReindexReport:
-    folders = run_folders(hive.settings.runs_folder)
-    report = ReindexReport()
-    deleted = [run.deleted for run in deleted_runs(hive.settings.trash_folder)]
-    hive.store.write(lambda t: t.deleted_runs.remember(deleted))
-    ledger = LedgerRestore(hive.store, hive.catalogue, hive.ledger.files, hive.settings.runs_folder)
-    for restored in hive.experiments.restore_rows():
-        report.experiments += restored.problem is None
-        _note(report, restored)
-    damaged = {path.name for path, _ in report.skipped}
-    ledger.restore_before_runs()
-    ledger.restore_cells()
-    for start in range(0, len(folders), BATCH):
-        part = folders[start : start + BATCH]
-        report.skipped += _file_folders(hive, part, report, ledger, damaged)
-        progress(start + len(part), len(folders))
-    report.waiting = ledger.restore_after_runs()
-    for restored in hive.experiments.restore_runs():
-        report.queued += restored.queued
-        _note(report, restored)
-    ledger.restore_evaluations()
-    report.skipped += [(hive.ledger.files.folder, problem) for problem in ledger.problems]
-    for path, problem in hive.stored_analyses.restore():
-        report.analyses += problem is None
-        if problem is not None:
-            report.skipped.append((path, problem))
     return report
 
 

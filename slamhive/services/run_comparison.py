@@ -1,4 +1,4 @@
-"""Comparing a few runs: their settings, their metrics under one protocol, and the analysis that draws them."""
+"""Comparison of a few runs: their settings, their metrics under one protocol, and the analysis that draws them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.report import Plot
     from slamhive.services.analysis import AnalysisService
 
-# Which metrics of a comparison are marked as better: those of runs that differ in nothing that explains them.
+# Better metrics are marked if the runs differ in nothing that explains them.
 
 
 class MarkedPart(StrEnum):
@@ -54,7 +54,7 @@ class Unmarked:
         return f"{self.part} is marked as better: {self.why}"
 
     def holds_for(self, metric: Metric) -> bool:
-        """Whether ``metric`` belongs to the part."""
+        """Tell if ``metric`` belongs to the part."""
         return self.part is MarkedPart.ALL or metric.needs_protocol is (self.part is MarkedPart.ACCURACY)
 
 
@@ -72,9 +72,6 @@ def unmarked_parts(runs: Sequence[RunRecord], *, mixed_trajectories: bool) -> tu
     accuracy = (Unmarked(MarkedPart.ACCURACY, "kinds of trajectories are mixed"),) if mixed_trajectories else ()
     measured = (Unmarked(MarkedPart.MEASURED, f"the runs are of {plural(len(models), 'CPU model')}"),)
     return accuracy + (measured if len(models) > 1 else ())
-
-
-# What a comparison of runs shows, and which runs it accepts.
 
 
 FEWEST_RUNS, MOST_RUNS = 2, 20
@@ -106,7 +103,7 @@ class RunColumn:
 
     @property
     def can_be_better(self) -> bool:
-        """Whether one of its runs neither failed nor has low trust: its values are those of the algorithm."""
+        """True if one of its runs neither failed nor has low trust: its values are those of the algorithm."""
         low = {run.id for run in self.runs if run.trust is not None and run.trust.level is TrustLevel.LOW}
         return any(run_id not in low and run_id not in self.failed for run_id in self.run_ids)
 
@@ -130,7 +127,7 @@ class SettingLine:
 
     @property
     def differs(self) -> bool:
-        """Whether the columns have different values."""
+        """True if the columns have different values."""
         return len(set(self.texts)) > 1
 
 
@@ -159,7 +156,7 @@ class MetricLine:
 
     @property
     def differs(self) -> bool:
-        """Whether the columns have different values, in the digits that are shown."""
+        """True if the columns have different values, in the digits that are shown."""
         return len({None if figure is None else figure.shown for figure in self.figures}) > 1
 
     def document(self, columns: Sequence[str]) -> ComparedMetric:
@@ -200,12 +197,12 @@ class RunComparison:
 
     @property
     def marks_nothing(self) -> bool:
-        """Whether no metric at all is marked as better."""
+        """True if no metric at all is marked as better."""
         return any(entry.part is MarkedPart.ALL for entry in self.unmarked)
 
     @property
     def single_runs(self) -> bool:
-        """Whether each column is one run, so that nobody knows how much repeats would differ."""
+        """True if each column is one run, so that nobody knows how much repeats would differ."""
         return all(len(column.runs) == 1 for column in self.columns)
 
     @property
@@ -259,7 +256,6 @@ def read_run_ids(texts: Iterable[str]) -> tuple[int, ...]:
 
 
 # Metrics side by side, and the analysis that draws the runs.
-
 
 _TIME_LIMIT_S = 60.0
 _UNDER_PROTOCOL = ({"form": "trajectories", "with_failed": True, "in_3d": True},)
@@ -333,7 +329,7 @@ def _best(metric: Metric, columns: Sequence[RunColumn], samples: Sequence[Sequen
 
 
 def _differ(first: Sequence[float], second: Sequence[float]) -> bool:
-    """Whether two groups differ by more than chance. Two single values are compared as they are."""
+    """Tell if two groups differ by more than chance. Two single values are compared as they are."""
     if min(len(first), len(second)) < 2:
         return len(first) == len(second)
     import numpy as np  # noqa: PLC0415 - loaded for repeats only, with scipy
@@ -344,7 +340,7 @@ def _differ(first: Sequence[float], second: Sequence[float]) -> bool:
 
 
 def colour_order(comparison: RunComparison) -> list[int]:
-    """What the colours of the plots mean, in order: configurations if they are grouped, otherwise runs."""
+    """List the meanings of the plot colours in order: configurations if they are grouped, otherwise runs."""
     first = (column.runs[0] for column in comparison.columns)
     return [run.configuration_id if comparison.grouped else run.id for run in first]
 
@@ -388,7 +384,7 @@ def _fingerprint(comparison: RunComparison) -> str | None:
     return None if comparison.protocol is None else comparison.protocol.fingerprint
 
 
-# The settings of runs in texts, to see what differs.
+# Settings as texts, to see what differs.
 
 
 def setting_lines(columns: Sequence[Sequence[Mapping[str, str]]]) -> tuple[SettingLine, ...]:
@@ -446,8 +442,7 @@ def _text(value: object) -> str:
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
-# Comparing a few runs.
-
+# The comparison.
 
 _MOST_NAMED = 5
 _ByProtocol = Mapping[str | None, Mapping[str, float]]
@@ -556,5 +551,5 @@ def _columns(
 
 
 def _failed(run: RunRecord, values: Mapping[str, float]) -> bool:
-    """Whether a run counts as failed under the protocol of these values; a run that lacks them is not judged."""
+    """Tell if a run counts as failed under the protocol of these values; a run that lacks them is not judged."""
     return run.state is RunState.FAILED or (bool(values) and judge(values).kind.failed)

@@ -35,7 +35,7 @@ def silent(_done: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Acted:
-    """How many runs were changed, how many were left out, and the first different reasons why.
+    """Numbers of runs changed and left out, and the first different reasons why.
 
     ``at`` names what was deleted together, None after other actions.
     """

@@ -18,9 +18,6 @@ from slamhive.services.datasets import Catalogue, check_writable, imported_algor
 from slamhive.store import Store
 from slamhive.store.records import Count, GroupPage, GroupRecord, Repeats, RunSort, SavedSearchRecord
 
-# Search runs: filter vocabulary, omitted runs, groups and saved searches.
-
-
 _KINDS = {
     ParameterType.INT: FieldKind.NUMBER,
     ParameterType.FLOAT: FieldKind.NUMBER,
@@ -184,7 +181,7 @@ def _kinds(parameter: Parameter) -> list[ParameterKind]:
     return [ParameterKind(name, kind, parameter.unit, parameter.choices) for name in names]
 
 
-# Sentences that describe a list of runs: what it shows, how many, and what it leaves out.
+# Sentences about a list of runs.
 
 
 def summary(

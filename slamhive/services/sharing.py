@@ -17,7 +17,7 @@ from slamhive.services.stored_analyses import AnalysisFolder
 from slamhive.store import RunRecord, Store, Transaction
 from slamhive.store.records import AnalysisRecord, AnalysisState
 
-# Changes of owner and visibility: first in the folder, which is the truth, then in the database.
+# Folders come before the database: they are the truth.
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -33,8 +33,7 @@ from slamhive.services.runs import (
 from slamhive.store import RunRecord, Store, Transaction
 from slamhive.store.runs import Deleted
 
-# The folder of a deleted run: ``<data>/trash/<uid>/`` holds its run folder as it was, and what else belongs to it.
-
+# ``<data>/trash/<uid>/`` holds the run folder as it was, and what else belongs to it.
 
 _UID = re.compile(r"[0-9a-f]{32}")
 _FIELDS = {"id": int, "algorithm": str, "dataset": str, "at": str, "repeated_by": list}
@@ -42,7 +41,7 @@ _FIELDS = {"id": int, "algorithm": str, "dataset": str, "at": str, "repeated_by"
 
 @dataclass(frozen=True, slots=True)
 class DeletedRun:
-    """What a list shows of a deleted run. ``repeated_by``: runs that repeated it. ``kept``: its files are there.
+    """Row of a deleted run in lists. ``repeated_by``: runs that repeated it. ``kept``: its files are there.
 
     ``audience``: who saw it.
     """
@@ -110,7 +109,7 @@ def deleted_runs(root: Path) -> Iterator[DeletedRun]:
                 yield DeletedFolder(path).read()
 
 
-# Moves runs to the trash and back. Files move first, because folders are the truth.
+# Files move before rows change, because folders are the truth.
 
 
 class Trash:
@@ -135,9 +134,17 @@ class Trash:
         Runs that are deleted with the same ``at`` can be restored together; the default is now.
         """
         check_writable(self._settings)
-        runs, evaluated, repeats = self._store.read(lambda t: _needed(t, list(dict.fromkeys(run_ids))))
+        wanted = list(dict.fromkeys(run_ids))
+
+        def look(t: Transaction) -> tuple[tuple[RunRecord, ...], set[int], dict[int, list[int]]]:
+            return t.runs.get_many(wanted), t.evaluations.with_open(wanted), t.deleted_runs.repeated_by(wanted)
+
+        runs, evaluated, repeats = self._store.read(look)
         for run in runs:
-            _check_unused(run, evaluated)
+            if not run.state.ended:
+                raise Conflict(f"run {run.id} has not ended, it is {run.state}", "cancel it first")
+            if run.id in evaluated:
+                raise Conflict(f"run {run.id} is being evaluated", "wait until that has ended")
         deleted = [Deleted(run.uid, run.id, at or utc_now()) for run in runs]
         for run, entry in zip(runs, deleted, strict=True):
             folder = self._folder(run.uid)
@@ -157,7 +164,7 @@ class Trash:
         try:
             moment = datetime.fromisoformat(at)
         except ValueError:
-            raise InvalidInput(f"{at[:40]!r} is no time", "write it as 2026-05-04T12:00:00.123456+00:00") from None
+            raise InvalidInput(f"{at[:40]!r} is not a time", "write it as 2026-05-04T12:00:00.123456+00:00") from None
         found = sorted(run.deleted.run_id for run in self.listed() if run.deleted.at == moment)
         if not found:
             raise NotFound(f"no run in the trash was deleted at {moment.isoformat()}", "see slamhive runs trash")
@@ -237,18 +244,6 @@ class Trash:
 
     def _run_folder(self, run_id: int) -> Path:
         return self._settings.runs_folder / str(run_id)
-
-
-def _needed(t: Transaction, run_ids: Sequence[int]) -> tuple[tuple[RunRecord, ...], set[int], dict[int, list[int]]]:
-    """The runs, those of them that are being evaluated, and {run: the runs that repeat it}."""
-    return t.runs.get_many(run_ids), t.evaluations.with_open(run_ids), t.deleted_runs.repeated_by(run_ids)
-
-
-def _check_unused(run: RunRecord, evaluated: Collection[int]) -> None:
-    if not run.state.ended:
-        raise Conflict(f"run {run.id} has not ended, it is {run.state}", "cancel it first")
-    if run.id in evaluated:
-        raise Conflict(f"run {run.id} is being evaluated", "wait until that has ended")
 
 
 def _move(source: Path, target: Path) -> None:

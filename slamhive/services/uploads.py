@@ -56,11 +56,8 @@ from slamhive.services.imports import ImportRequest, Imports, TrajectoryFormat
 from slamhive.services.versions import Versions, is_export
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 
-# The folder of one upload: what was promised, the bytes that have arrived, and what was made of them.
-#
-# Bytes are appended in order, so the size of the file says how far an upload is, also after a kill. Whether they are
-# the right ones shows its SHA-256, which is checked before anything is imported.
-
+# One upload. Bytes are appended in order, so the size of the file says how far it is, also after a kill. Its SHA-256
+# is checked before anything is imported.
 
 PROMISE, CONTENT, RESULT = "upload.json", "content", "imported.json"
 _PIECE_BYTES = 256 * 1024
@@ -71,7 +68,7 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, slots=True)
 class Promise:
-    """What a program said of the file before it sent it. ``owner`` is its account, empty without accounts."""
+    """Announcement of a file before it is sent. ``owner`` is the account of the program, empty without accounts."""
 
     name: str
     size_bytes: int
@@ -88,7 +85,7 @@ class UploadFolder:
 
     @property
     def promise(self) -> Promise:
-        """What was said of the file; raises NotFound if there is no such upload."""
+        """Return the announcement of the file; raises NotFound if there is no such upload."""
         path = self.root / PROMISE
         if not path.exists():
             raise self.unknown
@@ -97,16 +94,16 @@ class UploadFolder:
     @property
     def unknown(self) -> NotFound:
         """The error for an upload that is not there, or not the caller's."""
-        return NotFound(f"there is no upload {self.root.name[:40]!r}", "they are removed a day after the last part")
+        return NotFound(f"unknown upload {self.root.name[:40]!r}", "they are removed a day after the last part")
 
     @property
     def received_bytes(self) -> int:
-        """How much has arrived; 0 again after the import, which removes the bytes."""
+        """Return the number of bytes that have arrived; 0 again after the import, which removes them."""
         return self.content.stat().st_size if self.content.exists() else 0
 
     @property
     def imported(self) -> ImportedDocument | None:
-        """What was made of it."""
+        """Return the result of the import."""
         path = self.root / RESULT
         return ImportedDocument.read(read_record(path)) if path.exists() else None
 
@@ -236,8 +233,7 @@ def _sha256(path: Path, size_bytes: int, progress: Progress) -> str:
     return digest.hexdigest()
 
 
-# All uploads of an installation. Each belongs to the account that created it; others do not see it.
-
+# All uploads. Each belongs to the account that created it; others do not see it.
 
 PART_BYTES = 8_000_000
 """The most that one request sends: little is lost with a connection, and nothing has to wait long."""
@@ -371,8 +367,7 @@ def _expires_at(folder: UploadFolder) -> datetime:
     return datetime.fromtimestamp(folder.changed_s, UTC) + KEPT
 
 
-# Datasets, runs and algorithms from uploads: the imports of the command line, with the files that arrived.
-
+# Imports of what has arrived, as by the command line.
 
 _CHECKED, _UNPACKED = 0.1, 0.3
 """The fractions of an import after which the SHA-256 is checked, and the archive unpacked."""
@@ -403,7 +398,7 @@ class UploadImports:
     executors: Executors
 
     def check(self, request: DatasetUpload | RunsUpload | AlgorithmUpload, owner: str) -> None:
-        """What can be said before the import begins: raises NotFound, and Conflict for uploads that lack bytes."""
+        """Describe the import before it begins: raises NotFound, and Conflict for uploads that lack bytes."""
         for token in _tokens(request):
             self.uploads.folder(token, owner).check_complete()
 
@@ -482,7 +477,7 @@ class UploadImports:
 
         What is unpacked is taken out of ``share``, and leaves the room on the disk that runs need.
         """
-        folder = path.parent / "unpacked" / _stem(path.name)
+        folder = path.parent / "unpacked" / (PurePosixPath(path.name).stem.removesuffix(".tar") or path.name)
         folder.mkdir(parents=True)
 
         def room(piece_bytes: int) -> None:
@@ -492,12 +487,6 @@ class UploadImports:
         unpack(path, kind_of(path.name), folder, room=room)
         entries = visible_files(folder)
         return entries[0] if len(entries) == 1 and entries[0].is_dir() else folder
-
-
-def _stem(name: str) -> str:
-    """The name without the endings of an archive."""
-    stem = PurePosixPath(name).stem
-    return stem.removesuffix(".tar") or name
 
 
 def import_dataset(
@@ -543,7 +532,7 @@ def import_runs(
 def _runs_request(request: RunsUpload, folder: Path) -> ImportRequest:
     if not folder.is_dir():
         raise InvalidInput(
-            f"{folder.name} is no archive", "send the trajectories as a zip or tar archive of their folder"
+            f"{folder.name} is not an archive", "send the trajectories as a zip or tar archive of their folder"
         )
     given = {
         "pattern": request.pattern,
@@ -573,7 +562,7 @@ def _member(kind: type[Kind], what: str, text: str | None) -> Kind | None:
     """The value that ``text`` names; raises InvalidInput."""
     known = [entry.value for entry in kind]
     if text is not None and text not in known:
-        raise InvalidInput(f"{what} {text[:40]!r} is not known; {nearest(text, known)}")
+        raise InvalidInput(f"unknown {what} {text[:40]!r}; {nearest(text, known)}")
     return None if text is None else kind(text)
 
 

@@ -36,7 +36,7 @@ class StoredWeights:
 
     @property
     def present(self) -> bool:
-        """Whether the file is there; it is not checked."""
+        """Tell if the file is there; it is not checked."""
         return self.path.is_file()
 
 

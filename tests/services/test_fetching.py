@@ -223,13 +223,13 @@ def test_euroc_as_it_is_published(server: FileServer, tmp_path: Path) -> None:
         (("kitti/07",), {"source": "gray"}, "kitti/07 has no source 'gray'; did you mean 'grey'"),
         (("kitti/07",), {"name": "a/b"}, "dataset name 'a/b' is not allowed"),
         (("kitti/06", "kitti/07"), {"name": "x"}, "--name and --archive are for a single sequence"),
-        (("kitti/07",), {"archives": (Path("/nowhere"),)}, "/nowhere is no file"),
+        (("kitti/07",), {"archives": (Path("/nowhere"),)}, "/nowhere is not a file"),
         (
             ("kitti/07",),
             {"archives": (Path(__file__),)},
             "kitti/07 has no file test_fetching.py; its files are data_odo",
         ),
-        (("newer-college/park",), {"archives": (Path("/nowhere"),)}, "/nowhere is no file"),
+        (("newer-college/park",), {"archives": (Path("/nowhere"),)}, "/nowhere is not a file"),
         (("openloris/cafe1-1",), {}, "OpenLORIS-Scene needs an access token.*then set HF_TOKEN=TOKEN"),
     ],
 )

@@ -273,7 +273,7 @@ def stored_baseline(hive: Hive) -> bytes:
 def check_gate(hive: Hive, folder: Path, data: bytes) -> object:
     """A baseline from elsewhere, compared with runs that are here and shown."""
     check = hive.gates.prepare(str(written(folder, "b.json", data)))
-    found = hive.gates.answer(check, hive.gates.find("id > 105"))
+    found = hive.gates.answer(check, hive.searches.find("id > 105"))
     return found.content, answer_markdown(found), answer_junit(found)
 
 

@@ -180,7 +180,7 @@ def test_experiments_of_before_are_not_told(hive: Hive, inbox: Inbox) -> None:
 
 
 def test_the_worker_sends_beside_its_work(hive: Hive, inbox: Inbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker, "EVERY_S", 0.05)
+    monkeypatch.setattr(worker, "NOTICES_EVERY_S", 0.05)
     hive.settings = hive.settings.with_values({"notify_webhook": inbox.address})
     start(hive, GOOD)
     hive.worker().run(until_idle=True)
@@ -240,9 +240,9 @@ def test_e_mail_says_how_many_runs_are_good(hive: Hive, post: tuple[Post, int]) 
     [
         ({"notify_webhook": "ftp://x/secret-part"}, "NOTIFY_WEBHOOK"),
         ({"notify_mail_to": "anna"}, "'anna'"),
-        ({"notify_mail_to": "anna@lab.example"}, "is no e-mail address"),
+        ({"notify_mail_to": "anna@lab.example"}, "is not an e-mail address"),
         ({"notify_mail_to": "anna@lab.example", "smtp_user": "hive@lab.example"}, "SMTP_HOST"),
-        ({"notify_mail_to": "a@b.example\nBcc: all@b.example", "smtp_user": "h@b.example"}, "is no e-mail address"),
+        ({"notify_mail_to": "a@b.example\nBcc: all@b.example", "smtp_user": "h@b.example"}, "is not an e-mail address"),
     ],
 )
 def test_settings_that_cannot_work_are_named(settings: dict[str, Any], said: str) -> None:

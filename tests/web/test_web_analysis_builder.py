@@ -143,7 +143,7 @@ def test_a_name_that_no_run_has_is_refused_while_typing(trial: Web) -> None:
     text = TEXT + "  - {form: scatter, x: nFeatures, y: nope}\n"
     answer = trial.client.post("/analyses/check", data={"csrf_token": trial.token, "yaml": text}).get_json()
     assert answer["ok"] is False
-    assert "nothing is called 'nope'" in answer["message"]
+    assert "unknown name 'nope'" in answer["message"]
     assert answer["line"] == 5
 
 

@@ -359,7 +359,7 @@ def test_a_reader_uploads_an_image_and_cancels_it(images: AccountWeb, tmp_path: 
     token = upload(reader, image_archive(tmp_path))
     address = f"{PREFIX}/challenges/rooms/images"
     stolen = member.post(address, json={"upload": token, "phase": "public"}, headers=HEADERS)
-    assert (stolen.status_code, "there is no upload" in stolen.text) == (404, True)
+    assert (stolen.status_code, "unknown upload" in stolen.text) == (404, True)
     neither = reader.post(address, json={"phase": "public"}, headers=HEADERS)
     assert (neither.status_code, "either a file or a package" in neither.text) == (400, True)
     sent: Any = reader.post(address, json={"upload": token, "phase": "public"}, headers=HEADERS)

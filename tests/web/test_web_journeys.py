@@ -165,8 +165,8 @@ def test_a_button_inserts_a_plot_type_without_scripts(shown: Web) -> None:
 @pytest.mark.parametrize(
     ("entry", "said"),
     [
-        ("{form: scatter, x: cpu.mean, y: nope}", "nothing is called 'nope'"),
-        ("{form: scatter, x: cpu.mean, y: ate}", "nothing is called 'ate'"),
+        ("{form: scatter, x: cpu.mean, y: nope}", "unknown name 'nope'"),
+        ("{form: scatter, x: cpu.mean, y: ate}", "unknown name 'ate'"),
         ("{form: scatter, x: nFeatures, y: ate.rmse}", None),
         ("{form: heatmap, x: dataset, y: difficulty}", None),
         ("{form: line, x: variant.resolution.scale}", None),

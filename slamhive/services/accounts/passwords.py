@@ -27,7 +27,7 @@ def hash_password(password: str) -> str:
 
 
 def is_password(password_hash: str | None, password: str) -> bool:
-    """Whether the hash is that of ``password``. Without a hash the answer is no, and takes as long."""
+    """Tell if the hash is that of ``password``. Without a hash the answer is no, and takes as long."""
     with _Slot():
         try:
             return _hasher().verify(password_hash or nobodys_hash(), password) and password_hash is not None
@@ -36,7 +36,7 @@ def is_password(password_hash: str | None, password: str) -> bool:
 
 
 def is_outdated(password_hash: str) -> bool:
-    """Whether the hash was made with other parameters than new ones are."""
+    """Tell if the hash was made with other parameters than new ones are."""
     return _hasher().check_needs_rehash(password_hash)
 
 
@@ -57,5 +57,5 @@ def _hasher() -> PasswordHasher:
 
 @cache
 def nobodys_hash() -> str:
-    """What passwords of unknown accounts are compared with, so that the time of an answer does not tell them apart."""
+    """Make a hash to compare with passwords of unknown accounts, so that the time of an answer tells nothing."""
     return _hasher().hash("")

@@ -1,4 +1,4 @@
-"""The accounts of one installation. Changes are audited by the store, if their caller has said who asks."""
+"""Accounts of one installation, sign-in, and tokens. The store audits changes, if their caller has said who asks."""
 
 from __future__ import annotations
 
@@ -84,11 +84,11 @@ class Accounts:
         return self._store.read(lambda t: t.accounts.named(name))
 
     def exist(self) -> bool:
-        """Whether anybody can sign in."""
+        """Tell if anybody can sign in."""
         return self._store.read(lambda t: t.accounts.exist())
 
     def in_use(self) -> bool:
-        """Whether there ever was an account: then not everybody may see everything."""
+        """Tell if there ever was an account: then not everybody may see everything."""
         return self._store.read(lambda t: t.accounts.in_use())
 
     def set_role(self, name: str, role: Role) -> Account:
@@ -161,25 +161,24 @@ class Accounts:
                     f"no account here belongs to {identity.name or identity.subject!r}",
                     "ask an admin, who links one with slamhive account link",
                 )
-            found = self._join(identity, new)
+            # Add an account with a password that nobody knows.
+            name, now = account_name_of(identity.name or identity.subject), self._now()
+            password_hash = passwords.hash_password(secrets.token_urlsafe(_SECRET_BYTES))
+
+            def work(t: Transaction) -> AccountCredentials:
+                if t.accounts.find(name, locked=True) is not None:
+                    raise Conflict(
+                        f"the name {name!r} is taken here", "ask an admin to link it (slamhive account link)"
+                    )
+                account = t.accounts.add(name, new, password_hash, now)
+                t.accounts.link(account.id, identity, now)
+                return AccountCredentials(account, password_hash)
+
+            found = self._store.write(work)
         secret = secrets.token_urlsafe(_SECRET_BYTES)
         key, known = self._new_key(KeyKind.SESSION, secret, SESSION_LASTS), found
         self._store.write(lambda t: _open_session(t, known, key, None))
         return AccountSession(secret, _session_caller(found.account))
-
-    def _join(self, identity: Identity, role: Role) -> AccountCredentials:
-        """A new account for an identity. It has a password that nobody knows."""
-        name, now = account_name_of(identity.name or identity.subject), self._now()
-        password_hash = passwords.hash_password(secrets.token_urlsafe(_SECRET_BYTES))
-
-        def work(t: Transaction) -> AccountCredentials:
-            if t.accounts.find(name, locked=True) is not None:
-                raise Conflict(f"the name {name!r} is taken here", "ask an admin to link it (slamhive account link)")
-            account = t.accounts.add(name, role, password_hash, now)
-            t.accounts.link(account.id, identity, now)
-            return AccountCredentials(account, password_hash)
-
-        return self._store.write(work)
 
     def link(self, name: str, identity: Identity) -> Account:
         """Let somebody whom a provider vouches for use an account; raises NotFound, InvalidInput or Conflict."""
@@ -197,7 +196,7 @@ class Accounts:
         return self._changed(name, work)
 
     def identities(self, name: str) -> Sequence[Identity]:
-        """Who may use an account from a provider; raises NotFound."""
+        """Find the account of a person from a provider; raises NotFound."""
         return self._store.read(lambda t: t.accounts.identities(t.accounts.named(name).id))
 
     def check_own_password(self, name: str, password: str) -> None:
@@ -228,7 +227,18 @@ class Accounts:
         text = TOKEN_BEGINS + secrets.token_urlsafe(_SECRET_BYTES)
         scopes = tuple(scope for scope in Scope if scope in request.scopes)
         key = self._new_key(KeyKind.TOKEN, text, timedelta(days=request.days), request.name, scopes)
-        return self._store.write(lambda t: _add_token(t, name, key)), text
+
+        def work(t: Transaction) -> Key:
+            account = t.accounts.named(name)
+            # Without ours, which is there after a lost answer.
+            tokens = [token for token in t.accounts.tokens(name) if token.digest != key.digest]
+            if any(token.name == key.name for token in tokens):
+                raise Conflict(f"{name} has a token {key.name!r} already", "revoke it, or choose another name")
+            if len(tokens) >= MOST_TOKENS:
+                raise Conflict(f"{name} has {MOST_TOKENS} tokens already", "revoke those that nobody uses")
+            return t.accounts.add_key(account.id, key)
+
+        return self._store.write(work), text
 
     def tokens(self, name: str | None = None) -> Sequence[Key]:
         """The API tokens of one account, or of all; raises NotFound."""
@@ -267,7 +277,7 @@ class Accounts:
 
 
 def digest_of(secret: str) -> str:
-    """What is stored of a secret. It has 256 random bits, so that a slow hash would add nothing."""
+    """Return the stored form of a secret. It has 256 random bits, so that a slow hash would add nothing."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
@@ -286,25 +296,12 @@ def _open_session(t: Transaction, found: AccountCredentials, key: NewKey, renewe
     t.accounts.add_key(found.account.id, key)
 
 
-def _add_token(t: Transaction, name: str, key: NewKey) -> Key:
-    account = t.accounts.named(name)
-    tokens = [token for token in t.accounts.tokens(name) if token.digest != key.digest]  # ours, after a lost answer
-    if any(token.name == key.name for token in tokens):
-        raise Conflict(f"{name} has a token {key.name!r} already", "revoke it, or choose another name")
-    if len(tokens) >= MOST_TOKENS:
-        raise Conflict(f"{name} has {MOST_TOKENS} tokens already", "revoke those that nobody uses")
-    return t.accounts.add_key(account.id, key)
-
-
 def _refused() -> Unauthenticated:
     return Unauthenticated("name or password is wrong")
 
 
-# Whether callers of the web server have to sign in.
-
-
 def accounts_needed(settings: Settings, host: str) -> bool:
-    """Whether a server that binds to ``host`` asks who calls. One that only shows never does."""
+    """Tell if a server that binds to ``host`` asks for sign-in. One that only shows never does."""
     if settings.mode is Mode.VIEW_ONLY:
         return False
     if settings.auth is Auth.AUTO:
@@ -312,7 +309,7 @@ def accounts_needed(settings: Settings, host: str) -> bool:
     return settings.auth is Auth.ACCOUNTS
 
 
-# What leaves an installation that has accounts: what is public, unless somebody asks for all of it.
+# Where there are accounts, only what is public leaves, unless somebody asks for all of it.
 
 
 @contextmanager

@@ -27,9 +27,6 @@ from slamhive.services.analysis.run import SHOWN_ROWS, WHOLE_ROWS, file_name
 from slamhive.services.exports import safe_cell
 from slamhive.services.markdown import markdown_html, numeric_columns, ranked, table_markdown
 
-# Write tables of analyses as CSV, Parquet, LaTeX and Markdown.
-
-
 LATEX_ROWS = 500
 """Most rows of a printed table; the CSV file has all rows."""
 
@@ -67,7 +64,7 @@ def table_csv(table: ResultTable) -> str:
 
 
 def parquet_there() -> bool:
-    """Whether pyarrow is installed, which writes Parquet files."""
+    """Tell if pyarrow is installed, which writes Parquet files."""
     return find_spec("pyarrow") is not None
 
 
@@ -130,7 +127,7 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, slots=True)
 class Printing:
-    """How the plots of a report are printed.
+    """Print options for the plots of a report.
 
     Attributes:
         formats: From :data:`slamhive.analysis.chart.PRINT_FORMATS` and ``PAPER_FORMATS``.
@@ -170,7 +167,9 @@ def report_files(
                 name = file_name(plot.place, chart.key, ending)
                 yield f"figures/{name}", print_chart(chart, ending, printing.font)
         for table in plot.tables:
-            yield from _table_files(plot.place, table)
+            for ending in endings_of(table):
+                if ending != "parquet" or parquet_there():
+                    yield f"tables/{file_name(plot.place, table.key, ending)}", table_file(table, ending)
     if set(PAPER_FORMATS) <= set(printing.formats):
         yield "figures/figures.tex", _figures_latex(report).encode()
 
@@ -277,12 +276,6 @@ def _shown_table(table: ResultTable, most_rows: int) -> ShownTable:
 def figures_json(report: Report) -> dict[str, Any]:
     """{place-key: JSON for Plotly} of all plots of a report."""
     return {f"{plot.place}-{chart.key}": plotly_figure(chart) for plot in report.forms for chart in plot.charts}
-
-
-def _table_files(place: int, table: ResultTable) -> Iterator[tuple[str, bytes]]:
-    for ending in endings_of(table):
-        if ending != "parquet" or parquet_there():
-            yield f"tables/{file_name(place, table.key, ending)}", table_file(table, ending)
 
 
 def script_json(content: Any) -> Markup:

@@ -31,8 +31,7 @@ from slamhive.store import Store, Transaction
 if TYPE_CHECKING:
     import pandas as pd
 
-# Select the runs of an analysis: look up each set in the store, then evaluate the expression.
-
+# Selecting runs: look up each set in the store, then evaluate the expression.
 
 Find = Callable[[str], Sequence[int]]
 """Returns the runs that match a filter."""
@@ -89,7 +88,7 @@ def _listed(chosen: SetModel, transaction: Transaction) -> Sequence[int]:
     return wanted
 
 
-# Small pictures of the plots of a report, for the page on which an analysis is written.
+# Small pictures for the page on which an analysis is written.
 
 
 def previews_of(report: Report) -> list[dict[str, Any]]:
@@ -109,8 +108,7 @@ def _preview(plot: Plot) -> dict[str, Any]:
     return {"form": plot.form, "title": plot.title, "image": image, "note": note}
 
 
-# What the runs of an analysis can be drawn over: the names that a person chooses from while writing one.
-
+# Axes that a person chooses from while writing an analysis.
 
 MOST_LOOKED_AT = 200
 """Runs that are looked at, spread over all that are selected."""
@@ -200,7 +198,7 @@ class AnalysisOutcome:
 
     @property
     def complete(self) -> bool:
-        """Whether every plot could be made."""
+        """True if every plot could be made."""
         return all(plot.error is None for plot in self.plots)
 
 
@@ -258,8 +256,7 @@ def _build(request: PlotRequest, data: PlotData) -> PlotOutcome:
         return PlotOutcome(request, None, f"{request.place}: {error}")
 
 
-# Making the report of an analysis, from which pages and files are made.
-
+# Building the report, from which pages and files are made.
 
 SHOWN_ROWS = 200
 """Rows of a table on a page of the server; the CSV file has all rows."""

@@ -69,7 +69,11 @@ class AnalysisService:
     def check(self, text: str) -> str:
         """The name in an analysis file that can be computed here; raises as :meth:`read`, and for unknown columns."""
         analysis = self.read(text)
-        check_columns(analysis, self._searches.vocabulary(), self._may_be_axis)
+        # A name in the file of a stored experiment may be one of its axes.
+        store = self._store
+        check_columns(
+            analysis, self._searches.vocabulary(), lambda name: store.read(lambda t: t.experiments.mention(name))
+        )
         return analysis.name
 
     def read_file(self, path: Path, ids: Mapping[str, str] | None = None) -> Analysis:
@@ -88,7 +92,7 @@ class AnalysisService:
         return make_report(outcome, utc_now(), self._citations.of_names(*names))
 
     def offered(self, text: str) -> OfferedColumns:
-        """What the runs that a file selects can be drawn over; nothing while none is evaluated.
+        """List the axes over which the selected runs can be drawn; nothing while none is evaluated.
 
         Raises as :meth:`read` and :meth:`compute`.
         """
@@ -106,7 +110,7 @@ class AnalysisService:
         return offered_columns(table, sorted(measured), len(run_ids))
 
     def references(self, analysis: Analysis) -> tuple[Reference, ...]:
-        """What to cite for the runs that an analysis selects now; raises as :meth:`compute`."""
+        """List the works to cite for the runs that an analysis selects now; raises as :meth:`compute`."""
         return self._citations.of_runs(self._selected(analysis))
 
     def fingerprint(self, analysis: Analysis) -> str:
@@ -123,10 +127,6 @@ class AnalysisService:
             sensors={entry.name: entry.setup.value for entry in self._catalogue.algorithms()},
             datasets={entry.name: entry for entry in self._catalogue.datasets()},
         )
-
-    def _may_be_axis(self, name: str) -> bool:
-        """Whether the file of a stored experiment contains the name, and so may have an axis called so."""
-        return self._store.read(lambda t: t.experiments.mention(name))
 
     def _selected(self, analysis: Analysis) -> tuple[int, ...]:
         return select_runs(analysis, self._store, self._searches.find, self._saved_search)

@@ -35,7 +35,7 @@ from slamhive.services.runs import LIMIT_BYTES, gap_of, latency_of, read_track
 from slamhive.store import Store
 from slamhive.store.records import EvaluationState
 
-# Files of run folders that analyses read: evaluated trajectories and sampled resource usage.
+# Files of run folders: evaluated trajectories and sampled resource usage.
 
 
 class StoredRunFiles:
@@ -100,8 +100,7 @@ class StoredRunFiles:
         return RunFolder(self._runs_folder / str(run_id))
 
 
-# What the images and IMU messages of a run were like: the sensors of its dataset, as its variant leaves them.
-
+# Images and IMU messages as a run saw them: the sensors of its dataset, as its variant leaves them.
 
 COLUMNS = ("image_width", "image_height", "image_rate_hz", "imu_rate_hz")
 Seen = tuple[float | None, ...]
@@ -149,7 +148,7 @@ _ENDINGS = {"hz": "Hz", "s": "s", "m": "m", "px": "px", "rad": "rad"}
 
 @dataclass(frozen=True, slots=True)
 class TableRequest:
-    """Which runs and metrics; ``protocol`` is a fingerprint, None for each run's current protocol."""
+    """Selection of runs and metrics; ``protocol`` is a fingerprint, None for each run's current protocol."""
 
     run_ids: Sequence[int]
     keys: Collection[str]
@@ -188,9 +187,15 @@ def load_table(
     facts["disturbed"] = [_disturbance_words(kinds) for kinds in facts.pop("disturbed_by")]
     selected = len(facts["run_id"])
     if request.exclude_disturbed:
-        facts = _undisturbed(facts)
+        kept = [words is None or words == UNDISTURBED for words in facts["disturbed"]]
+        if not any(kept) and kept:
+            raise InvalidInput(
+                f"all {len(kept)} runs were measured on a disturbed machine",
+                "leave out exclude_disturbed, or repeat them",
+            )
+        facts = {name: list(compress(column, kept)) for name, column in facts.items()}
     variants = facts.pop("variant")
-    facts["variant"] = [_variant_words(variant) for variant in variants]
+    facts["variant"] = ["; ".join(map(str, load(Variant, entry))) if entry else None for entry in variants]
     facts |= seen_columns(facts["dataset"], variants, datasets)
     facts["sensors"] = [sensors.get(name) for name in facts["algorithm"]]
     own = {name: values for name, values in parameters.items() if name not in COLUMNS}  # what sensors gave is known
@@ -202,23 +207,16 @@ def load_table(
     words = [datasets[name].attributes if name in datasets else () for name in facts["dataset"]]
     values = _by_id(figures, facts["run_id"])
     table = make_table(facts, columns, values, request.rule, installed=sensors, attributes=words)
-    repeated = _repeated(variants, new, facts["run_id"])
+    # Leave out the step options if all runs with steps come from experiments: their axes show the same.
+    named = {run_id for values_of_axis in new.values() for run_id in values_of_axis}
+    covered = all(run_id in named for run_id, entry in zip(facts["run_id"], variants, strict=True) if entry)
+    repeated = set(_variant_columns(variants)) if covered else set()
     left_out = selected - len(facts["run_id"]) if request.exclude_disturbed else None
     return replace(table.described(known, repeated), not_evaluated=not_evaluated, without_disturbed=left_out)
 
 
-def _undisturbed(facts: Columns) -> Columns:
-    """The facts of runs that were not disturbed; raises InvalidInput if there are none."""
-    kept = [words is None or words == UNDISTURBED for words in facts["disturbed"]]
-    if not any(kept) and kept:
-        raise InvalidInput(
-            f"all {len(kept)} runs were measured on a disturbed machine", "leave out exclude_disturbed, or repeat them"
-        )
-    return {name: list(compress(values, kept)) for name, values in facts.items()}
-
-
 def _disturbance_words(kinds: str | None) -> str | None:
-    """What disturbed a run, from the column for searches; None if unknown."""
+    """Say what disturbed a run, from the column for searches; None if unknown."""
     if kinds is None:
         return None
     return ", ".join(DisturbanceKind(kind).label for kind in kinds.split()) or UNDISTURBED
@@ -265,13 +263,6 @@ def check_size(run_ids: Sequence[int], limit: int) -> None:
         raise InvalidInput(f"the selection has {len(run_ids)} runs, {limit} are allowed", "narrow it")
 
 
-def _repeated(variants: Sequence[Any], axes: Mapping[str, Mapping[int, Any]], run_ids: Sequence[int]) -> set[str]:
-    """The step options to leave out: if all runs with steps come from experiments, the axes show the same."""
-    named = {run_id for values in axes.values() for run_id in values}
-    covered = all(run_id in named for run_id, variant in zip(run_ids, variants, strict=True) if variant)
-    return set(_variant_columns(variants)) if covered else set()
-
-
 def _unit(name: str, units: Mapping[str, str]) -> str:
     """The unit of a parameter, or of a step option according to the suffix of its name."""
     if not name.startswith(VARIANT_PREFIX):
@@ -308,12 +299,7 @@ def _variant_columns(variants: Sequence[Any]) -> dict[str, list[Any]]:
     return columns
 
 
-def _variant_words(variant: Any) -> str | None:
-    """The steps in words; None for the original recording."""
-    return "; ".join(map(str, load(Variant, variant))) if variant else None
-
-
-# Whether the columns that an analysis file names can exist, before anything is computed.
+# Columns of an analysis file are checked before anything is computed.
 
 
 def check_columns(analysis: Analysis, vocabulary: Vocabulary, is_axis: Callable[[str], bool]) -> None:
@@ -332,4 +318,4 @@ def check_columns(analysis: Analysis, vocabulary: Vocabulary, is_axis: Callable[
     for plot in analysis.plots:
         for key in sorted(plot.plot_type.needs(plot.options)):
             if key not in known and not key.startswith(VARIANT_PREFIX) and not is_axis(key):
-                raise InvalidInput(f"{plot.place}: nothing is called {key[:80]!r}", vocabulary.nearest(key[:80]))
+                raise InvalidInput(f"{plot.place}: unknown name {key[:80]!r}", vocabulary.nearest(key[:80]))

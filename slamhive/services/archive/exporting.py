@@ -42,11 +42,9 @@ from slamhive.store import Store, Transaction
 from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.records import AlgorithmVersion, ExperimentRecord, RunRecord
 
-# What an export adds on request, so that its runs can be repeated elsewhere: packages, images and recordings.
-
 
 class Extra(StrEnum):
-    """What an export adds."""
+    """Additions to an export, so that its runs can be repeated elsewhere."""
 
     PACKAGES = "packages"
     IMAGES = "images"
@@ -55,7 +53,7 @@ class Extra(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Packing:
-    """How versions are packed: by whom, in which empty folder meanwhile, and whether with their images."""
+    """Packing of versions: by whom, in which empty folder meanwhile, and with or without their images."""
 
     versions: Versions
     aside: Path
@@ -95,7 +93,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class ExportRequest:
-    """What to export: all runs (``run_ids`` None) with everything else that is stored, or these with what they need.
+    """Selection of an export: all runs (``run_ids`` None) with everything else stored, or these with what they need.
 
     ``unpublished``: also what is not public. It makes no difference where there are no accounts.
     """
@@ -110,7 +108,7 @@ class ExportRequest:
 
 @dataclass
 class ExportReport:
-    """How many rows of each kind are in the archive, and how many runs, and files of runs, are not, by reason."""
+    """Number of rows of each kind in the archive, and of runs and files that were left out, by reason."""
 
     counts: Counter[str] = field(default_factory=Counter)
     left_out: Counter[str] = field(default_factory=Counter)
@@ -147,40 +145,34 @@ def export_archive(
     if not request.path.absolute().parent.is_dir():
         raise InvalidInput(f"the folder of {request.path} does not exist", "make it first")
     with published(store, unpublished=request.unpublished):
-        return _export(settings, store, request, progress, versions)
-
-
-def _export(
-    settings: Settings, store: Store, request: ExportRequest, progress: Progress, versions: Versions | None
-) -> ExportReport:
-    report = ExportReport()
-    run_ids = _ended(store, request, report)
-    if not run_ids:
-        public = " and is public" if store.viewer is not None else ""
-        raise InvalidInput(f"there is no run to export that has ended{public}", "slamhive runs lists them")
-    with archive_writer(request.path.absolute()) as archive:
-        export = _Export(settings, store, archive, request, report)
-        for start in range(0, len(run_ids), BATCH):
-            for _ in export.runs(run_ids[start : start + BATCH]):
-                report.counts["runs"] += 1
-                progress(report.counts["runs"], len(run_ids))
-        export.rest(run_ids)
-        if versions is not None and {Extra.PACKAGES, Extra.IMAGES} & set(request.extra):
-            with temporary_folder(root=request.path.absolute().parent) as aside:
-                packing = Packing(versions, aside, images=Extra.IMAGES in request.extra)
-                report.counts.update(add_versions(archive, export.used, packing))
-        archive.finish(
-            ArchiveManifest(
-                made_at=utc_now().isoformat(timespec="seconds"),
-                software=__version__,
-                counts=dict(report.counts),
-                without=tuple(part.value for part in request.without),
-                left_out=dict(report.left_out),
-                files_left_out=dict(report.files_left_out),
+        report = ExportReport()
+        run_ids = _ended(store, request, report)
+        if not run_ids:
+            public = " and is public" if store.viewer is not None else ""
+            raise InvalidInput(f"there is no run to export that has ended{public}", "slamhive runs lists them")
+        with archive_writer(request.path.absolute()) as archive:
+            export = _Export(settings, store, archive, request, report)
+            for start in range(0, len(run_ids), BATCH):
+                for _ in export.runs(run_ids[start : start + BATCH]):
+                    report.counts["runs"] += 1
+                    progress(report.counts["runs"], len(run_ids))
+            export.rest(run_ids)
+            if versions is not None and {Extra.PACKAGES, Extra.IMAGES} & set(request.extra):
+                with temporary_folder(root=request.path.absolute().parent) as aside:
+                    packing = Packing(versions, aside, images=Extra.IMAGES in request.extra)
+                    report.counts.update(add_versions(archive, export.used, packing))
+            archive.finish(
+                ArchiveManifest(
+                    made_at=utc_now().isoformat(timespec="seconds"),
+                    software=__version__,
+                    counts=dict(report.counts),
+                    without=tuple(part.value for part in request.without),
+                    left_out=dict(report.left_out),
+                    files_left_out=dict(report.files_left_out),
+                )
             )
-        )
-    report.size_bytes = request.path.stat().st_size
-    return report
+        report.size_bytes = request.path.stat().st_size
+        return report
 
 
 def _ended(store: Store, request: ExportRequest, report: ExportReport) -> list[int]:
@@ -226,7 +218,9 @@ class _Export:
 
     def rest(self, run_ids: Sequence[int]) -> None:
         """Add what the runs refer to, and if all are exported, everything else."""
-        experiments = self._experiments_of_runs()
+        every = self._request.run_ids is None
+        found = self._store.read(lambda t: t.experiments.all())
+        experiments = [record for record in reversed(found) if every or record.name in self._experiments]
         ids = [record.id for record in experiments]
         if self._request.run_ids is None:
             configurations = self._store.read(lambda t: t.archive.all_configurations())
@@ -302,12 +296,6 @@ class _Export:
                 self._archive.add_file(f"{own}{name}", path)
 
     # -- what runs refer to ----------------------------------------------------------------------------------------
-
-    def _experiments_of_runs(self) -> list[ExperimentRecord]:
-        found = self._store.read(lambda t: t.experiments.all())
-        return [
-            record for record in reversed(found) if self._request.run_ids is None or record.name in self._experiments
-        ]
 
     def _experiment(self, record: ExperimentRecord) -> None:
         self._line(layout.EXPERIMENTS, ExperimentLine.of(record).content)

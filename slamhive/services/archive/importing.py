@@ -308,20 +308,16 @@ def _file(
 ) -> dict[str, int]:
     """File runs with all that is known of them; {uid: number here}."""
     if not keep or t.archive.taken([entry.line.id for entry in entries]):
-        given = _new_numbers(t, catalogue, entries)
+        # The rows get numbers of this installation here, and right after become what the records say.
+        places = put_configurations(t, catalogue, [entry.run.filed for entry in entries])
+        requests = [
+            replace(snapshot_of(entry.run.filed.file, configuration_id).request, retry_of=None)
+            for entry, (_, configuration_id) in zip(entries, places, strict=True)
+        ]
+        added = t.runs.add_runs(requests, utc_now())
+        given = {entry.line.uid: number for entry, number in zip(entries, added, strict=True)}
     else:
         given = {entry.line.uid: entry.line.id for entry in entries}
     numbers = {**known, **given}
     file_runs(t, catalogue, [_renumbered(entry, numbers) for entry in entries])
     return given
-
-
-def _new_numbers(t: Transaction, catalogue: Catalogue, entries: list[_Unpacked]) -> dict[str, int]:
-    """{uid: number of this installation}, those of rows which are made what the records say right after."""
-    places = put_configurations(t, catalogue, [entry.run.filed for entry in entries])
-    requests = []
-    for entry, (_, configuration_id) in zip(entries, places, strict=True):
-        request = snapshot_of(entry.run.filed.file, configuration_id).request
-        requests.append(replace(request, retry_of=None))
-    numbers = t.runs.add_runs(requests, utc_now())
-    return {entry.line.uid: number for entry, number in zip(entries, numbers, strict=True)}

@@ -1,4 +1,4 @@
-"""What an archive holds: the names of its members, its limits, and its manifest.
+"""Layout of an archive: the names of its members, its limits, and its manifest.
 
 An archive is a bag (BagIt 1.0, RFC 8493) in a zip file: one folder with tag files and the payload below ``data/``.
 The first format had the payload at the top level and its checksums in ``SHA256SUMS``; it is still read.
@@ -91,7 +91,7 @@ class ArchiveFormat:
         raise InvalidInput(f"the archive has a member {shown(name)}, which no export writes", "it is not imported")
 
     def listed_as(self, member: str) -> str:
-        """How a member of the payload is named in ``checksums``.
+        """Return the name of a payload member in ``checksums``.
 
         BagIt quotes percent signs and line breaks (RFC 8493, section 2.1.3); no member has a line break.
         """
@@ -143,7 +143,7 @@ def format_of(names: list[str]) -> ArchiveFormat:
 
 
 def _is_payload(name: str) -> bool:
-    """Whether ``name`` is one that an export writes: below one of our folders, and without tricks."""
+    """Tell if ``name`` is one that an export writes: below one of our folders, and without tricks."""
     if name in ROWS:
         return True
     parts = name.split("/")
@@ -162,7 +162,7 @@ def version_member(package: str, identity: str, package_hash: str) -> str:
 
 
 def is_safe(name: str) -> bool:
-    """Whether a file below a run folder can be a member: its name is short UTF-8 without control characters."""
+    """Tell if a file below a run folder can be a member: its name is short UTF-8 without control characters."""
     return _safe(name.split("/")) and len(name.encode(errors="replace")) < _LONGEST_NAME_BYTES - 40
 
 
@@ -185,8 +185,7 @@ def _safe_part(part: str) -> bool:
     return plain and part not in ("", ".", "..") and length <= _LONGEST_PART_BYTES
 
 
-# The files of a run folder that an archive holds.
-
+# Files of a run folder that an archive holds.
 
 ODD_NAMES = "files with names that no archive holds"
 STRANGE_FILES = "files that do not belong to a run folder"

@@ -97,7 +97,7 @@ class ArchiveReader:
         return [name for name in self._members if name.startswith(prefix)]
 
     def has(self, name: str) -> bool:
-        """Whether there is a member of this name."""
+        """Tell if there is a member of this name."""
         return name in self._members
 
     def read(self, name: str) -> bytes:
@@ -134,7 +134,10 @@ class ArchiveReader:
             place: Which members are unpacked meanwhile, and where to.
         """
         self._check_tags()
-        sums = self._payload_sums()
+        listed = self._listed(self._format.checksums)
+        payload = [name for name in self._members if name not in self._format.tags]
+        self._check_names(listed, map(self._format.listed_as, payload), self._format.checksums)
+        sums = {name: listed[self._format.listed_as(name)] for name in payload}  # in the order of the zip file
         total, done = self.size_bytes, 0
         for name, expected in sums.items():
             digest = hashlib.sha256()
@@ -171,13 +174,6 @@ class ArchiveReader:
             for block in self._blocks(name):
                 digest.update(block)
             self._compare(name, digest.hexdigest(), checksum)
-
-    def _payload_sums(self) -> dict[str, str]:
-        """{member: checksum} in the order of the zip file; every member of the payload has one."""
-        listed = self._listed(self._format.checksums)
-        payload = [name for name in self._members if name not in self._format.tags]
-        self._check_names(listed, map(self._format.listed_as, payload), self._format.checksums)
-        return {name: listed.pop(self._format.listed_as(name)) for name in payload}
 
     def _check_names(self, listed: Iterable[str], present: Iterable[str], source: str) -> None:
         present = set(present)
@@ -229,23 +225,19 @@ def open_archive(path: Path) -> Iterator[ArchiveReader]:
         os.close(descriptor)
         raise InvalidInput(f"{path} is not a file", "give a file that slamhive archive export has written")
     with os.fdopen(descriptor, "rb") as stream:
-        _check_directory(stream, path)
+        # Refuse a file that is no zip file, was cut short, or whose list of members is too long for memory.
+        size = zip_directory_bytes(stream)
+        if size is None:
+            raise InvalidInput(f"{path} is not an archive, or was cut short", _DAMAGED)
+        if size > LARGEST_DIRECTORY_BYTES:
+            raise InvalidInput(f"{path} lists its members in {size} bytes, more than any export writes")
+        stream.seek(0)
         try:
             file = zipfile.ZipFile(stream)
         except _BROKEN as error:
             raise InvalidInput(f"{path} is damaged: {error}", _DAMAGED) from None
         with file:
             yield ArchiveReader(file, path)
-
-
-def _check_directory(stream: IO[bytes], path: Path) -> None:
-    """Refuse a file that is no zip file, was cut short, or whose list of members is too long for memory."""
-    size = zip_directory_bytes(stream)
-    if size is None:
-        raise InvalidInput(f"{path} is no archive, or was cut short", _DAMAGED)
-    if size > LARGEST_DIRECTORY_BYTES:
-        raise InvalidInput(f"{path} lists its members in {size} bytes, more than any export writes")
-    stream.seek(0)
 
 
 def _checked_members(file: zipfile.ZipFile, path: Path, format_: ArchiveFormat) -> dict[str, zipfile.ZipInfo]:
@@ -285,9 +277,6 @@ def _check_kind(info: zipfile.ZipInfo, path: Path) -> None:
         raise InvalidInput(f"{path}: {name} claims {info.file_size} bytes, more than it can hold", _REFUSED)
 
 
-# Everything in an archive that will be filed is read once before anything is filed.
-
-
 _MOST_SHOWN = 5
 
 CheckProgress = Callable[[float, str], None]
@@ -296,7 +285,7 @@ CheckProgress = Callable[[float, str], None]
 
 @dataclass
 class Contents:
-    """What is known of an archive that was checked.
+    """Knowledge of an archive that was checked.
 
     Attributes:
         runs: {uid: number}.
@@ -331,7 +320,8 @@ def check_archive(archive: ArchiveReader, progress: CheckProgress, place: Place 
     archive.verify(lambda done, total: progress(0.8 * done / max(total, 1), "comparing checksums"), place)
     contents = Contents()
     _check_runs(archive, contents, progress)
-    _check_datasets(archive, contents)
+    described = [writing.dataset_from_line(content)[0] for content in archive.lines(layout.DATASETS)]
+    contents.datasets.update({name: archived_dataset(archive, name) for name in described})
     algorithms = {writing.read_line(AlgorithmLine, content).name for content in archive.lines(layout.ALGORITHMS)}
     configurations = set()
     for content in archive.lines(layout.CONFIGURATIONS):
@@ -383,12 +373,6 @@ def recorded_runs(archive: ArchiveReader) -> Iterator[tuple[RunLine, RunFile]]:
         line = writing.read_line(RunLine, content)
         record = archive.json(f"runs/{line.id}/run.json") if line.record is None else line.record
         yield line, writing.check_record(record, line)
-
-
-def _check_datasets(archive: ArchiveReader, contents: Contents) -> None:
-    for content in archive.lines(layout.DATASETS):
-        name, _ = writing.dataset_from_line(content)
-        contents.datasets[name] = archived_dataset(archive, name)
 
 
 def archived_dataset(archive: ArchiveReader, name: str) -> Dataset | None:

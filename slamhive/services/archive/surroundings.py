@@ -1,4 +1,4 @@
-"""What runs of an archive refer to, merged with what is here: what is here stays as it is."""
+"""Merge of everything that runs of an archive refer to with what is here; what is here stays as it is."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Surroundings:
         self._cells()
 
     def import_after_runs(self, counts: Counter[str], *, kept_numbers: bool) -> None:
-        """What refers to all of it. Analyses may name runs by number: they come only where numbers are kept."""
+        """Import what refers to runs. Analyses name runs by number: they come only where numbers are kept."""
         self._labels()
         if kept_numbers:
             self._analyses(counts)
@@ -99,7 +99,7 @@ class Surroundings:
                 self._store.write(lambda t: t.analyses.put(record))  # noqa: B023
 
     def experiment_name(self, name: str | None) -> str | None:
-        """What the experiment of this name in the archive is called here."""
+        """Return the name here of an experiment in the archive."""
         return None if name is None else self._experiment_names.get(name)
 
     def seen_by(self, experiment: str | None) -> Visibility | None:
@@ -207,10 +207,12 @@ class Surroundings:
         if name != record.name:
             self._notes.append(f"experiment {record.name} is called {name} here: there is another one of its name")
         shared = taken_over(self._store.maker, record.visibility)
+        # Nothing of an experiment that is not whole must be queued again here.
+        whole = record.complete and self._contents.runs_of_experiment.get(record.name, 0) >= record.runs
         settled = replace(
             record,
             name=name,
-            state=self._settled_state(record),
+            state=record.state if whole else ExperimentState.CANCELLED,
             owner=shared.owner,
             visibility=shared.visibility,
         )
@@ -226,11 +228,6 @@ class Surroundings:
             folder.write(StoredExperiment.of(settled), record.source)
             self._store.write(lambda t: t.archive.put_experiment(record.uid, name, values))
         counts["experiments"] += 1
-
-    def _settled_state(self, record: ExperimentRecord) -> ExperimentState:
-        """Nothing of an experiment that is not whole must be queued again here."""
-        whole = record.complete and self._contents.runs_of_experiment.get(record.name, 0) >= record.runs
-        return record.state if whole else ExperimentState.CANCELLED
 
     def _free_name(self, record: ExperimentRecord) -> str:
         for number in count(1):
@@ -259,7 +256,7 @@ class Surroundings:
 
 
 def _definitions(line: ConfigurationLine, aliases: dict[tuple[str, str], Any]) -> list[Parameter]:
-    """How the parameters were defined; the general name of one that is defined here is the one it has here."""
+    """Return the stored definitions of parameters; one that is defined here keeps its general name from here."""
     algorithm = line.configuration.algorithm
     return [replace(entry, general=aliases.get((algorithm, entry.key), entry.general)) for entry in line.definitions]
 

@@ -181,8 +181,7 @@ def archive_writer(path: Path) -> Iterator[ArchiveWriter]:
         aside.unlink(missing_ok=True)
 
 
-# The rows of an archive as JSON lines, and back: what the folders do not contain.
-
+# Rows as JSON lines, and back: everything that the folders do not contain.
 
 T = TypeVar("T")
 Line = TypeVar("Line", bound=Document)
@@ -319,7 +318,7 @@ def _ended(line: EvaluationLine) -> EndedEvaluation:
 
 
 def _whole(kind: type[Document], read: Callable[[], T], what: str = "") -> T:
-    """What ``read`` finds; raises InvalidInput that names the kind of line."""
+    """Read one line; raises InvalidInput that names the kind of line."""
     try:
         return read()
     except ValueError as error:

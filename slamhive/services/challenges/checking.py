@@ -100,7 +100,12 @@ def _checked(definition: Definition, entry: SequenceEntry, name: str, path: Path
     kind = definition.preset.format
     with in_memory(path, name, kind, share) as data:
         if kind is Format.KITTI:
-            facts = _check_frames(entry, name, data)
+            matrices = parse_kitti_matrices(data, name)
+            if len(matrices) != entry.poses:
+                raise InvalidInput(
+                    f"{name} has {len(matrices)} poses, {entry.name} has {entry.poses} frames", "write them all"
+                )
+            facts = StoredFile(poses=len(matrices), coverage=None, enough=True)
         else:
             facts = check_trajectory(definition, entry, name, data)
     return CheckedFile(entry.name, facts, path, kind)
@@ -126,7 +131,7 @@ def in_memory(path: Path, name: str, kind: Format, share: BudgetShare) -> Iterat
 
 
 def check_trajectory(definition: Definition, entry: SequenceEntry, name: str, data: bytes) -> StoredFile:
-    """What the time range of a sequence says of a TUM trajectory; raises InvalidInput if it is none of the sequence."""
+    """Compare a TUM trajectory with the time range of its sequence; raises InvalidInput if it does not belong to it."""
     assert entry.time_range_s is not None  # the definition was checked
     first_s, last_s = entry.time_range_s
     stamps_s = parse_tum(data, name, definition.protocol.duplicates).stamps_s + definition.protocol.time_offset_s
@@ -142,15 +147,7 @@ def check_trajectory(definition: Definition, entry: SequenceEntry, name: str, da
     return StoredFile(poses=len(stamps_s), coverage=coverage, enough=coverage >= definition.file.least_coverage)
 
 
-def _check_frames(entry: SequenceEntry, name: str, data: bytes) -> StoredFile:
-    matrices = parse_kitti_matrices(data, name)
-    if len(matrices) != entry.poses:
-        raise InvalidInput(f"{name} has {len(matrices)} poses, {entry.name} has {entry.poses} frames", "write them all")
-    return StoredFile(poses=len(matrices), coverage=None, enough=True)
-
-
-# Finds the files of a submission: trajectories, folders of them, and archives. They stay on the disk.
-
+# Files of a submission: trajectories, folders of them, and archives. They stay on the disk.
 
 MOST_FILES = 1000
 _LIMITS = UnpackLimits(ratio=50.0, always_bytes=20_000_000, total_bytes=MOST_BYTES, files=MOST_FILES)
@@ -204,7 +201,7 @@ def _size_bytes(path: Path) -> int:
     return size
 
 
-# The trajectories of a submission that can be evaluated, and why others cannot.
+# Trajectories to evaluate, and why others cannot be.
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +216,7 @@ class Estimate:
 
 @dataclass
 class Estimates:
-    """What there is of a submission: trajectories, and by sequence why others do not count."""
+    """Trajectories of a submission, and by sequence the reasons why others do not count."""
 
     found: list[Estimate] = field(default_factory=list)
     failures: dict[str, list[RunFailure]] = field(default_factory=dict)
@@ -270,7 +267,6 @@ def _known(failure: str | None) -> RunFailure:
 
 
 # Trajectories without timestamps, one pose a frame, as the evaluation takes them.
-
 
 FRAME_S = 0.1
 """Poses are matched by index, so any interval will do; the scanner of KITTI turns ten times a second."""

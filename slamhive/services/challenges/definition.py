@@ -1,4 +1,4 @@
-"""Reads the file of a challenge, and says what follows from it."""
+"""Definition of a challenge: its file, checked, and the protocol, metric and scoring that follow from it."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ from slamhive.domain.names import check_name
 from slamhive.domain.protocol import Association, Protocol, protocol_from_content
 from slamhive.evaluation.presets import PRESETS as PROTOCOLS
 
-# How challenges of the field count: protocol, metric, and the rule that makes one score of many sequences.
-
+# Presets: protocol, metric, and the rule that makes one score of many sequences.
 
 MEAN, ETH3D, KITTI, HILTI_2026 = "mean", "eth3d", "kitti", "hilti-2026"
 WEIGHT = "kitti.segments"
@@ -83,12 +82,12 @@ class Definition:
 
     @property
     def preset(self) -> ChallengePreset:
-        """How it counts."""
+        """Way of counting."""
         return PRESETS[self.file.preset]
 
     @cached_property
     def protocol(self) -> Protocol:
-        """How each sequence is evaluated; raises InvalidInput or NotFound."""
+        """Protocol of each sequence; raises InvalidInput or NotFound."""
         asked = self.preset.protocol or self.file.protocol
         if isinstance(asked, dict):
             return protocol_from_content(asked)
@@ -96,12 +95,12 @@ class Definition:
 
     @cached_property
     def metric(self) -> Metric:
-        """What counts of a sequence; raises NotFound."""
+        """Metric that counts of a sequence; raises NotFound."""
         return metric(self.preset.metric or str(self.file.metric))
 
     @property
     def scoring(self) -> Scoring:
-        """What values count."""
+        """Points that values are worth."""
         worst = self.preset.worst if self.file.worst is None else self.file.worst
         return Scoring(self.preset.rule, worst, self.metric.direction is Direction.HIGHER)
 
@@ -122,7 +121,7 @@ class Definition:
         return [entry for entry in self.file.sequences if phase.sequences is None or entry.name in phase.sequences]
 
     def takes(self, phase: PhaseEntry) -> tuple[Taken, ...]:
-        """What a phase takes: trajectories unless a recording is secret, and images if all recordings are here."""
+        """List what a phase takes: trajectories unless a recording is secret, and images if all recordings are here."""
         entries = self.sequences_of(phase)
         found = () if any(entry.secret for entry in entries) else (Taken.TRAJECTORIES,)
         images = self.file.images is not None and all(entry.recording is not None for entry in entries)

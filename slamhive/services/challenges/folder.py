@@ -46,18 +46,18 @@ class SubmissionFolder:
 
     @cached_property
     def sent(self) -> StoredSubmission:
-        """What was sent."""
+        """Document of the submission as it was sent."""
         return StoredSubmission.read(read_record(self.root / SENT))
 
     @property
     def result(self) -> StoredResult | None:
-        """What came of it; None while it is queued."""
+        """Result of the submission; None while it is queued."""
         path = self.root / RESULT
         return StoredResult.read(read_record(path)) if path.exists() else None
 
     @property
     def cancelled(self) -> bool:
-        """Whether its team, or the organiser, has cancelled it."""
+        """True if its team, or the organiser, has cancelled it."""
         return (self.root / CANCELLED).exists()
 
     @property
@@ -67,7 +67,7 @@ class SubmissionFolder:
 
     @property
     def logs(self) -> dict[str, str]:
-        """What its image printed, by run on a public recording."""
+        """Output of its image, by run on a public recording."""
         return {
             path.stem: path.read_text(encoding="utf-8", errors="replace")
             for path in sorted((self.root / LOGS).glob("*.txt"))
@@ -103,7 +103,7 @@ class ChallengeFolder:
 
     @cached_property
     def full_definition(self) -> Definition:
-        """As :attr:`definition`, with the times of secret recordings. Raises PermissionError for other users."""
+        """Definition with the times of secret recordings. Raises PermissionError for other users."""
         path = self.secret / TIMES
         if not path.exists():
             return self.definition
@@ -130,7 +130,7 @@ class ChallengeFolder:
 
     @property
     def changes(self) -> ChallengeChanges:
-        """What was changed after the challenge was created."""
+        """Changes made after the challenge was created."""
         path = self.root / CHANGES
         return ChallengeChanges.read(read_record(path)) if path.exists() else ChallengeChanges()
 
@@ -168,13 +168,13 @@ class ChallengeFolder:
 
     @contextmanager
     def judging(self) -> Iterator[bool]:
-        """Whether no other process evaluates submissions of this challenge; none begins during the block."""
+        """Yield True if no other process evaluates submissions of this challenge; none begins during the block."""
         with _held(os.open(self.secret, os.O_RDONLY | os.O_CLOEXEC)) as free:
             yield free
 
     @contextmanager
     def running(self) -> Iterator[bool]:
-        """Whether no other process runs an image of this challenge; none begins during the block."""
+        """Yield True if no other process runs an image of this challenge; none begins during the block."""
         path = self.secret / _RUNNING
         with _held(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)) as free:
             yield free
@@ -182,7 +182,7 @@ class ChallengeFolder:
 
 @contextmanager
 def _held(descriptor: int) -> Iterator[bool]:
-    """Whether the lock on an open file is free; it is held for the block, and the file is closed."""
+    """Yield True if the lock on an open file is free; it is held for the block, and the file is closed."""
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

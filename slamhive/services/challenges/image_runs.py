@@ -44,10 +44,10 @@ from slamhive.services.challenges.views import shown_at
 from slamhive.services.datasets import check_writable
 from slamhive.store import RunRecord
 
-# The runs of one image on the recordings of a phase, in an installation of their own that only its owner can read.
-#
-# All of it can be repeated after a kill: what is there already is not made again.
+logger = logging.getLogger(__name__)
 
+# Images run in an installation of their own, which only its owner can read. All of it can be repeated after a kill:
+# what is there already is not made again.
 
 _PAGE = 500
 _MOST_LOST = 3
@@ -163,7 +163,9 @@ class ImageRunsOfPhase:
         logs.mkdir(mode=0o750, exist_ok=True)
         number = run.seed - self.rules.seed + 1
         name = run.dataset if self.rules.repeats == 1 else f"{run.dataset}-{number}"
-        write_aside(logs / f"{name}.txt", _without_controls(text + said), 0o640)
+        # Nothing that could steer a terminal.
+        kept = "".join(character for character in text + said if character.isprintable() or character in "\n\t")
+        write_aside(logs / f"{name}.txt", kept, 0o640)
 
     def cancel(self) -> list[RunRecord]:
         """Cancel the runs that have not ended; those that a worker still has to end."""
@@ -176,13 +178,6 @@ def _failure(run: RunRecord | None) -> str | None:
         return RunFailure.NOT_FITTING.value
     return None if run.state is RunState.SUCCEEDED else RunFailure.of(run.reason).value
 
-
-def _without_controls(text: str) -> str:
-    """``text`` without what could steer a terminal."""
-    return "".join(character for character in text if character.isprintable() or character in "\n\t")
-
-
-logger = logging.getLogger(__name__)
 
 LOOK_S = 2.0
 """How often an idle worker looks for images."""
@@ -286,7 +281,7 @@ class ImageWork:
                 yield found
 
     def _is_over(self, folder: ChallengeFolder, found: SubmissionFolder) -> bool:
-        """Whether there is nothing to run; a damaged submission is left to the next worker, and holds up nobody."""
+        """Tell if there is nothing to run; a damaged submission is left to the next worker, and holds up nobody."""
         try:
             return found.sent.image is None or folder.ended_runs(found.root.name) is not None
         except SlamHiveError as error:

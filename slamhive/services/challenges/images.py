@@ -35,8 +35,7 @@ from slamhive.services.versions import Versions, is_export, opened_version
 from slamhive.services.weights import WEIGHTS, WeightsStore
 from slamhive.store import Store, VersionRecord
 
-# Archives of images that teams send: what they hold, and how much room they take. Nothing in them is executed.
-
+# Archives that teams send. Nothing in them is executed.
 
 MB = 1_000_000
 _ENTRY_BYTES = 4096
@@ -46,7 +45,7 @@ _REMEDY = "export it again with slamhive algorithm export, or docker save"
 
 
 def check_image(path: Path, algorithm: str | None, largest_mb: int) -> StoredImage:
-    """What the archive at ``path`` holds: a version that was exported, or an image that ``docker save`` wrote.
+    """Check the archive at ``path``: a version that was exported, or an image that ``docker save`` wrote.
 
     Args:
         path: The archive.
@@ -94,7 +93,7 @@ def _check_room(path: Path, largest_mb: int) -> None:
 
 
 def _unpacked(path: Path, content: IO[bytes], most: int) -> int:
-    """How much a layer unpacks to (bytes), counted until it is more than ``most``; 0 for what is no layer."""
+    """Measure the unpacked size of a layer (bytes), counted until it is more than ``most``; 0 for anything else."""
     if content.peek(4)[:4] == _ZSTD:  # type: ignore[attr-defined]
         raise InvalidInput(f"{path.name} has layers that were packed with zstd", "save it with docker save")
     found = 0
@@ -121,7 +120,7 @@ def _reading(path: Path) -> Iterator[None]:
         raise InvalidInput(f"{path.name} cannot be read as an archive: {error}", _REMEDY) from None
 
 
-# The recordings of a challenge, which images run on: copied once, and linked into the installation of each image.
+# Recordings are copied once, and linked into the installation of each image.
 
 
 def keep_recording(source: Path, name: str, target: Path) -> None:
@@ -185,7 +184,7 @@ class Installation(Protocol):
 
     @property
     def executors(self) -> Executors:
-        """What runs are executed by."""
+        """Executors of its runs."""
 
     @property
     def versions(self) -> Versions:

@@ -93,7 +93,7 @@ class ChallengeJudge:
                 yield found
 
     def _ready(self, folder: ChallengeFolder, found: SubmissionFolder) -> bool:
-        """Whether there are trajectories; a damaged one is left to the next worker, and holds up nobody."""
+        """Tell if there are trajectories; a damaged one is left to the next worker, and holds up nobody."""
         try:
             if found.sent.image is not None:
                 return folder.ended_runs(found.root.name) is not None
@@ -168,7 +168,7 @@ def _stored(
     results: Mapping[str, EvaluationResult],
     at: datetime,
 ) -> StoredResult:
-    """What is kept: rounded values, and some of the fixed reasons."""
+    """Make the stored result: rounded values, and some of the fixed reasons."""
     values: dict[str, float | None] = {}
     weights: dict[str, float] = {}
     reasons: dict[str, str] = {}

@@ -55,8 +55,9 @@ from slamhive.trajectory.layout import read_tum
 from slamhive.trajectory.pose_file import parse_kitti_matrices
 from slamhive.trajectory.table import read_bounded
 
-# Creates a challenge: keeps its ground truth apart, and publishes the rest.
+logger = logging.getLogger(__name__)
 
+# Creating: ground truth is kept apart, the rest is published.
 
 _PRIVATE_FOLDER, _PRIVATE_FILE = 0o700, 0o600
 
@@ -108,7 +109,7 @@ def _fill(folder: Path, file: ChallengeFile, truths: dict[str, bytes], source: P
 
 
 def _published(entry: SequenceEntry) -> SequenceEntry:
-    """What everybody may know: the times of a secret recording would tell when it was made, and how long it is."""
+    """Return the public part: the times of a secret recording would tell when it was made, and how long it is."""
     kept = {"groundtruth": None, "recording": None if entry.recording is None else entry.name}
     return entry.model_copy(update={**kept, "time_range_s": None} if entry.secret else kept)
 
@@ -163,9 +164,6 @@ def _kitti_truth(entry: SequenceEntry, path: Path) -> dict[str, bytes]:
     return {f"{entry.name}.kitti": data, f"{entry.name}.tum": frame_trajectory(matrices)}
 
 
-logger = logging.getLogger(__name__)
-
-
 class ChallengeService:
     """Challenges.
 
@@ -199,7 +197,7 @@ class ChallengeService:
         return found
 
     def get(self, name: str) -> Challenge:
-        """What is public of a challenge; raises NotFound."""
+        """Return the public part of a challenge; raises NotFound."""
         return challenge_of(self._folder(name).definition, self._clock())
 
     def check(self, name: str, files: Mapping[str, Path], phase: str | None = None) -> list[str]:
@@ -234,9 +232,14 @@ class ChallengeService:
         found = enter(folder, open_phase(folder.definition, phase, now), entrant, files, now, share)
         return submission_of(folder.definition, found, now)
 
-    def submit_image(self, name: str, entrant: Entrant, image: Path, phase: str | None = None) -> ChallengeSubmission:
-        """Keep the archive of an image, and queue its runs; raises as :meth:`submit`."""
-        return self._submit_image(name, entrant, image, phase)
+    def submit_image(
+        self, name: str, entrant: Entrant, image: Path | StoredImage, phase: str | None = None
+    ) -> ChallengeSubmission:
+        """Keep the archive of an image, or note a version of this server, and queue its runs; raises as submit."""
+        check_writable(self._settings)
+        folder, now = self._folder(name), self._clock()
+        found = enter_image(folder, open_phase(folder.definition, phase, now), entrant, image, now)
+        return submission_of(folder.definition, found, now)
 
     def submit_version(
         self, name: str, entrant: Entrant, version: VersionRecord, phase: str | None = None
@@ -249,15 +252,7 @@ class ChallengeService:
         image = StoredImage(
             package=version.package, algorithm=chosen.name, version=version.number, identity=version.identity
         )
-        return self._submit_image(name, entrant, image, phase)
-
-    def _submit_image(
-        self, name: str, entrant: Entrant, image: Path | StoredImage, phase: str | None
-    ) -> ChallengeSubmission:
-        check_writable(self._settings)
-        folder, now = self._folder(name), self._clock()
-        found = enter_image(folder, open_phase(folder.definition, phase, now), entrant, image, now)
-        return submission_of(folder.definition, found, now)
+        return self.submit_image(name, entrant, image, phase)
 
     def check_image(self, name: str, image: Path, algorithm: str | None, phase: str | None = None) -> str:
         """A line about an archive that could be submitted; raises what :meth:`submit_image` would raise for it."""
@@ -308,7 +303,11 @@ class ChallengeService:
         """Let a phase end at another time; raises NotFound, InvalidInput, and Conflict for one that has ended."""
         folder = self._folder(name)
         found = folder.definition.phase(phase)
-        self._check_movable(found)
+        ended = phase_state(found.begins, found.ends, self._clock()) is PhaseState.ENDED
+        if ended and found.scores is Reveal.AT_END:
+            raise Conflict(
+                f"phase {found.name} has ended, and its scores are shown", "add a phase by a challenge of its own"
+            )
         if found.begins is not None and ends <= found.begins:
             raise InvalidInput(f"phase {phase} begins at {found.begins:%Y-%m-%d %H:%M %Z}", "let it end after that")
         return self._end(folder, {phase: ends})
@@ -329,13 +328,6 @@ class ChallengeService:
         made = changes.model_copy(update={"ends": {**changes.ends, **ends}})
         write_aside(folder.root / CHANGES, json.dumps(made.content, indent=1))
         return self.get(folder.root.name)
-
-    def _check_movable(self, phase: PhaseEntry) -> None:
-        ended = phase_state(phase.begins, phase.ends, self._clock()) is PhaseState.ENDED
-        if ended and phase.scores is Reveal.AT_END:
-            raise Conflict(
-                f"phase {phase.name} has ended, and its scores are shown", "add a phase by a challenge of its own"
-            )
 
     def _folder(self, name: str) -> ChallengeFolder:
         return challenge_folder(self._settings.challenges_folder, name)

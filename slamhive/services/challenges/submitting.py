@@ -35,7 +35,7 @@ _FOLDER_MODE, _FILE_MODE = 0o750, 0o640
 
 @dataclass(frozen=True, slots=True)
 class Entrant:
-    """Who submits. ``account`` is empty on the command line, and on a server without accounts."""
+    """Team that submits. ``account`` is empty on the command line, and on a server without accounts."""
 
     team: str
     account: str = ""
@@ -65,7 +65,7 @@ def open_phase(definition: Definition, asked: str | None, now: datetime) -> Phas
 
 @dataclass(frozen=True, slots=True)
 class Submitted:
-    """What is kept of a submission: an identity, facts, and what writes its files into a folder."""
+    """Kept part of a submission: an identity, facts, and a function that writes its files into a folder."""
 
     digest: str
     write: Callable[[Path], None]
@@ -152,22 +152,17 @@ def _admitted(
     folder: ChallengeFolder, phase: PhaseEntry, entrant: Entrant, digest: str, now: datetime
 ) -> SubmissionFolder | None:
     """The same submission if it was sent today; None for a new one that may be sent. Raises as :func:`enter`."""
-    _check_owner(folder, entrant)
+    if entrant.account:
+        # The first account that submits for a team keeps it; on the command line, everybody is the organiser.
+        for found in folder.submissions():
+            if found.sent.team.casefold() == entrant.team.casefold() and found.sent.account != entrant.account:
+                raise Forbidden(f"team {entrant.team} belongs to another account", "choose another name for your team")
     today = list(folder.submissions(f"{now:{DAY}}", phase))
     for found in today:
         if (found.sent.digest, found.sent.team) == (digest, entrant.team):
             return found
     _check_limit(folder.definition, phase, entrant, [found.sent for found in today])
     return None
-
-
-def _check_owner(folder: ChallengeFolder, entrant: Entrant) -> None:
-    """The first account that submits for a team keeps it; on the command line, everybody is the organiser."""
-    if not entrant.account:
-        return
-    for found in folder.submissions():
-        if found.sent.team.casefold() == entrant.team.casefold() and found.sent.account != entrant.account:
-            raise Forbidden(f"team {entrant.team} belongs to another account", "choose another name for your team")
 
 
 def _check_limit(definition: Definition, phase: PhaseEntry, entrant: Entrant, sent: Sequence[StoredSubmission]) -> None:

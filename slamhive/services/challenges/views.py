@@ -1,4 +1,4 @@
-"""What is shown of challenges and submissions. Nothing here opens the secret folder."""
+"""Public views of challenges and submissions, and the ranking. Nothing here opens the secret folder."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from slamhive.services.challenges.folder import SubmissionFolder
 
 
 def scores_shown(phase: PhaseEntry, now: datetime) -> bool:
-    """Whether the scores of a phase are shown."""
+    """Tell if the scores of a phase are shown."""
     return phase.scores is Reveal.AT_ONCE or phase_state(phase.begins, phase.ends, now) is PhaseState.ENDED
 
 
@@ -114,7 +114,7 @@ def score_of(definition: Definition, result: StoredResult) -> float:
 
 
 def weight_of(definition: Definition, result: StoredResult, sequence: str) -> float:
-    """How much a sequence weighs."""
+    """Return the weight of a sequence."""
     return result.weights[sequence] if definition.scoring.rule is Rule.POOLED else 1.0
 
 
@@ -125,7 +125,7 @@ def _state(result: StoredResult | None) -> SubmissionState:
 
 
 def _log(definition: Definition, found: SubmissionFolder, result: StoredResult | None, *, shown: bool) -> list[str]:
-    """What was done with each trajectory: facts of the submission, of the public file, and of shown values."""
+    """Describe each trajectory: facts of the submission, of the public file, and of shown values."""
     sent = found.sent
     lines = [_line(name, facts, definition.file.least_coverage) for name, facts in sent.files.items()]
     if found.cancelled:
@@ -159,8 +159,7 @@ def _line(name: str, facts: StoredFile, least: float) -> str:
     return f"{name}: {facts.poses:,} poses, {100 * facts.coverage:.1f} % of the time range{little}"
 
 
-# When results are shown. The time of an answer must not tell how long anything took.
-
+# Times of answers: they must not tell how long anything took.
 
 ANSWERS_EVERY = timedelta(minutes=1)
 """Of trajectories: how long an evaluation takes depends on both trajectories."""
@@ -174,7 +173,7 @@ def shown_at(now: datetime, every_h: int | None) -> datetime:
     return midnight + timedelta(hours=every_h * (now.hour // every_h + 1))
 
 
-# Ranks teams. All of it follows from the rounded values that are given out, so anybody can repeat it.
+# The ranking follows from the rounded values that are given out, so anybody can repeat it.
 
 
 @dataclass(frozen=True, slots=True)

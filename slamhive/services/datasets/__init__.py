@@ -1,4 +1,4 @@
-"""What can run on what: the catalogue of algorithms and datasets, and the variants of datasets."""
+"""Catalogue of algorithms and datasets, and the variants of datasets."""
 
 from __future__ import annotations
 

@@ -30,18 +30,15 @@ if TYPE_CHECKING:
     from slamhive.recordings.importing import ImportOptions, ImportPlan
     from slamhive.recordings.room import RoomOptions
 
-# Which folders hold a file, and whether any of those files has changed: what one look at a catalogue costs.
-#
-# A page looks at the catalogue several times. Listing a folder and asking for the status of each file takes a tenth
-# of the time that ``Path.glob`` takes.
-
+# Stamps tell if any file of a kind has changed. Pages look at the catalogue several times; listing a folder and asking
+# for the status of each file takes a tenth of the time that ``Path.glob`` takes.
 
 Stamp = tuple[int, int, int]
 """Time of the last change in ns, size in bytes and inode of a file: they differ once it has changed."""
 
 
 def stamp_of(path: Path | str) -> Stamp | None:
-    """What changes with a file; None if there is none, or if it cannot be reached."""
+    """Return a value that changes with the file; None if there is none, or if it cannot be reached."""
     try:
         status = os.stat(path)  # noqa: PTH116 - a Path for each would take longer than the call
     except OSError:
@@ -84,7 +81,7 @@ class BrokenEntry:
 
 @dataclass(frozen=True, slots=True)
 class PlannedImport:
-    """What an import will make: the name of the dataset, the format that was found or named, and the plan."""
+    """Plan of an import: the name of the dataset, the format that was found or named, and the work."""
 
     name: str
     format: str
@@ -273,7 +270,7 @@ class Catalogue:
         return loaded
 
     def _scan_algorithms(self) -> tuple[Sequence[Algorithm], list[BrokenEntry]]:
-        """What algorithms and broken folders there are. If no file has changed, the files are not looked into."""
+        """Find algorithms and broken folders. If no file has changed, the files are not looked into."""
         from slamhive.packages.algorithm_file import ALGORITHM_FILE, load_algorithms
         from slamhive.packages.folders import ALGORITHM_FOLDERS
 
@@ -324,7 +321,7 @@ class Catalogue:
                     yield root / name
 
     def _scan_datasets(self) -> tuple[Sequence[Dataset], list[BrokenEntry]]:
-        """As :meth:`_scan_algorithms`, of datasets."""
+        """Find datasets and broken folders, like :meth:`_scan_algorithms`."""
         from slamhive.packages.dataset_file import DATASET_FILE, load_dataset
 
         stamps = stamped(self._settings.datasets_folder, DATASET_FILE)
@@ -443,9 +440,6 @@ def choose_algorithm(store: Store, catalogue: Catalogue, name: str, setup: Senso
             f"leave out its --sensors, or say --sensors {name}={known.setup.value}",
         )
     return known
-
-
-# The numbers that the database gives to algorithms, datasets and experiments.
 
 
 def stored_numbers(store: Store) -> Numbers:

@@ -182,8 +182,7 @@ def variant_key(record: dict[str, object]) -> str | None:
     return key if isinstance(key, str) else None
 
 
-# Checks datasets, and keeps the last report beside each dataset.
-
+# Reports of checks, the last of which lies beside each dataset.
 
 REPORT_FILE = "check.json"
 

@@ -1,4 +1,4 @@
-"""What people look at in a dataset: frames, LiDAR sweeps, and the motion in its ground truth."""
+"""Views of a dataset: frames, LiDAR sweeps, and the motion in its ground truth."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class DatasetViews:
         return self._view(_key(dataset, sensor, time_s, 0), read)
 
     def motion(self, dataset: Dataset) -> MotionSummary | None:
-        """As :func:`motion_summary`, but a ground truth that has not changed is read once."""
+        """Summarise the motion like :func:`motion_summary`, but read an unchanged ground truth only once."""
         path = dataset.groundtruth_path
         try:
             status = None if path is None else path.stat()
@@ -209,8 +209,7 @@ def _after_the_end(dataset: Dataset, sensor: str, time_s: float) -> NotFound:
     )
 
 
-# Draws the ground truth of a dataset with matplotlib, for ``slamhive dataset show --plot``.
-
+# The plot of ``slamhive dataset show --plot``.
 
 _AXES = "xyz"
 _LINE, _START, _END = "#0072B2", "#009E73", "#D55E00"

@@ -1,4 +1,4 @@
-"""The current protocol of a run, whose metrics are shown: its first, until the user chooses another."""
+"""Current protocol of a run, whose metrics are shown, and the same run as published tools measure it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class CurrentProtocols:
             RunFolder(self._runs_folder / str(run_id)).write_current_protocol(fingerprint)
 
     def use_asked(self, run_ids: Iterable[int], asked: ProtocolRequest) -> None:
-        """As :meth:`use`, with the protocol that the request means for each run."""
+        """Use, for each run, the protocol that the request means, like :meth:`use`."""
         runs = self._store.read(lambda t: t.runs.get_many(run_ids))
         chosen = [(run.id, self._evaluations.protocol_of(run, asked).fingerprint) for run in runs]
         for run_id, fingerprint in chosen:
@@ -58,7 +58,7 @@ class CurrentProtocols:
         self._use_each(chosen)
 
     def make_current(self, ended: Iterable[EvaluationRecord]) -> None:
-        """As :meth:`use`, for ended evaluations; failed ones change nothing."""
+        """Use the protocols of ended evaluations, like :meth:`use`; failed ones change nothing."""
         self._use_each((entry.run_id, entry.protocol.fingerprint) for entry in ended if entry.reason is None)
 
     def _use_each(self, chosen: Iterable[tuple[int, str]]) -> None:
@@ -89,8 +89,7 @@ class CurrentProtocols:
         return [run.id for run in runs if run.protocol is not None and run.protocol.fingerprint != fingerprints[run.id]]
 
 
-# Compare the metrics of one run as computed by published tools.
-
+# Metrics of one run as published tools compute them.
 
 NOT_EVALUATED = "not evaluated"
 
@@ -146,7 +145,7 @@ class Comparisons:
         return self.of_run(self._store.read(lambda t: t.runs.get(run_id)))
 
     def of_run(self, run: RunRecord) -> list[ToolFigures]:
-        """As :meth:`of`, of a run that was just read."""
+        """Return the same as :meth:`of` for a run that was just read."""
         done = self._store.read(lambda t: t.metrics.by_protocol(run.id))
         evaluations = self._store.read(lambda t: t.evaluations.for_run(run.id))
         latest = {entry.protocol.fingerprint: entry for entry in evaluations}

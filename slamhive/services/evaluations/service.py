@@ -46,7 +46,7 @@ from slamhive.services.evaluations.protocols import ProtocolService, fitting_pro
 from slamhive.store import Store
 from slamhive.store.records import EvaluationRecord, LeaseLost, RunRecord
 
-# The files that an evaluation may read besides the two trajectories.
+logger = logging.getLogger(__name__)
 
 
 def evaluation_files(folder: RunFolder, dataset: Dataset) -> dict[str, Path]:
@@ -64,14 +64,11 @@ def evaluation_files(folder: RunFolder, dataset: Dataset) -> dict[str, Path]:
 
 
 def _is_file(path: Path) -> bool:
-    """Whether it is a regular file: an algorithm may have replaced it with a link."""
+    """Tell if it is a regular file: an algorithm may have replaced it with a link."""
     try:
         return stat.S_ISREG(path.lstat().st_mode)
     except OSError:
         return False
-
-
-# Which file of a run an evaluation reads.
 
 
 def protocols_of_all(run: RunRecord, folder: RunFolder, protocol: Protocol) -> list[Protocol]:
@@ -108,8 +105,7 @@ def _has_poses(path: Path) -> bool:
         return False
 
 
-# Temporary folders for batches of evaluations, removed even if a batch is killed.
-
+# Scratch folders of batches, removed even if a batch is killed.
 
 _PREFIX = ".evaluation-"
 
@@ -127,8 +123,6 @@ def sweep_scratch(data: Path) -> None:
     for left in data.glob(f"{_PREFIX}*"):
         sweep_folder(left)
 
-
-logger = logging.getLogger(__name__)
 
 PROTOCOL_FILE = "protocol.json"
 BATCH_SIZE = 100
@@ -417,8 +411,7 @@ def _refused(entry: EvaluationRecord, reason: str) -> EvaluationResult:
     return failed_result(EvaluationTask(str(entry.id), nowhere, None, nowhere, entry.protocol), reason, NO_ENGINE)
 
 
-# Notes of an evaluation in the run folder: why metrics are missing, and hints at mistakes.
-
+# Notes in the run folder: why metrics are missing, and hints at mistakes.
 
 _MAX_RESULT_BYTES = 1_000_000
 

@@ -1,4 +1,4 @@
-"""What the modules of this package share."""
+"""Shared parts of the experiment services: the installation as they see it, and expected durations of runs."""
 
 from __future__ import annotations
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from slamhive.services.datasets import Catalogue, VariantService
     from slamhive.services.executors import Executors
     from slamhive.store import Store
-
-# Lists and reports expand nothing. They need no steps of variants, and those load OpenCV.
 
 Progress = Callable[[int, int], None]
 """Called with the number done and the total."""
@@ -67,6 +65,7 @@ class ExperimentContext:
 
         Raises NotFound or InvalidInput naming file and line, with the reason if a folder cannot be read.
         """
+        # Lists and reports expand nothing. They need no steps of variants, and those load OpenCV.
         from slamhive.experiments.binding import CatalogueView  # noqa: PLC0415
         from slamhive.experiments.expansion import expand  # noqa: PLC0415
         from slamhive.recordings.variants.rules import RegisteredSteps  # noqa: PLC0415
@@ -97,10 +96,7 @@ class ExperimentContext:
                         raise at(axis.place, error) from None
 
 
-# How long runs take, and what lies between them: measured in this installation, else guesses.
-#
-# Plans and the time left use the same values.
-
+# Expected durations, measured in this installation, else guessed. Previews and the time left use the same values.
 
 GUESSED_START_S = 5.0
 """Starting an algorithm and writing its trajectory, in addition to the recording."""
@@ -120,7 +116,7 @@ _NINE_TENTHS = 1.645
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """The time of one run, evaluation or build.
+    """Expected time of one run, evaluation or build.
 
     ``own_s2`` is the variance from one to the next. ``common_s2`` is the variance of the mean, which all share.
     ``guessed_s`` of ``seconds`` were not measured.
@@ -133,19 +129,22 @@ class Expected:
 
     @classmethod
     def of(cls, measured: Measured) -> Expected:
-        """By measurements."""
+        """Estimate from measurements.
+
+        The assumed spread counts as one more measurement, so that a single one is not taken as exact.
+        """
         squares = (measured.n - 1) * measured.std_s**2 + (ASSUMED_SPREAD * measured.seconds) ** 2
         own_s2 = squares / measured.n
         return cls(measured.seconds, own_s2, own_s2 / measured.n)
 
     @classmethod
     def guess(cls, seconds: float) -> Expected:
-        """Without a measurement."""
+        """Estimate without a measurement."""
         return cls(seconds, guessed_s=seconds)
 
     @classmethod
     def mean(cls, groups: Sequence[tuple[int, Expected]]) -> Expected:
-        """Of one among groups of so many each."""
+        """Estimate one member of groups of so many members each."""
         count = max(1, sum(number for number, _ in groups))
         return cls(
             sum(number * each.seconds for number, each in groups) / count,
@@ -155,7 +154,7 @@ class Expected:
         )
 
     def __add__(self, other: Expected) -> Expected:
-        """One and the other."""
+        """Expect one after the other."""
         return Expected(
             self.seconds + other.seconds,
             self.own_s2 + other.own_s2,
@@ -164,7 +163,11 @@ class Expected:
         )
 
     def times(self, count: float, elapsed_s: float = 0.0) -> Amount:
-        """Of so many, of which ``elapsed_s`` have passed."""
+        """Sum up ``count`` of them, of which ``elapsed_s`` have passed.
+
+        The times vary independently (variance ``count`` * own), but all share the error of the mean (``count``² *
+        common).
+        """
         whole_s = count * self.seconds
         left_s = max(0.0, whole_s - elapsed_s)
         guessed_s = count * self.guessed_s * (left_s / whole_s) if whole_s else 0.0
@@ -185,10 +188,10 @@ class Amount:
         )
 
     def remaining(self, at_a_time: int) -> Remaining:
-        """With its interval, for so many runs at a time.
+        """Return the time with its interval, which holds nine tenths, for ``at_a_time`` runs at a time.
 
-        The logarithm of what was measured is taken as normal: a time is never negative, and long ones are more frequent
-        than as short ones.
+        The logarithm of the measured part is taken as normal, because times are never negative and skewed to the long
+        side. With the variation c = std / mean, its standard deviation is sqrt(ln(1 + c²)).
         """
         known_s = self.seconds - self.guessed_s
         factor = 1.0
@@ -203,7 +206,7 @@ class Amount:
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """What is added to the runs themselves: overhead of the worker for each, an evaluation, building a package."""
+    """Times added to the runs themselves: the worker's overhead for each, an evaluation, the build of a package."""
 
     overhead: Expected
     evaluation: Expected
@@ -211,7 +214,7 @@ class Costs:
 
     @classmethod
     def look(cls, t: Transaction) -> Costs:
-        """What was measured in this installation; guesses for what was not."""
+        """Return the measurements of this installation, or guesses."""
         return cls(
             overhead=_or(t.durations.overhead(), GUESSED_OVERHEAD_S),
             evaluation=_or(t.durations.evaluation(), GUESSED_EVALUATION_S),

@@ -47,9 +47,15 @@ def convert_published(
 def _algorithm(
     combination: Combination, algorithms: Mapping[str, Algorithm], meanings: Mapping[str, str], notes: list[str]
 ) -> Algorithm:
-    """What the published algorithm is here: as the user says, by its own name, or by the name of the package here."""
+    """Find the published algorithm here: as the user says, by its own name, or by the name of the package here.
+
+    The packages here are called ``orb-slam3-stereo`` for ``orb-slam3-ros-stereo``, ``vins-fusion-mono-inertial`` for
+    ``vins-fusion-mono-imu``.
+    """
     published = combination.algorithm
-    name = meanings.get(published) or (published if published in algorithms else _name_here(published))
+    name = meanings.get(published) or (
+        published if published in algorithms else published.replace("-ros", "").replace("-imu", "-inertial")
+    )
     if name in algorithms:
         if name != published and published not in meanings:
             notes.append(f"the algorithm {published} is {name} here; another one: --id {published}=NAME")
@@ -62,13 +68,8 @@ def _algorithm(
     )
 
 
-def _name_here(published: str) -> str:
-    """``orb-slam3-stereo`` for ``orb-slam3-ros-stereo``, ``vins-fusion-mono-inertial`` for ``vins-fusion-mono-imu``."""
-    return published.replace("-ros", "").replace("-imu", "-inertial")
-
-
 def _dataset(combination: Combination, datasets: Collection[str], meanings: Mapping[str, str], notes: list[str]) -> str:
-    """What the dataset is called here; its own name if it is not here yet."""
+    """Return the name of the dataset here; its own name if it is not here yet."""
     published = combination.dataset
     name = meanings.get(published, published)
     if name in datasets:

@@ -23,7 +23,7 @@ LOCK = ".lock"
 
 
 class StoredExperiment(Document):
-    """``experiment.json``: what is stored of an experiment besides its source."""
+    """Content of ``experiment.json``: everything about an experiment except its source."""
 
     uid: str
     name: str
@@ -88,7 +88,7 @@ class ExperimentFolder:
         write_aside(self.root / RECORD, stored.text)
 
     def read(self) -> StoredExperiment | None:
-        """What :meth:`write` stored; None if there is nothing; raises InvalidInput if it cannot be read."""
+        """Read the stored experiment; None if there is none; raises InvalidInput if it cannot be read."""
         path = self.root / RECORD
         if not path.exists():
             return None

@@ -1,4 +1,4 @@
-"""Preview of an experiment: number of runs, time and disk space. Nothing is stored."""
+"""Preview of an experiment: runs, time, disk space, and everything that would keep it from running. Stores nothing."""
 
 from __future__ import annotations
 
@@ -36,14 +36,11 @@ from slamhive.services.versions import check_version
 from slamhive.store.durations import Pairing
 from slamhive.store.records import KnownConfiguration
 
-# Checks before an experiment is stored: everything that would keep it from running.
-
-
 UNMEASURED_RUN_BYTES = 500_000
 """The assumed size of a run folder if none was measured: log, samples, trajectory and plots of one minute."""
 
 UNMEASURED_BYTES_PER_S = 100_000_000.0
-"""Of a recording, read while a variant of it is made, as long as none was: what a slow disk takes up."""
+"""The assumed speed of reading a recording for a variant if none was measured: that of a slow disk."""
 
 _MEASURED_RUNS = 20
 _ANY_DATASET = ""
@@ -128,7 +125,7 @@ def find_disk_space(context: ExperimentContext, expansion: Expansion, executor: 
                 needs.append(VariantNeed(name, variant, plan.key, plan.needed_bytes, make_s, plan.key in made))
     return DiskSpace(
         variants=tuple(needs),
-        run_bytes=expansion.size.runs * _bytes_of_a_run(context),
+        run_bytes=expansion.size.runs * _mean_run_bytes(context),
         free_bytes=shutil.disk_usage(context.settings.data).free,
         unused_bytes=sum(entry.size_bytes for entry in entries if not entry.in_use),
         cache_bytes=context.settings.variant_cache_bytes,
@@ -139,7 +136,7 @@ def find_disk_space(context: ExperimentContext, expansion: Expansion, executor: 
 def disk_space_problems(
     context: ExperimentContext, experiment: Experiment, space: DiskSpace
 ) -> Iterator[SlamHiveError]:
-    """What does not fit even if all unused variants are removed; runs on the same variant follow each other."""
+    """Yield what does not fit even if all unused variants are removed; runs on the same variant follow each other."""
     try:
         check_disk(context.settings)
     except Unavailable as error:
@@ -181,8 +178,8 @@ def _speeds(entries: Sequence[VariantEntry]) -> dict[str, float]:
     return {_ANY_DATASET: UNMEASURED_BYTES_PER_S} | {name: median(speeds) for name, speeds in known.items()}
 
 
-def _bytes_of_a_run(context: ExperimentContext) -> int:
-    """The mean size of the latest run folders, in bytes."""
+def _mean_run_bytes(context: ExperimentContext) -> int:
+    """Return the mean size of the latest run folders, in bytes."""
     numbered = (entry for entry in context.settings.runs_folder.iterdir() if entry.name.isdigit())
     latest = nlargest(_MEASURED_RUNS, numbered, key=lambda entry: int(entry.name))
     sizes = [folder_bytes(folder) for folder in latest]
@@ -191,9 +188,6 @@ def _bytes_of_a_run(context: ExperimentContext) -> int:
 
 def _mb(count: int) -> str:
     return f"{count / 1e6:,.0f} MB"
-
-
-# How long planned runs take on one machine or on the nodes of a cluster, and what data each node gets.
 
 
 NODE_BYTES_PER_S = 100_000_000.0
@@ -246,7 +240,7 @@ def _moved_bytes(data: Sequence[Data], data_bytes: Mapping[Data, int], recording
 
 
 def bytes_of_data(expansion: Expansion, space: DiskSpace) -> dict[Data, int]:
-    """What a node gets for each dataset and variant that runs read; of variants the most that they can have."""
+    """Return the bytes that a node gets for each dataset and variant; of a variant, the most that it can have."""
     moved = () if space.variants_elsewhere else space.variants
     sizes: dict[Data, int] = {(need.dataset, need.variant): need.needed_bytes for need in moved}
     for dataset in {dataset.name: dataset for _, dataset in expansion.pairs}.values():
@@ -311,12 +305,16 @@ def preview(
     refusals = [str(error) for error in disk_space_problems(context, experiment, space)]
     if executor is not None:
         refusals += [str(error) for error in pair_problems(context, experiment, expansion, executor)]
-    between_s, builds_s = _beside_runs_s(context, experiment, expansion)
+    costs, built = context.store.read(lambda t: (Costs.look(t), t.durations.built()))
+    between_s = costs.overhead.seconds + (costs.evaluation.seconds if experiment.evaluation.enabled else 0.0)
+    builds_s = costs.build.seconds * len({algorithm.package.name for algorithm, _ in expansion.pairs} - built)
     sums = _sum_up(context, expansion, progress, between_s)
     cluster = None
     if nodes is not None:
         moved = bytes_of_data(expansion, space)
         cluster = sums.work.on_nodes(nodes, moved, recordings_only=space.variants_elsewhere)
+    text = unwatchable(experiment.stop_when, (algorithm for algorithm, _ in expansion.pairs))
+    unseen = () if text is None else (f"stop_when: {text}",)
     slots = nodes or context.settings.worker_slots
     runs_s = sums.work.total_s / slots if cluster is None else cluster.time_s
     return ExperimentPreview(
@@ -340,7 +338,7 @@ def preview(
         variant_bytes=space.variant_bytes,
         run_bytes=space.run_bytes,
         free_bytes=space.free_bytes,
-        warnings=(*_unseen(experiment, expansion), *_defaults(expansion, sums.first), *warnings(space)),
+        warnings=(*unseen, *_defaults(expansion, sums.first), *warnings(space)),
         refusals=tuple(refusals),
         standing=standing,
         repeat_disturbed=experiment.repeat_disturbed,
@@ -348,22 +346,8 @@ def preview(
     )
 
 
-def _beside_runs_s(context: ExperimentContext, experiment: Experiment, expansion: Expansion) -> tuple[float, float]:
-    """What is added to each run, and the builds of all packages that were never built here."""
-    costs, built = context.store.read(lambda t: (Costs.look(t), t.durations.built()))
-    packages = {algorithm.package.name for algorithm, _ in expansion.pairs}
-    between_s = costs.overhead.seconds + (costs.evaluation.seconds if experiment.evaluation.enabled else 0.0)
-    return between_s, costs.build.seconds * len(packages - built)
-
-
-def _unseen(experiment: Experiment, expansion: Expansion) -> Iterator[str]:
-    text = unwatchable(experiment.stop_when, (algorithm for algorithm, _ in expansion.pairs))
-    if text is not None:
-        yield f"stop_when: {text}"
-
-
 def _defaults(expansion: Expansion, first: Mapping[Pair, Configuration]) -> Iterator[str]:
-    """What of the calibration is missing, and which default of the package is taken; one line for an algorithm."""
+    """Yield one line for each algorithm whose calibration is incomplete, with the defaults of the package it takes."""
     found: dict[tuple[str, str], list[str]] = {}
     for algorithm, dataset in expansion.pairs:
         configuration = first.get((algorithm.name, dataset.name))

@@ -1,4 +1,4 @@
-"""The progress of experiments: counts, time left and cells."""
+"""Progress of experiments: the time left, counts of runs, cells, and the grid over two axes."""
 
 from __future__ import annotations
 
@@ -34,21 +34,18 @@ from slamhive.services.experiments.views import (
     failure_of,
 )
 from slamhive.store import Transaction
-from slamhive.store.durations import ActiveRun, Pairing, Unfinished
+from slamhive.store.durations import ActiveRun
 from slamhive.store.records import CellRecord, CellRun, ExperimentRecord, ExperimentState, StateCount
-
-# How long the rest of an experiment will take: builds, runs, what lies between them, and evaluations.
-
 
 MANY_RUNS = 5000
 """From this many waiting runs on, the means are kept for a while: they change slowly and cost a look at each run."""
 KEPT_S = 60.0
 _OVERDUE = 4 / 3
-"""What has taken longer than expected is expected to take so many times what it has taken."""
+"""A run or build that has taken longer than expected is expected to take this many times what it has taken so far."""
 
 
 class Left(NamedTuple):
-    """The time until everything has ended, and in words what happens now."""
+    """Time until everything has ended, and what happens now in words."""
 
     time: Remaining
     phase: str
@@ -56,7 +53,11 @@ class Left(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Means:
-    """``of_run``: of the runs that have not ended, from claim to end. Without ``measured``, none like them ran."""
+    """Mean times per run, evaluation and build of one experiment.
+
+    ``of_run`` is the mean of the runs that have not ended, from claim to end. ``measured``: runs like them have run.
+    ``unbuilt`` are the packages without an image yet. ``evaluated_fraction`` of the waiting runs will be evaluated.
+    """
 
     of_run: Expected
     of_evaluation: Expected
@@ -68,9 +69,15 @@ class _Means:
 
 
 class TimeLeft:
-    """Estimates from the runs of the experiment itself, else from other runs, else from the recordings' durations.
+    """Estimate of the time left, from runs of the experiment itself, else other runs, else the recordings' durations.
 
-    Several threads may use it.
+    With the means B of a build, R of a run and E of an evaluation::
+
+        work = (unbuilt * B - passed) + (waiting * R - passed) + (open + waiting * evaluated_fraction) * E
+        time = work / min(slots, max(waiting, open))
+
+    ``passed`` is what the builds and runs under way have already done of their expected time. The interval follows from
+    the variances (:class:`Expected`, :class:`Amount`). Thread-safe.
 
     Args:
         slots: Runs at a time.
@@ -84,7 +91,7 @@ class TimeLeft:
         self._means: dict[int, _Means] = {}
 
     def of(self, t: Transaction, record: ExperimentRecord, waiting: int) -> Left:
-        """Until the ``waiting`` runs of the experiment have ended, and all its runs are evaluated."""
+        """Estimate the time until the ``waiting`` runs have ended and all runs of the experiment are evaluated."""
         evaluations = t.durations.open_evaluations(record.id)
         if not waiting and not evaluations:
             return Left(Remaining(0.0, 0.0, 0.0), "")
@@ -92,6 +99,7 @@ class TimeLeft:
         active = t.durations.active(record.id)
         building = {run.package: run for run in active if _builds(run, means)}
         running = [run for run in active if not _builds(run, means)]
+        # A guess grows with what contradicts it: a build or run under way that takes longer. Measured means stay.
         of_build = self._no_less(means.of_build, building.values())
         of_run = means.of_run if means.measured else self._no_less(means.of_run, running)
         built_s = sum(self._passed_s(building.get(name), of_build.seconds) for name in means.unbuilt)
@@ -101,20 +109,23 @@ class TimeLeft:
             + of_run.times(waiting, ran_s)
             + means.of_evaluation.times(evaluations + waiting * means.evaluated_fraction)
         )
+        # Fewer things left than slots: the others stay idle.
         time = amount.remaining(min(self._slots, max(waiting, evaluations)))
         measured = means.measured if waiting else not means.of_evaluation.guessed_s
-        phase = _phase(active, tuple(building), evaluations) or _waiting(record.cpu_model)
+        bound = f", runs stay on {record.cpu_model}" if record.cpu_model else ""
+        phase = _phase(active, tuple(building), evaluations) or f"waiting for a worker{bound}"
         return Left(time if measured else Remaining(time.seconds), phase)
 
     def _no_less(self, expected: Expected, under_way: Iterable[ActiveRun]) -> Expected:
-        """A guess that is no less than what takes longest now will take; what was measured stays."""
+        """Raise a guess to what the longest of ``under_way`` is expected to take; leave a measured mean alone."""
         longest_s = max((_OVERDUE * self._elapsed_s(run) for run in under_way), default=0.0)
         return Expected.guess(longest_s) if expected.guessed_s and longest_s > expected.seconds else expected
 
     def _passed_s(self, run: ActiveRun | None, expected_s: float) -> float:
-        """How much of the expected time has passed; less than nothing of one that takes longer than expected.
+        """Return the part of the expected time that has passed; negative if the run takes much longer than expected.
 
-        Such a run is taken to need a third of its time again: the longer it has taken, the further is its end.
+        What remains is max(expected - elapsed, elapsed / 3): an overdue run is taken to need a third of its time
+        again, as its end moves away the longer it takes.
         """
         elapsed_s = 0.0 if run is None else self._elapsed_s(run)
         return expected_s - max(expected_s - elapsed_s, (_OVERDUE - 1) * elapsed_s)
@@ -132,7 +143,15 @@ class TimeLeft:
         waiting = t.durations.unfinished(experiment_id)
         runs = max(1, sum(count.runs for count in waiting.values()))
         costs = Costs.look(t)
-        expected = _expected(t, experiment_id, waiting)
+        own, others = t.durations.of_pairings(experiment_id), t.durations.of_pairings()
+        recordings_s = {dataset.name: dataset.duration_s for dataset in t.catalogue.datasets()}
+        expected = []
+        for pairing, count in waiting.items():
+            measured = own.get(pairing, others.get(pairing))
+            if measured is None:
+                expected.append((count.runs, Expected.guess(guessed_duration_s(pairing, recordings_s[pairing[1]]))))
+            else:
+                expected.append((count.runs, Expected.of(measured)))
         means = _Means(
             of_run=Expected.mean(expected) + costs.overhead,
             of_evaluation=costs.evaluation,
@@ -152,7 +171,7 @@ def _builds(run: ActiveRun, means: _Means) -> bool:
 
 
 def _phase(active: Sequence[ActiveRun], building: Sequence[str], evaluations: int) -> str:
-    """What happens now: ``building aloam, 2 runs under way, 3 evaluations to do``; empty for nothing."""
+    """Say what happens now: ``building aloam, 2 runs under way, 3 evaluations to do``; empty for nothing."""
     under_way = [run for run in active if run.state is not RunState.PREPARING]
     preparing = len(active) - len(under_way) - len(building)
     parts = [f"building {', '.join(building)}"] if building else []
@@ -160,24 +179,6 @@ def _phase(active: Sequence[ActiveRun], building: Sequence[str], evaluations: in
     parts += [f"{plural(len(under_way), 'run')} under way"] if under_way else []
     parts += [f"{plural(evaluations, 'evaluation')} to do"] if evaluations else []
     return ", ".join(parts)
-
-
-def _waiting(cpu_model: str | None) -> str:
-    return f"waiting for a worker, runs stay on {cpu_model}" if cpu_model else "waiting for a worker"
-
-
-def _expected(t: Transaction, experiment_id: int, waiting: Mapping[Pairing, Unfinished]) -> list[tuple[int, Expected]]:
-    """How many runs have not ended, and how long each takes from start to end, by what they run on what."""
-    own, others = t.durations.of_pairings(experiment_id), t.durations.of_pairings()
-    recordings_s = {dataset.name: dataset.duration_s for dataset in t.catalogue.datasets()}
-    found = []
-    for pairing, count in waiting.items():
-        measured = own.get(pairing, others.get(pairing))
-        if measured is None:
-            found.append((count.runs, Expected.guess(guessed_duration_s(pairing, recordings_s[pairing[1]]))))
-        else:
-            found.append((count.runs, Expected.of(measured)))
-    return found
 
 
 METRICS = ("ate.rmse", "tracked_fraction", "cpu.mean", "ram.max", "duration")
@@ -260,7 +261,7 @@ def standing_of(record: ExperimentRecord, counts: Mapping[Phase, int]) -> Config
 
 
 def is_failing(t: Transaction, found: ExperimentStatus, wanted: int) -> bool:
-    """Whether the last ``wanted`` runs of an experiment that goes on have all failed; never if that is 0."""
+    """Tell if the last ``wanted`` runs of an experiment that goes on have all failed; never if that is 0."""
     if (
         not wanted
         or found.counts[Phase.FAILED] < wanted
@@ -271,9 +272,6 @@ def is_failing(t: Transaction, found: ExperimentStatus, wanted: int) -> bool:
     return len(ends) == wanted and all(ends)
 
 
-# -- cells -----------------------------------------------------------------------------------------------------------
-
-
 def cell_page(t: Transaction, name: str, after: int, limit: int) -> CellPage:
     """The next ``limit`` cells after number ``after``; raises NotFound and InvalidInput."""
     if not 1 <= limit <= LARGEST_PAGE:
@@ -282,7 +280,11 @@ def cell_page(t: Transaction, name: str, after: int, limit: int) -> CellPage:
     found = t.experiments.cells(record.id, after, limit + 1)
     shown = found[:limit]
     more = shown[-1].number if len(found) > limit else None
-    return CellPage(tuple(_with_runs(t, record.id, shown)), record.cells, more)
+    runs: dict[int, list[CellRun]] = defaultdict(list)
+    if shown:
+        for run in t.experiments.cell_runs(record.id, shown[0].number, shown[-1].number, METRICS):
+            runs[run.cell].append(run)
+    return CellPage(tuple(_cell(cell, runs[cell.number]) for cell in shown), record.cells, more)
 
 
 def all_cells(context: ExperimentContext, name: str) -> Iterator[Cell]:
@@ -292,16 +294,6 @@ def all_cells(context: ExperimentContext, name: str) -> Iterator[Cell]:
         page = context.store.read(lambda t, after=after: cell_page(t, name, after, _MANY))  # type: ignore[misc]
         yield from page.cells
         after = page.next_number
-
-
-def _with_runs(t: Transaction, experiment_id: int, cells: Sequence[CellRecord]) -> Iterator[Cell]:
-    if not cells:
-        return
-    runs: dict[int, list[CellRun]] = defaultdict(list)
-    for run in t.experiments.cell_runs(experiment_id, cells[0].number, cells[-1].number, METRICS):
-        runs[run.cell].append(run)
-    for cell in cells:
-        yield _cell(cell, runs[cell.number])
 
 
 def _cell(cell: CellRecord, runs: Sequence[CellRun]) -> Cell:
@@ -355,9 +347,6 @@ def spread(values: Sequence[float]) -> MetricSpread:
     return MetricSpread(len(values), fmean(values), median(values), stdev(values) if len(values) > 1 else None)
 
 
-# The axis values of an experiment's cells, as arrays that are read once: cells never change.
-
-
 MOST_TABLES = 8
 """Kept in memory; one of 100,000 cells and 10 axes takes 5 MB."""
 
@@ -369,7 +358,7 @@ CellCounts = Mapping[int, Sequence[StateCount]]
 
 @dataclass(frozen=True, slots=True)
 class AxisTable:
-    """The cells of an experiment by axis.
+    """Axis values of the cells of an experiment, as arrays that are read once: cells never change.
 
     ``numbers`` and ``configurations``, shape (n,), are the ascending cell numbers and their configurations. For each
     axis, ``values`` holds its values in order of appearance; the last is None if the axis does not apply to some cells.

@@ -1,4 +1,4 @@
-"""The configurations of an experiment in order, the best first, separately for each dataset."""
+"""Results of an experiment: the ranking of its configurations on each dataset, and the report as CSV."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class _Entry:
 
 
 def rankings(t: Transaction, record: ExperimentRecord, table: AxisTable) -> list[Ranking]:
-    """Those of the first datasets, without datasets on which no run has ended."""
+    """Rank the configurations, the best first, on each of the first datasets on which a run has ended."""
     names = table.values.get("dataset", ())
     codes = table.codes.get("dataset")
     if codes is None:
@@ -166,15 +166,12 @@ def _places(order: Iterable[_Entry]) -> dict[int, int | None]:
 
 
 def _differ(first: CellSample | None, second: CellSample | None) -> bool:
-    """Whether Welch's test separates the means."""
+    """Tell if Welch's test separates the means."""
     from slamhive.analysis.statistics import means_differ  # noqa: PLC0415 - loads scipy, for repeats only
 
     if first is None or second is None:
         return True
     return means_differ((first.n, first.mean, first.variance), (second.n, second.mean, second.variance))
-
-
-# The report of an experiment as a table: one row for each cell and protocol.
 
 
 NO_FIGURES = CellFigures(None, 0, 0, {})

@@ -116,7 +116,7 @@ class ExperimentService:
         return self._context.store.read(statuses.all_statuses)
 
     def is_failing(self, found: ExperimentStatus) -> bool:
-        """Whether the latest runs of an experiment that goes on have all failed (NOTIFY_FAILURES)."""
+        """Tell if the latest runs of an experiment that goes on have all failed (NOTIFY_FAILURES)."""
         wanted = self._context.settings.notify_failures
         return self._context.store.read(lambda t: statuses.is_failing(t, found, wanted))
 

@@ -1,4 +1,8 @@
-"""Start an experiment, complete an interrupted start, or add repeats: check first, then store."""
+"""Store experiments: start, complete an interrupted start, add repeats, change the state, restore from folders.
+
+Everything is checked before anything is stored. Cells and runs are stored in chunks, one transaction each; their ids
+follow from the experiment, so a second call completes a first that was interrupted.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ from datetime import datetime
 from slamhive.base.clock import utc_now
 from slamhive.base.errors import Conflict, InvalidInput, SlamHiveError
 from slamhive.documents.submission import MAX_REPEATS
-from slamhive.domain.accounts import Sharing, Visibility
+from slamhive.domain.accounts import Visibility
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.placement import run_affinity
 from slamhive.domain.protocol import Protocol
@@ -35,13 +39,13 @@ from slamhive.store import Transaction
 from slamhive.store.records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration, RunRequest
 from slamhive.store.same_cpu import NOT_KNOWN
 
-# Store an experiment: cells and runs in chunks, one transaction each; a second call completes the first.
-
-
 logger = logging.getLogger(__name__)
+
+WHY_CANCELLED = "cancelled with its experiment"
 
 CHUNK = 2000
 """Runs in one transaction, which may block a worker of the same SQLite file for at most a second."""
+_RETRIED_AT_ONCE = 500
 
 
 def put_experiment(
@@ -69,7 +73,7 @@ def put_experiment(
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Ids of algorithms (by label) and datasets, the protocol of each pair, and whether only cells are stored."""
+    """Ids of algorithms (by label) and datasets, the protocol of each pair, and if only cells are stored."""
 
     algorithms: Mapping[str, tuple[int, Algorithm]]
     datasets: Mapping[str, int]
@@ -140,7 +144,14 @@ def _store(
                 f"experiment {record.name}: {head.name} is another configuration now than the one stored",
                 "algorithm.yaml or dataset.yaml has changed since; start the file under another name",
             )
-    ids = [found for found, _ in t.configurations.get_or_create_many([_new_rows(head, rows) for head in heads], now)]
+    wanted = []
+    for head in heads:
+        algorithm_id, algorithm = rows.algorithms[head.configuration.algorithm_label]
+        dataset_id = rows.datasets[head.configuration.dataset]
+        wanted.append(
+            NewConfiguration(head.configuration, head.content_hash, algorithm_id, dataset_id, algorithm.parameters)
+        )
+    ids = [found for found, _ in t.configurations.get_or_create_many(wanted, now)]
     t.experiments.add_cells(
         record.id,
         [
@@ -158,12 +169,6 @@ def _store(
         for request in _requests(record, experiment, rows, cell, configuration_id, held=held)
     ]
     t.runs.add_runs(requests, now, deleted_too=False)
-
-
-def _new_rows(head: PlannedRun, rows: _Rows) -> NewConfiguration:
-    algorithm_id, algorithm = rows.algorithms[head.configuration.algorithm_label]
-    dataset_id = rows.datasets[head.configuration.dataset]
-    return NewConfiguration(head.configuration, head.content_hash, algorithm_id, dataset_id, algorithm.parameters)
 
 
 def _requests(
@@ -197,13 +202,6 @@ def _requests(
             stop_when=experiment.stop_when,
             repeat_disturbed=experiment.repeat_disturbed,
         )
-
-
-# Changes of a stored experiment: pause, resume, cancel, retry failed runs.
-
-
-WHY_CANCELLED = "cancelled with its experiment"
-_AT_ONCE = 500
 
 
 @contextmanager
@@ -244,8 +242,8 @@ def retry_failed(context: ExperimentContext, name: str) -> int:
     """Queue a new run for each failed one; returns their number."""
     with changing(context, name) as record:
         failed = context.store.read(lambda t: t.experiments.failed(record.id))
-        for begin in range(0, len(failed), _AT_ONCE):
-            part, now = failed[begin : begin + _AT_ONCE], utc_now()
+        for begin in range(0, len(failed), _RETRIED_AT_ONCE):
+            part, now = failed[begin : begin + _RETRIED_AT_ONCE], utc_now()
             context.store.write(lambda t, part=part, now=now: _retry(t, part, now))  # type: ignore[misc]
     return len(failed)
 
@@ -276,7 +274,17 @@ def start(
     if known is None:
         chosen = context.executors.choose(executor or experiment.executor)
         maker = context.store.maker
-        known = _new(experiment, chosen, Sharing(maker.owner, visibility or maker.visibility))
+        known = StoredExperiment(
+            uid=uuid.uuid4().hex,
+            name=experiment.name,
+            content_hash=experiment.content_hash,
+            state=ExperimentState.ACTIVE,
+            executor=chosen,
+            repeats=experiment.repeats,
+            created_at=utc_now(),
+            owner=maker.owner,
+            visibility=visibility or maker.visibility,
+        )
     elif not experiment.has_hash(known.content_hash):
         raise Conflict(
             f"{folder.root} holds another experiment of this name, which the database does not know",
@@ -285,7 +293,11 @@ def start(
     repeated = replace(experiment, repeats=known.repeats)
     expansion = _checked(context, repeated, known.executor)
     with folder.locked():
-        known = _settled(folder, known, source)
+        found = folder.read()
+        if found is not None and found.content_hash == known.content_hash:
+            known = found  # another process has stored the same experiment first
+        else:
+            folder.write(known, source.text)
         size = expansion.size
         stored = put_experiment(context, known, source.text, repeated, cells=size.configurations, runs=size.runs)
         fill(context, stored, repeated, expansion, progress)
@@ -298,7 +310,7 @@ def check_same(
     """Raise Conflict unless the stored experiment has the same content as the file and was not cancelled."""
     if not experiment.has_hash(record.content_hash):
         raise Conflict(
-            f"{experiment.place}: an experiment called {record.name} is there already and states something else",
+            f"{experiment.place}: experiment {record.name} exists already with other content",
             "choose another name; add-repeats runs the same one more often",
         )
     if record.state is ExperimentState.CANCELLED:
@@ -339,32 +351,6 @@ def _checked(context: ExperimentContext, experiment: Experiment, executor: str) 
     return expansion
 
 
-def _new(experiment: Experiment, executor: str, maker: Sharing) -> StoredExperiment:
-    return StoredExperiment(
-        uid=uuid.uuid4().hex,
-        name=experiment.name,
-        content_hash=experiment.content_hash,
-        state=ExperimentState.ACTIVE,
-        executor=executor,
-        repeats=experiment.repeats,
-        created_at=utc_now(),
-        owner=maker.owner,
-        visibility=maker.visibility,
-    )
-
-
-def _settled(folder: ExperimentFolder, known: StoredExperiment, source: ExperimentSource) -> StoredExperiment:
-    """What is on disk, if another process has stored the same experiment first; else stores ``known``."""
-    found = folder.read()
-    if found is not None and found.content_hash == known.content_hash:
-        return found
-    folder.write(known, source.text)
-    return known
-
-
-# Restore experiments from their folders: rows before the runs are filed, cells and waiting runs after that.
-
-
 @dataclass(frozen=True, slots=True)
 class Restored:
     """A restored experiment: the number of runs queued again, and the problem if it is incomplete."""
@@ -375,7 +361,7 @@ class Restored:
 
 
 def restore_rows(context: ExperimentContext) -> Iterator[Restored]:
-    """Add or update the row of each experiment from its folder."""
+    """Add or update the row of each experiment from its folder, before the runs are filed."""
     for folder in sorted(experiment_folders(context.settings.experiments_folder), key=_first_stored):
         try:
             stored, source = folder.read(), folder.source()
@@ -397,7 +383,7 @@ def restore_rows(context: ExperimentContext) -> Iterator[Restored]:
 
 
 def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
-    """Store the cells, and queue all runs without a folder, unless the experiment was cancelled."""
+    """Store the cells and queue all runs without a folder, after the others are filed; none of a cancelled one."""
     for record in context.store.read(lambda t: t.experiments.all()):
         if record.complete:
             _follow(context, record)

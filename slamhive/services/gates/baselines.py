@@ -1,4 +1,4 @@
-"""Baselines: files that hold the values of runs, frozen at one time."""
+"""Baselines: files that hold the values of runs, frozen at one time, and the runs to compare with them."""
 
 from __future__ import annotations
 
@@ -27,8 +27,6 @@ from slamhive.services.datasets import check_writable
 from slamhive.services.searches import Searches
 from slamhive.store import RunRecord, Store, Transaction
 from slamhive.store.metrics import VERDICT, kind_of
-
-# The values of runs under one protocol, as baselines hold them and checks compare them.
 
 
 def measured_runs(t: Transaction, runs: Sequence[RunRecord], fingerprint: str) -> dict[int, MeasuredRun]:
@@ -73,15 +71,14 @@ def _can_become_worse(key: str) -> bool:
     return metric.direction is not Direction.NEUTRAL
 
 
-# Which configuration of a baseline a run belongs to. The version of the package is what may differ.
-
+# Matching runs with configurations of a baseline. The version of the package may differ.
 
 _ALIKE = ("algorithm", "dataset", "playback", "variant", "sensors")
 _MOST_NAMED = 3
 
 
 def pairing_key(content: ConfigurationContent) -> str:
-    """What configurations that differ in their version alone have in common."""
+    """Common part of configurations that differ in their version alone."""
     return replace(content.configuration, version=None).content_hash
 
 
@@ -107,7 +104,7 @@ def find_pair(
 
 
 def _alike(held: ConfigurationContent, found: ConfigurationContent) -> bool:
-    """Whether all but the parameters is equal."""
+    """Tell if all but the parameters is equal."""
     maps = [None if entry.map is None else entry.map.content for entry in (held, found)]
     return maps[0] == maps[1] and all(getattr(held, name) == getattr(found, name) for name in _ALIKE)
 
@@ -314,15 +311,14 @@ def frozen_configuration(
     )
 
 
-# The runs that a gate checks, beside those of the baseline.
-
+# Pairing runs to check with those of the baseline.
 
 _CANDIDATES_MOST_NAMED = 10
 
 
 @dataclass(frozen=True, slots=True)
 class GateCheck:
-    """What is compared with what.
+    """Pairs of configurations to compare.
 
     Attributes:
         baseline: The runs to compare with.

@@ -33,8 +33,7 @@ from slamhive.domain.names import plural
 from slamhive.services.gates.baselines import GateCheck, RunPair
 from slamhive.services.gates.service import Gates
 
-# What limits the answer of a gate: few runs, other machines, disturbed runs.
-
+# Remarks on an answer: few runs, other machines, disturbed runs.
 
 _MEASURED = "CPU, memory and latency"
 
@@ -93,6 +92,11 @@ def answer_of(
         looks: The number of this look.
     """
     metrics = compared(check, pairs, significance)
+    without = [
+        f"No good run to check has a value of {metric.label}."
+        for metric in metrics
+        if all(entry.candidate is None for entry in metric.configurations)
+    ]
     missing = tuple(name for name in check.baseline.names if name not in {pair.words for pair in pairs})
     answers = [entry.answer for entry in metrics]
     answer = Answer.over([*answers, Answer.UNDECIDED] if missing and not check.partial else answers)
@@ -105,7 +109,7 @@ def answer_of(
         metrics=tuple(metrics),
         configurations=tuple(map(_configuration, pairs)),
         missing=missing,
-        notes=(*notes, *remarks(pairs, significance), *_without_values(metrics)),
+        notes=(*notes, *remarks(pairs, significance), *without),
     )
 
 
@@ -234,12 +238,6 @@ def _configuration(pair: RunPair) -> GateConfiguration:
     )
 
 
-def _without_values(metrics: Sequence[GateMetric]) -> Iterator[str]:
-    for metric in metrics:
-        if all(entry.candidate is None for entry in metric.configurations):
-            yield f"No good run to check has a value of {metric.label}."
-
-
 def _words(answer: Answer, metrics: Sequence[GateMetric], missing: Sequence[str]) -> str:
     """The answer in one sentence."""
     if answer is Answer.PASS:
@@ -258,12 +256,12 @@ def _open_questions(metrics: Sequence[GateMetric], missing: Sequence[str]) -> It
         yield f"The baseline has {plural(len(missing), 'configuration')} without runs to check."
 
 
-# Runs of a gate, repeated until it can decide or its budget is spent.
+# Repeating runs until the gate can decide or its budget is spent.
 
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """How runs are repeated: ``first`` of each configuration, then more within ``budget``; None: no more."""
+    """Rule for repeating runs: ``first`` of each configuration, then more within ``budget``; None: no more."""
 
     first: int
     budget: GateBudget | None = None

@@ -83,10 +83,6 @@ class Gates:
         baseline = self.baselines.get(reference)
         return GateCheck(baseline, chosen_margins(margins, baseline.measured), frozenset(ignored), partial)
 
-    def find(self, where: str) -> list[int]:
-        """The runs that match a filter; raises FilterError."""
-        return self._searches.find(where)
-
     def lacking(self, check: GateCheck, run_ids: Sequence[int]) -> dict[Protocol, list[int]]:
         """{protocol of the baseline: runs that were not evaluated under it}; raises as :meth:`answer`."""
         return self._store.read(lambda t: lacking(t, check, pair_runs(check, t.runs.get_many(run_ids))))
@@ -105,7 +101,7 @@ class Gates:
         return answer_of(check, pairs, paired.notes, significance, looks)
 
     def reruns(self, check: GateCheck, algorithms: Sequence[str], executor: str | None = None) -> list[Rerun]:
-        """What to run again for these algorithms, ``NAME`` or ``NAME@VERSION``. Nothing is queued yet.
+        """Plan the runs to repeat for these algorithms, ``NAME`` or ``NAME@VERSION``. Nothing is queued yet.
 
         Raises NotFound for an algorithm that the baseline has no runs of, and InvalidInput or NotFound for what cannot
         run here.

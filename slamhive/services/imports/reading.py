@@ -1,4 +1,4 @@
-"""Read trajectories in common formats, and identify the run that each one becomes."""
+"""Read trajectories in common formats: conventions, path patterns, and the run that each file becomes."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.orientation import ZERO
 from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, decided, read_pose_file
 
-# Time unit and quaternion order of imported files: as specified, or detected; in doubt the import asks.
-
+# Conventions: as specified, or detected; in doubt the import asks.
 
 _Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
 
@@ -116,7 +115,7 @@ def _spreads_deg(file: PoseFile, unit: TimeUnit, truth: ImportTruth) -> dict[Qua
 
 
 def _partner_spreads_deg(file: PoseFile, unit: TimeUnit, partner: Partner) -> dict[QuaternionOrder, float]:
-    """As :func:`_spreads_deg` for a ground truth, with the better of the two orders of its estimate.
+    """Measure :func:`_spreads_deg` for a ground truth, with the better of the two orders of its estimate.
 
     An order that the ground truth states is contradicted only by an estimate whose order is certain.
     """
@@ -290,7 +289,6 @@ def _text(file: PoseFile, reading: Reading, trajectory: Trajectory, *, positions
 
 
 # Path patterns such as ``<algorithm>/<dataset>/<trial>.txt``, which read fields from a file's path.
-
 
 FIELDS = ("algorithm", "dataset", "trial")
 _FIELD = re.compile(r"<([^<>]*)>")

@@ -1,4 +1,4 @@
-"""The request, the files found, and the report of an import."""
+"""Request, found files and report of an import, and the lock that lets one import at a time file runs."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.recordings.variants.cache import Busy, exclusive
 from slamhive.trajectory.layout import UNKNOWN, Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.pose_file import TrajectoryFormat
+
+logger = logging.getLogger(__name__)
 
 DEFAULT_PATTERN = "<algorithm>/<dataset>/<trial>.txt"
 DEFAULT_GROUND_TRUTH = "<dataset>/groundtruth.txt"
@@ -130,7 +132,7 @@ class Reading:
 
 @dataclass
 class ImportReport:
-    """What was imported, or with ``dry_run`` would be.
+    """Result of an import, or with ``dry_run`` of its rehearsal.
 
     Attributes:
         run_ids: The runs of all files, new ones and those imported before.
@@ -152,10 +154,7 @@ class ImportReport:
     left_out: list[str] = field(default_factory=list)
 
 
-# One import files runs at a time, be they single or of an archive.
-
-
-logger = logging.getLogger(__name__)
+# The lock: one import files runs at a time, be they single or of an archive.
 
 ASIDE = ".import-"
 """How the names of folders begin in which imported runs are put together."""

@@ -89,7 +89,14 @@ class Imports:
         check_writable(self._settings)
         found = find(request)
         if not found.candidates and not found.problems:
-            raise _nothing(request, found)
+            if request.table:
+                raise InvalidInput(f"{request.source} has no rows", "give one for each trajectory")
+            left = found.left_out
+            example = f"; the first of {len(left)} files is {left[0]!r}" if left else ""
+            raise InvalidInput(
+                f"no file below {request.source} matches the pattern {request.pattern!r}{example}",
+                "say with --pattern how its folders are named",
+            )
         report = ImportReport(dry_run, problems=found.problems, left_out=found.left_out)
         if not dry_run:
             check_disk(self._settings)
@@ -123,7 +130,11 @@ class Imports:
                 homes.algorithms[name] = choose_algorithm(self._store, self._catalogue, name, setup)
             except SlamHiveError as error:
                 _note(error, "algorithm", name, found.candidates, report)
-        self._check_sensor_names(request, found)
+        names = {entry.algorithm for entry in found.candidates}
+        for name in request.sensors:
+            if name and name not in names:
+                known = ", ".join(sorted(names))
+                raise InvalidInput(f"--sensors names {name!r}, but no trajectory is of it", f"there are {known}")
         return homes
 
     def _find_datasets(
@@ -152,15 +163,6 @@ class Imports:
             except SlamHiveError as error:
                 homes.lost.add(name)
                 _note(error, "dataset", name, usable, report)
-
-    def _check_sensor_names(self, request: ImportRequest, found: FoundImports) -> None:
-        names = {entry.algorithm for entry in found.candidates}
-        for name in request.sensors:
-            if name and name not in names:
-                raise InvalidInput(
-                    f"--sensors names {name!r}, of which there is no trajectory",
-                    f"there are {', '.join(sorted(names))}",
-                )
 
     def _batch(self, loaded: list[Loaded], homes: _Homes, request: ImportRequest, report: ImportReport) -> None:
         """File new runs, and create missing folders."""
@@ -247,16 +249,6 @@ def _note(
     """One problem for all candidates of an algorithm or a dataset."""
     count = sum(getattr(entry, kind) == name for entry in candidates)
     report.problems.append(ImportProblem(f"{kind} {name} ({plural(count, 'file')})", str(error)))
-
-
-def _nothing(request: ImportRequest, found: FoundImports) -> InvalidInput:
-    if request.table:
-        return InvalidInput(f"{request.source} has no rows", "give one for each trajectory")
-    example = f"; the first of {len(found.left_out)} files is {found.left_out[0]!r}" if found.left_out else ""
-    return InvalidInput(
-        f"no file below {request.source} matches the pattern {request.pattern!r}{example}",
-        "say with --pattern how its folders are named",
-    )
 
 
 def _read(candidates: Iterable[ImportCandidate], report: ImportReport) -> Iterator[tuple[ImportCandidate, PoseFile]]:

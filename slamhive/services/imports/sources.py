@@ -53,13 +53,15 @@ def parse_setup(text: str) -> SensorSetup:
         return SensorSetup(text)
     except ValueError:
         known = [setup.value for setup in SensorSetup]
-        raise InvalidInput(f"sensors {text!r} are not known; {nearest(text, known)}") from None
+        raise InvalidInput(f"unknown sensors {text!r}; {nearest(text, known)}") from None
 
 
 def _in_folder(request: ImportRequest, found: FoundImports) -> Iterator[ImportCandidate]:
     root = request.source
     if not root.is_dir():
-        raise InvalidInput(f"{root} is no folder", "give the folder that holds the trajectories, or --table for a CSV")
+        raise InvalidInput(
+            f"{root} is not a folder", "give the folder that holds the trajectories, or --table for a CSV"
+        )
     pattern = PathPattern(request.pattern, needed=("algorithm", "dataset"))
     stamps: dict[str, Path] = {}
     beside = [
@@ -126,32 +128,24 @@ def _in_table(request: ImportRequest, found: FoundImports) -> Iterator[ImportCan
         text = read_bounded(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InvalidInput(f"{path} is not a text file", "save the table as CSV in UTF-8") from None
-    columns, rows = _read_table(path, text)
-    _check_columns(path, columns)
+    reader = csv.DictReader(io.StringIO(text, newline=""))
+    try:
+        columns, rows = [name or "" for name in reader.fieldnames or []], list(reader)
+    except csv.Error as error:
+        raise InvalidInput(f"{path}, line {reader.line_num}: {error}", "save the table as CSV") from None
+    for column in columns:
+        if column not in (*_NEEDED, *_OPTIONAL):
+            known = nearest(column, [*_NEEDED, *_OPTIONAL])
+            raise InvalidInput(f"{path} has the unknown column {column[:40]!r}; {known}")
+    for needed in _NEEDED:
+        if needed not in columns:
+            raise InvalidInput(f"{path} lacks the column {needed}", f"its first line has to name {', '.join(_NEEDED)}")
     for number, row in enumerate(rows, start=2):
         name = f"{path.name}, row {number}"
         try:
             yield _row(request, found, {key: (row.get(key) or "").strip() for key in columns}, name)
         except SlamHiveError as error:
             found.problems.append(ImportProblem(name, str(error)))
-
-
-def _read_table(path: Path, text: str) -> tuple[list[str], list[dict[str, str]]]:
-    reader = csv.DictReader(io.StringIO(text, newline=""))
-    try:
-        return [name or "" for name in reader.fieldnames or []], list(reader)
-    except csv.Error as error:
-        raise InvalidInput(f"{path}, line {reader.line_num}: {error}", "save the table as CSV") from None
-
-
-def _check_columns(path: Path, columns: list[str]) -> None:
-    known = [*_NEEDED, *_OPTIONAL]
-    for name in columns:
-        if name not in known:
-            raise InvalidInput(f"{path} has a column {name[:40]!r} that is not known; {nearest(name, known)}")
-    for name in _NEEDED:
-        if name not in columns:
-            raise InvalidInput(f"{path} lacks the column {name}", f"its first line has to name {', '.join(_NEEDED)}")
 
 
 def _row(request: ImportRequest, found: FoundImports, row: dict[str, str], name: str) -> ImportCandidate:
@@ -203,7 +197,7 @@ def _member(kind: type[_Member], column: str, row: dict[str, str]) -> _Member | 
         return None
     known = [entry.value for entry in kind]
     if text not in known:
-        raise InvalidInput(f"{column} {text[:40]!r} is not known; {nearest(text, known)}")
+        raise InvalidInput(f"unknown {column} {text[:40]!r}; {nearest(text, known)}")
     return kind(text)
 
 
@@ -236,5 +230,5 @@ def _without_doubles(found: FoundImports) -> Iterator[ImportCandidate]:
         if first is candidate.name:
             yield candidate
         else:
-            text = f"trial {candidate.trial} of {candidate.algorithm} on {candidate.dataset} is there twice"
+            text = f"trial {candidate.trial} of {candidate.algorithm} on {candidate.dataset} occurs twice"
             found.problems.append(ImportProblem(candidate.name, f"{text}: {first} is the other; number the trials"))

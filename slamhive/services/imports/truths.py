@@ -151,7 +151,7 @@ class Truths:
             return None
 
     def _check_same(self, known: Dataset, files: TruthFiles) -> Reading | None:
-        """How the ground truth that came along was read; raises InvalidInput if it is not that of the dataset."""
+        """Return how the ground truth that came along was read; raises InvalidInput if it is not the dataset's."""
         if known.groundtruth is None and known.relations is None:
             raise InvalidInput(f"dataset {known.name} has no ground truth", "add one to its folder")
         reading: Reading | None = None

@@ -1,4 +1,4 @@
-"""One file of the ledger: JSON lines that any process appends to, sometimes replaced as a whole."""
+"""Files of the ledger: JSON lines that any process appends to, sometimes replaced as a whole."""
 
 from __future__ import annotations
 
@@ -130,9 +130,6 @@ def _decoded(text: bytes) -> Line | None:
     except ValueError:
         return None
     return line if isinstance(line, dict) else None
-
-
-# The files of the ledger.
 
 
 class LedgerFiles:

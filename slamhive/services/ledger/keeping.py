@@ -33,10 +33,9 @@ from slamhive.store.configuration_listing import ConfigurationRecord
 from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.records import NewCell
 
-# Finds what the database has and the ledger lacks. Lines are only added, since the database may be the older one.
-
-
 logger = logging.getLogger(__name__)
+
+# Lines are only added, since the database may be the older one.
 
 _AT_ONCE = 500
 
@@ -90,7 +89,13 @@ class Missing:
         stored, counted = self._store.read(lambda t: (t.ledger.stored_cells(), t.ledger.sizes()))
         for record in self._store.read(lambda t: t.experiments.all()):
             if stored.get(record.uid, 0) > len(told[record.uid]):
-                yield from self._cells_of(record.id, record.uid)
+                after = -1
+                while cells := self._store.read(lambda t: t.experiments.cells(record.id, after, _AT_ONCE)):  # noqa: B023
+                    yield cell_line(
+                        record.uid,
+                        [NewCell(cell.number, cell.name, cell.configuration_id, cell.values) for cell in cells],
+                    )
+                    after = cells[-1].number
             if sizes.get(record.uid) != counted[record.uid]:
                 yield {"experiment": record.uid, "size": counted[record.uid]}
 
@@ -139,14 +144,6 @@ class Missing:
         for part in _parts(ids):
             yield from self._store.read(lambda t: t.configuration_book.records(part))  # noqa: B023
 
-    def _cells_of(self, experiment: int, uid: str) -> Iterator[Line]:
-        after = -1
-        while cells := self._store.read(lambda t: t.experiments.cells(experiment, after, _AT_ONCE)):  # noqa: B023
-            yield cell_line(
-                uid, [NewCell(cell.number, cell.name, cell.configuration_id, cell.values) for cell in cells]
-            )
-            after = cells[-1].number
-
     def _cancelled(self, run_ids: list[int]) -> Iterator[Line]:
         together: dict[tuple[datetime, str], list[int]] = defaultdict(list)
         for part in _parts(run_ids):
@@ -163,7 +160,7 @@ class Missing:
             after = found[-1][0]
 
     def _untold(self, run_id: int, state: RunState, told: set[int]) -> bool:
-        """Whether neither the book nor the run's folder says that it is in ``state``."""
+        """Tell if neither the book nor the run's folder says that it is in ``state``."""
         if run_id in told:
             return False
         folder = RunFolder(self._settings.runs_folder / str(run_id))
@@ -239,7 +236,7 @@ class Ledger:
         self._replace(files.searches, search_lines)
 
     def knows_more(self) -> bool:
-        """Whether the ledger has entries but the database is empty, so it was lost."""
+        """Tell if the ledger has entries but the database is empty, so it was lost."""
         if not self._store.read(lambda t: t.ledger.empty()):
             return False
         return bool(live_configurations(self.files.configurations)) or any(self.files.searches.read())

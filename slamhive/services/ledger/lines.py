@@ -90,16 +90,12 @@ def _configuration_line(
             entry.playback.rate,
             dump(Variant, entry.variant),
             dict(entry.sensors),
-            *_since_versions(entry),
+            # Version and map: rows of before have neither, and few have them now.
+            *(() if entry.version is None and entry.map is None else (entry.version, dump(InputMap | None, entry.map))),
         )
         for number, entry in configurations
     )
     return {**ConfigurationsLine(at=at, parameters=definitions).content, "configurations": rows}
-
-
-def _since_versions(entry: Configuration) -> tuple[Any, ...]:
-    """Version and map of a configuration, which rows of before did not have and few have now."""
-    return () if entry.version is None and entry.map is None else (entry.version, dump(InputMap | None, entry.map))
 
 
 def configurations_of(line: Line) -> Iterator[LedgerConfiguration]:
@@ -122,7 +118,7 @@ def live_configurations(book: Book) -> dict[int, int]:
 
 
 def label_line(record: ConfigurationRecord) -> Line:
-    """What users say about a configuration now."""
+    """Line with the current notes of users on a configuration."""
     return LabelLine.of(record, label=record.id).content
 
 
@@ -205,8 +201,7 @@ def last_shared(book: Book) -> dict[int, Sharing]:
     return found
 
 
-# Evaluations in the ledger: those requested, and how they ended.
-
+# Evaluations.
 
 Key = tuple[int, str, datetime]
 """Run, protocol fingerprint and time of the request, which together identify an evaluation."""

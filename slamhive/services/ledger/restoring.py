@@ -78,7 +78,7 @@ class LedgerRestore:
     # -- before the folders ----------------------------------------------------------------------------------------
 
     def restore_before_runs(self) -> None:
-        """What runs refer to: algorithms, datasets, configurations."""
+        """Add the algorithms, datasets and configurations that runs refer to."""
         for line in self._files.catalogue.read():
             self._guarded(self._files.catalogue, lambda: self._restore_catalogue(line))  # noqa: B023
         last = live_configurations(self._files.configurations)
@@ -215,7 +215,10 @@ class LedgerRestore:
         for line in self._files.runs.read():
             found: list[LedgerRun] = []
             self._guarded(self._files.runs, lambda: found.extend(runs_of(line)))  # noqa: B023
-            found = [_shared_as(run, shared.get(run.id)) for run in found]
+            for place, run in enumerate(found):
+                if (said := shared.get(run.id)) is not None:  # shared while it waited
+                    request = replace(run.request, owner=said.owner, visibility=said.visibility)
+                    found[place] = replace(run, request=request)
             for start in range(0, len(found), _AT_ONCE):
                 restored += self._restore_runs(found[start : start + _AT_ONCE], experiments, cancelled)
         self._store.write(lambda t: t.ledger.ask_to_end(cancelled.active))
@@ -335,14 +338,7 @@ class LedgerRestore:
             self.problems.append(f"{book.path.name}: {detail}")
 
 
-def _shared_as(run: LedgerRun, sharing: Sharing | None) -> LedgerRun:
-    """The run as it was shared while it waited; as it was asked for if nobody shared it."""
-    if sharing is None:
-        return run
-    return replace(run, request=replace(run.request, owner=sharing.owner, visibility=sharing.visibility))
-
-
 def _definitions(entry: LedgerConfiguration, aliases: Mapping[tuple[str, str], Any]) -> list[Parameter]:
-    """How the parameters were defined; the general name of one that is defined here is the one it has here."""
+    """Return the stored definitions of parameters; one that is defined here keeps its general name from here."""
     algorithm = entry.configuration.algorithm
     return [replace(known, general=aliases.get((algorithm, known.key), known.general)) for known in entry.definitions]

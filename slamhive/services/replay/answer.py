@@ -128,7 +128,7 @@ def _trajectories(runs: Iterable[RunRecord], runs_folder: Path) -> Iterator[str]
 
 
 def _remarks(configurations: Sequence[Recorded], pairs: Sequence[RunPair]) -> Iterator[str]:
-    """What limits the answer, one sentence each."""
+    """List the limits of the answer, one sentence each."""
     for entry, pair in zip(configurations, pairs, strict=True):
         if entry.version.identity != entry.recorded_identity:
             yield (
@@ -156,8 +156,7 @@ def _words(answer: Agreement, metrics: Sequence[ReplayMetric]) -> str:
     return f"Chance may explain what was found: {named or 'no metric has values'}. More repeats can decide."
 
 
-# The answer of a replay as rows of tables, and as Markdown.
-
+# Tables and Markdown.
 
 _SIGNS = {Agreement.AGREE: "✅", Agreement.DIFFERS: "❌", Agreement.UNDECIDED: "❔"}
 METRIC_HEADS = ("Metric", "Margin", "Change", "95 % interval", "p differs", "p within", "Answer")

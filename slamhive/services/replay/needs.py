@@ -1,4 +1,4 @@
-"""What is asked of a replay, and what it found in the bundle."""
+"""Request for a replay, and what it needs and finds in the bundle."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from slamhive.store.records import AlgorithmVersion
 
 @dataclass(frozen=True, slots=True)
 class ReplayRequest:
-    """How a bundle is replayed.
+    """Options of a replay.
 
     Attributes:
         path: The bundle, a file that ``slamhive archive export`` wrote.
@@ -61,7 +61,7 @@ class Needs:
 
 
 def needs_of(archive: ArchiveReader) -> Needs:
-    """What the bundle needs; raises InvalidInput if none of its runs can run again."""
+    """Collect the needs of the bundle; raises InvalidInput if none of its runs can run again."""
     uids, datasets, left_out = [], dict[str, str | None](), Counter[str]()
     for _, file in recorded_runs(archive):
         reason = None
@@ -114,8 +114,7 @@ class Prepared:
     notes: tuple[str, ...]
 
 
-# The versions that a replay needs: exactly those of the record, unless it is allowed to build them again.
-
+# Versions: exactly those of the record, unless it is allowed to build them again.
 
 _SHOWN = 19
 _LOAD = "give --load-image to take it from the bundle: it is code that will run on this machine"
@@ -157,7 +156,22 @@ class Packages:
             return self._versions.register(executor, package, wanted.identity)
         member = version_member(name, wanted.identity, wanted.package_hash)
         if self._archive.has(member) and self._request.load_image:
-            return self._from_bundle(name, wanted, executor, member)
+            try:
+                make_shared_folder(self._folder)
+            except OSError as error:
+                raise Unavailable(f"{self._folder} cannot be made: {error.strerror}", remedy_of(error)) from None
+            with temporary_folder(".version-", self._folder) as aside:
+                path = aside / "version.tar"
+                self._archive.unpack(member, path)
+                with opened_version(path, aside) as packed:
+                    found = (packed.package.name, packed.identity, packed.package_hash)
+                    if found != (name, wanted.identity, wanted.package_hash):
+                        raise InvalidInput(
+                            f"the bundle holds another version of {name} than its runs used", "export it again"
+                        )
+                    if packed.has_image and executor.capabilities.needs is PackageNeed.IMAGE:
+                        return self._loaded(packed, path, executor)
+                    return self._built(packed.package, wanted, executor)
         if package is None:
             offered = self._archive.has(member)
             raise NotFound(
@@ -165,24 +179,6 @@ class Packages:
                 _LOAD if offered else "ask for a bundle that was exported --with packages or --with images",
             )
         return self._built(package, wanted, executor, offered=self._archive.has(member))
-
-    def _from_bundle(self, name: str, wanted: AlgorithmVersion, executor: Executor, member: str) -> VersionRecord:
-        try:
-            make_shared_folder(self._folder)
-        except OSError as error:
-            raise Unavailable(f"{self._folder} cannot be made: {error.strerror}", remedy_of(error)) from None
-        with temporary_folder(".version-", self._folder) as aside:
-            path = aside / "version.tar"
-            self._archive.unpack(member, path)
-            with opened_version(path, aside) as packed:
-                found = (packed.package.name, packed.identity, packed.package_hash)
-                if found != (name, wanted.identity, wanted.package_hash):
-                    raise InvalidInput(
-                        f"the bundle holds another version of {name} than its runs used", "export it again"
-                    )
-                if packed.has_image and executor.capabilities.needs is PackageNeed.IMAGE:
-                    return self._loaded(packed, path, executor)
-                return self._built(packed.package, wanted, executor)
 
     def _loaded(self, packed: PackedVersion, path: Path, executor: Executor) -> VersionRecord:
         """Load the image without the names that the archive gives it: they could take those of images that are here."""
@@ -215,8 +211,7 @@ class Packages:
         return self._versions.register(executor, package, identity)
 
 
-# The recordings that a replay needs: found by checksum in this installation, or in the bundle.
-
+# Recordings, found by checksum in this installation or in the bundle.
 
 Progress = Callable[[float, str], None]
 """So much of a checksum is shown: ``sha256:`` and twelve digits."""
@@ -277,10 +272,12 @@ class Recordings:
         if exists and dataset.bag_path.exists():
             return True
         if self._donor(dataset) is None and not self._members(dataset):
+            source = f" it comes from {dataset.source};" if dataset.source else ""
             raise NotFound(
                 f"the recording {dataset.bag} of dataset {name} ({dataset.checksum[:_SHOWN]}) is neither here nor in "
                 "the bundle",
-                _where_to_get(dataset),
+                f"slamhive dataset fetch gets public sequences (slamhive dataset search {dataset.name});{source} or "
+                "ask for a bundle that was exported --with recordings",
             )
         return False
 
@@ -337,11 +334,3 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
-
-
-def _where_to_get(dataset: Dataset) -> str:
-    source = f" it comes from {dataset.source};" if dataset.source else ""
-    return (
-        f"slamhive dataset fetch gets public sequences (slamhive dataset search {dataset.name});{source} or ask for a "
-        "bundle that was exported --with recordings"
-    )

@@ -28,9 +28,6 @@ from slamhive.services.stored_analyses.stored import PREVIEWS, SOURCE, AnalysisF
 from slamhive.store import Store
 from slamhive.store.records import AnalysisRecord, AnalysisState, LeaseLost
 
-# A process that computes an analysis or its previews, with limited resources.
-
-
 logger = logging.getLogger(__name__)
 
 CHILD = "slamhive.services.analysis_process"
@@ -48,11 +45,11 @@ class Computing:
 
     @property
     def goes_on(self) -> bool:
-        """Whether it has not ended."""
+        """True until it has ended."""
         return self._child.poll() is None
 
     def said(self) -> dict[str, Any]:
-        """What it reported at its end, or ``error`` with the reason why it reported nothing."""
+        """Return its final report, or ``error`` with the reason why there is none."""
         return _said(self._child.returncode, _tail(self._output), _tail(self._errors))
 
 
@@ -210,8 +207,7 @@ class _Stopping(Exception):
     """The worker is stopping."""
 
 
-# Computes analyses where no worker runs, as on a view-only server: one thread, one process at a time.
-
+# Computing where no worker runs, as on a view-only server: one thread, one process at a time.
 
 IDLE_S = 30.0
 TROUBLE_S = 5.0
@@ -252,7 +248,12 @@ class AnalysisComputer:
             thread.join()
 
     def _work(self) -> None:
-        self._free_what_the_dead_hold()
+        try:
+            for owner in self._store.read(lambda t: t.analyses.owners()):
+                if owner != self._owner and owner_is_dead(owner):
+                    self._store.write(lambda t, owner=owner: t.analyses.release_all(owner))  # type: ignore[misc]
+        except SlamHiveError as error:
+            logger.warning("analyses: %s", error)
         while not self._stopping.is_set():
             self._asked.clear()
             try:
@@ -268,17 +269,8 @@ class AnalysisComputer:
                 continue
             self._asked.wait(IDLE_S)
 
-    def _free_what_the_dead_hold(self) -> None:
-        try:
-            for owner in self._store.read(lambda t: t.analyses.owners()):
-                if owner != self._owner and owner_is_dead(owner):
-                    self._store.write(lambda t, owner=owner: t.analyses.release_all(owner))  # type: ignore[misc]
-        except SlamHiveError as error:
-            logger.warning("analyses: %s", error)
 
-
-# Small pictures of the plots of an analysis that is still being written, over a part of its runs.
-
+# Previews of an analysis that is being written, over a part of its runs.
 
 MOST_PREVIEWED_RUNS = 200
 MOST_PLOTS = 12

@@ -31,9 +31,6 @@ from slamhive.services.datasets import check_writable
 from slamhive.store import Store
 from slamhive.store.records import AnalysisRecord, AnalysisState
 
-# The folder of a stored analysis: its file, state and results. The folder is the truth.
-
-
 SOURCE, STATE, PROGRESS = "analysis.yaml", "state.json", "progress.json"
 REPORT, FIGURES, PAGE = "report.json.gz", "figures.json.gz", "page.json.gz"
 RESULTS = (REPORT, FIGURES, PAGE)
@@ -103,7 +100,7 @@ class AnalysisFolder:
 
     @property
     def whole(self) -> bool:
-        """Whether all results exist."""
+        """True if all results exist."""
         return all((self.root / name).is_file() for name in RESULTS)
 
     @property
@@ -172,7 +169,7 @@ _TOKEN = re.compile(r"[0-9a-f]{32}")
 
 
 def may_analyse(settings: Settings) -> bool:
-    """Whether the installation accepts new analyses; in view-only mode they come from visitors and are not listed."""
+    """True if the installation keeps new analyses; in view-only mode they come from visitors and are not listed."""
     return settings.mode is not Mode.VIEW_ONLY or not settings.no_new_analysis
 
 
@@ -239,7 +236,7 @@ class StoredAnalyses:
 
     @staticmethod
     def is_token(text: str) -> bool:
-        """Whether a text looks like the token of an analysis."""
+        """Tell if a text looks like the token of an analysis."""
         return _TOKEN.fullmatch(text) is not None
 
     def listed(self, limit: int = 500) -> list[AnalysisRecord]:
@@ -301,8 +298,7 @@ class StoredAnalyses:
         self.folder(token).remove()
 
 
-# The files of a stored analysis, created on request, one at a time: printing a plot takes a second.
-
+# Files are created on request, one at a time: printing a plot takes a second.
 
 MOST_WAIT_S = 30.0
 MOST_WAITING_FILES = 3

@@ -155,8 +155,7 @@ def _add(archive: tarfile.TarFile, name: str, content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-# What is kept of a version: its image or environment, and the folder of the package as it was.
-
+# Kept versions: an image or environment, and the folder of the package as it was.
 
 _LEFT_OUT = shutil.ignore_patterns("__pycache__")
 
@@ -222,8 +221,7 @@ def check_version(store: Store, executor: Executor, algorithm: Algorithm) -> Non
             identity_of_version(store, executor, algorithm)
 
 
-# Reading the file that :mod:`slamhive.services.versions.exchange` wrote. Nothing in it is trusted.
-
+# Reading an exported version. Nothing in it is trusted.
 
 _MOST_PACKAGE_BYTES = 500_000_000
 _MOST_TEXT_BYTES = 20_000_000
@@ -273,7 +271,7 @@ def opened_version(path: Path, root: Path | None = None) -> Iterator[PackedVersi
 
 
 def is_export(path: Path) -> bool:
-    """Whether ``path`` is an archive of ours, and not one that ``docker save`` alone has written."""
+    """Tell if ``path`` is an archive of ours, and not one that ``docker save`` alone has written."""
     try:
         with tarfile.open(path, mode="r|*") as archive:
             first = archive.next()
@@ -333,7 +331,9 @@ def _unpack_checked(path: Path, aside: Path) -> dict[str, Any]:
     if MANIFEST not in texts or DESCRIPTION not in texts:
         raise InvalidInput(f"{path} is not complete: it lacks {MANIFEST}", _REMEDY)
     found.pop(MANIFEST)
-    if found != dict(_manifest(texts[MANIFEST])):
+    lines = texts[MANIFEST].decode(errors="replace").splitlines()
+    stated = {name: checksum for checksum, _, name in (line.partition("  ") for line in lines)}
+    if found != stated:
         raise InvalidInput(f"{path} is damaged: its content does not have the checksums of {MANIFEST}", _REMEDY)
     return _description(path, texts[DESCRIPTION])
 
@@ -358,12 +358,6 @@ def _write(target: Path, content: HashedReader) -> None:
                 stream.write(block)
     except OSError as error:
         raise Unavailable(f"{target} cannot be written: {error.strerror}", "check space and rights") from None
-
-
-def _manifest(text: bytes) -> Iterator[tuple[str, str]]:
-    for line in text.decode(errors="replace").splitlines():
-        checksum, _, name = line.partition("  ")
-        yield name, checksum
 
 
 def _description(path: Path, text: bytes) -> dict[str, Any]:

@@ -72,7 +72,7 @@ class Versions:
         return self._store.read(lambda t: t.versions.of(package))
 
     def labels(self) -> list[str]:
-        """How users name the versions that have not been removed."""
+        """List the names of the versions that have not been removed."""
         records = self._store.read(lambda t: t.versions.all())
         return [record.label for record in records if record.removed_at is None]
 
@@ -81,7 +81,7 @@ class Versions:
 
         In view-only mode none is asked: asking may make files in the data root.
         """
-        executors = [] if self._settings.mode is Mode.VIEW_ONLY else self._usable()
+        executors = [] if self._settings.mode is Mode.VIEW_ONLY else self._executors.usable()
         return tuple(
             VersionReport(
                 record,
@@ -118,11 +118,11 @@ class Versions:
     # -- verifying -------------------------------------------------------------------------------------------------
 
     def verify(self, name: str | None = None) -> list[VersionFinding]:
-        """What has changed or vanished: images, environments, kept folders, and the packages themselves."""
+        """Report what has changed or vanished: images, environments, kept folders, and the packages themselves."""
         wanted = None if name is None else self.package_of(name)
         records = self._store.read(lambda t: t.versions.all())
         findings = []
-        executors = self._usable()
+        executors = self._executors.usable()
         for package in sorted({record.package for record in records if wanted in (None, record.package)}):
             versions = [record for record in records if record.package == package and record.removed_at is None]
             for record in versions:
@@ -144,7 +144,7 @@ class Versions:
     def _verify_package(
         self, package: str, versions: list[VersionRecord], executors: list[Executor]
     ) -> list[VersionFinding]:
-        """Whether the folder was edited after the last build, and whether a name leads to an unknown image."""
+        """Report a folder that was edited after the last build, and a name that leads to an unknown image."""
         try:
             here = self._catalogue.package(package)
         except SlamHiveError as error:
@@ -177,7 +177,7 @@ class Versions:
             raise Conflict(
                 f"{record.runs} runs used {record.label}: without it they cannot be repeated", "give --with-runs"
             )
-        for executor in self._usable():
+        for executor in self._executors.usable():
             if self._has(executor, record):
                 executor.forget(record.package, record.identity, record.number)
         shutil.rmtree(self._folder(record), ignore_errors=True)
@@ -220,7 +220,9 @@ class Versions:
         package = self.package_with(record.package, record.package_hash)
         if package is None:
             raise InvalidInput(f"the folder of {record.label} was not kept", "leave out --with packages and images")
-        executors = [entry for entry in self._usable() if entry.has(package, record.identity)] if image else []
+        executors = (
+            [entry for entry in self._executors.usable() if entry.has(package, record.identity)] if image else []
+        )
         executor = next((entry for entry in executors if entry.capabilities.needs is PackageNeed.IMAGE), None)
         if image and not executors:
             raise ImageMissing(f"the image of {record.label} is gone", "give --with packages in place of images")
@@ -261,7 +263,3 @@ class Versions:
             return executor.has(package, record.identity)
         except ImageMissing:
             return False
-
-    def _usable(self) -> list[Executor]:
-        """The executors that answer now, among those that runs can use without being asked by name."""
-        return self._executors.usable()

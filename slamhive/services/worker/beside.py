@@ -1,4 +1,4 @@
-"""A worker in a separate process, beside the web server."""
+"""Workers beside other work: in a process beside the web server, or in a thread of a command that waits for runs."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ from slamhive.base.settings import ENVIRONMENT_PREFIX, Settings
 from slamhive.services.worker.worker import Worker
 
 END_S = 15.0
+TAKE_OVER_S = 1.0
+WORKED_ON = 500
+"""Runs of an experiment that a worker in a thread takes on at a time."""
 
 
 class WorkerProcess:
@@ -57,16 +60,8 @@ class WorkerProcess:
             self._process.wait()
 
 
-# A worker in a thread of a process that waits for runs.
-
-
-TAKE_OVER_S = 1.0
-WORKED_ON = 500
-"""Runs of an experiment that such a worker takes on at a time."""
-
-
 class WorkingMeanwhile:
-    """Works on the given runs whenever no other worker of this machine does, within a ``with`` statement.
+    """Works in a thread on the given runs whenever no other worker of this machine does, within a ``with`` statement.
 
     Args:
         make_worker: Makes a worker for some runs.

@@ -22,7 +22,6 @@ from slamhive.services.runs import repeat_if_disturbed
 from slamhive.services.worker.evidence import gather_evidence, read_about, remove_scratch, settle_result
 from slamhive.services.worker.run_in_hand import RunInHand
 from slamhive.store import Store, Transaction
-from slamhive.store.records import RunRecord
 
 logger = logging.getLogger(__name__)
 
@@ -55,14 +54,8 @@ class Collecting:
         metrics |= limit_metrics(metrics, hand.spec.limits.cores)
         disturbance = judge_run(hand.folder, metrics, hand.context.settings)
         self._seal(outcome, evidence, ended_at, metrics, disturbance)
-        self._tidy_up()
-
-    def _tidy_up(self) -> None:
-        """Clean up and draw after the outcome is stored; errors here do not change the outcome.
-
-        What is left undone, the next worker does when it starts: see ``leftovers.py`` and ``derived.py``.
-        """
-        hand = self._hand
+        # The outcome is stored: errors of cleaning up and drawing do not change it. The next worker does when it
+        # starts what is left undone here (``leftovers.py`` and :func:`make_missing`).
         steps: tuple[Callable[[], None], ...] = (
             lambda: hand.executor.remove(hand.handle),
             lambda: remove_scratch(hand),
@@ -95,7 +88,12 @@ class Collecting:
             "about": read_about(hand.folder),
         }
         now = hand.context.now()
-        protocols = self._evaluation_protocols() if outcome.succeeded and hand.run.evaluate else []
+        protocols: list[Protocol] = []  # that of the run, and the same for each other trajectory that it left
+        if outcome.succeeded and hand.run.evaluate:
+            try:
+                protocols = protocols_of_all(hand.run, hand.folder, hand.context.protocol_of(hand.run))
+            except SlamHiveError as error:
+                logger.warning("run %d will not be evaluated: %s", hand.run.id, error)
 
         def beside(transaction: Transaction) -> None:
             transaction.metrics.put(hand.run.id, None, metrics)
@@ -116,15 +114,6 @@ class Collecting:
             disturbance=disturbance,
         )
 
-    def _evaluation_protocols(self) -> list[Protocol]:
-        """Return the protocol of the run, and the same for each other trajectory that it left."""
-        hand = self._hand
-        try:
-            return protocols_of_all(hand.run, hand.folder, hand.context.protocol_of(hand.run))
-        except SlamHiveError as error:
-            logger.warning("run %d will not be evaluated: %s", hand.run.id, error)
-            return []
-
 
 def judge_run(folder: RunFolder, metrics: Mapping[str, float], settings: Settings) -> Disturbance:
     """Judge the run in ``folder`` by the limits of the installation."""
@@ -135,30 +124,25 @@ def judge_run(folder: RunFolder, metrics: Mapping[str, float], settings: Setting
     return judge(read_host_load(folder.host), metrics["duration"], lag_s, limits)
 
 
-# Make again what follows from the stored outcome of a run, when a worker starts.
-#
-# It is written after the outcome, so a worker that is killed between the two, or whose disk is full then, leaves it
-# out.
-
-
-_COLLECTED = (RunState.SUCCEEDED, RunState.FAILED)
-
-
 def make_missing(settings: Settings, store: Store, latest: int) -> None:
-    """Make what is missing in the folders of the ``latest`` runs."""
+    """Make what follows from the stored outcomes of the ``latest`` runs, where a worker left it out.
+
+    Plots and the current protocol are written after the outcome, so a worker that is killed between the two, or whose
+    disk is full then, leaves them out.
+    """
     for run in store.read(lambda t: t.runs.get_many(t.queue.lately(latest))):
         folder = RunFolder(settings.runs_folder / str(run.id))
         if not folder.record.exists():  # in the trash, or elsewhere
             continue
         try:
-            _make_missing(run, folder)
+            if run.state in (RunState.SUCCEEDED, RunState.FAILED) and plots_are_missing(folder):
+                write_plots(folder)
+            current = run.protocol
+            if (
+                current is not None
+                and folder.read_current_protocol() is None
+                and folder.current_protocol.parent.is_dir()
+            ):
+                folder.write_current_protocol(current.fingerprint)
         except (SlamHiveError, OSError) as error:
             logger.warning("plots or the current protocol of run %d are still missing: %s", run.id, error)
-
-
-def _make_missing(run: RunRecord, folder: RunFolder) -> None:
-    if run.state in _COLLECTED and plots_are_missing(folder):
-        write_plots(folder)
-    current = run.protocol
-    if current is not None and folder.read_current_protocol() is None and folder.current_protocol.parent.is_dir():
-        folder.write_current_protocol(current.fingerprint)

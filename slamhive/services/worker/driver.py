@@ -1,4 +1,8 @@
-"""Drive one run from state to state. If the worker dies during a step, another worker can repeat it."""
+"""Drive one run from state to state.
+
+If the worker dies during a step, another worker repeats that step: each finds in the record what the one before has
+stored, and starting the same run twice finds the first one.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,6 @@ from slamhive.documents.json_values import exact, timestamp
 from slamhive.domain.algorithm import Gpu
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.executors.base import EngineUnavailable, GpuGiver, ImageMissing, StartFailed
-from slamhive.executors.status import RunHandle
 from slamhive.services.datasets import variant_key
 from slamhive.services.runs import handle_to_json, with_made_variant
 from slamhive.services.worker.collecting import Collecting
@@ -49,8 +52,7 @@ class RunDriver:
         """
         hand = self._hand
         with ExitStack() as held:
-            self._keep_variant(held)
-            self._keep_gpu(held)
+            self._hold_again(held)
             steps: dict[RunState, Callable[[], None]] = {
                 RunState.PREPARING: Preparing(hand, held).prepare,
                 RunState.STARTING: self._start,
@@ -89,19 +91,15 @@ class RunDriver:
         }
         hand.fail(reasons.get(hand.run.state, FailureReason.LOST), why)
 
-    def _keep_variant(self, held: ExitStack) -> None:
-        """Hold the variant of a run that another worker prepared."""
+    def _hold_again(self, held: ExitStack) -> None:
+        """Hold the variant and the GPU of a run that another worker prepared: its own holds ended with it."""
         hand = self._hand
-        if hand.run.variant and hand.run.state is not RunState.PREPARING and hand.keeper.readable():
-            key = variant_key(hand.saved())
-            if key is not None:
-                held.enter_context(self._context.variants.hold_made(key))
-
-    def _keep_gpu(self, held: ExitStack) -> None:
-        """Lease the GPU of a run that another worker prepared."""
-        hand = self._hand
+        if hand.run.state is RunState.PREPARING or not hand.keeper.readable():
+            return
+        if hand.run.variant and (key := variant_key(hand.saved())) is not None:
+            held.enter_context(self._context.variants.hold_made(key))
         leased = hand.executor.capabilities.gpu is GpuGiver.WORKER
-        if leased and hand.run.state in (RunState.STARTING, RunState.RUNNING) and hand.keeper.readable():
+        if leased and hand.run.state in (RunState.STARTING, RunState.RUNNING):
             gpu = hand.saved().get("gpu")
             if gpu is not None:
                 held.enter_context(hold_gpu(hand, [Gpu(**gpu)]))
@@ -125,7 +123,9 @@ class RunDriver:
             return
         leave_other_cpu(hand, spec, handle)
         stored = handle_to_json(handle)
-        started_at = _start_time(handle, self._context.now())
+        # The engine knows when it started the run; that precedes an adoption by another worker.
+        now, known = self._context.now(), handle.data.get("started_at")
+        started_at = now if known is None else min(now, datetime.fromisoformat(known))
         protections = {} if handle.protections is None else {"protections": asdict(handle.protections)}
         started = {"handle": stored, "started_at": exact(started_at), **protections}
         row: dict[str, Any] = {"started_at": started_at, "handle": stored}
@@ -158,9 +158,3 @@ class RunDriver:
             # Even if the answer to the start was lost, something may have been started.
             hand.executor.discard(hand.spec)
             remove_scratch(hand)
-
-
-def _start_time(handle: RunHandle, now: datetime) -> datetime:
-    """The start time that the engine reports, which precedes an adoption by another worker; at most ``now``."""
-    known = handle.data.get("started_at")
-    return now if known is None else min(now, datetime.fromisoformat(known))

@@ -1,4 +1,4 @@
-"""Evidence about an ended run, from the engine, the record and the (untrusted) result folder."""
+"""Evidence about an ended run, from the engine, the record and the (untrusted) result folder; its files and limits."""
 
 from __future__ import annotations
 
@@ -30,7 +30,13 @@ from slamhive.services.runs import untracked_s
 from slamhive.services.worker.run_in_hand import RunInHand
 from slamhive.store import Store
 
+logger = logging.getLogger(__name__)
+
 MAX_ABOUT_BYTES = 64_000
+
+_SHARE = 10
+"""After each check, wait this many times its CPU time, so that checks use at most a tenth of a core."""
+_HIDDEN_INTERVAL_S = 1.0
 
 STOPPED_BECAUSE = "stopped_because"
 """Record key: why the controller ended the run, one of the endings in ``watching``."""
@@ -69,13 +75,14 @@ def gather_evidence(
     """
     cause = saved.get(STOPPED_BECAUSE)
     said = read_tail(folder.log)
+    rule = saved.get(STOP_RULE, {})
     return Evidence(
         exit_code=status.exit_code if isinstance(status, Exited) else None,
         out_of_memory=isinstance(status, Exited) and status.out_of_memory,
         process_limit=cause == "process_limit" or (isinstance(status, Exited) and status.process_limit),
         refused_processes=isinstance(status, Exited) and status.refused_processes,
         most_processes=saved["spec"]["limits"]["pids"],
-        # Whose end nobody could record was not there any more, and had not gone on until its time limit.
+        # A run that is gone when the worker stops it has not gone on until its time limit.
         timed_out=(cause == "timeout" and not isinstance(status, Gone))
         or (isinstance(status, Exited) and status.timed_out),
         timeout_s=float(saved["spec"]["timeout_s"]),
@@ -83,19 +90,18 @@ def gather_evidence(
         removed=removed_in_words(saved[LEFT]["removed"]),
         memory_limit_bytes=saved["spec"]["limits"]["memory_bytes"],
         lingered=cause == "linger",
-        ended_early=_ended_early(saved) if cause == "stop_when" else None,
+        ended_early=EarlyEnd(FailureReason(rule["reason"]), rule["detail"]) if cause == "stop_when" else None,
         tracking_unseen=rules.lost_tracking_s is not None and untracked_s(folder) is None,
         finished=is_finished(folder.finished),
         gone_because=_gone_because(status, saved, taken_along=taken_along),
         trajectory=_trajectory(saved[LEFT]["trajectory"]),
         error_line=last_error_line(said),
-        player_error=_player_error(folder),
+        player_error=_player_error(folder),  # images go on without a recording, and end as if nothing had happened
         denied_to=RunUser(saved["spec"].get("user", "worker")).in_words if DENIED in said else None,
     )
 
 
 def _player_error(folder: RunFolder) -> str | None:
-    """Read the player's report in ``playback.json``; images go on without one, and end as if nothing had happened."""
     problem = (read_untrusted_json(folder.playback, MAX_ABOUT_BYTES) or {}).get("error")
     return f"the recording was not played: {printable(problem)}" if isinstance(problem, str) and problem else None
 
@@ -122,46 +128,27 @@ def read_about(folder: RunFolder) -> dict[str, Any] | None:
     return read_untrusted_json(folder.about, MAX_ABOUT_BYTES)
 
 
-def _ended_early(saved: dict[str, Any]) -> EarlyEnd:
-    rule = saved[STOP_RULE]
-    return EarlyEnd(FailureReason(rule["reason"]), rule["detail"])
-
-
 def _gone_because(status: RunStatus, saved: dict[str, Any], *, taken_along: bool) -> str | None:
-    """Why the end of the run says nothing about the algorithm; None if it does.
+    """Say why the end of the run tells nothing about the algorithm; None if it does.
 
-    An algorithm that saves its map when it is asked to end exits with 0, too.
+    A worker that takes over cannot ask why the engine ended a run, so the record must tell. An engine that takes its
+    runs along when it goes away asks them to end, and an algorithm that saves its map then exits with 0.
     """
     if isinstance(status, Gone):
         return status.why
-    engine_away_at = saved.get(ENGINE_AWAY)
-    if isinstance(status, Exited) and (status.exit_code or taken_along) and _was_there(status, engine_away_at):
-        return f"the engine went away at {engine_away_at} and took the run with it (exit code {status.exit_code})"
-    if isinstance(status, Exited) and status.exit_code in BY_SIGNAL and _unwatched(saved):
-        return f"it was ended while no worker watched, as when a machine goes down (exit code {status.exit_code})"
+    if not isinstance(status, Exited):
+        return None
+    code, engine_away_at = status.exit_code, saved.get(ENGINE_AWAY)
+    if engine_away_at is not None and (code or taken_along):
+        # A run that started after its engine had gone away ended by itself.
+        was_there = status.started_at is None or status.started_at <= datetime.fromisoformat(engine_away_at)
+        if was_there:
+            return f"the engine went away at {engine_away_at} and took the run with it (exit code {code})"
+    # Another attempt than the one that started the run finds it ended, and no worker had stopped it: nobody watched.
+    unwatched = STOPPED_BECAUSE not in saved and saved.get(STARTED_BY, saved.get("attempt")) != saved.get("attempt")
+    if code in BY_SIGNAL and unwatched:
+        return f"it was ended while no worker watched, as when a machine goes down (exit code {code})"
     return None
-
-
-def _was_there(status: Exited, engine_away_at: str | None) -> bool:
-    """Return whether the run had started when its engine went away; a run that started later ended by itself."""
-    if engine_away_at is None:
-        return False
-    return status.started_at is None or status.started_at <= datetime.fromisoformat(engine_away_at)
-
-
-def _unwatched(saved: dict[str, Any]) -> bool:
-    """Return whether the run ended unobserved: a later worker finds it ended, and no worker had stopped it."""
-    return STOPPED_BECAUSE not in saved and saved.get(STARTED_BY, saved.get("attempt")) != saved.get("attempt")
-
-
-# The files that a run writes: watch their size while it runs, clean up after it has ended.
-
-
-logger = logging.getLogger(__name__)
-
-_SHARE = 10
-"""After each check, wait this many times its CPU time, so that checks use at most a tenth of a core."""
-_HIDDEN_INTERVAL_S = 1.0
 
 
 class DiskWatch:
@@ -178,7 +165,7 @@ class DiskWatch:
         self._folders_due_s = self._hidden_due_s = monotonic_s()
 
     def exceeded(self) -> str | None:
-        """The exceeded limit in words; None if none was exceeded at the last check."""
+        """Return the exceeded limit in words; None if none was exceeded at the last check."""
         limit_bytes = self._limits.size_bytes
         if limit_bytes is not None and monotonic_s() >= self._hidden_due_s:
             hidden_bytes = self._hand.executor.hidden_bytes(self._hand.handle)
@@ -194,7 +181,7 @@ class DiskWatch:
 
 
 def disk_limits(saved: dict[str, Any]) -> DiskLimits:
-    """The disk limits in the record of a run; none if it was started without limits."""
+    """Return the disk limits in the record of a run; none if it was started without limits."""
     limits = saved.get("spec", {}).get("limits", {})
     return DiskLimits(limits.get("disk_bytes"), limits.get("files"))
 

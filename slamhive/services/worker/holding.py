@@ -1,4 +1,8 @@
-"""Extend the leases of the runs that a worker holds, and note those that users want cancelled."""
+"""Hold on to runs and to the machine: the heartbeat that renews leases, and the lock of the one worker per data root.
+
+A lease in the database protects a run from workers of other machines. The lock keeps a second worker off this machine,
+where runs of two workers would disturb each other.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +23,15 @@ from slamhive.store import Store
 
 logger = logging.getLogger(__name__)
 
+PATIENCE_S = 1.0
+"""How long a worker waits for processes that only ask whether there is one."""
+_STEP_S = 0.02
+
 
 class Heartbeat:
-    """Extends each lease three times while it lasts.
+    """Extends the leases of held runs, and notes which runs users want cancelled.
+
+    Each lease is renewed three times while it lasts, so two renewals in a row may fail before a run is taken over.
 
     Args:
         held: The runs. A run that another worker has taken is removed from them.
@@ -63,14 +73,6 @@ class Heartbeat:
             for run in self._store.read(lambda t: t.runs.get_many(lost)):
                 if run.lease_owner != self._owner:
                     self._held.discard(run.id)
-
-
-# The lock that allows one worker per data root and machine: runs of two workers would disturb each other.
-
-
-PATIENCE_S = 1.0
-"""How long a worker waits for those who only ask whether there is one."""
-_STEP_S = 0.02
 
 
 class WorkerLock:

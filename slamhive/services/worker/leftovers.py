@@ -59,30 +59,20 @@ def sweep_leftovers(
     variants.sweep()
     sweep_imports(settings.runs_folder)
     for run in store.read(lambda t: t.runs.get_many(t.queue.lately(LATEST))):
-        _sweep_run(run, RunFolder(settings.runs_folder / str(run.id)), executors)
+        run_folder = RunFolder(settings.runs_folder / str(run.id))
+        evaluations = run_folder.root / "evaluations"
+        for place in (run_folder.root, evaluations, *_folders(evaluations)):
+            sweep_asides(place)
+        if run.state.ended and run.handle is not None and run_folder.work.exists():
+            try:
+                executors(run.executor).remove(handle_from_json(run.handle))
+            except SlamHiveError as error:
+                logger.info("what run %d has left may still be there: %s", run.id, error)
     sweep_run_scratch(settings.runs_folder, store)
-
-
-def _sweep_run(run: RunRecord, folder: RunFolder, executors: Callable[[str], Executor]) -> None:
-    for place in (folder.root, folder.root / "evaluations", *_folders(folder.root / "evaluations")):
-        sweep_asides(place)
-    if not RunState(run.state).ended or not folder.work.exists():
-        return
-    try:
-        if run.handle is not None:
-            executors(run.executor).remove(handle_from_json(run.handle))
-    except SlamHiveError as error:
-        logger.info("what run %d has left may still be there: %s", run.id, error)
 
 
 def _folders(root: Path) -> Iterable[Path]:
     return [entry for entry in root.iterdir() if entry.is_dir() and not entry.is_symlink()] if root.is_dir() else []
-
-
-# Remove what ended runs and dead processes have left in executors, such as containers.
-#
-# A start of the worker alone is not enough: an engine may finish what a killed worker asked for after the next worker
-# has started.
 
 
 INTERVAL_S = 60.0
@@ -90,7 +80,10 @@ MOST_ACTIVE = 1000
 
 
 class EngineSweep:
-    """Sweeps the executors that active runs use, and those that the settings allow. Safe to share between threads.
+    """Removes what ended runs and dead processes have left in executors, such as containers. Thread-safe.
+
+    It asks the executors that active runs use, and those that the settings allow. One sweep at the start of a worker
+    is not enough: an engine may finish what a killed worker asked for after the next worker has started.
 
     Args:
         setting: The executor of the settings, or ``auto``.
@@ -139,7 +132,7 @@ class EngineSweep:
         names.update(executor.name for executor in allowed)
         for name in sorted(names):
             try:
-                removed = self._executors(name).sweep(self._live_keys)
+                removed = self._executors(name).sweep(lambda: {record.uid for record in self._active()})
             except SlamHiveError as error:
                 if self._failures.get(name) != str(error):
                     logger.info("what runs have left in %s is not removed now: %s", name, error)
@@ -148,9 +141,6 @@ class EngineSweep:
                 self._failures.pop(name, None)
                 if removed:
                     logger.info("removed %s, which nobody needs any more", ", ".join(removed))
-
-    def _live_keys(self) -> set[str]:
-        return {record.uid for record in self._active()}
 
     def _active(self) -> tuple[RunRecord, ...]:
         active = matching(states=tuple(state for state in RunState if state.active))

@@ -14,7 +14,7 @@ from slamhive.domain.run import FailureReason, Host, RunState
 from slamhive.executors.base import EngineUnavailable, GpuGiver, ImageMissing
 from slamhive.executors.host import describe_host
 from slamhive.packages.algorithm_file import package_hash
-from slamhive.run_folder.outcome import EarlyEnd, skipped
+from slamhive.run_folder.outcome import skipped
 from slamhive.services.configurations import find_map
 from slamhive.services.runs import (
     Job,
@@ -65,10 +65,13 @@ class Preparing:
         if hand.cancel_requested():
             hand.move(RunState.CANCELLING, CANCELLED_BY_USER)
             return
-        reason_to_skip = self._skipped()
-        if reason_to_skip is not None:
-            hand.fail(reason_to_skip.reason, reason_to_skip.detail)
-            return
+        stop_when = hand.run.stop_when
+        if stop_when.failures_of_configuration is not None:
+            failures = hand.context.store.read(lambda t: t.queue.failures_since_asked(hand.run))
+            reason_to_skip = skipped(stop_when, failures)
+            if reason_to_skip is not None:
+                hand.fail(reason_to_skip.reason, reason_to_skip.detail)
+                return
         check_disk(hand.context.settings)
         try:
             self._make()
@@ -78,12 +81,6 @@ class Preparing:
             hand.check_not_interrupted(error)
             missing = isinstance(error, ImageMissing)
             hand.fail(FailureReason.IMAGE_MISSING if missing else FailureReason.PREPROCESS_ERROR, str(error))
-
-    def _skipped(self) -> EarlyEnd | None:
-        run = self._hand.run
-        if run.stop_when.failures_of_configuration is None:
-            return None
-        return skipped(run.stop_when, self._hand.context.store.read(lambda t: t.queue.failures_since_asked(run)))
 
     def _make(self) -> None:
         hand = self._hand
@@ -122,7 +119,7 @@ class Preparing:
         return Job(run.id, run.uid, algorithm, dataset, configuration, run.seed, limits, input_map=found)
 
     def _with_variant(self, job: Job) -> Job:
-        """The variant of the run, made if necessary and held until the driver releases the run; or made on its node."""
+        """Add the variant: made if necessary and held until the driver releases the run, or made on its node."""
         hand = self._hand
         if hand.executor.capabilities.makes_variants:
             return replace(job, used=hand.context.variants.ordered(job.dataset, job.configuration.variant))
@@ -136,7 +133,7 @@ class Preparing:
         return replace(job, used=self._held.enter_context(holding))
 
     def _with_gpu(self, job: Job) -> Job:
-        """A GPU if the package uses one: leased until the driver releases the run, or asked for from the engine."""
+        """Add a GPU if the package uses one: leased until the driver releases the run, or requested from the engine."""
         hand = self._hand
         need, giver = job.algorithm.package.gpu, hand.executor.capabilities.gpu
         if need is GpuNeed.NONE or (need is GpuNeed.OPTIONAL and giver is GpuGiver.NOBODY):
@@ -159,14 +156,14 @@ class Preparing:
             raise PreparationCancelled(CANCELLED_BY_USER)
 
     def _identity(self, job: Job) -> str:
-        """The image or environment: that of the version that was asked for, else of the package as it is now."""
+        """Return the image or environment: of the requested version, else of the package as it is now."""
         hand, package = self._hand, job.algorithm.package
         if job.algorithm.version is None:
             return hand.executor.build(package, self._show_build_line)
         return identity_of_version(hand.context.store, hand.executor, job.algorithm)
 
     def _register_version(self, job: Job, identity: str) -> tuple[Host, int]:
-        """The machine, and the number of the version that the run uses."""
+        """Register what the run uses; returns the machine and the number of the algorithm's version."""
         hand = self._hand
         package = job.algorithm.package
         version = AlgorithmVersion(identity, package_hash(package.folder), package.version)
@@ -189,7 +186,7 @@ class Preparing:
         return host, hand.context.store.write(work)
 
     def _show_build_line(self, line: str) -> None:
-        self._hand.check_still_ours()  # the next worker builds; layers and packages that are there, it finds
+        self._hand.check_still_ours()  # the next worker builds again, from the layers made so far
         if line == self._build_line:
             return
         self._build_line = line

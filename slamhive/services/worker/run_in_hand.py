@@ -30,41 +30,38 @@ from slamhive.services.runs import RecordKeeper, handle_from_json, spec_from_jso
 from slamhive.store import Store, Transaction
 from slamhive.store.records import LeaseLost, RunFields, RunRecord
 
-# The runs that a worker holds.
+logger = logging.getLogger(__name__)
 
 
 @dataclass
 class HeldRuns:
-    """Shared between slots and heartbeat; ``cancel`` holds the runs that a user has asked to cancel."""
+    """Runs that the slots of a worker drive now, shared with its heartbeat; ``cancel`` has those to be cancelled."""
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     runs: set[int] = field(default_factory=set)
     cancel: set[int] = field(default_factory=set)
 
     def add(self, run_id: int) -> None:
-        """A slot has claimed the run."""
+        """Add a run that a slot has claimed."""
         with self.lock:
             self.runs.add(run_id)
 
     def discard(self, run_id: int) -> None:
-        """The run has ended or belongs to another worker now."""
+        """Remove a run that has ended, or that belongs to another worker now."""
         with self.lock:
             self.runs.discard(run_id)
             self.cancel.discard(run_id)
 
     def snapshot(self) -> set[int]:
-        """The runs held now."""
+        """Return the runs held now."""
         with self.lock:
             return set(self.runs)
 
 
-# Knowledge of a worker about nodes on which no run of its own was measured.
-
-
 class OtherCpus:
-    """The CPU models of nodes that runs came to, but did not stay on. Safe to share between threads.
+    """CPU models of the nodes that runs came to but did not stay on. Thread-safe.
 
-    Nobody else notes them: a run that leaves a node leaves nothing there. After a restart the worker learns them again.
+    They are not stored: a run that leaves a node leaves no trace there. After a restart the worker learns them again.
     """
 
     def __init__(self) -> None:
@@ -77,12 +74,9 @@ class OtherCpus:
             self._models[executor, node] = cpu_model
 
     def of(self, executor: str) -> dict[str, str]:
-        """{node: CPU model} of the nodes of an executor."""
+        """Return {node: CPU model} of an executor's nodes."""
         with self._lock:
             return {node: model for (name, node), model in self._models.items() if name == executor}
-
-
-# Objects that all run drivers of a worker share.
 
 
 class WorkerStopping(SlamHiveError):
@@ -107,11 +101,10 @@ class DriverContext:
     now: Callable[[], datetime] = utc_now
 
 
-logger = logging.getLogger(__name__)
-
 CANCELLED_BY_USER = "cancelled by the user"
 INTERRUPTION_S = 0.5
 """A failure of a preparation may precede the signal that explains it by so long."""
+_GPU_PAUSE_S = 0.5
 
 
 class RunInHand:
@@ -153,11 +146,11 @@ class RunInHand:
         return self.run.started_at or self.run.created_at
 
     def elapsed_s(self) -> float:
-        """Wall-clock time since then."""
+        """Return the wall-clock time since the start."""
         return (self.context.now() - self.started_at).total_seconds()
 
     def saved(self) -> dict[str, Any]:
-        """The record as it was last written."""
+        """Return the record as it was last written."""
         return self.keeper.read()
 
     def begin(self) -> None:
@@ -165,23 +158,20 @@ class RunInHand:
         self._write_held(self._begin_record)
 
     def _begin_record(self, transaction: Transaction, changes: dict[str, Any] | None = None) -> None:
-        """Write a record that does not exist yet, and before it who owns and sees the run."""
-        self._write_sharing(transaction)
-        self.keeper.begin(self.run, transaction.runs.events(self.run.id), changes)
+        """Write ``sharing.json`` and then the record of a run that has none yet.
 
-    def _write_sharing(self, transaction: Transaction) -> None:
-        """Write who owns and sees the run, unless its experiment says it. A later attempt leaves what users changed.
-
-        Users may change it until the record exists: in the row, which this transaction has locked, and in the ledger.
+        The order matters: until the record exists, users change owner and visibility in the row, which this
+        transaction has locked, and in the ledger; afterwards in the folder, which a later attempt therefore leaves
+        alone.
         """
-        if self.folder.record.exists() and self.folder.sharing.exists():
-            return
-        run = transaction.runs.get(self.run.id)
-        sharing = Sharing(run.owner if run.experiment_id is None else None, run.visibility)
-        if sharing == NO_SHARING:
-            self.folder.sharing.unlink(missing_ok=True)  # of an attempt that was killed before it wrote a record
-        else:
-            self.folder.write_sharing(sharing)
+        if not (self.folder.record.exists() and self.folder.sharing.exists()):
+            run = transaction.runs.get(self.run.id)
+            sharing = Sharing(run.owner if run.experiment_id is None else None, run.visibility)
+            if sharing == NO_SHARING:
+                self.folder.sharing.unlink(missing_ok=True)  # of an attempt that was killed before it wrote a record
+            else:
+                self.folder.write_sharing(sharing)
+        self.keeper.begin(self.run, transaction.runs.events(self.run.id), changes)
 
     def save(self, changes: dict[str, Any], *, without: str | None = None) -> None:
         """Add ``changes`` to the record and drop the key ``without``; raises LeaseLost."""
@@ -301,16 +291,10 @@ class RunInHand:
             raise WorkerStopping(f"run {self.run.id} continues without this worker")
 
 
-# The GPU of a run, leased for as long as a driver has the run in hand.
-
-
-_PAUSE_S = 0.5
-
-
 def hold_gpu(
     hand: RunInHand, gpus: Sequence[Gpu], check: Callable[[], None] = lambda: None
 ) -> AbstractContextManager[Gpu]:
-    """Lease one of ``gpus``; waits while other runs have them all.
+    """Lease one of ``gpus`` for as long as a driver has the run in hand; waits while other runs have them all.
 
     ``check`` is called meanwhile and may raise. Raises WorkerStopping if this worker is stopping or lost the run.
     """
@@ -323,6 +307,6 @@ def hold_gpu(
             logger.info("run %d waits for a GPU", hand.run.id)
         check()
         hand.check_still_ours()
-        hand.context.stopping.wait(_PAUSE_S)
+        hand.context.stopping.wait(_GPU_PAUSE_S)
 
     return lease_gpu(gpus, lambda: hand.executor.gpus_in_use(hand.run.uid), wait)

@@ -1,4 +1,7 @@
-"""Choose the next run of a slot: prefer runs on the same data, for a while; skip engines that do not answer."""
+"""Choose the next run of a slot and its place: same data first, for a while; only engines that answer and have room.
+
+The order among queued runs is described in ``docs/how-a-run-works.md``.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +27,11 @@ from slamhive.services.worker.run_in_hand import RunInHand
 from slamhive.store import MeasuredMachine, Store, Transaction
 from slamhive.store.records import RunRecord
 from slamhive.store.same_cpu import NODE, NodeSeen
+
+logger = logging.getLogger(__name__)
+
+LOOK_EVERY_S = 30.0
+ANY_CPU_HINT = "a worker on such a machine takes them; ANY_CPU=true lets this one do it"
 
 MOST_IN_A_ROW = 20
 """After this many runs on the same data, the oldest run in the queue is next."""
@@ -104,7 +112,7 @@ class OneAtATime:
             return tuple(sorted(name for name, turn in self._turns.items() if turn.locked()))
 
     def turn(self, name: str) -> AbstractContextManager[Any]:
-        """Held while a run uses the executor ``name``. If two slots have claimed a run each, one of them waits here."""
+        """Return a lock to hold while a run uses the executor ``name``: the second of two slots waits here."""
         try:
             several = self._executors(name).capabilities.several_at_once
         except SlamHiveError:
@@ -115,11 +123,11 @@ class OneAtATime:
             return self._turns.setdefault(name, threading.Lock())
 
 
-# Where a run should start on a cluster: on the CPU model of its experiment, near its data, long runs first.
-
-
 def place(hand: RunInHand) -> RunSpec:
-    """The specification of a run with what its engine should know now about the place of its start."""
+    """Return the specification of a run with hints about the node to start it on.
+
+    A run stays on the CPU model of its experiment and near its data; long runs start first.
+    """
     spec = hand.spec
     if hand.executor.capabilities.takes_cores_here:
         return spec
@@ -127,9 +135,12 @@ def place(hand: RunInHand) -> RunSpec:
 
     def look(t: Transaction) -> Placing:
         wanted = None if any_cpu or hand.run.experiment_id is None else t.same_cpu.known(hand.run.experiment_id)
-        return placing_of(
-            wanted, t.placing.seen(hand.run.executor), refused, hand.run.affinity, _expected_s(t, hand.run)
-        )
+        run = hand.run
+        expected_s = t.placing.measured_s(run.configuration_id)
+        if expected_s is None:
+            pairing = (run.algorithm, run.dataset, run.playback.mode, run.playback.rate)
+            expected_s = guessed_duration_s(pairing, t.placing.recording_s(run.dataset))
+        return placing_of(wanted, t.placing.seen(run.executor), refused, run.affinity, expected_s)
 
     return replace(spec, placing=hand.context.store.read(look))
 
@@ -137,7 +148,7 @@ def place(hand: RunInHand) -> RunSpec:
 def placing_of(
     cpu_model: str | None, seen: Sequence[NodeSeen], refused: Mapping[str, str], affinity: str, expected_s: float | None
 ) -> Placing:
-    """The hints of a run.
+    """Return the hints of a run.
 
     Args:
         cpu_model: What its node must have; None if any will do.
@@ -174,31 +185,13 @@ def leave_other_cpu(hand: RunInHand, spec: RunSpec, handle: RunHandle) -> None:
     raise EngineUnavailable(why, "it starts again on another node")
 
 
-def _expected_s(t: Transaction, run: RunRecord) -> float:
-    """Return the mean duration of earlier runs of the configuration, else a guess."""
-    measured_s = t.placing.measured_s(run.configuration_id)
-    if measured_s is not None:
-        return measured_s
-    pairing = (run.algorithm, run.dataset, run.playback.mode, run.playback.rate)
-    return guessed_duration_s(pairing, t.placing.recording_s(run.dataset))
-
-
-# The CPU model of this machine, and which experiments it keeps from running here.
-
-
-logger = logging.getLogger(__name__)
-
-LOOK_EVERY_S = 30.0
-ANY_CPU_HINT = "a worker on such a machine takes them; ANY_CPU=true lets this one do it"
-
-
 class CpuType:
-    """The CPU type that a worker names when it claims runs. Safe to share between threads.
+    """CPU type that a worker names when it claims runs, and the experiments that it thereby keeps away. Thread-safe.
 
     Args:
         settings: Whether workers here take runs that began on another CPU model.
         store: The queue.
-        executors: The executor for a name.
+        executors: The executor for a name. Runs of an engine that chooses the machine may be taken anywhere.
 
     Attributes:
         machine: For the queue; None if any run may be taken.

@@ -10,7 +10,7 @@ from typing import Any
 from slamhive.domain.run import RunState
 from slamhive.executors.gpu import GpuLog
 from slamhive.executors.host_counters import POWERCAP, EnergyLog, HostCounters, HostReader
-from slamhive.executors.host_log import HostLog, ReadHost
+from slamhive.executors.host_log import HostLog, HostReading
 from slamhive.executors.sampler import MachineLogs, Sampler
 from slamhive.executors.status import Gone, Running, UsageSource
 from slamhive.run_folder.outcome import Observation, broken_rule, is_finished
@@ -86,22 +86,22 @@ class Watch:
     def _machine_logs(self, source: UsageSource) -> MachineLogs:
         hand = self._hand
         energy = EnergyLog(hand.folder.energy, POWERCAP if source.on_this_machine else None)
-        host = HostLog(hand.folder.host, self._host_of(source))
+
+        def ask_executor(_time_s: float, _run_cpu_s: float) -> HostReading | None:
+            return hand.executor.host_reading(hand.handle)
+
+        here = source.on_this_machine
+        host = HostLog(
+            hand.folder.host, HostReader(HostCounters(hand.spec.limits.cpuset)).read if here else ask_executor
+        )
         gpu = hand.saved().get("gpu")
         if gpu is None:
             return MachineLogs(energy, host)
         log = GpuLog(hand.folder.gpu, lambda: hand.executor.gpu_use(hand.handle, gpu["uuid"]))
         return MachineLogs(energy, host, log)
 
-    def _host_of(self, source: UsageSource) -> ReadHost:
-        """Where the counters of the run's machine come from."""
-        hand = self._hand
-        if source.on_this_machine:
-            return HostReader(HostCounters(hand.spec.limits.cpuset)).read
-        return lambda _time_s, _run_cpu_s: hand.executor.host_reading(hand.handle)
-
     def _wait_for_end(self) -> str:
-        """Why the run has ended: ``exited``, ``gone``, ``cancelled``, or the value under :data:`STOPPED_BECAUSE`."""
+        """Return ``exited``, ``gone``, ``cancelled``, or the value to store under :data:`STOPPED_BECAUSE`."""
         hand = self._hand
         saved = hand.saved()
         disk = DiskWatch(hand, disk_limits(saved))
@@ -122,16 +122,20 @@ class Watch:
             hand.executor.refresh(hand.spec, hand.handle)
             cause = {STOPPED_BECAUSE: "process_limit"} if status.process_limit else self._cause_to_stop(status, disk)
             if cause is not None:
-                return self._stop_because(cause)
+                # Record the reason before the stop, so that the exit code is not blamed on the algorithm.
+                hand.save(cause)
+                return self._stop(cause[STOPPED_BECAUSE])
             hand.check_still_ours()
             hand.context.stopping.wait(hand.context.settings.poll_interval_s)
 
     def _cause_to_stop(self, status: Running, disk: DiskWatch) -> dict[str, Any] | None:
-        """The record entries that say why the run must stop now; None if it may continue."""
+        """Return the record entries that say why the run must stop now; None if it may continue."""
         hand = self._hand
         if status.delivering:
             return None
-        if self._known_to_run_s(status) > hand.spec.timeout_s:
+        # A node that cannot be asked may have ended the run since: count the time up to the last sign of it.
+        seen_s = hand.elapsed_s() if status.as_of is None else (status.as_of - hand.started_at).total_seconds()
+        if seen_s > hand.spec.timeout_s:
             return {STOPPED_BECAUSE: "timeout"}
         exceeded = disk.exceeded()
         if exceeded is not None:
@@ -142,28 +146,16 @@ class Watch:
             # The result is complete: there is nothing to end early.
             lingered_s = (hand.context.now() - self._finished_at).total_seconds()
             return {STOPPED_BECAUSE: "linger"} if lingered_s > LINGER_S else None
-        broken = broken_rule(hand.run.stop_when, self._observation())
+        rules = hand.run.stop_when
+        observation = Observation(
+            elapsed_s=hand.elapsed_s(),
+            memory_bytes=None if self._sampler is None else self._sampler.most_bytes,
+            untracked_s=untracked_s(hand.folder) if rules.lost_tracking_s is not None else None,
+        )
+        broken = broken_rule(rules, observation)
         if broken is None:
             return None
         return {STOPPED_BECAUSE: "stop_when", STOP_RULE: {"reason": broken.reason.value, "detail": broken.detail}}
-
-    def _known_to_run_s(self, status: Running) -> float:
-        """Return the duration of the run up to the last sign of it."""
-        hand = self._hand
-        return hand.elapsed_s() if status.as_of is None else (status.as_of - hand.started_at).total_seconds()
-
-    def _observation(self) -> Observation:
-        watched = self._hand.run.stop_when.lost_tracking_s is not None
-        return Observation(
-            elapsed_s=self._hand.elapsed_s(),
-            memory_bytes=None if self._sampler is None else self._sampler.most_bytes,
-            untracked_s=untracked_s(self._hand.folder) if watched else None,
-        )
-
-    def _stop_because(self, cause: dict[str, Any]) -> str:
-        """Stop the run. Records the reason first, so that the exit code is not blamed on the algorithm."""
-        self._hand.save(cause)
-        return self._stop(cause[STOPPED_BECAUSE])
 
     def _stop(self, cause: str) -> str:
         # A run that fills the disk or forks would continue during a grace period.

@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
@@ -35,95 +36,13 @@ from slamhive.services.worker.turns import AbsentExecutors, CpuType, OneAtATime,
 from slamhive.store import Store, Transaction
 from slamhive.store.records import LeaseLost, RunRecord
 
-# The CPU cores of each slot of the worker.
-
-
-def share_cores(slots: int, usable: Collection[int] | None = None) -> list[tuple[int, ...] | None]:
-    """Share cores between slots: disjoint sets of nearly equal size; None (all cores) for a single slot.
-
-    Args:
-        slots: Number of slots.
-        usable: Numbers of the cores to share; None for those that this process may use.
-
-    Raises:
-        InvalidInput: There are fewer cores than slots.
-    """
-    if slots == 1:
-        return [None]
-    cores = sorted(os.sched_getaffinity(0) if usable is None else usable)
-    count = len(cores)
-    if slots > count:
-        raise InvalidInput(f"WORKER_SLOTS={slots} exceeds the {count} cores that this process may use", "lower it")
-    return [tuple(cores[slot * count // slots : (slot + 1) * count // slots]) for slot in range(slots)]
-
-
-# Work done between runs, pinned to one slot's cores, so that it disturbs no other slot.
-
-
-@dataclass(frozen=True, slots=True)
-class Chores:
-    """The work between runs.
-
-    Attributes:
-        analyses: Computes analyses.
-        images: Runs images that were submitted to challenges.
-        judge: Evaluates submissions to challenges.
-    """
-
-    analyses: AnalysisJobs
-    images: ImageWork
-    judge: ChallengeJudge
-
-    def work_once(self, owner: str, stopping: threading.Event, cores: tuple[int, ...] | None) -> bool:
-        """Do at most one thing of each kind; returns whether there was any."""
-        analysed = self.analyses.work_once(owner, stopping)
-        ran = self.images.work_once(stopping, cores) > 0
-        return self.judge.work_once(stopping, cores) > 0 or ran or analysed
-
-
-# Sends notices beside the work of a worker. No run waits for a mail server.
-
-
 logger = logging.getLogger(__name__)
-
-EVERY_S = 15.0
-
-
-@contextmanager
-def noticing(notices: Notices | None) -> Iterator[None]:
-    """Send what is to be sent during the block, and once more at its end."""
-    if notices is None:
-        yield
-        return
-    ended = threading.Event()
-
-    def work() -> None:
-        while not ended.wait(EVERY_S):
-            _once(notices)
-
-    thread = threading.Thread(target=work, name="notices", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
-    _once(notices)
-
-
-def _once(notices: Notices) -> None:
-    try:
-        notices.work_once()
-    except (SlamHiveError, OSError) as error:
-        logger.warning("notices wait: %s", error)
-    except Exception:
-        logger.exception("notices wait because of an internal error")
-
 
 IDLE_PAUSE_S = 0.25
 TROUBLE_PAUSE_S = 5.0
 CANCEL_CHECK_S = 0.5
 EVALUATION_INTERVAL_S = 30.0
+NOTICES_EVERY_S = 15.0
 
 
 class Worker:
@@ -188,11 +107,15 @@ class Worker:
         Raises Conflict if a worker of this data root is already running on this machine.
         """
         slots = self._settings.worker_slots
-        shared = share_cores(slots) if self._takes_cores_here() and cores is None else [cores] * slots
+        shared = [cores] * slots
+        if cores is None:
+            name = self._settings.executor
+            if name == AUTO or self._context.executors(name).capabilities.takes_cores_here:
+                shared = share_cores(slots)
         notices = notices_of(self._settings, self._store)
         with WorkerLock(self._settings.data), noticing(notices), serving_nodes(self._settings):
             self._take_over_from_the_dead()
-            self._store.recheck()
+            self._store.recheck()  # the ledger gets the lines that a kill or a full disk has left out
             self._sweep()
             threads = [
                 threading.Thread(target=self._slot, args=(shared[slot], until_idle), name=f"slot-{slot}")
@@ -212,16 +135,15 @@ class Worker:
                 self._stopping.set()
                 for thread in threads:
                     thread.join()
+                # The heartbeat ends after the slots: without it, another worker would take over their runs.
                 heartbeat_ends.set()
                 heartbeat.join()
-                self._let_go()
+                try:
+                    self._store.write(lambda t: t.queue.release_all(self.owner))
+                except SlamHiveError as error:
+                    logger.warning("the leases could not be released and will expire: %s", error)
             if ended_by_itself:
                 self._engine_sweep.sweep()
-
-    def _takes_cores_here(self) -> bool:
-        """Return whether the runs of the executor in the settings compete for the cores of this machine."""
-        name = self._settings.executor
-        return name == AUTO or self._context.executors(name).capabilities.takes_cores_here
 
     def _slot(self, cores: tuple[int, ...] | None, until_idle: bool) -> None:
         if cores is not None:
@@ -242,8 +164,11 @@ class Worker:
                 continue
             if busy:
                 continue
-            if until_idle and not self._held.snapshot() and not self._waits_for_engine(away):
-                return
+            if until_idle and not self._held.snapshot():
+                # Runs of an engine that was away were skipped; it may be back by now.
+                skipped = bool(away) and self._store.read(lambda t: t.queue.waits(self._only))
+                if not skipped:
+                    return
             self._stopping.wait(IDLE_PAUSE_S)
 
     def _work_once(self, cores: tuple[int, ...] | None, turns: Turns, away: Collection[str]) -> bool:
@@ -264,10 +189,6 @@ class Worker:
         evaluated = self._evaluations.work_once(self.owner, self._stopping, self._only, cores=cores)
         others = self._chores is not None and self._chores.work_once(self.owner, self._stopping, cores)
         return run is not None or evaluated > 0 or others
-
-    def _waits_for_engine(self, away: Collection[str]) -> bool:
-        """Return whether runs were skipped because their engine was ``away``; it may be back by now."""
-        return bool(away) and self._store.read(lambda t: t.queue.waits(self._only))
 
     def _drive(self, run: RunRecord, cores: tuple[int, ...] | None) -> None:
         self._held.add(run.id)
@@ -300,8 +221,8 @@ class Worker:
                 if said != str(error):
                     said = str(error)
                     logger.warning("run %d waits: %s", run.id, said)
-                if isinstance(error, EngineUnavailable) and self._put_back(run, said):
-                    return self._record(run.id)
+                if isinstance(error, EngineUnavailable) and (queued := self._put_back(run, said)):
+                    return queued
                 self._stopping.wait(TROUBLE_PAUSE_S)
                 if self._stopping.is_set():
                     raise WorkerStopping(f"run {run.id} waits for the next worker") from None
@@ -314,37 +235,41 @@ class Worker:
             if run.state.ended:
                 return run
 
-    def _put_back(self, run: RunRecord, why: str) -> bool:
-        """Queue a run again that was not started, so that it waits for its engine without blocking the slot."""
-        if not RunInHand(self._context, run, None).put_back(f"waits: {why}"):
-            return False
-        self._absent.note(run.executor)
-        return True
+    def _put_back(self, run: RunRecord, why: str) -> RunRecord | None:
+        """Queue a run that was not started again, so that it waits for its engine without blocking the slot.
 
-    def _record(self, run_id: int) -> RunRecord:
-        return self._store.read(lambda t: t.runs.get(run_id))
+        A run that has started keeps the slot (None): it may still be running, and another would disturb its
+        measurement.
+        """
+        hand = RunInHand(self._context, run, None)
+        if not hand.put_back(f"waits: {why}"):
+            return None
+        self._absent.note(run.executor)
+        return hand.run
 
     def _reloaded(self, run: RunRecord) -> RunRecord:
+        """Read the run again and renew its lease; raises LeaseLost if another worker has taken it."""
         lease_s = self._settings.lease_s
-
-        def work_held() -> bool:
-            return bool(self._store.write(lambda t: t.queue.heartbeat([run.id], t.lease(self.owner, lease_s))))
-
         try:
-            current = self._record(run.id)
-            if current.state.active and not work_held():
+            current = self._store.read(lambda t: t.runs.get(run.id))
+            if current.state.active and not self._store.write(
+                lambda t: t.queue.heartbeat([run.id], t.lease(self.owner, lease_s))
+            ):
                 raise LeaseLost(f"run {run.id} was taken over by another worker")
         except Unavailable:
             return run
         return current
 
     def _take_over_from_the_dead(self) -> None:
-        """Release the runs of killed workers on this machine, before their leases expire."""
+        """Release the runs of killed workers on this machine.
+
+        A lease outlives its worker by up to LEASE_S. If the process is known to be gone, its runs need not wait.
+        """
         owners = self._store.read(lambda t: t.queue.owners() | t.evaluations.owners() | t.analyses.owners())
         for owner in owners:
             if owner != self.owner and owner_is_dead(owner):
                 logger.info("worker %s is dead: its runs are taken over", owner)
-                self._store.write(lambda t, owner=owner: _release(t, owner))  # type: ignore[misc]
+                self._store.write(partial(_release, owner=owner))
 
     def _sweep(self) -> None:
         """Remove leftovers of killed workers, and do what they had left to do."""
@@ -358,11 +283,76 @@ class Worker:
         except SlamHiveError as error:
             logger.warning("what killed workers left undone may still be missing: %s", error)
 
-    def _let_go(self) -> None:
-        try:
-            self._store.write(lambda t: t.queue.release_all(self.owner))
-        except SlamHiveError as error:
-            logger.warning("the leases could not be released and will expire: %s", error)
+
+@dataclass(frozen=True, slots=True)
+class Chores:
+    """Work done between runs, pinned to one slot's cores so that it disturbs no other slot.
+
+    Attributes:
+        analyses: Computes analyses.
+        images: Runs images that were submitted to challenges.
+        judge: Evaluates submissions to challenges.
+    """
+
+    analyses: AnalysisJobs
+    images: ImageWork
+    judge: ChallengeJudge
+
+    def work_once(self, owner: str, stopping: threading.Event, cores: tuple[int, ...] | None) -> bool:
+        """Do at most one thing of each kind; returns whether there was any."""
+        analysed = self.analyses.work_once(owner, stopping)
+        ran = self.images.work_once(stopping, cores) > 0
+        return self.judge.work_once(stopping, cores) > 0 or ran or analysed
+
+
+def share_cores(slots: int, usable: Collection[int] | None = None) -> list[tuple[int, ...] | None]:
+    """Share cores between slots: disjoint sets of nearly equal size; None (all cores) for a single slot.
+
+    Args:
+        slots: Number of slots.
+        usable: Numbers of the cores to share; None for those that this process may use.
+
+    Raises:
+        InvalidInput: There are fewer cores than slots.
+    """
+    if slots == 1:
+        return [None]
+    cores = sorted(os.sched_getaffinity(0) if usable is None else usable)
+    count = len(cores)
+    if slots > count:
+        raise InvalidInput(f"WORKER_SLOTS={slots} exceeds the {count} cores that this process may use", "lower it")
+    return [tuple(cores[slot * count // slots : (slot + 1) * count // slots]) for slot in range(slots)]
+
+
+@contextmanager
+def noticing(notices: Notices | None) -> Iterator[None]:
+    """Send notices during the block, and once more at its end: no run waits for a mail server."""
+    if notices is None:
+        yield
+        return
+    ended = threading.Event()
+
+    def work() -> None:
+        while not ended.wait(NOTICES_EVERY_S):
+            _once(notices)
+
+    thread = threading.Thread(target=work, name="notices", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+    _once(notices)
+
+
+def _once(notices: Notices) -> None:
+    try:
+        notices.work_once()
+    except (SlamHiveError, OSError) as error:
+        logger.warning("notices wait: %s", error)
+    except Exception:
+        logger.exception("notices wait because of an internal error")
 
 
 def _release(transaction: Transaction, owner: str) -> None:

@@ -164,7 +164,7 @@ def test_a_table_states_unit_and_order_for_each_file(hive, tmp_path, plain_truth
     orders = [(reading.time_unit, reading.quaternion_order) for reading in report.readings]
     assert orders == [("s", "xyzw"), ("s", "wxyz"), ("ns", "xyzw")]
     bad = write(tmp_path / "bad.csv", header + "orb,x,3,a.txt,gt.txt,stereo,min,wxyz,s\n")
-    assert "time_unit 'min' is not known" in carry_out(hive, bad, table=True).problems[0].text
+    assert "unknown time_unit 'min'" in carry_out(hive, bad, table=True).problems[0].text
 
 
 def test_the_command_says_how_files_were_read_and_why(hive, tmp_path, plain_truth):

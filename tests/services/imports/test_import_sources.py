@@ -82,7 +82,7 @@ def test_a_pattern_without_trial_takes_one_run_per_dataset(tmp_path):
         write(tmp_path / "alpha" / "seq1" / f"{name}.txt", trajectory(1))
     found = find(ImportRequest(tmp_path, pattern="<algorithm>/<dataset>/*.txt"))
     assert [entry.trial for entry in found.candidates] == ["1"]
-    assert "is there twice: alpha/seq1/a.txt is the other" in problems(found)["alpha/seq1/b.txt"]
+    assert "occurs twice: alpha/seq1/a.txt is the other" in problems(found)["alpha/seq1/b.txt"]
 
 
 def test_a_table_says_everything(tmp_path):
@@ -112,7 +112,7 @@ def test_a_table_says_everything(tmp_path):
         ("../alpha,seq1,1,a.txt", "algorithm name '../alpha' is not allowed"),
         ("alpha,=1+1,1,a.txt", "dataset name '=1\\+1' is not allowed"),
         ("alpha,seq1,<b>,a.txt", "trial name '<b>' is not allowed"),
-        ("alpha,seq1,0,b.txt", "is there twice"),
+        ("alpha,seq1,0,b.txt", "occurs twice"),
         ("alpha,seq1,1,link.txt", "is a link"),
         ("alpha,seq1,1,a\x1b[31m.txt", r"file 'a\\x1b\[31m.txt': the name holds characters that cannot be printed"),
     ],
@@ -145,5 +145,5 @@ def test_a_table_that_is_no_text_and_a_folder_that_is_none_are_refused(tmp_path)
     (tmp_path / "runs.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InvalidInput, match="is not a text file"):
         find(ImportRequest(tmp_path / "runs.csv", table=True))
-    with pytest.raises(InvalidInput, match="is no folder"):
+    with pytest.raises(InvalidInput, match="is not a folder"):
         find(ImportRequest(tmp_path / "nowhere"))
