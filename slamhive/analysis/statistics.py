@@ -139,7 +139,7 @@ def student_factors(most: int) -> list[float]:
 
 
 def means_differ(first: tuple[int, float, float], second: tuple[int, float, float]) -> bool:
-    """What :func:`compare_means` decides, from number (>= 2), mean and sample variance of each group."""
+    """Decide as :func:`compare_means` does, from number (>= 2), mean and sample variance of each group."""
     half_width = _half_width((first[2], second[2]), (first[0], second[0]), CONFIDENCE)
     return half_width < abs(first[1] - second[1])
 
@@ -181,7 +181,7 @@ class RankTest:
     significance: float
 
     def same(self, first: int, second: int) -> bool:
-        """Whether the test finds no difference between two competitors."""
+        """True if the test finds no difference between two competitors."""
         key = (min(first, second), max(first, second))
         if self.critical_difference is not None:
             return bool(abs(self.mean_ranks[first] - self.mean_ranks[second]) < self.critical_difference)
@@ -324,7 +324,7 @@ def standings(points: Numbers, weights: Numbers, *, higher_wins: bool, significa
 
 
 def separated(first: Numbers, second: Numbers, significance: float) -> bool:
-    """Whether a paired test over sequences separates two competitors.
+    """Result of a paired test over sequences between two competitors.
 
     Wilcoxon's signed-rank test, or Student's paired t test below :data:`LEAST_FOR_WILCOXON` sequences. A bootstrap of
     so few differences would be wrong far more often than it states: of three, all have one sign by chance in a quarter
@@ -491,7 +491,7 @@ def _own(design: _Design, term: Term) -> tuple[float, int]:
 
 
 def _shared(design: _Design, full: _Fit) -> float:
-    """What the full model explains beyond the sums of its terms; never below 0."""
+    """Share that the full model explains beyond the sums of its terms; never below 0."""
     if design.total == 0:
         return 0.0
     own = sum(_own(design, term)[0] for term in design.terms)
@@ -536,7 +536,7 @@ def _indicators(codes: Codes) -> scipy.sparse.csr_array:
 
 
 def _nested(first: Codes, second: Codes) -> bool:
-    """Whether one of two factors determines the other, so that they have no interaction."""
+    """Tell if one of two factors determines the other, so that they have no interaction."""
     return _determines(first, second) or _determines(second, first)
 
 
@@ -545,7 +545,7 @@ def _same(first: Codes, second: Codes) -> bool:
 
 
 def _determines(outer: Codes, inner: Codes) -> bool:
-    """Whether each level of ``outer`` implies one level of ``inner``."""
+    """Tell if each level of ``outer`` implies one level of ``inner``."""
     said = np.zeros(int(outer.max(initial=-1)) + 1, dtype=inner.dtype)
     said[outer] = inner
     return bool((said[outer] == inner).all())
