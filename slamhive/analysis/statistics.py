@@ -149,6 +149,7 @@ def _half_width(variances: tuple[float, float], counts: tuple[int, int], confide
     parts = [variance / count for variance, count in zip(variances, counts, strict=True)]
     if sum(parts) == 0:
         return 0.0
+    # Degrees of freedom after Welch and Satterthwaite (F. E. Satterthwaite, Biometrics Bulletin 2, 1946).
     freedom = sum(parts) ** 2 / sum(part**2 / (count - 1) for part, count in zip(parts, counts, strict=True))
     return float(scipy.special.stdtrit(freedom, (1 + confidence) / 2)) * math.sqrt(sum(parts))
 
@@ -224,6 +225,7 @@ def rank_test(scores: Numbers, test: str = "nemenyi", significance: float = 0.05
     p_value = 1.0 if math.isnan(p_value) else p_value  # scipy divides 0 by 0 where all scores are tied
     if test == "wilcoxon-holm":
         return RankTest(mean_ranks, p_value, None, _wilcoxon_holm(scores), significance)
+    # Demsar's equation 4 has q / sqrt(2) times sqrt(k(k+1) / 6N), hence 12: q is the studentized range itself here.
     unit = math.sqrt(competitors * (competitors + 1) / (12 * blocks))
     critical = float(scipy.stats.studentized_range.ppf(1 - significance, competitors, np.inf)) * unit
     return RankTest(mean_ranks, p_value, critical, _nemenyi(mean_ranks, unit), significance)
