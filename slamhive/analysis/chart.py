@@ -398,7 +398,7 @@ class Chart:
 
 
 def crowded(chart: Chart) -> bool:
-    """Whether the plot has a density, so that single points are small."""
+    """True if the plot has a density, so that single points are small."""
     return any(isinstance(mark, Density) for mark in chart.marks)
 
 

@@ -136,7 +136,7 @@ _KEYS: dict[tuple[str, ...], frozenset[str]] = {
 
 
 def is_paper_file(content: object) -> bool:
-    """Whether parsed YAML is a file of the published system."""
+    """Tell if parsed YAML is a file of the published system."""
     return isinstance(content, dict) and MARK in content
 
 

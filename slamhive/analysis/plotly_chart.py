@@ -98,7 +98,7 @@ def meta_of(colour: str) -> Json:
 
 
 def drawable(x: Array, axis: Axis) -> Array:
-    """Which values an axis can show: numbers, and only positive ones if it is logarithmic."""
+    """Mark the values that an axis can show: numbers, and only positive ones if it is logarithmic."""
     return np.isfinite(x) & (x > 0) if axis.log else np.isfinite(x)
 
 

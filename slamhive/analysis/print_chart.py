@@ -323,7 +323,7 @@ class _Sheet:
     worded: bool
 
     def letters(self, default: float) -> float:
-        """How many letters fit, if ``default`` fit into a plot with title and caption."""
+        """Number of letters that fit, if ``default`` fit into a plot with title and caption."""
         return default * self.width / _WORDED.width
 
 

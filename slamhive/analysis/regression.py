@@ -1,4 +1,4 @@
-"""Whether values became worse than those of a baseline: tests with a margin, over several configurations.
+"""Tests for values worse than a baseline's: with a margin, over several configurations.
 
 Two questions are asked of each metric, each with a p value. Did it become worse by more than the margin? Did it stay
 within the margin? If neither can be affirmed, nothing is decided.

@@ -68,7 +68,7 @@ class ResultTable:
         return self.ranks[row][column] if self.ranks else None
 
     def is_number(self, column: int) -> bool:
-        """Whether a column holds numbers alone, or texts that are numbers."""
+        """Tell if a column holds numbers alone, or texts that are numbers."""
         cells = (row[column] for row in self.rows)
         return self.columns[column].figures or all(isinstance(cell, int | float | None) for cell in cells)
 
@@ -113,7 +113,7 @@ FORMAT = 1
 
 
 class ProtocolRuns(Document):
-    """How many runs were evaluated under a protocol."""
+    """Number of runs evaluated under a protocol."""
 
     fingerprint: str
     label: str
@@ -129,7 +129,7 @@ class DisturbedRuns(Document):
 
 
 class Summary(Document):
-    """What an analysis is about: its runs and how they were judged."""
+    """Subject of an analysis: its runs and how they were judged."""
 
     format: int = FORMAT
     name: str
@@ -232,7 +232,7 @@ class RawData(Document):
 
 
 class ShownPlot(PlotHead):
-    """What a page shows of a plot type."""
+    """Description of a plot type for a page."""
 
     charts: tuple[Chart, ...]
     tables: tuple[ShownTable, ...]
@@ -243,7 +243,7 @@ class ShownPlot(PlotHead):
 
 
 class ReportPage(Summary):
-    """What the page of a report shows. Its plots have no marks: those are in a file of their own."""
+    """Content of a report's page. Its plots have no marks: those are in a file of their own."""
 
     source: str
     forms: tuple[ShownPlot, ...]
@@ -251,7 +251,7 @@ class ReportPage(Summary):
 
 
 class PlotBrief(Document):
-    """Whether a plot could be made."""
+    """True if the plot could be made."""
 
     place: int
     form: str

@@ -139,7 +139,7 @@ def student_factors(most: int) -> list[float]:
 
 
 def means_differ(first: tuple[int, float, float], second: tuple[int, float, float]) -> bool:
-    """What :func:`compare_means` decides, from number (>= 2), mean and sample variance of each group."""
+    """Decide as :func:`compare_means` does, from number (>= 2), mean and sample variance of each group."""
     half_width = _half_width((first[2], second[2]), (first[0], second[0]), CONFIDENCE)
     return half_width < abs(first[1] - second[1])
 
@@ -149,6 +149,7 @@ def _half_width(variances: tuple[float, float], counts: tuple[int, int], confide
     parts = [variance / count for variance, count in zip(variances, counts, strict=True)]
     if sum(parts) == 0:
         return 0.0
+    # Degrees of freedom after Welch and Satterthwaite (F. E. Satterthwaite, Biometrics Bulletin 2, 1946).
     freedom = sum(parts) ** 2 / sum(part**2 / (count - 1) for part, count in zip(parts, counts, strict=True))
     return float(scipy.special.stdtrit(freedom, (1 + confidence) / 2)) * math.sqrt(sum(parts))
 
@@ -181,7 +182,7 @@ class RankTest:
     significance: float
 
     def same(self, first: int, second: int) -> bool:
-        """Whether the test finds no difference between two competitors."""
+        """True if the test finds no difference between two competitors."""
         key = (min(first, second), max(first, second))
         if self.critical_difference is not None:
             return bool(abs(self.mean_ranks[first] - self.mean_ranks[second]) < self.critical_difference)
@@ -224,6 +225,7 @@ def rank_test(scores: Numbers, test: str = "nemenyi", significance: float = 0.05
     p_value = 1.0 if math.isnan(p_value) else p_value  # scipy divides 0 by 0 where all scores are tied
     if test == "wilcoxon-holm":
         return RankTest(mean_ranks, p_value, None, _wilcoxon_holm(scores), significance)
+    # Demsar's equation 4 has q / sqrt(2) times sqrt(k(k+1) / 6N), hence 12: q is the studentized range itself here.
     unit = math.sqrt(competitors * (competitors + 1) / (12 * blocks))
     critical = float(scipy.stats.studentized_range.ppf(1 - significance, competitors, np.inf)) * unit
     return RankTest(mean_ranks, p_value, critical, _nemenyi(mean_ranks, unit), significance)
@@ -324,7 +326,7 @@ def standings(points: Numbers, weights: Numbers, *, higher_wins: bool, significa
 
 
 def separated(first: Numbers, second: Numbers, significance: float) -> bool:
-    """Whether a paired test over sequences separates two competitors.
+    """Result of a paired test over sequences between two competitors.
 
     Wilcoxon's signed-rank test, or Student's paired t test below :data:`LEAST_FOR_WILCOXON` sequences. A bootstrap of
     so few differences would be wrong far more often than it states: of three, all have one sign by chance in a quarter
@@ -491,7 +493,7 @@ def _own(design: _Design, term: Term) -> tuple[float, int]:
 
 
 def _shared(design: _Design, full: _Fit) -> float:
-    """What the full model explains beyond the sums of its terms; never below 0."""
+    """Share that the full model explains beyond the sums of its terms; never below 0."""
     if design.total == 0:
         return 0.0
     own = sum(_own(design, term)[0] for term in design.terms)
@@ -536,7 +538,7 @@ def _indicators(codes: Codes) -> scipy.sparse.csr_array:
 
 
 def _nested(first: Codes, second: Codes) -> bool:
-    """Whether one of two factors determines the other, so that they have no interaction."""
+    """Tell if one of two factors determines the other, so that they have no interaction."""
     return _determines(first, second) or _determines(second, first)
 
 
@@ -545,7 +547,7 @@ def _same(first: Codes, second: Codes) -> bool:
 
 
 def _determines(outer: Codes, inner: Codes) -> bool:
-    """Whether each level of ``outer`` implies one level of ``inner``."""
+    """Tell if each level of ``outer`` implies one level of ``inner``."""
     said = np.zeros(int(outer.max(initial=-1)) + 1, dtype=inner.dtype)
     said[outer] = inner
     return bool((said[outer] == inner).all())

@@ -349,7 +349,7 @@ def make_table(
 
 
 def is_disturbed(frame: pd.DataFrame) -> pd.Series:
-    """Which runs are known to have been disturbed."""
+    """Mark the runs that are known to have been disturbed."""
     return frame["disturbed"].notna() & (frame["disturbed"] != UNDISTURBED)
 
 

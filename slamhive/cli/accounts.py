@@ -20,7 +20,7 @@ from slamhive.store import Account as AccountRecord
 # ``slamhive account token``: personal API tokens.
 
 
-@click.group("token")
+@click.group("token", short_help="Make, list and revoke API tokens")
 def token() -> None:
     """Make, list and revoke API tokens, by which programs use the web API."""
 
@@ -143,7 +143,7 @@ def password(cli: CliContext, name: str, as_json: bool) -> None:
         _show(accounts.set_password(name, _new_password()), as_json=as_json)
 
 
-@account.command("disable")
+@account.command("disable", short_help="Disable an account: its sessions and tokens end")
 @click.argument("name")
 @json_option
 @pass_cli
@@ -163,7 +163,7 @@ def enable(cli: CliContext, name: str, as_json: bool) -> None:
         _show(accounts.enable(name), as_json=as_json)
 
 
-@account.command("link")
+@account.command("link", short_help="Let a user of OpenID Connect use an account")
 @click.argument("name")
 @click.argument("subject")
 @click.option("--issuer", help="Address of the provider.  [default: OIDC_ISSUER]")

@@ -73,7 +73,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
         tell(f"left out: {broken.problem}")
 
 
-@algorithm.command("show")
+@algorithm.command("show", short_help="Show one algorithm: needs and parameters")
 @click.argument("name", shell_complete=completion.ALGORITHM)
 @json_option
 @pass_cli
@@ -99,7 +99,7 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
         say(f"on {bound.dataset}: {bound.words}")
 
 
-@algorithm.command("build")
+@algorithm.command("build", short_help="Build the images of algorithms")
 @click.argument("names", nargs=-1, shell_complete=completion.PACKAGE)
 @click.option("--all", "all_", is_flag=True, help="Build all packages.")
 @click.option("--executor", help="An executor that `slamhive doctor --all` lists; default: the one in force.")
@@ -163,7 +163,7 @@ def _text(value: Any) -> str:
 # ``slamhive algorithm import`` and ``remove``.
 
 
-@click.command("import")
+@click.command("import", short_help="Import an algorithm of the published system")
 @click.argument("source", metavar="FOLDER|GIT-URL|IMAGE|TAR")
 @click.option("--name", help="The name of the package; default: that of the source.")
 @click.option("--image", help="The image to use with a folder: its name, or a file that docker save wrote.")
@@ -250,7 +250,7 @@ COLUMNS = (
 )
 
 
-@click.command("test")
+@click.command("test", short_help="Test if algorithms keep their bounds")
 @click.argument("names", nargs=-1, shell_complete=completion.PACKAGE)
 @click.option("--all", "all_", is_flag=True, help="Test all packages.")
 @click.option("--dataset", "datasets", multiple=True, help="Only the bounds on these datasets.")
@@ -343,7 +343,7 @@ _IDENTITY_DIGITS = 19
 """So much of a digest is shown: ``sha256:`` and twelve digits."""
 
 
-@click.command("versions")
+@click.command("versions", short_help="List the versions of a package or algorithm")
 @click.argument("name", shell_complete=completion.PACKAGE)
 @json_option
 @pass_cli
@@ -367,7 +367,7 @@ def versions(cli: CliContext, name: str, as_json: bool) -> None:
     print_table(("version", "upstream", "identity", "since", "runs", "runs on"), rows, right=("runs",))
 
 
-@click.command("verify")
+@click.command("verify", short_help="Find changed or vanished images and folders")
 @click.argument("name", required=False, shell_complete=completion.PACKAGE)
 @json_option
 @pass_cli
@@ -384,7 +384,7 @@ def verify(cli: CliContext, name: str | None, as_json: bool) -> None:
         raise click.exceptions.Exit(1)
 
 
-@click.command("export")
+@click.command("export", short_help="Write image and package of a version to FILE")
 @click.argument("version", metavar="NAME[@VERSION]", shell_complete=completion.PACKAGE)
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 @click.option("--executor", help="The executor that has the image; default: the one in force.")
@@ -407,7 +407,7 @@ def remove_version(cli: CliContext, version: str, with_runs: bool) -> None:
     say(f"{record.label} is removed; {plural(record.runs, 'run')} used it")
 
 
-@click.command("prune")
+@click.command("prune", short_help="Remove the versions that nothing needs")
 @click.argument("name", required=False, shell_complete=completion.PACKAGE)
 @click.option("--dry-run", is_flag=True, help="Only list what would be removed.")
 @pass_cli

@@ -135,7 +135,7 @@ def import_archive(cli: CliContext, file: Path, as_json: bool) -> None:
         tell(f"note: {note}")
 
 
-@archive.command("site")
+@archive.command("site", short_help="Write static pages of runs into FOLDER")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
 @click.option("--where", metavar="FILTER", help="Only runs that match this filter; default: all.")
 @click.option("--experiment", metavar="NAME", help="Only the runs of this experiment.")

@@ -145,7 +145,7 @@ def status(cli: CliContext, name: str, team: str | None, as_json: bool) -> None:
     print_table(("submission", "team", "phase", "sent (UTC)", "state", "score", "reason"), rows, right=("score",))
 
 
-@click.command()
+@click.command(short_help="Show the log of a submission")
 @name_argument
 @click.argument("submission")
 @pass_cli
@@ -195,7 +195,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
         tell("no challenges; `slamhive challenge create FILE` makes one")
 
 
-@challenge.command()
+@challenge.command(short_help="Show how a challenge counts, and its sequences")
 @name_argument
 @json_option
 @pass_cli
@@ -280,7 +280,7 @@ def phase(cli: CliContext, name: str, phase_name: str, ends: str) -> None:
     say(f"challenge {name}: {_phase_words(made)}")
 
 
-@challenge.command()
+@challenge.command(short_help="End all phases of a challenge now")
 @name_argument
 @pass_cli
 def close(cli: CliContext, name: str) -> None:
@@ -289,7 +289,7 @@ def close(cli: CliContext, name: str) -> None:
     say(f"challenge {name}: {_phase_words(made)}")
 
 
-@challenge.command()
+@challenge.command(short_help="Remove a challenge, its secrets and its submissions")
 @name_argument
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @pass_cli

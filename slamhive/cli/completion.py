@@ -69,7 +69,7 @@ def completion() -> None:
     """Complete commands, options and names with Tab, in bash, zsh or fish."""
 
 
-@completion.command()
+@completion.command(short_help="Write the completion of SHELL (default: your login shell)")
 @_shell_argument
 def install(shell: str | None) -> None:
     """Write the completion of SHELL (default: your login shell) to where it looks for it."""

@@ -161,7 +161,7 @@ def copy(cli: CliContext, reference: str, as_json: bool, **options: Any) -> None
     _tell(service.copy(service.find(reference).id, _changes(options), _label(options)), as_json)
 
 
-@configuration.command("modify")
+@configuration.command("modify", short_help="Replace, rename or annotate a configuration")
 @click.argument("reference", metavar="CONFIGURATION")
 @change_options
 @json_option
@@ -172,7 +172,7 @@ def modify(cli: CliContext, reference: str, as_json: bool, **options: Any) -> No
     _tell(service.modify(service.find(reference).id, _changes(options), _label(options)), as_json)
 
 
-@configuration.command("delete")
+@configuration.command("delete", short_help="Delete configurations without runs")
 @click.argument("references", metavar="CONFIGURATION...", nargs=-1, required=True)
 @pass_cli
 def delete(cli: CliContext, references: tuple[str, ...]) -> None:
@@ -202,7 +202,7 @@ def export(cli: CliContext, reference: str, output: Path | None) -> None:
     say(f"wrote {output}")
 
 
-@configuration.command("import")
+@configuration.command("import", short_help="Import a configuration from FILE")
 @click.argument("file", type=click.Path(path_type=Path, allow_dash=True))
 @label_options
 @json_option

@@ -31,7 +31,7 @@ def dataset() -> None:
     """Fetch, import, export, render and show datasets."""
 
 
-@dataset.command("import")
+@dataset.command("import", short_help="Make a dataset of the recording at PATH")
 @click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
 @click.option("--name", help="Name of the new dataset.  [default: that of PATH]")
 @click.option("--format", "format_name", help="Format of PATH.  [default: detected]")
@@ -129,7 +129,7 @@ def _show_plan(planned: PlannedImport) -> None:
         tell(f"note: {note}")
 
 
-@dataset.command("room")
+@dataset.command("room", short_help="Render the synthetic room with exact ground truth")
 @click.option("--name", default="room", show_default=True, help="Name of the new dataset.")
 @click.option("--seconds", type=float, default=15.0, show_default=True, help="Duration in s.")
 @click.option("--seed", type=int, default=1, show_default=True, help="The same seed gives the same bytes.")
@@ -174,7 +174,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
         tell(f"left out: {broken.problem}")
 
 
-@dataset.command("show")
+@dataset.command("show", short_help="Show one dataset: sensors, calibration, ground truth")
 @click.argument("name", shell_complete=completion.DATASET)
 @click.option(
     "--plot",
@@ -216,7 +216,7 @@ def _motion_in_words(motion: MotionSummary) -> str:
     return ", ".join(words)
 
 
-@dataset.command("remove")
+@dataset.command("remove", short_help="Delete a dataset and its variants; runs keep their results")
 @click.argument("name", shell_complete=completion.DATASET)
 @click.confirmation_option(prompt="Delete the dataset's folder? Runs keep their results.")
 @pass_cli
@@ -282,7 +282,7 @@ def _ground_truth_in_words(entry: Dataset) -> str:
 # ``slamhive dataset check``: what is wrong with a dataset, and what to do about it.
 
 
-@click.command("check")
+@click.command("check", short_help="Check recording, calibration and ground truth of a dataset")
 @click.argument("name", shell_complete=completion.DATASET)
 @click.option("--strict", is_flag=True, help="Exit code 1 for warnings too.")
 @json_option
@@ -399,7 +399,7 @@ def fetch(cli: CliContext, preview: bool, as_json: bool, **given: Any) -> None:
         print_json([dataset_document(dataset).content for dataset in made])
 
 
-@click.command("search")
+@click.command("search", short_help="List public sequences that all WORDS fit")
 @click.argument("words", nargs=-1)
 @json_option
 @pass_cli

@@ -181,7 +181,7 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
     )
 
 
-@protocol.command("use")
+@protocol.command("use", short_help="Show the metrics of PROTOCOL for runs")
 @click.argument("name", metavar="PROTOCOL")
 @click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=completion.RUN)
 @pass_cli
@@ -196,7 +196,7 @@ def use(cli: CliContext, name: str, run_ids: tuple[int, ...]) -> None:
     say(f"{plural(len(set(run_ids)), 'run')} changed")
 
 
-@protocol.command("compare")
+@protocol.command("compare", short_help="Evaluate a run as each published tool does")
 @click.argument("run_id", type=run_number, shell_complete=completion.RUN)
 @json_option
 @pass_cli

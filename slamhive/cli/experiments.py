@@ -233,7 +233,7 @@ def plan(cli: CliContext, file: Path, executor: str | None, nodes: int | None, a
         raise click.exceptions.Exit(1)
 
 
-@experiment.command("convert")
+@experiment.command("convert", short_help="Convert a combination file of the published system")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), help="Write to this file; a folder if FILE holds several.")
 @id_option
@@ -305,7 +305,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
         tell("no experiments; `slamhive experiment start FILE` starts one")
 
 
-@experiment.command("status")
+@experiment.command("status", short_help="Show the progress of one or all unfinished")
 @click.argument("name", metavar="[NAME|FILE]", required=False, shell_complete=completion.EXPERIMENT)
 @json_option
 @pass_cli
@@ -378,7 +378,7 @@ def add_repeats(cli: CliContext, name: str, count: int, as_json: bool) -> None:
     _show_status(status, as_json)
 
 
-@experiment.command("report")
+@experiment.command("report", short_help="Print a row for each configuration")
 @name_argument
 @click.option("--csv", "csv_file", type=click.Path(path_type=Path), help="Write the table to this CSV file.")
 @json_option

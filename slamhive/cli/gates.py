@@ -114,7 +114,7 @@ def show(cli: CliContext, baseline_name: str, as_json: bool) -> None:
     print_table(heads, rows, right=("runs", "failed"))
 
 
-@gate.command()
+@gate.command(short_help="Write the baseline NAME to FILE")
 @click.argument("name", shell_complete=completion.BASELINE)
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 @pass_cli
@@ -133,7 +133,7 @@ def remove(cli: CliContext, name: str) -> None:
     say(f"baseline {name} removed")
 
 
-@gate.command()
+@gate.command(short_help="Check if runs became worse than BASELINE")
 @click.argument("baseline_name", metavar="BASELINE", shell_complete=completion.BASELINE)
 @click.option("--where", metavar="FILTER", help="Check runs that exist; those of the baseline are left out.")
 @click.option(

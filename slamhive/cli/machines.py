@@ -148,7 +148,7 @@ def status_(cli: CliContext, name: str | None, as_json: bool) -> None:
         tell("no cluster is up; `slamhive cloud up FILE` rents one")
 
 
-@cloud.command()
+@cloud.command(short_help="Delete all that a cluster has")
 @click.argument("name")
 @pass_cli
 def down(cli: CliContext, name: str) -> None:
@@ -157,7 +157,7 @@ def down(cli: CliContext, name: str) -> None:
     say(f"cluster {name} is down; {plural(deleted, 'resource')} deleted, nothing is left")
 
 
-@cloud.command()
+@cloud.command(short_help="Find and delete what clusters have left behind")
 @click.argument("file", type=click.Path(path_type=Path), required=False)
 @click.option("--all", "everything", is_flag=True, help="Also what other installations have; theirs may be in use.")
 @pass_cli

@@ -16,7 +16,7 @@ def notify() -> None:
     """Tell people when experiments end or fail. See docs/notifications.md."""
 
 
-@notify.command("test")
+@notify.command("test", short_help="Send a test message by each channel")
 @json_option
 @pass_cli
 def test(cli: CliContext, as_json: bool) -> None:

@@ -134,7 +134,7 @@ def _print_page(listing: Listing, *, as_json: bool) -> None:
     tell(listing.summary(len(page.records), page.count))
 
 
-@runs.command("show")
+@runs.command("show", short_help="Show what matters of one run")
 @click.argument("run_id", type=run_number, shell_complete=completion.RUN)
 @click.option("--all", "everything", is_flag=True, help="Also all parameters, metrics and changes of state.")
 @json_option
@@ -209,7 +209,7 @@ def log(cli: CliContext, run_id: int, max_bytes: int, raw: bool) -> None:
         say(text, nl=False)
 
 
-@runs.command("cancel")
+@runs.command("cancel", short_help="Cancel queued and active runs")
 @click.argument("run_ids", type=run_number, nargs=-1, required=True, shell_complete=completion.RUN)
 @json_option
 @pass_cli

@@ -50,7 +50,7 @@ def share_runs(cli: CliContext, /, visibility: str | None, owner: str | None, as
         say(f"run {run.id}: {in_words(run.owner, run.seen_by)}")
 
 
-@click.command("share")
+@click.command("share", short_help="Choose who may see an experiment and its runs")
 @click.argument("name", shell_complete=completion.EXPERIMENT)
 @sharing_options
 def share_experiment(cli: CliContext, name: str, visibility: str | None, owner: str | None, as_json: bool) -> None:

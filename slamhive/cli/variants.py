@@ -74,7 +74,7 @@ def list_(cli: CliContext, dataset: str | None, as_json: bool) -> None:
     tell(f"{len(found)} variants, {total_bytes / 1e6:.1f} MB of {allowed_bytes / 1e6:.0f} MB")
 
 
-@variants.command("make")
+@variants.command("make", short_help="Create the variant of DATASET with these steps")
 @click.argument("dataset", shell_complete=completion.DATASET)
 @step_option
 @json_option
@@ -128,7 +128,7 @@ def drop(cli: CliContext, keys: tuple[str, ...], dataset: str | None, everything
     say(f"{len(dropped)} variants removed, {sum(entry.size_bytes for entry in dropped) / 1e6:.1f} MB{in_use}")
 
 
-@variants.command("verify")
+@variants.command("verify", short_help="Read every byte of variants, and compare")
 @click.argument("keys", nargs=-1)
 @click.option("--dataset", help="All variants of this dataset.")
 @json_option

@@ -1,4 +1,4 @@
-"""What the client asks of an installation. One backend reads the files of a data root, one talks to a server."""
+"""Interface between the client and an installation. One reads a data root, one talks to a server."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def text_of(file: Path | str) -> str:
 
 
 class RequestedChange(StrEnum):
-    """What can be done to an experiment that was started."""
+    """Actions on an experiment that was started."""
 
     PAUSE = "pause"
     RESUME = "resume"
@@ -42,7 +42,7 @@ class RequestedChange(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RunQuery:
-    """Which runs, in which order. ``sort`` is a column, metric or parameter."""
+    """Selection and order of runs. ``sort`` is a column, metric or parameter."""
 
     where: str = ""
     sort: str = "id"
@@ -63,7 +63,7 @@ class Backend(Protocol):
         """All matching runs, read in pages. Raises InvalidInput for a filter that is not valid."""
 
     def count(self, query: RunQuery) -> int:
-        """How many runs match."""
+        """Number of matching runs."""
 
     def table(self, query: RunQuery, columns: Sequence[str]) -> Iterator[dict[str, Any]]:
         """A row of values for each matching run; raises NotFound for an unknown column."""
@@ -81,7 +81,7 @@ class Backend(Protocol):
         """The last :data:`LOG_BYTES` of the output of a run."""
 
     def activity(self, run_id: int) -> str:
-        """What a run does now, in words."""
+        """Current activity of a run, in words."""
 
     def submit(self, submission: Submission) -> tuple[run_schema.RunDocument, ...]:
         """Queue runs. Raises NotFound or InvalidInput naming the value, Forbidden where nothing may change."""

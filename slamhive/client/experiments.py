@@ -114,7 +114,7 @@ class Analysis:
 
     @property
     def token(self) -> str:
-        """What its permanent address ends with."""
+        """Last part of the experiment's permanent address."""
         return self.document.token
 
     @property
@@ -134,7 +134,7 @@ class Analysis:
 
     @property
     def visibility(self) -> Visibility | None:
-        """Who may see it, besides admins; None for everybody who is signed in."""
+        """Audience of the experiment, besides admins; None for everybody who is signed in."""
         return self.document.visibility
 
     @property

@@ -137,7 +137,7 @@ def load_httpx() -> Any:
 
 
 def message_of(request: Request[Any]) -> dict[str, Any]:
-    """What a client of httpx sends for a request."""
+    """Arguments that an httpx client takes for a request."""
     body: dict[str, Any] = {} if request.body is None else {"json": request.body}
     if request.data is not None:
         body = {"content": request.data, "headers": {"Content-Type": OCTETS}}
@@ -171,138 +171,138 @@ class HttpBackend:
         self._client: httpx.Client = library.Client(transport=transport, **connection_options(url, token))
 
     def runs(self, query: RunQuery) -> Iterator[RunDocument]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.runs`."""
         for page in self._pages(lambda after: requests.run_page(query, after)):
             yield from page.runs
 
     def count(self, query: RunQuery) -> int:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.count`."""
         found = self._send(requests.run_count(query))
         return found if found < requests.EXACT_BELOW else sum(1 for _ in self.table(query, ["id"]))
 
     def table(self, query: RunQuery, columns: Sequence[str]) -> Iterator[dict[str, Any]]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.table`."""
         return self._send(requests.run_table(query, columns))
 
     def run(self, run_id: int) -> RunWith:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.run`."""
         return self._send(requests.run(run_id))
 
     def files(self, run_id: int) -> tuple[str, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.files`."""
         return tuple(entry.key for entry in self._send(requests.run_files(run_id)).files)
 
     def file(self, run_id: int, key: str) -> bytes:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.file`."""
         return self._send(requests.run_file(run_id, key))
 
     def log(self, run_id: int) -> str:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.log`."""
         return self._send(requests.run_log(run_id, LOG_BYTES))
 
     def activity(self, run_id: int) -> str:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.activity`."""
         return self._send(requests.run_progress(run_id)).text
 
     def submit(self, submission: Submission) -> tuple[RunDocument, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.submit`."""
         return self._send(requests.submit(submission)).runs
 
     def cancel(self, run_id: int) -> RunDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.cancel`."""
         return self._send(requests.cancel(run_id))
 
     def share(self, run_id: int, visibility: Visibility) -> RunDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.share`."""
         return self._send(requests.share(run_id, visibility)).runs[0]
 
     def retry(self, run_id: int) -> RunDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.retry`."""
         return self._send(requests.retry(run_id))
 
     def annotate(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> RunDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.annotate`."""
         return self._send(requests.annotate(run_id, note, tags))
 
     def act(self, query: RunQuery, action: FoundAction, options: Mapping[str, Any]) -> ActedOn:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.act`."""
         return self._send(requests.act(query, action, self.count(query), options))
 
     def restore(self, deleted_at: str) -> tuple[int, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.restore`."""
         return self._send(requests.restore(deleted_at)).runs
 
     def experiments(self) -> tuple[ExperimentStatusDocument, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.experiments`."""
         return self._send(requests.experiments()).experiments
 
     def experiment(self, name: str) -> ExperimentStatusDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.experiment`."""
         return self._send(requests.experiment(name))
 
     def cells(self, name: str) -> Iterator[CellDocument]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.cells`."""
         for page in self._pages(lambda after: requests.cells(name, after)):
             yield from page.cells
 
     def start(self, text: str, executor: str | None) -> ExperimentStatusDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.start`."""
         return self._send(requests.start(text, executor))
 
     def change(self, name: str, change: RequestedChange) -> ExperimentStatusDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.change`."""
         return self._send(requests.change(name, change))
 
     def datasets(self) -> tuple[DatasetDocument, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.datasets`."""
         return self._send(requests.datasets()).datasets
 
     def dataset(self, name: str) -> DatasetDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.dataset`."""
         return self._send(requests.dataset(name))
 
     def algorithms(self) -> tuple[AlgorithmDocument, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.algorithms`."""
         return self._send(requests.algorithms()).algorithms
 
     def algorithm(self, name: str) -> AlgorithmDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.algorithm`."""
         return self._send(requests.algorithm(name))
 
     def analyses(self) -> tuple[AnalysisDocument, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.analyses`."""
         return self._send(requests.analyses()).analyses
 
     def analysis(self, token: str) -> AnalysisWithFile:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.analysis`."""
         return self._send(requests.analysis(token))
 
     def analysis_report(self, token: str) -> dict[str, Any]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.analysis_report`."""
         return self._send(requests.analysis_report(token))
 
     def analysis_file(self, token: str, name: str) -> bytes:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.analysis_file`."""
         return self._send(requests.analysis_file(token, name))
 
     def create_analysis(self, text: str, *, listed: bool) -> AnalysisDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.create_analysis`."""
         return self._send(requests.create_analysis(text, listed=listed))
 
     def recompute_analysis(self, token: str) -> AnalysisDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.recompute_analysis`."""
         return self._send(requests.recompute_analysis(token))
 
     def share_analysis(self, token: str, visibility: Visibility) -> AnalysisDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.share_analysis`."""
         return self._send(requests.share_analysis(token, visibility))
 
     def delete_analysis(self, token: str) -> None:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.delete_analysis`."""
         self._send(requests.delete_analysis(token))
 
     def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.import_dataset`."""
         known = dict(options)
         if "groundtruth" in known:
             known["groundtruth"] = send_file(self._send, Path(known["groundtruth"])).token
@@ -313,7 +313,7 @@ class HttpBackend:
         )
 
     def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.import_runs`."""
         return import_from(
             self._send, path, lambda token: requests.import_upload("runs", token, options), progress=progress
         )
@@ -321,7 +321,7 @@ class HttpBackend:
     def submit_image(
         self, challenge: str, path: Path | None, options: Mapping[str, Any], *, progress: bool
     ) -> ChallengeSubmission:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.submit_image`."""
         entry = dict(options)
         if path is not None:
             with percent_bar(path.name, progress=progress) as show:
@@ -329,20 +329,20 @@ class HttpBackend:
         return self._send(requests.submit_image(challenge, entry))
 
     def challenge_submissions(self, challenge: str) -> tuple[ChallengeSubmission, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.challenge_submissions`."""
         return self._send(requests.challenge_submissions(challenge)).submissions
 
     @contextmanager
     def working(self, what: Sequence[int] | str) -> Iterator[Callable[[], None]]:  # noqa: ARG002 - servers have workers
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.working`."""
         yield lambda: None
 
     def computing(self) -> AbstractContextManager[object]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.computing`."""
         return nullcontext()
 
     def close(self) -> None:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.close`."""
         self._client.close()
 
     def _pages(self, request: Callable[[str | None], Request[P]]) -> Iterator[P]:

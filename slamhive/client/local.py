@@ -66,7 +66,7 @@ class LocalBackend:
         return str(self._hive.settings.data)
 
     def runs(self, query: RunQuery) -> Iterator[RunDocument]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.runs`."""
         pages = self._pages(query)
         key: str | None = None
         while True:
@@ -76,29 +76,29 @@ class LocalBackend:
                 return
 
     def count(self, query: RunQuery) -> int:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.count`."""
         return self._hive.searches.exact_count(self._hive.searches.read(query.where))
 
     def table(self, query: RunQuery, columns: Sequence[str]) -> Iterator[dict[str, Any]]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.table`."""
         from slamhive.services.exports import RunExport  # noqa: PLC0415 - on first use
 
         export = RunExport(columns, self._hive.searches.vocabulary())
         return (dict(zip(columns, row, strict=True)) for row in export.rows(self._pages(query)))
 
     def run(self, run_id: int) -> RunWith:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.run`."""
         return self._hive.stored_runs.in_full(run_id)
 
     def files(self, run_id: int) -> tuple[str, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.files`."""
         from slamhive.services.runs import list_downloads  # noqa: PLC0415 - on first use
 
         folder = self._hive.stored_runs.folder(run_id)
         return tuple(entry.key for entry in list_downloads(folder, self._fingerprints(run_id)))
 
     def file(self, run_id: int, key: str) -> bytes:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.file`."""
         from slamhive.services.runs import open_download  # noqa: PLC0415 - on first use
 
         folder = self._hive.stored_runs.folder(run_id)
@@ -107,40 +107,40 @@ class LocalBackend:
             return stream.read()
 
     def log(self, run_id: int) -> str:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.log`."""
         return self._hive.runs.log(run_id, LOG_BYTES)
 
     def activity(self, run_id: int) -> str:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.activity`."""
         progress = self._hive.runs.progress(run_id)
         return self._hive.stored_runs.get(run_id).state.value if progress is None else progress.text
 
     def submit(self, submission: Submission) -> tuple[RunDocument, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.submit`."""
         return tuple(map(RunDocument.of, self._writing().runs.submit(submission)))
 
     def cancel(self, run_id: int) -> RunDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.cancel`."""
         return RunDocument.of(self._writing().runs.cancel(run_id))
 
     def share(self, run_id: int, visibility: Visibility) -> RunDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.share`."""
         from slamhive.services.sharing import SharingChange  # noqa: PLC0415 - reading needs none of this
 
         return RunDocument.of(self._writing().sharings.runs([run_id], SharingChange(visibility))[0])
 
     def retry(self, run_id: int) -> RunDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.retry`."""
         return RunDocument.of(self._writing().runs.retry(run_id))
 
     def annotate(self, run_id: int, note: str | None, tags: Sequence[str] | None) -> RunDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.annotate`."""
         hive = self._writing()
         hive.notes.replace(run_id, note, tags)
         return RunDocument.of(hive.runs.get(run_id))
 
     def act(self, query: RunQuery, action: FoundAction, options: Mapping[str, Any]) -> ActedOn:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.act`."""
         from slamhive.documents.api_answers import ActedOn  # noqa: PLC0415 - reading needs none of this
         from slamhive.services.finding import ACTIONS, change_found  # noqa: PLC0415
 
@@ -150,30 +150,30 @@ class LocalBackend:
         return ActedOn.of(change_found(hive, action, run_ids, body))
 
     def restore(self, deleted_at: str) -> tuple[int, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.restore`."""
         trash = self._writing().trash
         return tuple(trash.restore(trash.deleted_together(deleted_at)))
 
     def experiments(self) -> tuple[ExperimentStatusDocument, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.experiments`."""
         return tuple(map(ExperimentStatusDocument.of, self._hive.experiments.list()))
 
     def experiment(self, name: str) -> ExperimentStatusDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.experiment`."""
         return ExperimentStatusDocument.of(self._hive.experiments.status(name))
 
     def cells(self, name: str) -> Iterator[CellDocument]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.cells`."""
         return map(CellDocument.of, self._hive.experiments.report(name))
 
     def start(self, text: str, executor: str | None) -> ExperimentStatusDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.start`."""
         from slamhive.services.experiments import ExperimentSource  # noqa: PLC0415 - on first use
 
         return ExperimentStatusDocument.of(self._writing().experiments.start(ExperimentSource(text), executor))
 
     def change(self, name: str, change: RequestedChange) -> ExperimentStatusDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.change`."""
         experiments = self._writing().experiments
         changes = {
             RequestedChange.PAUSE: experiments.pause,
@@ -185,61 +185,61 @@ class LocalBackend:
         return self.experiment(name)
 
     def datasets(self) -> tuple[DatasetDocument, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.datasets`."""
         from slamhive.services.datasets import dataset_document  # noqa: PLC0415 - on first use
 
         return tuple(map(dataset_document, self._hive.catalogue.datasets()))
 
     def dataset(self, name: str) -> DatasetDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.dataset`."""
         from slamhive.services.datasets import dataset_document  # noqa: PLC0415 - on first use
 
         return dataset_document(self._hive.catalogue.dataset(name))
 
     def algorithms(self) -> tuple[AlgorithmDocument, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.algorithms`."""
         return tuple(map(AlgorithmDocument.of, self._hive.catalogue.algorithms()))
 
     def algorithm(self, name: str) -> AlgorithmDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.algorithm`."""
         return AlgorithmDocument.of(self._hive.catalogue.algorithm(name))
 
     def analyses(self) -> tuple[AnalysisDocument, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.analyses`."""
         return tuple(map(_analysis_of, self._hive.stored_analyses.listed()))
 
     def analysis(self, token: str) -> AnalysisWithFile:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.analysis`."""
         return self._hive.analysis_files.document(token)
 
     def analysis_report(self, token: str) -> dict[str, Any]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.analysis_report`."""
         return self._hive.analysis_files.report(token)
 
     def analysis_file(self, token: str, name: str) -> bytes:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.analysis_file`."""
         return self._hive.analysis_files.get(token, name)
 
     def create_analysis(self, text: str, *, listed: bool) -> AnalysisDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.create_analysis`."""
         return _analysis_of(self._writing().stored_analyses.create(text, listed=listed))
 
     def recompute_analysis(self, token: str) -> AnalysisDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.recompute_analysis`."""
         return _analysis_of(self._writing().stored_analyses.recompute(token))
 
     def share_analysis(self, token: str, visibility: Visibility) -> AnalysisDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.share_analysis`."""
         from slamhive.services.sharing import SharingChange  # noqa: PLC0415 - reading needs none of this
 
         return _analysis_of(self._writing().sharings.analysis(token, SharingChange(visibility)))
 
     def delete_analysis(self, token: str) -> None:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.delete_analysis`."""
         self._writing().stored_analyses.delete(token)
 
     def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.import_dataset`."""
         from slamhive.services.uploads import import_dataset  # noqa: PLC0415 - loads the importers
 
         given = dict(options)
@@ -251,7 +251,7 @@ class LocalBackend:
             return import_dataset(hive.catalogue, request, path, truth, map(Path, files.get("calibration", ())), show)
 
     def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.import_runs`."""
         from slamhive.services.uploads import import_runs  # noqa: PLC0415 - loads the importers
 
         request = parse(RunsUpload, {"upload": _NO_UPLOAD, **options})
@@ -267,7 +267,7 @@ class LocalBackend:
         *,
         progress: bool,  # noqa: ARG002 - nothing is sent
     ) -> ChallengeSubmission:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.submit_image`."""
         from slamhive.services.challenges import Entrant  # noqa: PLC0415 - loads numpy
 
         upload = None if path is None else _NO_UPLOAD
@@ -280,12 +280,12 @@ class LocalBackend:
         return hive.challenges.submit_version(challenge, entrant, version, asked.phase or None)
 
     def challenge_submissions(self, challenge: str) -> tuple[ChallengeSubmission, ...]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.challenge_submissions`."""
         return tuple(self._hive.challenges.submissions(challenge))
 
     @contextmanager
     def working(self, what: Sequence[int] | str) -> Iterator[Callable[[], None]]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.working`."""
         if not self._writable:
             yield lambda: None
             return
@@ -298,7 +298,7 @@ class LocalBackend:
             yield worker.check
 
     def computing(self) -> AbstractContextManager[object]:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.computing`."""
         if not self._writable:
             return nullcontext()
         computer = self._hive.analysis_computer()
@@ -306,7 +306,7 @@ class LocalBackend:
         return closing(computer)
 
     def close(self) -> None:
-        """See :class:`~slamhive.client.backend.Backend`."""
+        """Implement :meth:`~slamhive.client.backend.Backend.close`."""
         self._hive.close()
 
     def _pages(self, query: RunQuery) -> Callable[[str | None], tuple[Sequence[RunRecord], str | None]]:

@@ -75,7 +75,7 @@ class Run:
 
     @property
     def visibility(self) -> Visibility:
-        """Who may see it, besides admins."""
+        """Audience of the run; admins always see it."""
         return self.document.visibility
 
     @property
@@ -118,7 +118,7 @@ class Run:
 
     @property
     def note(self) -> str:
-        """What somebody wrote about it; empty for nothing."""
+        """Note that a user wrote about the run; empty if there is none."""
         return self.document.note or ""
 
     @property

@@ -65,12 +65,12 @@ def wait_for_analysis(backend: Backend, token: str, *, progress: bool) -> Analys
 
 
 def is_complete(run: RunWith) -> bool:
-    """Whether a run has ended, and no evaluation of it is queued or under way."""
+    """Tell if a run has ended, with no evaluation queued or under way."""
     return run.state.ended and not any(entry.state in _OPEN for entry in run.evaluations)
 
 
 def rests(status: ExperimentStatusDocument) -> bool:
-    """Whether nothing more happens in an experiment by itself."""
+    """Tell if an experiment has come to rest: nothing more happens by itself."""
     return not status.phase or (status.state == "paused" and not status.counts.get("running"))
 
 

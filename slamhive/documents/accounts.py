@@ -30,7 +30,7 @@ class ApiToken(Document):
 
 
 class AuditLineDocument(Document):
-    """Who asked for what. The line was stored in the transaction of the change."""
+    """Record of a user and the change they asked for. The line was stored in the transaction of the change."""
 
     id: int
     at: Timestamp

@@ -1,4 +1,4 @@
-"""What only the web API answers: pages of lists, files of a run, and what a server can do."""
+"""Answers of the web API alone: pages of lists, files of a run, and what a server can do."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class ProblemDocument(Document):
 
 
 class Server(Document):
-    """What a server is, and what it can do."""
+    """Identity and abilities of a server."""
 
     software: Annotated[str, described("Version of SLAM Hive.")]
     mode: Mode
@@ -88,7 +88,7 @@ class RunFilesDocument(Document):
 
 
 class ProgressDocument(Document):
-    """How far a run is. What is not known is null, as it is for runs that wait or have ended."""
+    """Progress of a run. Unknown values are null, as they are for runs that wait or have ended."""
 
     state: RunState
     text: Annotated[str, described("What it does, in words.")]
@@ -115,19 +115,19 @@ class TrashedRuns(Document):
 
 
 class Removed(Document):
-    """How many runs were removed for good."""
+    """Number of runs removed for good."""
 
     removed: int
 
 
 class Queued(Document):
-    """How much was queued."""
+    """Amount of work queued."""
 
     queued: int
 
 
 class ActedOn(Document):
-    """What an action on all runs of a search has changed."""
+    """Changes made by an action on all runs of a search."""
 
     done: Annotated[int, described("Runs that were changed.")]
     left_out: Annotated[int, described("Runs that the action does not fit.")]
@@ -197,7 +197,7 @@ class Datasets(Document):
 
 
 class FoundThings(Document):
-    """What a search over everything found."""
+    """Results of a search over everything."""
 
     found: Annotated[tuple[FoundThing, ...], described("The best 8 of each kind.")]
 
@@ -219,7 +219,7 @@ class BackgroundWork(Document):
 
 
 class DatasetWork(Document):
-    """What goes on with a dataset; null: nothing."""
+    """Current work on a dataset; null if there is none."""
 
     check: BackgroundWork | None
     variant: BackgroundWork | None
@@ -247,7 +247,7 @@ class StoredConfiguration(catalogue.ConfigurationDocument):
 
 
 class Removal(Document):
-    """What was removed."""
+    """Things that were removed."""
 
     removed: Annotated[str, described("Its number, name or address.")]
 

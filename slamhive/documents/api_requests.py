@@ -1,4 +1,4 @@
-"""What a request of the web API may say, one model for each kind of body. Runs have :class:`Submission`."""
+"""Requests to the web API, one model for each kind of body. Runs have :class:`Submission`."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class FoundRuns(ApiRequest):
 
 
 class FoundEvaluation(FoundRuns):
-    """How to evaluate what a filter finds."""
+    """Request to evaluate the runs that a filter finds."""
 
     protocol: Annotated[str | None, described("Name or fingerprint of a protocol; null: that of each run.")] = None
 
@@ -72,19 +72,19 @@ class FoundTags(FoundRuns):
 
 
 class VisibilityRequest(ApiRequest):
-    """Who may see something from now on."""
+    """New visibility of one thing."""
 
     visibility: Visibility
 
 
 class SharingRequest(VisibilityRequest):
-    """Who may see some runs from now on."""
+    """New visibility of some runs."""
 
     runs: RunIds
 
 
 class FoundSharing(VisibilityRequest, FoundRuns):
-    """Who may see what a filter finds."""
+    """New visibility of what a filter finds."""
 
 
 class DeletionRequest(ApiRequest):
@@ -167,7 +167,7 @@ class AnalysisRequest(ApiRequest):
 
 
 class ListingRequest(ApiRequest):
-    """Whether the list of analyses shows one."""
+    """Request to show or hide an analysis in the list."""
 
     listed: bool
 

@@ -39,7 +39,7 @@ KIND = "slamhive-archive"
 
 
 class ArchiveManifest(Document):
-    """How an archive describes itself."""
+    """Description of an archive, stored inside it."""
 
     kind: str = KIND
     format: int = 2
@@ -107,12 +107,12 @@ class ConfigurationLine(Document):
 
     @property
     def configuration(self) -> Configuration:
-        """What exactly is run."""
+        """Return the exact inputs of the run."""
         return self.request.configuration
 
     @property
     def definitions(self) -> tuple[Parameter, ...]:
-        """How the parameters are defined."""
+        """Definitions of the parameters."""
         return defined(self.parameters, self.request.parameters)
 
 
@@ -213,7 +213,7 @@ class LedgerConfigurationLine(NamedTuple):
 
     @property
     def configuration(self) -> Configuration:
-        """What exactly is run."""
+        """Return the exact inputs of the run."""
         playback, steps = Playback(self.mode, self.rate), self.variant
         more = (self.sensors, self.version, self.map)
         return Configuration(self.algorithm, self.dataset, self.parameters, playback, steps, *more)
@@ -228,7 +228,7 @@ class ConfigurationsLine(Document):
 
 
 class LabelLine(Document):
-    """What users say about a configuration."""
+    """Users' notes on a configuration."""
 
     label: Annotated[int, described("Number of the configuration.")]
     name: str | None
@@ -237,7 +237,7 @@ class LabelLine(Document):
 
 
 class RunRow(NamedTuple):
-    """What distinguishes a run from the others of its line."""
+    """Fields that distinguish a run from the others of its line."""
 
     id: Whole
     uid: Uid
@@ -248,7 +248,7 @@ class RunRow(NamedTuple):
 
 
 class SharedRequest(Document):
-    """What the runs of a line have in common. A new option has a default, so that older lines can be read."""
+    """Fields that the runs of a line have in common. A new option has a default, so that older lines can be read."""
 
     executor: str
     priority: int = 0

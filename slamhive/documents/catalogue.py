@@ -1,4 +1,4 @@
-"""What can run, and on what, as JSON: algorithms, datasets and configurations."""
+"""Catalogue of what can run, as JSON: algorithms, datasets and configurations."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class ParameterDocument(Document):
 
 
 class BoundDocument(Document):
-    """What runs of an algorithm on one dataset keep."""
+    """Bounds that runs of an algorithm on one dataset keep."""
 
     dataset: str
     poses: Annotated[int, described("The trajectory has at least so many poses.")]
@@ -233,7 +233,7 @@ class BoundParameter(Document):
 
 
 class MatchDocument(Document):
-    """Which sensor serves which role, and the parameters that are taken from them."""
+    """Sensors assigned to roles, and the parameters taken from them."""
 
     sensors: dict[str, UsedSensor]
     parameters: dict[str, BoundParameter]
@@ -336,7 +336,7 @@ class DatasetCheck(Document):
 
 
 class NeedDocument(Document):
-    """What must be accepted or asked for before a download."""
+    """Terms to accept or access to ask for before a download."""
 
     kind: NeedKind
     text: Annotated[str, described("What to do.")]
@@ -365,7 +365,7 @@ class PublicSequence(Document):
 
 
 class LinkReportDocument(Document):
-    """What an address of the catalogue answered."""
+    """Answer of an address in the catalogue."""
 
     address: str
     problem: Annotated[str | None, described("Why it gives no file; null if it does.")]
@@ -402,7 +402,7 @@ def public_sequence(collection: Collection, sequence: Sequence) -> PublicSequenc
 
 
 class PlugIn(Document):
-    """What fills one seam."""
+    """Implementation that fills one seam."""
 
     seam: str
     name: str

@@ -50,7 +50,7 @@ class SequenceEntry(_Part):
 
 
 class ImageRules(_Part):
-    """How images run. All of it is public, and the same for each sequence."""
+    """Conditions under which images run. All of it is public, and the same for each sequence."""
 
     time_limit_s: float = Field(ge=1, le=7 * 86_400, description="Wall-clock limit of a run (s).")
     cpu_cores: float = Field(ge=0.1, le=1024, description="Cores of a run.")
@@ -182,7 +182,7 @@ class StoredResult(Document):
 
 
 class ChallengeSequence(Document):
-    """What everybody may know of a sequence."""
+    """Public facts about a sequence."""
 
     name: str
     data: str

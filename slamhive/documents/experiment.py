@@ -54,7 +54,7 @@ class NodesPlanDocument(Document):
 
 
 class ExperimentPreviewDocument(Document):
-    """What starting an experiment would do."""
+    """Effect of starting an experiment."""
 
     name: str
     description: str
@@ -198,7 +198,7 @@ class GridDocument(Document):
 
 
 class NoticeEvent(StrEnum):
-    """What has happened."""
+    """Kind of event."""
 
     FINISHED = "finished"
     FAILING = "failing"

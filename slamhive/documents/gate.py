@@ -102,7 +102,7 @@ class Baseline(Document):
 
 
 class BaselineBrief(Document):
-    """What a list of baselines shows."""
+    """Entry in a list of baselines."""
 
     name: str
     made_at: Moment
@@ -138,7 +138,7 @@ class GateValues(Document):
 
 
 class MetricChange(Document):
-    """How a metric changed, beside its margin."""
+    """Change of a metric, beside its margin."""
 
     key: str
     label: str

@@ -31,7 +31,7 @@ class OriginDocument(Document):
 
 
 class ReadingDocument(Document):
-    """How a file was read."""
+    """Interpretation of a file that was read."""
 
     name: str
     time_unit: str
@@ -47,7 +47,7 @@ class ProblemDocument(Document):
 
 
 class Import(Document):
-    """What an import has done, or would do in a dry run."""
+    """Result of an import, or of its dry run."""
 
     dry_run: bool
     runs: Annotated[tuple[int, ...], described("Numbers of all runs, also of those that were imported before.")] = (
@@ -88,7 +88,7 @@ class UploadRequest(ApiRequest):
 
 
 class ImportedDocument(Document):
-    """What an upload has become."""
+    """Result of an upload."""
 
     datasets: Annotated[tuple[str, ...], described("New datasets.")] = ()
     algorithms: Annotated[tuple[str, ...], described("New algorithms.")] = ()

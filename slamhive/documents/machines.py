@@ -22,7 +22,7 @@ class NodeRunDocument(Document):
 
 
 class CacheUseDocument(Document):
-    """What data of runs takes on a node, as of the last run there."""
+    """Space that data of runs takes on a node, as of the last run there."""
 
     used_bytes: Annotated[int, described("What it takes.", unit="bytes")]
     limit_bytes: Annotated[int, described("The most that it may take.", unit="bytes")]
@@ -59,7 +59,7 @@ class EngineDocument(Document):
 
 
 class MachineDocument(Document):
-    """What machines with the same processor measured lately."""
+    """Recent measurements of machines with the same processor."""
 
     cpu_model: str
     cpu_count: int
@@ -85,7 +85,7 @@ class OverviewDocument(Document):
 
 
 class CloudPlanDocument(Document):
-    """What will be rented, for how long and at what price."""
+    """Planned rental: machines, duration and price."""
 
     name: str
     provider: str
@@ -110,7 +110,7 @@ class CloudPlanDocument(Document):
 
 
 class CloudState(StrEnum):
-    """What a cluster is meant to be. ``ending``: something of it may be left."""
+    """Intended state of a cluster. ``ending``: something of it may be left."""
 
     UP = "up"
     ENDING = "ending"
@@ -118,7 +118,7 @@ class CloudState(StrEnum):
 
 
 class CloudRecord(Document):
-    """What this installation knows of a cluster. It is written before the provider is asked for something."""
+    """Record of a cluster on this installation. It is written before the provider is asked for anything."""
 
     format: Literal[1] = 1
     name: str

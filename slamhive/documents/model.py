@@ -67,7 +67,7 @@ _adapters: dict[Any, TypeAdapter[Any]] = {}
 
 
 def adapter(kind: Any) -> TypeAdapter[Any]:
-    """What validates and serialises ``kind``; built at first use, since that takes milliseconds."""
+    """Validator and serialiser of ``kind``; built at first use, since that takes milliseconds."""
     if kind not in _adapters:
         _adapters[kind] = TypeAdapter(kind)
     return _adapters[kind]
@@ -188,7 +188,7 @@ Definitions = Annotated[
 
 
 def defined(definitions: Definitions, values: Mapping[str, Value]) -> tuple[Parameter, ...]:
-    """How the parameters with these values are defined."""
+    """Definitions of the parameters with these values."""
     return tuple(
         Parameter(key, kind, values[key], "", unit, general=general)
         for key, (kind, unit, general) in definitions.items()

@@ -24,7 +24,7 @@ _SHOWN = 40
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What an option means and what is allowed, for ``Annotated``.
+    """Meaning and allowed values of an option, for ``Annotated``.
 
     ``help`` is one sentence for users. ``title`` is the label, None for the name of the field. ``unit`` is that of the
     number, empty for none. Options of one ``group`` stand together in web forms. A number is at least ``ge``, more than
@@ -40,7 +40,7 @@ class Asked:
     le: float | None = None
 
     def __get_pydantic_core_schema__(self, kind: Any, handler: GetCoreSchemaHandler) -> Any:
-        """What pydantic checks, and what the JSON Schema says."""
+        """Constraints for pydantic and the JSON Schema."""
         from slamhive.documents.model import described  # noqa: PLC0415 - loads pydantic
 
         rules = {key: limit for key in ("ge", "gt", "le") if (limit := getattr(self, key)) is not None}
@@ -82,12 +82,12 @@ class Option:
 
     @property
     def is_number(self) -> bool:
-        """Whether values are numbers."""
+        """True if values are numbers."""
         return self.kind in (int, float)
 
     @property
     def expectation(self) -> str:
-        """What is allowed: ``1 to 1000``, ``a whole number above 0``."""
+        """Describe the allowed values: ``1 to 1000``, ``a whole number above 0``."""
         number = "a whole number" if self.kind is int else "a number"
         if self.maximum is not None and self.minimum is not None:
             return f"{plain(self.minimum)} to {plain(self.maximum)}"
@@ -124,7 +124,7 @@ class Option:
             raise InvalidInput(f"{self.label} {shown} is not allowed", f"use {self.expectation}")
 
     def allows(self, value: float) -> bool:
-        """Whether a number is in the range of the option."""
+        """Tell if a number is in the range of the option."""
         low = self.minimum is None or value > self.minimum or (value == self.minimum and not self.above)
         return low and math.isfinite(value) and (self.maximum is None or value <= self.maximum)
 

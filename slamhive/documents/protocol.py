@@ -23,7 +23,7 @@ StatedProtocol = Annotated[Protocol, BeforeValidator(_protocol), PlainSerializer
 
 
 class PresetDocument(Document):
-    """How one published tool evaluates."""
+    """Evaluation rules of one published tool."""
 
     name: str
     title: str
@@ -81,7 +81,7 @@ def with_units(values: Mapping[str, float], samples: Mapping[str, str]) -> dict[
 
 
 class ComparedColumn(Document):
-    """What one column holds."""
+    """Content of one column."""
 
     runs: Annotated[tuple[int, ...], described("Its runs: one, or all repeats.")]
     failed: Annotated[tuple[int, ...], described("Those that count as failed.")]

@@ -41,7 +41,7 @@ Metrics = Annotated[dict[str, MetricValueDocument], WrapValidator(_metrics)]
 
 
 class VerdictDocument(Document):
-    """Whether the run counts as failed, and why."""
+    """Verdict on a run: failed or not, and why."""
 
     kind: VerdictKind
     failed: bool
@@ -58,7 +58,7 @@ class TrustReasonDocument(Document):
 
 
 class TrustDocument(Document):
-    """How far the measurements of a run can be trusted, and why."""
+    """Trust in the measurements of a run, with reasons."""
 
     level: Annotated[TrustLevel | None, described("Null if too little was measured.")]
     reasons: tuple[TrustReasonDocument, ...]
@@ -179,7 +179,7 @@ class FrameFateDocument(Document):
 
 
 class RunMoment(Document):
-    """What is known of a run at a moment."""
+    """State of a run at a moment."""
 
     timestamp_s: Annotated[float, described("The timestamp that was asked for.")]
     error_m: Annotated[float | None, described("Position error of the nearest matched pose; null if none is near.")]

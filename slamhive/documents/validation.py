@@ -1,4 +1,4 @@
-"""What is wrong with a file, in one line that a user understands."""
+"""Errors in a file, in one line that a user understands."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class Action(StrEnum):
 
 
 class Role(StrEnum):
-    """What an account is for."""
+    """Role of an account."""
 
     READER = "reader"
     MEMBER = "member"
@@ -47,7 +47,7 @@ class Role(StrEnum):
 
 
 class Scope(StrEnum):
-    """What an API token may do, as far as the role of its owner allows it."""
+    """Permission of an API token, as far as the role of its owner allows it."""
 
     READ = "read"
     CHANGE = "change"
@@ -74,7 +74,7 @@ _SCOPE_ALLOWS = {
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who somebody is at a provider of OpenID Connect.
+    """Identity of a user at a provider of OpenID Connect.
 
     Only issuer and subject together identify a person (OpenID Connect Core 1.0, section 5.7). ``name`` is what the
     provider calls them, which they may be able to change.
@@ -92,7 +92,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Who sends a request, and what they may do.
+    """Sender of a request, and their permissions.
 
     ``account`` is empty for callers who need none. ``token`` is the name of the API token that was used, if any.
     """
@@ -104,7 +104,7 @@ class Caller:
 
 
 def token_may(role: Role, scopes: Iterable[Scope]) -> frozenset[Action]:
-    """What a token with ``scopes`` allows an owner with ``role``. No token allows to change the account itself."""
+    """Permissions that a token with ``scopes`` gives an owner with ``role``. No token may change the account itself."""
     allowed: frozenset[Action] = frozenset().union(*(_SCOPE_ALLOWS[scope] for scope in scopes))
     return MAY[role] & allowed
 
@@ -132,7 +132,7 @@ def check_identity(identity: Identity) -> Identity:
 
 
 def is_provider_address(text: str) -> bool:
-    """Whether ``text`` may be the address of a provider: https, or http on this machine."""
+    """Tell if ``text`` may be the address of a provider: https, or http on this machine."""
     try:
         parts = urlsplit(text)
     except ValueError:
@@ -164,7 +164,7 @@ def check_password(name: str, password: str) -> str:
 
 
 class Visibility(StrEnum):
-    """Who may see something besides admins, the fewest first."""
+    """Level of visibility besides admins, the narrowest first."""
 
     PRIVATE = "private"
     TEAM = "team"
@@ -200,12 +200,12 @@ class Sharing:
 
     @property
     def seen_by(self) -> Visibility:
-        """Who sees it besides admins, where it belongs to no experiment."""
+        """Visibility of a thing that belongs to no experiment."""
         return self.visibility or Visibility.TEAM
 
     @property
     def content(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the JSON form."""
         return {"owner": self.owner, "visibility": self.visibility}
 
     @classmethod
@@ -217,7 +217,7 @@ class Sharing:
         return cls(None if owner is None else check_account_name(owner), visibility and Visibility(visibility))
 
     def audience(self, within: Visibility | None = None) -> str:
-        """Who sees it, in one text that an index can hold; ``within`` is the visibility of its experiment."""
+        """Encode the audience in one text that an index can hold; ``within`` is the visibility of its experiment."""
         visibility = self.seen_by if within is None else (self.visibility or within).within(within)
         return f"{_PRIVATE_OF}{self.owner or ''}" if visibility is Visibility.PRIVATE else str(visibility)
 
@@ -264,7 +264,7 @@ class Viewer:
         return (f"{_PRIVATE_OF}{self.account or NOBODY}", str(Visibility.PUBLIC), str(Visibility.TEAM))
 
     def sees(self, audience: str) -> bool:
-        """Whether the viewer belongs to this audience."""
+        """Tell if the viewer belongs to this audience."""
         return audience in self.audiences
 
 

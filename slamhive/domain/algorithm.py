@@ -34,7 +34,7 @@ class Requirement:
     allowed: tuple[str, ...] = ()
 
     def met_by(self, sensor: Sensor) -> bool:
-        """Whether ``sensor`` has the property, with a value that is allowed."""
+        """Tell if ``sensor`` has the property, with a value that is allowed."""
         found = self.source.value({self.source.role: sensor})
         return found is not None and (not self.allowed or str(found) in self.allowed)
 
@@ -61,7 +61,7 @@ def check_requirements(requirements: Sequence[Requirement], sensor: Sensor, algo
 
 
 class GpuNeed(StrEnum):
-    """Whether runs of a package get a GPU."""
+    """Access of a package's runs to a GPU."""
 
     NONE = "none"
     OPTIONAL = "optional"
@@ -101,7 +101,7 @@ class GivenGpu:
 
 
 class LidarNeed(StrEnum):
-    """Whether an algorithm can do without something."""
+    """Degree to which an algorithm needs something."""
 
     REQUIRED = "required"
     OPTIONAL = "optional"
@@ -110,7 +110,7 @@ class LidarNeed(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LidarNeeds:
-    """What a package asks of point clouds, the entry ``lidar`` of ``algorithm.yaml``.
+    """Demands of a package on point clouds, the entry ``lidar`` of ``algorithm.yaml``.
 
     Attributes:
         point_time: A time for each point.
@@ -176,7 +176,7 @@ class Input:
 
 
 class RunUser(StrEnum):
-    """Who a run is in its container."""
+    """User of a run inside its container."""
 
     WORKER = "worker"
     """The user and group of the worker; ``HOME`` is ``/tmp``."""
@@ -196,7 +196,7 @@ ROS1_SUFFIX = ".bag"
 
 
 class Base(StrEnum):
-    """What the image of a package is based on, which decides who plays the recording."""
+    """Base of a package's image, which decides who plays the recording."""
 
     PYTHON = "python"
     """The runtime plays any recording, in real time or sequentially."""
@@ -306,12 +306,12 @@ class Algorithm:
 
     @property
     def label(self) -> str:
-        """How users ask for it: ``aloam``, or ``aloam@2`` for a version."""
+        """Name that users ask for it by: ``aloam``, or ``aloam@2`` for a version."""
         return self.name if self.version is None else version_label(self.name, self.version)
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """What an import did not find and nobody has filled in since, in words."""
+        """List, in words, what an import did not find and nobody has filled in since."""
         texts = {"upstream": self.package.upstream, "licence": self.package.licence, "citation": self.package.citation}
         missing = [key for key, text in texts.items() if text == UNKNOWN]
         if self.package.origin is not None:
@@ -320,7 +320,7 @@ class Algorithm:
         return (*missing, *(f"default of {entry.key}" for entry in self.parameters if entry.must_be_given))
 
     def assign(self, dataset: Dataset, chosen: Chosen = BY_RULE) -> dict[str, Sensor]:
-        """Which sensor of ``dataset`` serves which role: as ``chosen``, the others in the dataset's order.
+        """Assign sensors of ``dataset`` to roles: as ``chosen``, the others in the dataset's order.
 
         Raises NotFound or InvalidInput, before anything starts, if a choice makes no sense. The same goes for a dataset
         that lacks a recording, a sensor, or calibration that the algorithm requires.

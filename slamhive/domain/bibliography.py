@@ -28,7 +28,7 @@ def latex(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What to cite for an algorithm, a dataset or a tool.
+    """Works to cite for an algorithm, a dataset or a tool.
 
     Attributes:
         names: What it is about, for example the modes of an algorithm or the sequences of a dataset.

@@ -1,4 +1,4 @@
-"""What a package promises of its algorithms on one dataset, and whether a run keeps it."""
+"""Promises of a package about its algorithms on one dataset, and the check of a run against them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Bound:
 
     @property
     def words(self) -> str:
-        """As in ``≥ 149 poses, ATE ≤ 0.03 m (SE(3))``."""
+        """Describe the bounds: ``≥ 149 poses, ATE ≤ 0.03 m (SE(3))``."""
         parts = [f"≥ {self.poses} poses"]
         if self.ate_rmse_m is not None:
             parts.append(f"ATE ≤ {self.ate_rmse_m:g} m ({ALIGNMENT_LABELS[self.alignment]})")

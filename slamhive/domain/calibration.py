@@ -15,7 +15,7 @@ from slamhive.runtime.point_times import PointTimes, choice
 
 
 class CameraModel(StrEnum):
-    """How a point in the camera's frame becomes a pixel.
+    """Projection of a point in the camera's frame to a pixel.
 
     ``PINHOLE`` is the pinhole camera with radial-tangential distortion if there are coefficients: the files of earlier
     versions use it for both. ``FISHEYE_KB`` is the model of Kannala and Brandt, which ROS and Kalibr call equidistant.
@@ -137,7 +137,7 @@ class ImuNoise:
 
     @classmethod
     def of(cls, sensor: Sensor) -> ImuNoise:
-        """What is known of the noise of ``sensor``."""
+        """Known noise parameters of ``sensor``."""
         known = {key: sensor.calibration.get(key) for key in cls.__slots__}
         return cls(**{key: None if value is None else float(value) for key, value in known.items()})  # type: ignore[arg-type]
 
@@ -196,7 +196,7 @@ def camera_model(values: dict[str, CalibrationValue], owner: str) -> CameraModel
 
 
 def distortion_names(model: CameraModel) -> tuple[str, ...]:
-    """What the coefficients of a model are called, in the order of ``distortion``."""
+    """Names of the coefficients of a model, in the order of ``distortion``."""
     return _NAMES.get(model, ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
 
 
@@ -218,7 +218,7 @@ def number_of(values: dict[str, CalibrationValue], key: str, owner: str) -> floa
 
 
 class PointOrder(StrEnum):
-    """How the points of a scan follow each other."""
+    """Order of the points in a scan."""
 
     COLUMNS = "columns"
     """All rings at one azimuth, then the next azimuth: nearly in the order of time."""
@@ -237,7 +237,7 @@ class Rotation(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LidarLayout:
-    """What a LiDAR measures, and how its points lie in ``PointCloud2``.
+    """Measurements of a LiDAR, and the layout of its points in ``PointCloud2``.
 
     Attributes:
         times: Where the time of a point is, what it counts from, and what the message's timestamp means.

@@ -10,7 +10,7 @@ from slamhive.domain.run import FailureReason
 
 
 class Rule(StrEnum):
-    """How the values of sequences become one score."""
+    """Rule that turns the values of sequences into one score."""
 
     MEAN = "mean"
     """Mean over sequences."""
@@ -28,7 +28,7 @@ class Format(StrEnum):
 
 
 class Counted(StrEnum):
-    """Which submission of a team is ranked."""
+    """Choice of a team's submission to rank."""
 
     BEST = "best"
     LAST = "last"
@@ -42,7 +42,7 @@ class Reveal(StrEnum):
 
 
 class PhaseState(StrEnum):
-    """Whether a phase takes submissions."""
+    """State of a phase: taking submissions or not."""
 
     COMING = "coming"
     OPEN = "open"
@@ -60,7 +60,7 @@ class SubmissionState(StrEnum):
 
 
 class Taken(StrEnum):
-    """What a phase takes."""
+    """Kind of submission that a phase takes."""
 
     TRAJECTORIES = "trajectories"
     IMAGES = "images"
@@ -112,7 +112,7 @@ _IN_FEW_WORDS = {
 
 
 def phase_state(begins: datetime | None, ends: datetime | None, now: datetime) -> PhaseState:
-    """Whether a phase takes submissions at ``now``; None means no limit on that side."""
+    """Tell if a phase takes submissions at ``now``; None means no limit on that side."""
     if ends is not None and now >= ends:
         return PhaseState.ENDED
     return PhaseState.COMING if begins is not None and now < begins else PhaseState.OPEN
@@ -130,7 +130,7 @@ def shown(value: float, digits: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Scoring:
-    """What the values of sequences count.
+    """Scores of the values of sequences.
 
     Attributes:
         rule: How they become one score.
@@ -144,11 +144,11 @@ class Scoring:
 
     @property
     def higher_wins(self) -> bool:
-        """Whether a higher score is better: an area grows as errors shrink."""
+        """Tell if a higher score is better: an area grows as errors shrink."""
         return self.higher_is_better or self.rule is Rule.AREA
 
     def points(self, value: float | None) -> float | None:
-        """What the value of one sequence counts; None if it is needed and missing."""
+        """Score of the value of one sequence; None if it is needed and missing."""
         if self.worst is None:
             return value
         if value is None:
@@ -157,5 +157,5 @@ class Scoring:
         return 100.0 * (self.worst - kept) / self.worst if self.rule is Rule.AREA else kept
 
     def is_better(self, score: float, other: float) -> bool:
-        """Whether ``score`` beats ``other``."""
+        """Tell if ``score`` beats ``other``."""
         return score > other if self.higher_wins else score < other

@@ -12,7 +12,7 @@ from slamhive.domain.sensors import SensorKind, SensorSetup, setups_of
 
 
 class FileKind(StrEnum):
-    """How a downloaded file is unpacked; ``tar`` with any compression."""
+    """Format for unpacking a downloaded file; ``tar`` with any compression."""
 
     ZIP = "zip"
     TAR = "tar"
@@ -21,7 +21,7 @@ class FileKind(StrEnum):
 
 
 class NeedKind(StrEnum):
-    """What stands between a user and a download."""
+    """Obstacle between a user and a download."""
 
     LICENCE = "licence"
     TOKEN = "token"  # noqa: S105 - the kind, not a secret
@@ -71,7 +71,7 @@ class RemoteFile:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What a sequence takes of a file.
+    """Part of a file that a sequence takes.
 
     ``take`` is a file or folder in the archive (empty: everything), and becomes ``to`` in the folder of the sequence
     (empty: the folder itself). ``unpack``: what is taken is an archive again. An ``optional`` part may be missing.
@@ -107,7 +107,7 @@ class Sequence:
 
     @property
     def dataset_name(self) -> str:
-        """What the dataset is called unless the user chooses another name."""
+        """Name of the dataset unless the user chooses another."""
         return f"{self.collection}_{self.name}"
 
     @property
@@ -147,7 +147,7 @@ class Collection:
 
     @property
     def by_hand(self) -> tuple[Need, ...]:
-        """What has to be done in a browser before files can be had."""
+        """Steps to take in a browser before files can be downloaded."""
         return tuple(need for need in self.needs if need.kind in BY_HAND)
 
     @property
@@ -157,7 +157,7 @@ class Collection:
         return tuple({part.file.addresses: part.file for part in parts}.values())
 
     def sharing(self, file: RemoteFile) -> int:
-        """How many sequences take a part of ``file``."""
+        """Count the sequences that take a part of ``file``."""
         users = Counter(
             part.file.addresses
             for sequence in self.sequences

@@ -66,7 +66,7 @@ Variant = tuple[VariantStep, ...]
 
 
 class StepRules(Protocol):
-    """What is known of the kinds of steps; whoever makes variants implements it."""
+    """Knowledge about the kinds of steps, implemented by the maker of variants."""
 
     def kinds(self) -> Sequence[str]:
         """The names of all steps."""
@@ -112,7 +112,7 @@ _as_json = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=Fal
 
 
 class PlaybackMode(StrEnum):
-    """How the recording is fed: in real time (a slow algorithm loses frames) or one message after the other."""
+    """Feeding of the recording: in real time (a slow algorithm loses frames) or one message after the other."""
 
     REALTIME = "realtime"
     SEQUENTIAL = "sequential"
@@ -120,7 +120,7 @@ class PlaybackMode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """How the recording is fed; ``rate`` scales real time (2.0 is twice as fast)."""
+    """Playback of the recording; ``rate`` scales real time (2.0 is twice as fast)."""
 
     mode: PlaybackMode = PlaybackMode.REALTIME
     rate: float = 1.0

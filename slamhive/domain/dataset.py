@@ -124,7 +124,7 @@ VERSION = 1
 
 
 class Severity(StrEnum):
-    """How bad a finding is."""
+    """Severity of a finding."""
 
     ERROR = "error"
     """Results on this dataset will be wrong, or runs will fail."""

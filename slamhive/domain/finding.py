@@ -10,7 +10,7 @@ MOST_OF_A_KIND = 8
 
 
 class FoundKind(StrEnum):
-    """What was found, in the order in which it is shown."""
+    """Kind of thing found, in the order of display."""
 
     RUN = "run"
     RUNS = "runs"

@@ -28,7 +28,7 @@ _SHOWN = 40
 
 
 class Answer(StrEnum):
-    """What a gate says of a metric, or of all."""
+    """Verdict of a gate on one metric, or on all."""
 
     PASS = "pass"  # noqa: S105 - an answer
     WORSE = "worse"
@@ -122,7 +122,7 @@ def _read_margin(text: str) -> tuple[str, Margin | None]:
 
 @dataclass(frozen=True, slots=True)
 class GateBudget:
-    """What a check may spend on runs in all: a number of them, or wall time. One of the two is None."""
+    """Budget of a check: a number of runs, or wall time. One of the two is None."""
 
     runs: int | None = None
     time_s: float | None = None
@@ -133,7 +133,7 @@ class GateBudget:
         return plural(self.runs, "run") if self.runs is not None else f"{(self.time_s or 0) / 60:.4g} min"
 
     def runs_left(self, spent: int, elapsed_s: float) -> int:
-        """How many more runs fit, if they take as long as the ``spent`` ones, which took ``elapsed_s`` together."""
+        """Number of further runs that fit, if they take as long as the ``spent`` ones: ``elapsed_s`` together."""
         if self.runs is not None:
             return max(0, self.runs - spent)
         if spent == 0:
@@ -160,7 +160,7 @@ def read_budget(text: str) -> GateBudget:
 
 
 class Agreement(StrEnum):
-    """What a replay says of a metric, or of all."""
+    """Verdict of a replay on one metric, or on all."""
 
     AGREE = "agree"
     DIFFERS = "differs"

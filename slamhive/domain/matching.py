@@ -1,4 +1,4 @@
-"""How an algorithm and a dataset fit together: which sensor serves which role, and what parameters take from them."""
+"""Fit of an algorithm and a dataset: which sensor serves which role, and what parameters take from them."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class BoundValue:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """How an algorithm fits a dataset.
+    """Fit of an algorithm to a dataset.
 
     ``sensors``: the sensor in each role, as a variant leaves it. ``fitting``: all that could serve it. ``bound``: the
     parameters that are taken from them. ``remaps``: the topic on which the algorithm gets each role.

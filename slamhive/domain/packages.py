@@ -1,4 +1,4 @@
-"""How users name a version of a package: ``aloam@2``."""
+"""Names of package versions: ``aloam@2``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _VERSIONED = re.compile(r"(?P<name>[^@]+)@(?P<number>[1-9][0-9]{0,8})", re.ASCII
 
 
 def version_label(name: str, number: int) -> str:
-    """How users name a version: ``aloam@2``."""
+    """Name of a version: ``aloam@2``."""
     return f"{name}{VERSION_SIGN}{number}"
 
 
@@ -58,7 +58,7 @@ class PackageOrigin:
 
     @property
     def content(self) -> dict[str, Any]:
-        """What is known, as plain JSON."""
+        """Return the known fields as plain JSON."""
         known = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         return {key: list(value) if isinstance(value, tuple) else value for key, value in known.items() if value}
 
@@ -114,7 +114,7 @@ class PinnedImage:
 
     @property
     def reference(self) -> str:
-        """What an engine pulls and finds."""
+        """Reference that an engine pulls and finds."""
         return f"{self.repository}@{self.digest}"
 
     @property

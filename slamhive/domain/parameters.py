@@ -187,7 +187,7 @@ class Parameter:
 
     @property
     def expectation(self) -> str:
-        """What a legal value looks like, in words: ``int, 100 to 10000 features``."""
+        """Describe a legal value in words: ``int, 100 to 10000 features``."""
         if self.type is ParameterType.ENUM:
             return f"one of {', '.join(self.choices)}"
         if self.type is ParameterType.BOOL:

@@ -1,4 +1,4 @@
-"""Which node should execute which run: long runs first, few copies of the data, all nodes busy until the end.
+"""Placement of runs on nodes: long runs first, few copies of the data, all nodes busy until the end.
 
 The engine of a cluster decides where a run goes. What is computed here says how long an experiment takes and how
 much data moves, and in which order runs should start.
@@ -46,7 +46,7 @@ class PlacedRun:
 
 @dataclass(slots=True)
 class NodePlan:
-    """What one node gets: data, and runs in the order of their start."""
+    """Share of one node: data, and runs in the order of their start."""
 
     data: list[str] = field(default_factory=list)
     runs: list[PlacedRun] = field(default_factory=list)
@@ -110,7 +110,7 @@ def lower_bound_s(groups: Sequence[DataRuns], nodes: int) -> float:
 
 
 def _fits_in_total(groups: Sequence[DataRuns], nodes: int, end_s: float) -> bool:
-    """Whether work and transfers fit into the time of all nodes, if each node could be filled to the end."""
+    """Tell if work and transfers fit into the time of all nodes, if each node could be filled to the end."""
     needed_s = 0.0
     for group in groups:
         work_s = sum(group.durations_s)

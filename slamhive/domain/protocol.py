@@ -17,7 +17,7 @@ from slamhive.domain.trajectory_kind import TrajectoryKind
 
 
 class Alignment(StrEnum):
-    """How the estimate is moved onto the ground truth before errors are taken."""
+    """Alignment of the estimate with the ground truth before errors are taken."""
 
     NONE = "none"
     FIRST_POSE = "first_pose"
@@ -38,7 +38,7 @@ ALIGNMENT_LABELS = {
 
 
 class Association(StrEnum):
-    """Which pose of the ground truth is matched with which of the estimate.
+    """Rule that matches poses of the ground truth with poses of the estimate.
 
     ``nearest``: each pose of the shorter list takes the nearest of the other, which may be taken twice (as evo does).
     ``one_to_one``: the closest pairs first, each pose once (as TUM does). ``sweep``: each pose of the estimate in turn
@@ -57,7 +57,7 @@ class Association(StrEnum):
 
 
 class RpePairs(StrEnum):
-    """Which pairs of poses a relative error is taken over.
+    """Pairs of poses over which a relative error is taken.
 
     ``all``: all matched poses that are a delta apart. ``consecutive``: one pair after the other (both as evo does).
     ``tum``: as TUM's ``evaluate_rpe.py --fixed_delta`` counts, from every pose of the estimate, matched or not, each
@@ -70,7 +70,7 @@ class RpePairs(StrEnum):
 
 
 class SegmentRule(StrEnum):
-    """How long segments are, and what their errors are divided by.
+    """Lengths of segments, and the divisor of their errors.
 
     ``matched``: shares of the path of the matched ground truth; errors over the nominal length. ``rpg``: shares of the
     path of the whole ground truth, as in rpg_trajectory_evaluation. ``eth3d``: errors over the true length of a
@@ -83,7 +83,7 @@ class SegmentRule(StrEnum):
 
 
 class Duplicates(StrEnum):
-    """What is done with poses of one file that have the same timestamp.
+    """Treatment of poses in one file that share a timestamp.
 
     ``refuse``: nothing is evaluated. ``first``: the first of them counts. ``mean``: one pose in their middle counts.
     ``keep``: all of them count, each as a pose of its own (as evo does).
@@ -211,7 +211,7 @@ class Protocol:
 
     @property
     def content(self) -> dict[str, Any]:
-        """As plain values: the first four fields, and every other one that differs from its default.
+        """Return plain values: the first four fields, and every other one that differs from its default.
 
         A new field therefore does not change fingerprints.
         """
@@ -223,7 +223,7 @@ class Protocol:
 
     @property
     def aligns_one_pose(self) -> bool:
-        """Whether the alignment is that of the first matched pose, for which its orientation is needed."""
+        """True if the alignment is that of the first matched pose, for which its orientation is needed."""
         alone = self.align_poses == 1 and self.alignment in (Alignment.SE3, Alignment.YAW_POSITION)
         return alone or self.alignment is Alignment.FIRST_POSE
 

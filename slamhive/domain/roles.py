@@ -1,4 +1,4 @@
-"""Which sensor of a dataset serves which role of an algorithm: by rule, or as the user chose."""
+"""Assignment of a dataset's sensors to an algorithm's roles: by rule, or as the user chose."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class TopicOf:
 
     @property
     def words(self) -> str:
-        """How the recording reaches the algorithm, for people."""
+        """Describe for people the way the recording reaches the algorithm."""
         if self.parameter is not None:
             return f"the recording is played under the value of the parameter {self.parameter}"
         way = f"launch argument {self.argument}" if self.argument else "always"

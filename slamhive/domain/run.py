@@ -162,7 +162,7 @@ class RunNotes:
 
     @property
     def content(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the JSON form."""
         return {"note": self.note, "tags": list(self.tags)}
 
     @classmethod

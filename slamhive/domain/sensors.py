@@ -20,7 +20,7 @@ _RIGID_TOLERANCE = 1e-3
 
 
 def is_rigid(transform: Matrix4) -> bool:
-    """Whether ``transform`` is a rotation (orthonormal within 1e-3, no reflection) and a translation, all finite."""
+    """Tell if ``transform`` is a rotation (orthonormal within 1e-3, no reflection) and a translation, all finite."""
     if len(transform) != len(IDENTITY4) or not all(math.isfinite(number) for number in transform):
         return False
     rows = [transform[start : start + 3] for start in (0, 4, 8)]
@@ -49,7 +49,7 @@ class SensorKind(StrEnum):
 
 
 class SensorSetup(StrEnum):
-    """What an algorithm senses with; decides which alignment its trajectory deserves."""
+    """Sensors that an algorithm uses; they decide which alignment its trajectory deserves."""
 
     MONO = "mono"
     STEREO = "stereo"

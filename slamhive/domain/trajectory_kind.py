@@ -1,4 +1,4 @@
-"""Which of its trajectories an algorithm gives."""
+"""Kinds of trajectory that an algorithm gives."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class TrajectoryKind(StrEnum):
 
     @property
     def adjective(self) -> str:
-        """What sentences put before "trajectory"."""
+        """Adjective that sentences put before "trajectory"."""
         return self.value.removesuffix("s")
 
 
@@ -43,7 +43,7 @@ class PoseTime(StrEnum):
 
     @property
     def words(self) -> str:
-        """What follows "a pose holds"."""
+        """Phrase that follows "a pose holds"."""
         if self is PoseTime.MESSAGE:
             return "at the timestamp of its image or scan"
         return f"at the {self.removeprefix('sweep_')} of its sweep"

@@ -1,4 +1,4 @@
-"""How far the measurements of a run can be trusted: one rule for lists, pages, filters, JSON and commands.
+"""Trust in the measurements of a run: one rule for lists, pages, filters, JSON and commands.
 
 Trust is not the outcome. A run that dropped most of its frames because it had too little CPU has succeeded, but its
 error is not that of the algorithm.
@@ -22,7 +22,7 @@ _LEAST_COVERED = 0.5
 
 
 class DisturbanceKind(StrEnum):
-    """What disturbed a run."""
+    """Cause of a disturbed run."""
 
     STEAL = "steal"
     OTHERS = "others"
@@ -105,7 +105,7 @@ class HostLoad:
 
     @property
     def covered_s(self) -> float:
-        """How much of the run the intervals cover."""
+        """Share of the run that the intervals cover."""
         return sum(interval.duration_s for interval in self.intervals)
 
     def mean(self, name: str) -> float | None:
@@ -131,7 +131,7 @@ class DisturbanceReason:
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """What is known of the disturbance of a run.
+    """Known disturbance of a run.
 
     ``known`` is False where too little was measured to call the run undisturbed; ``not_measured`` says what is missing.
     """
@@ -142,7 +142,7 @@ class Disturbance:
 
     @property
     def disturbed(self) -> bool | None:
-        """Whether the run was disturbed, None if that is not known."""
+        """True if the run was disturbed, None if that is unknown."""
         return bool(self.reasons) if self.known else None
 
     @property
@@ -152,7 +152,7 @@ class Disturbance:
 
     @property
     def content(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the JSON form."""
         return {
             "disturbed": self.disturbed,
             "reasons": [{"kind": reason.kind.value, "words": reason.words} for reason in self.reasons],
@@ -169,12 +169,12 @@ class Disturbance:
 
     @property
     def remedies(self) -> tuple[str, ...]:
-        """What to do about the reasons, each once."""
+        """Advice for the reasons, each once."""
         return tuple(dict.fromkeys(REMEDIES[reason.kind] for reason in self.reasons))
 
 
 def judge(load: HostLoad, duration_s: float, player_lag_s: float | None, limits: DisturbanceLimits) -> Disturbance:
-    """Whether a run of ``duration_s`` was disturbed, and why.
+    """Decide if a run of ``duration_s`` was disturbed, and why.
 
     Args:
         load: What was measured of the machine.
@@ -254,7 +254,7 @@ DISTURBED = "disturbed"
 
 
 class TrustLevel(StrEnum):
-    """How far the measurements can be trusted."""
+    """Level of trust in the measurements."""
 
     HIGH = "high"
     LIMITED = "limited"
@@ -329,7 +329,7 @@ class TrustReason:
 
 @dataclass(frozen=True, slots=True)
 class Trust:
-    """How far a run can be trusted. ``level`` is None if too little was measured; ``not_measured`` says what."""
+    """Trust in a run. ``level`` is None if too little was measured; ``not_measured`` says what."""
 
     level: TrustLevel | None
     reasons: tuple[TrustReason, ...] = ()
@@ -342,12 +342,12 @@ class Trust:
 
     @property
     def remedies(self) -> tuple[str, ...]:
-        """What to do about the reasons, each once."""
+        """Advice for the reasons, each once."""
         return tuple(dict.fromkeys(reason.remedy for reason in self.reasons))
 
 
 def judge_trust(metrics: Mapping[str, float], disturbance: Disturbance | None, *, realtime: bool) -> Trust:
-    """How far a run that has ended can be trusted, and why.
+    """Judge the trust in a run that has ended, with reasons.
 
     Args:
         metrics: What was measured, {key: value}.

@@ -50,7 +50,7 @@ _SMALLEST_ERROR_M = 1e-9
 
 
 class VerdictKind(StrEnum):
-    """Whether a run is good, and if not why it failed. The first reason that applies counts, in this order."""
+    """Judgement of a run: good, or the reason why it failed. The first reason that applies counts, in this order."""
 
     GOOD = "good"
     ENDED_BADLY = "ended_badly"
@@ -180,7 +180,7 @@ def not_evaluable(why: str | None) -> Verdict:
 
 
 def compare_repeats(errors_m: Mapping[int, float], compared: Mapping[int, float]) -> dict[int, dict[str, float]]:
-    """How the errors of repeats compare: {run: the metrics :data:`FROM_REPEATS`}; empty for too few repeats.
+    """Compare the errors of repeats: {run: the metrics :data:`FROM_REPEATS`}; empty for too few repeats.
 
     A robust outlier in the logarithm: the limit is the median times exp(3 sigma). Divergence only makes errors larger,
     so sigma is estimated from the better half, by the median deviation below the median. The limit is at least 4 times
@@ -203,7 +203,7 @@ def compare_repeats(errors_m: Mapping[int, float], compared: Mapping[int, float]
 
 
 def tracked_enough(metrics: Mapping[str, float], rule: FailureRule = DEFAULT_RULE) -> bool:
-    """Whether the run's error can be compared with that of its repeats; a lost run has hardly any error."""
+    """Tell if the run's error can be compared with that of its repeats; a lost run has hardly any error."""
     return _lost(metrics, rule, dated=TRACKED_PATH not in metrics) is None
 
 

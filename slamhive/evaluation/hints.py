@@ -46,7 +46,7 @@ Undo = Callable[[Poses], Poses]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """How well matched poses agree if position, rotation and scale are free.
+    """Agreement of matched poses if position, rotation and scale are free.
 
     Attributes:
         reference: Poses of the ground truth.
@@ -178,7 +178,7 @@ def _rotations_suspicious(fit: Fit) -> bool:
 
 
 def _explains(fit: Fit, undone: Fit) -> bool:
-    """Whether one of the errors collapses, and the other does not grow."""
+    """Tell if one of the errors collapses while the other does not grow."""
     positions, before = undone.ate_m / undone.size_m, fit.ate_m / fit.size_m
     positions_collapse = _positions_suspicious(fit) and positions <= COLLAPSE * before and positions <= GOOD_SHARE
     if fit.spread_deg is None or undone.spread_deg is None:

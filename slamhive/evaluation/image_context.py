@@ -1,4 +1,4 @@
-"""What the evaluation image is built from: its Dockerfile, the entry script, our code, and evaluators of plug-ins."""
+"""Build context of the evaluation image: its Dockerfile, the entry script, our code, and evaluators of plug-ins."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _COMPILED = {".pyc", ".pyo"}
 
 @dataclass(frozen=True, slots=True)
 class PluginCode:
-    """What the image gets of one package.
+    """Files of one package that go into the image.
 
     Attributes:
         name: Of the distribution.
@@ -68,7 +68,7 @@ def _code(name: str, package: Distribution) -> PluginCode:
 
 
 def _is_editable(package: Distribution) -> bool:
-    """Whether it was installed with ``pip install --editable``: its list of files then leaves its code out."""
+    """Tell if it was installed with ``pip install --editable``: its list of files then leaves its code out."""
     recorded = json.loads(package.read_text("direct_url.json") or "{}")
     return package.files is None or bool(recorded.get("dir_info", {}).get("editable"))
 
@@ -130,14 +130,14 @@ class EvaluationContext:
 
     @property
     def image(self) -> str:
-        """What the image is called. Plug-ins make another name, so that installations do not replace one image."""
+        """Name of the image. Plug-ins change the name, so that installations do not replace one image."""
         if not self._plugins:
             return IMAGE
         return f"{IMAGE}-{_hash(plugin.content for plugin in self._plugins)[:12]}"
 
     @property
     def content(self) -> str:
-        """What the image is made from, as one SHA-256."""
+        """SHA-256 over everything the image is made from."""
         own = (hash_files(self._scripts, _SCRIPTS) + hash_files(_CODE, (*_MODULES, *_PACKAGES)),)
         return f"sha256:{_hash((*own, *(plugin.content for plugin in self._plugins)))}"
 

@@ -24,7 +24,7 @@ RESULT_FILE = "result.json"
 
 
 class Artefacts(StrEnum):
-    """Which files an evaluation writes besides the metrics."""
+    """Files that an evaluation writes besides the metrics."""
 
     METRICS = "metrics"
     FILES = "files"
@@ -80,7 +80,7 @@ class EvaluationResult:
 
     @property
     def succeeded(self) -> bool:
-        """Whether the evaluation has metrics."""
+        """True if the evaluation has metrics."""
         return self.reason is None
 
 

@@ -15,7 +15,7 @@ from slamhive.evaluation.evaluators.completeness import HILTI
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """How one tool evaluates.
+    """Evaluation rules of one published tool.
 
     Attributes:
         title: The tool and how it is started.

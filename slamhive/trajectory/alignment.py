@@ -46,7 +46,7 @@ class Similarity:
 
     @property
     def matrix(self) -> FloatArray:
-        """As one matrix, shape (4, 4), its upper left part scaled."""
+        """Return one matrix, shape (4, 4), with the upper left part scaled."""
         T = np.eye(4)
         T[:3, :3] = self.scale * self.rotation
         T[:3, 3] = self.translation_m

@@ -251,7 +251,7 @@ def reordered(poses: Poses, order: QuaternionOrder) -> Poses:
 
 
 def orientation_spread_deg(reference: Poses, estimate: Poses) -> float | None:
-    """How far the rotation between the two moving frames is from being one and the same all the time, in degrees.
+    """Deviation of the rotation between the two moving frames from a constant one, in degrees.
 
     Both frames may be mounted anyhow, so only what changes between them counts: the median angle to their mean. The
     worlds are aligned by positions (Umeyama), with scale; None where those leave it open.

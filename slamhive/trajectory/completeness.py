@@ -50,7 +50,7 @@ class OwnCoverage:
 
 
 def covers(estimate_stamps_s: FloatArray, stamps_s: FloatArray, gap_s: float) -> BoolArray:
-    """Whether there is a pose at each of ``stamps_s``, or poses on both sides, no further apart than ``gap_s``."""
+    """Tell if there is a pose at each of ``stamps_s``, or poses on both sides, no further apart than ``gap_s``."""
     if len(estimate_stamps_s) == 1:
         return np.asarray(stamps_s == estimate_stamps_s[0])
     after = np.clip(np.searchsorted(estimate_stamps_s, stamps_s), 1, len(estimate_stamps_s) - 1)

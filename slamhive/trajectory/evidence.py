@@ -134,7 +134,7 @@ class MisreadUnit:
 
 
 def misread_unit(estimate_s: FloatArray, truth_s: FloatArray) -> MisreadUnit | None:
-    """Whether timestamps that were read as seconds are none: then they hardly overlap, and would in their own unit."""
+    """Tell if timestamps read as seconds are in another unit: they hardly overlap, and would in that unit."""
     spans = [span_of(stamps_s, TimeUnit.S) for stamps_s in (estimate_s, truth_s)]
     if overlap(spans[0], spans[1]) > LITTLE_OVERLAP:
         return None

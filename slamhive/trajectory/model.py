@@ -21,7 +21,7 @@ MAX_POSITION_M = 1e12
 
 @dataclass(frozen=True, slots=True)
 class PoseProblem:
-    """What is wrong with the pose at ``index``: what was found, and what to do about it."""
+    """Error in the pose at ``index``: the finding, and what to do about it."""
 
     index: int
     found: str

@@ -54,7 +54,7 @@ def read_kitti(poses_path: Path, times_path: Path) -> Trajectory:
 
 
 def read_kitti_rows(poses_path: Path, times_path: Path) -> RawPoses:
-    """As :func:`read_kitti`, before it is known in which unit the timestamps are."""
+    """Read like :func:`read_kitti`, before the unit of the timestamps is known."""
     poses, matrices = _parse_poses(read_bounded(poses_path), str(poses_path))
     data = read_bounded(times_path)
     times = parse_table(data, str(times_path), 1, "timestamp")
@@ -170,7 +170,7 @@ class PoseFile:
 
     @property
     def has_order(self) -> bool:
-        """Whether the file has quaternions: files of positions or matrices have none."""
+        """Tell if the file has quaternions: files of positions or matrices have none."""
         return self.raw.orientations and self.format is not TrajectoryFormat.KITTI
 
     def unit(self, told: Convention, other: Span | None, what: str = "the ground truth") -> Conclusion[TimeUnit]:

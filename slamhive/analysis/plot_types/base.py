@@ -196,7 +196,7 @@ def axis_of_numbers(column: Column, rows: pd.DataFrame) -> Axis:
 
 
 def spans_decades(values: Array) -> bool:
-    """Whether values need a logarithmic axis: all are positive and they span more than a factor of 100."""
+    """Tell if values need a logarithmic axis: all are positive and they span more than a factor of 100."""
     finite = values[np.isfinite(values)]
     return bool(len(finite) > 1 and finite.min() > 0 and finite.max() > 100 * finite.min())
 
@@ -213,7 +213,7 @@ def good_values(rows: pd.DataFrame, key: str) -> Array:
 
 
 def failed_count(rows: pd.DataFrame) -> int:
-    """How many of the runs failed."""
+    """Number of runs that failed."""
     return int(rows[FAILED].notna().sum())
 
 

@@ -145,7 +145,7 @@ def _means(table: RunTable, metric: str, x: Axis, by: str) -> Iterator[Bars]:
 
 
 def _counts(bars: Sequence[Bars]) -> str:
-    """How many runs the bars average: ``5`` or ``1 to 5``."""
+    """Number of runs that the bars average: ``5`` or ``1 to 5``."""
     counts = sorted({int(text.removeprefix("n = ")) for bar in bars for text in bar.texts or () if text})
     return " to ".join(map(str, dict.fromkeys((counts[0], counts[-1])))) if counts else "no"
 

@@ -112,7 +112,7 @@ class CoverageScaleOptions(base.PlotOptions):
 
     @property
     def scaled(self) -> bool:
-        """Whether errors are scaled."""
+        """True if errors are scaled."""
         return bool(self.coverage_multiples)
 
 

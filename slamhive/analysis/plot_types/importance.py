@@ -1,4 +1,4 @@
-"""Which parameters matter: the share of a metric's variance that each parameter and each pair explains."""
+"""Importance of parameters: the share of a metric's variance that each parameter and each pair explains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How runs look where each of them is a line: colour, name and legend; and repeats folded into mean and band."""
+"""Looks of runs that are drawn as one line each: colour, name and legend; and repeats folded into mean and band."""
 
 from __future__ import annotations
 

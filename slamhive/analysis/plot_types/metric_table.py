@@ -118,7 +118,7 @@ _METRICS = ("poses", "ate.rmse", "cpu.mean", "ram.max", "latency.median", "frame
 
 
 class MetricTableOptions(base.PlotOptions):
-    """Which metrics become columns, and what besides the algorithm becomes a row."""
+    """Choice of the metrics that become columns, and of what besides the algorithm becomes a row."""
 
     metrics: list[str] = Field(
         default_factory=lambda: list(_METRICS), min_length=1, max_length=20, description="Metrics, one column each."

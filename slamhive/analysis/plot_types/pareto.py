@@ -97,7 +97,7 @@ def configuration_means(table: RunTable, metrics: list[str]) -> pd.DataFrame:
 
 
 def pareto_front(costs: Array) -> Array:
-    """Which rows no other row beats: (n,) bool.
+    """Mark the rows that no other row beats: (n,) bool.
 
     A row beats another if it is never worse and at least once better (dominance as in K. Deb, 2001).
 
@@ -117,7 +117,7 @@ def pareto_front(costs: Array) -> Array:
 
 
 def fronts_by_dataset(means: pd.DataFrame, metrics: list[str], signs: Array) -> Array:
-    """Which rows are on the front of their dataset; sequences differ in difficulty and are never compared.
+    """Mark the rows on the front of their dataset; sequences differ in difficulty and are never compared.
 
     The share of failed runs is another cost: a good mean over few surviving runs beats no configuration with fewer
     failures.

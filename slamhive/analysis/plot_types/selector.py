@@ -32,7 +32,7 @@ class SelectorBound:
     limit: float
 
     def holds(self, values: Array) -> Array:
-        """Which values keep the bound; a missing value does not."""
+        """Mark the values that keep the bound; a missing value does not."""
         compare = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}[self.sign]
         return np.isfinite(values) & compare(values, self.limit)
 
@@ -205,7 +205,7 @@ def _ranking(chosen: list[RankedCandidate], label: str, unit: str, text: str) ->
 
 
 def _reasons(table: RunTable, bounds: list[SelectorBound]) -> ResultTable:
-    """How many runs of each algorithm keep each bound."""
+    """Count the runs of each algorithm that keep each bound."""
     columns = [TableColumn("algorithm", "Algorithm"), TableColumn("runs", "Runs"), TableColumn("failed", "Failed")]
     columns += [
         TableColumn(f"bound{place}", f"{bound.key} {bound.sign} {bound.limit:g} kept by")

@@ -134,7 +134,7 @@ def _ground_truths(tracks: list[base.RunTrack], table: RunTable) -> list[_Ground
 
 
 def _same_ground_truth(first: base.RunTrack, second: base.RunTrack) -> bool:
-    """Whether two ground truths are equal to a tenth of a millimetre at every timestamp."""
+    """Tell if two ground truths are equal to a tenth of a millimetre at every timestamp."""
     one, other = first.reference_positions_m, second.reference_positions_m
     return (
         one.shape == other.shape

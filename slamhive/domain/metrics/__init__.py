@@ -56,7 +56,7 @@ class _Catalogue(Mapping[str, Metric]):
         return len(METRICS.entries)
 
     def items(self) -> ItemsView[str, Metric]:
-        """What a ``Mapping`` offers, in one look-up: each run that is shown goes through it."""
+        """Items of the ``Mapping``, in one look-up: each run that is shown goes through it."""
         return METRICS.entries.items()
 
 

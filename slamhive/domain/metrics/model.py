@@ -1,4 +1,4 @@
-"""What a metric is."""
+"""Definition of a metric."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slamhive.domain.names import plural
 
 
 class Direction(StrEnum):
-    """Which way is better."""
+    """Direction in which a metric is better."""
 
     LOWER = "lower"
     HIGHER = "higher"

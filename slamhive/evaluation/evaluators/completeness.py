@@ -1,4 +1,4 @@
-"""How much of the recording the estimate covers, how often tracking was lost, and a score of both."""
+"""Coverage of the recording by the estimate, losses of tracking, and a score of both."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class StartEndDrift:
 
 
 class ScaleErrors:
-    """How far the estimate's scale is off as a whole, and how much it changes along the way."""
+    """Error of the estimate's scale as a whole, and its drift along the way."""
 
     keys = ("scale.error", "scale.drift")
 

@@ -30,7 +30,7 @@ _UPPER = np.triu_indices(6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Covariances:
-    """What ``covariances.txt`` holds.
+    """Content of ``covariances.txt``.
 
     Attributes:
         stamps_s: Of the poses, strictly increasing, shape (n,).

@@ -223,5 +223,5 @@ def _pairs_as_tum(values: FloatArray, delta: float, counts: BoolArray) -> Pairs:
 
 
 def _has(key: str, suffix: str) -> bool:
-    """Whether the metric is of the pairs with this ending: ``rpe_rot.max`` is of those without."""
+    """Tell if the metric is of the pairs with this ending: ``rpe_rot.max`` is of those without."""
     return key.rsplit(".", 1)[0] in (f"rpe{suffix}", f"rpe_rot{suffix}")
