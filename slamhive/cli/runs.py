@@ -17,7 +17,6 @@ from slamhive.cli.output import counting_bar, hint_in_words, print_json, print_t
 from slamhive.cli.searching import Listing, print_export, print_groups, search_of, split_columns, write_parquet
 from slamhive.cli.sharing import in_words
 from slamhive.cli.visible import say, write_raw
-from slamhive.documents.api_answers import DeletedRunDocument
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.metrics import described
@@ -468,6 +467,8 @@ def trash(cli: CliContext, empty: bool, as_json: bool) -> None:
     rows = [(run.deleted.run_id, run.algorithm, run.dataset, run.deleted.at.isoformat()) for run in found]
     columns = ("id", "algorithm", "dataset", "deleted_at")
     if as_json:
+        from slamhive.documents.api_answers import DeletedRunDocument  # noqa: PLC0415 - the table needs no model
+
         print_json([DeletedRunDocument.of(run).content for run in found])
     elif rows:
         print_table(columns, rows, right=("id",))

@@ -10,7 +10,8 @@ if TYPE_CHECKING:
     from slamhive.client.asynchronous import AsyncHive
     from slamhive.client.experiments import Analyses, Analysis, Experiment, Experiments
     from slamhive.client.hive import Hive
-    from slamhive.client.runs import Batch, Run, RunList, Runs, RunTrajectory
+    from slamhive.client.runs import Batch, Run, RunList, Runs
+    from slamhive.client.trajectory import RunTrajectory
 
 
 if not TYPE_CHECKING:

@@ -17,7 +17,7 @@ from slamhive.client.waiting import PAUSE_S, is_complete, rests
 if TYPE_CHECKING:
     import httpx
 
-    from slamhive.client.runs import RunTrajectory
+    from slamhive.client.trajectory import RunTrajectory
     from slamhive.documents.experiment import ExperimentStatusDocument
     from slamhive.documents.run import RunDocument, RunWith
     from slamhive.domain.parameters import Value
@@ -69,7 +69,7 @@ class AsyncHive:
 
     async def trajectory(self, run_id: int) -> RunTrajectory:
         """The estimated trajectory of a run; raises NotFound."""
-        from slamhive.client.runs import RunTrajectory  # noqa: PLC0415 - loads NumPy
+        from slamhive.client.trajectory import RunTrajectory  # noqa: PLC0415 - loads NumPy
 
         return RunTrajectory.of_tum(await self.file(run_id), f"run {run_id}")
 

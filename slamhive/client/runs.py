@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, overload
 
@@ -12,14 +12,10 @@ from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.client.backend import Backend, RunQuery
 from slamhive.domain.finding import FoundAction
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.domain.protocol import Duplicates
 from slamhive.filters.fields import PARAMETER_PREFIX
-from slamhive.trajectory.layout import parse_tum
-from slamhive.trajectory.model import Trajectory
 
 if TYPE_CHECKING:
-    from evo.core.trajectory import PoseTrajectory3D
-
+    from slamhive.client.trajectory import RunTrajectory
     from slamhive.documents import run as run_schema
     from slamhive.documents.api_answers import ActedOn
     from slamhive.documents.submission import Submission
@@ -152,6 +148,8 @@ class Run:
 
     def _read(self, key: str) -> RunTrajectory:
 
+        from slamhive.client.trajectory import RunTrajectory  # noqa: PLC0415 - loads NumPy
+
         return RunTrajectory.of_tum(self.file(key), f"{key} of run {self.id}")
 
 
@@ -280,36 +278,6 @@ def submission_of(
 
     content = {"algorithm": algorithm, "dataset": dataset, "parameters": dict(parameters or {}), **options}
     return load(Submission, content)
-
-
-# Trajectories of runs, for NumPy, pandas and evo.
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RunTrajectory(Trajectory):
-    """Timestamped poses: ``stamps_s`` (n,), ``positions_m`` (n, 3), ``quats_xyzw`` (n, 4)."""
-
-    @classmethod
-    def of_tum(cls, data: bytes, name: str) -> RunTrajectory:
-        """The trajectory in a TUM file that messages call ``name``; raises InvalidInput. Equal timestamps stay."""
-        found = parse_tum(data, name, Duplicates.KEEP)
-        return cls(found.stamps_s, found.positions_m, found.quats_xyzw)
-
-    def to_evo(self) -> PoseTrajectory3D:
-        """The same as a trajectory of evo."""
-        from evo.core.trajectory import PoseTrajectory3D  # noqa: PLC0415 - takes a second to load
-
-        quats_wxyz = self.quats_xyzw[:, [3, 0, 1, 2]]
-        return PoseTrajectory3D(self.positions_m.copy(), quats_wxyz, self.stamps_s.copy())
-
-    def to_pandas(self) -> Any:
-        """A data frame with the columns of the TUM format, times in s and positions in m."""
-        import pandas as pd  # noqa: PLC0415 - takes half a second to load
-
-        columns = {"timestamp": self.stamps_s}
-        columns |= {f"t{axis}": self.positions_m[:, place] for place, axis in enumerate("xyz")}
-        columns |= {f"q{axis}": self.quats_xyzw[:, place] for place, axis in enumerate("xyzw")}
-        return pd.DataFrame(columns)
 
 
 # Runs as a pandas data frame.
