@@ -41,7 +41,12 @@ _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Witho
 @click.option("--pattern", default=DEFAULT_PATTERN, show_default=True, help="Path pattern of trajectories.")
 @click.option("--groundtruth", default=DEFAULT_GROUND_TRUTH, show_default=True, help="Path pattern of ground truths.")
 @click.option("--relations", default=DEFAULT_RELATIONS, show_default=True, help="Path pattern of relations.")
-@click.option("--times", default=DEFAULT_TIMES, show_default=True, help="Path pattern of timestamps of KITTI poses.")
+@click.option(
+    "--times",
+    default=DEFAULT_TIMES,
+    show_default=True,
+    help="Path pattern of timestamps of poses without, such as KITTI's.",
+)
 @click.option("--format", "wanted", type=choice(TrajectoryFormat), default="auto", show_default=True)
 @click.option(
     "--columns", metavar="NAMES", help="Columns of trajectories, such as t,x,y,z,qw,qx,qy,qz; detected by default."

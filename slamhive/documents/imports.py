@@ -156,6 +156,10 @@ class RunsUpload(ApiRequest):
     relations: Pattern = None
     times: Pattern = None
     format: Annotated[str | None, described("Format of the trajectories; null: detected.")] = None
+    columns: Annotated[
+        str | None,
+        described("Columns of the trajectories, such as t,x,y,z,qw,qx,qy,qz; null: detected.", max_length=1000),
+    ] = None
     sensors: Annotated[
         dict[str, SensorSetup], described("Sensors by algorithm; the name `` is for all others.", max_length=100)
     ] = Field(default_factory=dict)

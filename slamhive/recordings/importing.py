@@ -326,10 +326,14 @@ def _part(progress: Progress, start: float, end: float) -> Progress:
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """Whether a folder has a format: ``found`` is the evidence for it, ``missing`` what it lacks; both in words."""
+    """Whether a folder has a format: ``found`` is the evidence for it, ``missing`` what it lacks; both in words.
+
+    Evidence that is ``weak``, such as bags in a folder, counts where no other format fits.
+    """
 
     found: tuple[str, ...]
     missing: tuple[str, ...]
+    weak: bool = False
 
     @property
     def complete(self) -> bool:

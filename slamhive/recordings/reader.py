@@ -13,7 +13,7 @@ from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
 from slamhive.base.errors import InvalidInput
-from slamhive.runtime.recording import DAMAGE, damaged
+from slamhive.runtime.recording import DAMAGE, damaged, reindexing
 
 __all__ = [
     "DAMAGE",
@@ -24,6 +24,7 @@ __all__ = [
     "inspect_bag",
     "messages",
     "open_bag",
+    "reindexing",
 ]
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from slamhive.domain.calibration import CameraIntrinsics, LaserLayout
 from slamhive.domain.sensors import Sensor
@@ -72,8 +73,13 @@ class BagWriter:
     ) -> None:
         self._writer.close()
 
-    def image(self, sensor: Sensor, stamp_ns: int, pixels: Array, encoding: str) -> None:
-        """A ``sensor_msgs/Image``; ``pixels`` is (h, w) or (h, w, channels) in the encoding's own type."""
+    def image(
+        self, sensor: Sensor, stamp_ns: int, pixels: Array, encoding: str, received_ns: int | None = None
+    ) -> None:
+        """A ``sensor_msgs/Image``; ``pixels`` is (h, w) or (h, w, channels) in the encoding's own type.
+
+        It was received at ``received_ns``, unless given when it was measured.
+        """
         data = np.ascontiguousarray(pixels)
         message = self._message(
             IMAGE,
@@ -85,7 +91,7 @@ class BagWriter:
             step=data.strides[0],
             data=data.reshape(-1).view(np.uint8),
         )
-        self._write(sensor.topic, IMAGE, stamp_ns, message)
+        self._write(sensor.topic, IMAGE, stamp_ns if received_ns is None else received_ns, message)
 
     def camera_info(self, sensor: Sensor, topic: str, stamp_ns: int, baseline_m: float = 0.0) -> None:
         """The ``sensor_msgs/CameraInfo`` of a camera, ``baseline_m`` to the right of its left partner."""
@@ -216,16 +222,17 @@ class BagWriter:
         )
         self._write(sensor.topic, NAV_SAT_FIX, stamp_ns, message)
 
-    def copy(self, connection: Connection, received_ns: int, raw: bytes, *, cdr: bool) -> None:
-        """Copy a message of another recording; ``cdr``: it was serialised by ROS 2, so it is converted."""
+    def copy(self, connection: Connection, received_ns: int, raw: bytes, ros2: Typestore | None) -> None:
+        """Copy a message of another recording; ``ros2`` has the types of one that ROS 2 serialised."""
         topic, kind = connection.topic, connection.msgtype
         if topic not in self._connections:
             self._connections[topic] = (
                 self._writer.add_connection(topic, kind, typestore=self._store)
-                if cdr
+                if ros2 is not None
                 else self._writer.add_connection(topic, kind, msgdef=connection.msgdef.data, md5sum=connection.digest)
             )
-        converted = self._store.cdr_to_ros1(raw, kind) if cdr else raw
+        # by the types of the source: those of ROS 1 expect a sequence number in the header
+        converted = raw if ros2 is None else bytes(ros2.cdr_to_ros1(raw, kind))
         self._writer.write(self._connections[topic], playable_ns(received_ns), converted)
 
     def _message(self, kind: str, **fields: Any) -> Any:

@@ -154,5 +154,12 @@ def damaged(path: Path, error: Exception) -> InvalidInput:
     inner = isinstance(error, UnicodeError | EOFError | TypeError) or "('" in reason or not reason
     return InvalidInput(
         f"{path} cannot be read as a recording: {'its bytes make no sense' if inner else reason}",
-        "it may be truncated or no bag at all: compare its size with the original, or run 'rosbag reindex' on it",
+        f"it may be truncated or no bag at all: compare its size with the original, or {reindexing(path)}",
     )
+
+
+def reindexing(path: Path) -> str:
+    """Advice to renew the index, or the metadata, of the recording at ``path``."""
+    if path.suffix == ".bag":
+        return "run 'rosbag reindex' on it"
+    return "run 'ros2 bag reindex' on it" if path.is_dir() else "copy or download it again"

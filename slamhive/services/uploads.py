@@ -549,6 +549,7 @@ def _runs_request(request: RunsUpload, folder: Path) -> ImportRequest:
         told=_convention(request.time_unit, request.quaternion_order),
         truth_told=_convention(request.groundtruth_time_unit, request.groundtruth_quaternion_order),
         duplicates=request.duplicates,
+        columns=request.columns,
         trajectory=request.trajectory,
         **{key: text for key, text in given.items() if text is not None},
     )

@@ -33,6 +33,8 @@ SHORTEST_STEP_S, LONGEST_STEP_S = 5e-4, 10.0
 """Poses come at 2000 Hz at most, and are rarely further apart than keyframes of a vehicle that waits, ..."""
 SPARSE_STEP_S = 600.0
 """... unless they are surveyed points, which people write in seconds."""
+_FEW = 10
+"""Surveyed points may be a second apart; so many in a row are counted."""
 FIRST_DATE_S, LAST_DATE_S = 6.3e8, 4.1e9
 """1990 and 2100 as seconds since 1970: no recording is older or newer."""
 MOST_OVERLAP, LITTLE_OVERLAP = 0.3, 0.03
@@ -100,7 +102,10 @@ def _unit_by_itself(times: FloatArray) -> Conclusion[TimeUnit]:
         apart = _duration(step / fitting[0].per_second)
         return Conclusion(fitting[0], f"only as {fitting[0]} are the poses a likely time apart, {apart}")
     shown = ", ".join(f"{_duration(step / unit.per_second)} if they are {unit}" for unit in fitting or TimeUnit)
-    return Conclusion(None, f"the timestamps are {step:g} apart, which is {shown}")
+    found = f"the timestamps are {step:g} apart, which is {shown}"
+    if len(times) > _FEW and times[0] in {0.0, 1.0} and (np.diff(times) == 1).all():
+        found += "; they may be numbers of frames or keys of a pose graph, which are no times"
+    return Conclusion(None, found)
 
 
 def _likely_units(times: FloatArray) -> list[TimeUnit]:

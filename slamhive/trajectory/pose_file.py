@@ -8,124 +8,29 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from slamhive.base.errors import InvalidInput
-from slamhive.base.files import write_aside
 from slamhive.domain.protocol import Duplicates
+from slamhive.trajectory.columns import (
+    Columns,
+    find_columns,
+    parse_columns,
+    stated_columns,
+    with_header_as_comment,
+)
 from slamhive.trajectory.evidence import Conclusion, Span, find_order, find_unit
+from slamhive.trajectory.formats import find_format, format_named, read_pose_folder, refuse_keys
+from slamhive.trajectory.kitti import read_kitti_rows
 from slamhive.trajectory.layout import (
     UNKNOWN,
-    Columns,
     Convention,
     QuaternionOrder,
     RawPoses,
     TimeUnit,
-    find_columns,
-    parse_columns,
     parse_position_rows,
     parse_rows,
-    stated_columns,
-    stated_in,
-    with_header_as_comment,
 )
-from slamhive.trajectory.model import FloatArray, Trajectory
-from slamhive.trajectory.table import NumberTable, count_columns, parse_table, read_bounded
-from slamhive.trajectory.transforms import quats_from_rotations, rotations_from_quats
-
-# KITTI odometry poses: the upper 3x4 of T_world_camera, 12 numbers row by row, one pose a line; timestamps apart.
-#
-# Format: Geiger et al., "Are we ready for autonomous driving?", CVPR 2012.
-
-
-LAYOUT = "12 numbers: r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz"
-_ORTHOGONAL_TOLERANCE = 1e-2
-
-
-def read_kitti(poses_path: Path, times_path: Path) -> Trajectory:
-    """Read poses and their timestamps (one number a line, s).
-
-    Raises:
-        NotFound: One of the files does not exist.
-        InvalidInput: One of them is malformed, or they differ in their number of lines; the message names file, line
-            and value.
-    """
-    return read_kitti_rows(poses_path, times_path).trajectory(TimeUnit.S, QuaternionOrder.XYZW)
-
-
-def read_kitti_rows(poses_path: Path, times_path: Path) -> RawPoses:
-    """Read like :func:`read_kitti`, before the unit of the timestamps is known."""
-    poses, matrices = _parse_poses(read_bounded(poses_path), str(poses_path))
-    data = read_bounded(times_path)
-    times = parse_table(data, str(times_path), 1, "timestamp")
-    if poses.places[-1] != times.places[-1]:
-        raise InvalidInput(
-            f"{poses_path} has {_counted(poses, 'poses')}, {times_path} has {_counted(times, 'timestamps')}",
-            "both need one line per frame",
-        )
-    shared, of_poses, of_times = np.intersect1d(poses.places, times.places, return_indices=True)
-    if not len(shared):
-        raise InvalidInput(f"{poses_path} and {times_path} have no line in common", "both need one line per frame")
-    matrices, times = matrices[of_poses], times.take(of_times)
-    stamps = times.values[:, 0]
-    stated = Convention(stated_in(data).time_unit, QuaternionOrder.XYZW)
-    return RawPoses(times, stamps, matrices[:, :, 3], quats_from_rotations(matrices[:, :, :3]), stated=stated)
-
-
-def read_kitti_matrices(path: Path) -> FloatArray:
-    """The poses as the file has them, shape (n, 4, 4): not made orthonormal. Raises as :func:`read_kitti`."""
-    return parse_kitti_matrices(read_bounded(path), str(path))
-
-
-def parse_kitti_matrices(data: bytes, name: str) -> FloatArray:
-    """The poses in the bytes of a KITTI file that messages call ``name``, shape (n, 4, 4); raises InvalidInput."""
-    table, rows = _parse_poses(data, name)
-    blank = np.flatnonzero(table.places != np.arange(len(rows)))
-    if len(blank):
-        row = int(blank[0])
-        raise InvalidInput(
-            f"{name}: a line before line {table.line_number(row)} is blank",
-            "each line is a frame and has no timestamp: write the pose of every frame",
-        )
-    matrices = np.tile(np.eye(4), (len(rows), 1, 1))
-    matrices[:, :3] = rows
-    return matrices
-
-
-def _counted(table: NumberTable, rows: str) -> str:
-    blank = int(table.places[-1]) + 1 - len(table.values)
-    return f"{len(table.values)} {rows}" + (f" and {blank} blank lines" if blank else "")
-
-
-def _parse_poses(data: bytes, name: str) -> tuple[NumberTable, FloatArray]:
-    """The rows of the file, and the upper 3x4 of every pose, shape (n, 3, 4)."""
-    table = parse_table(data, name, 12, LAYOUT)
-    finite = np.isfinite(table.values).all(axis=1)
-    if not finite.all():
-        raise table.error(int((~finite).argmax()), "a number is not finite", "leave out frames that are not known")
-    matrices = table.values.reshape(-1, 3, 4)
-    rotations = matrices[:, :, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        errors = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-        wrong = ~(errors < _ORTHOGONAL_TOLERANCE) | (np.linalg.det(rotations) < 0)
-    if wrong.any():
-        raise table.error(
-            int(wrong.argmax()), "the 3x3 part is not a rotation", "write orthonormal matrices of determinant 1"
-        )
-    return table, matrices
-
-
-def format_kitti(positions_m: FloatArray, quats_xyzw: FloatArray) -> str:
-    """The text of a KITTI pose file; shapes (n, 3) and (n, 4)."""
-    matrices = np.concatenate((rotations_from_quats(quats_xyzw), positions_m[:, :, None]), axis=2)
-    row = " ".join(["%.12e"] * 12) + "\n"
-    return (row * len(matrices)) % tuple(matrices.ravel().tolist())
-
-
-def write_kitti(path: Path, trajectory: Trajectory) -> None:
-    """Write the poses of ``trajectory``, without its timestamps, in one step. Raises Unavailable."""
-    write_aside(path, format_kitti(trajectory.positions_m, trajectory.quats_xyzw))
-
+from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.table import count_columns, read_bounded
 
 _POSITION_COLUMNS, _TUM_COLUMNS, _KITTI_COLUMNS, _EUROC_COLUMNS = 4, 8, 12, 17
 _FIRST_NANOSECONDS = 1e11
@@ -138,12 +43,21 @@ _Choice = TypeVar("_Choice", TimeUnit, QuaternionOrder)
 
 
 class TrajectoryFormat(StrEnum):
-    """The format of a trajectory; ``auto`` detects it from the number of columns."""
+    """The format of a trajectory; ``auto`` detects it. :data:`.formats.FORMATS` says who writes which."""
 
     AUTO = "auto"
     TUM = "tum"
     KITTI = "kitti"
     EUROC = "euroc"
+    COLMAP = "colmap"
+    G2O = "g2o"
+    BOREAS = "boreas"
+    NUSCENES = "nuscenes"
+    NCLT = "nclt"
+    TARTANAIR = "tartanair"
+    REPLICA = "replica"
+    FAST_LIO = "fast-lio"
+    POSE_FOLDER = "pose-folder"
 
 
 _UNITS = {TrajectoryFormat.TUM: TimeUnit.S, TrajectoryFormat.EUROC: TimeUnit.NS}
@@ -156,7 +70,7 @@ class PoseFile:
 
     Attributes:
         data: Its bytes.
-        format: The layout of its rows: TUM for eight columns or four, EUROC for more, KITTI for matrices.
+        format: The layout of its rows: TUM for eight columns or four, EUROC for more, KITTI for matrices; or another.
         raw: Its numbers.
         named: The user has specified the format.
         plain: The rows of a TUM file are just the pose, so the file can be kept as it is.
@@ -170,8 +84,8 @@ class PoseFile:
 
     @property
     def has_order(self) -> bool:
-        """Tell if the file has quaternions: files of positions or matrices have none."""
-        return self.raw.orientations and self.format is not TrajectoryFormat.KITTI
+        """Whether the file has quaternions: files of positions or matrices have none."""
+        return self.raw.orientations and self.format in {TrajectoryFormat.TUM, TrajectoryFormat.EUROC}
 
     def unit(self, told: Convention, other: Span | None, what: str = "the ground truth") -> Conclusion[TimeUnit]:
         """The unit of its times: as specified, stated or found.
@@ -224,6 +138,7 @@ def read_pose_file(
         InvalidInput: It is damaged; names file, line and value.
     """
     file = _rows(path, wanted, times, positions=positions, columns=columns)
+    refuse_keys(file.raw.times, str(path))
     # Damage is reported before any doubt about units.
     file.raw.trajectory(TimeUnit.S, QuaternionOrder.XYZW, Duplicates.KEEP)
     return file
@@ -259,6 +174,9 @@ def decided(finding: Conclusion[_Choice], what: str, remedy: str) -> _Choice:
 def _rows(
     path: Path, wanted: TrajectoryFormat, times: Path | None, *, positions: bool, columns: str | None
 ) -> PoseFile:
+    own = _own_format(path, wanted, times) if columns is None else None
+    if own is not None:
+        return own
     original = read_bounded(path)
     data = with_header_as_comment(original)
     count = count_columns(data)
@@ -280,6 +198,18 @@ def _rows(
         return PoseFile(original, found, read_kitti_rows(path, times))
     raw = parse_rows(data, str(path), more_columns=found is TrajectoryFormat.EUROC)
     return PoseFile(original, found, raw, named=wanted is found, plain=data == original)
+
+
+def _own_format(path: Path, wanted: TrajectoryFormat, times: Path | None) -> PoseFile | None:
+    """Read the poses of a format that has a reader of its own; None for tables of numbers with a time and a pose."""
+    if path.is_dir() and wanted in {TrajectoryFormat.AUTO, TrajectoryFormat.POSE_FOLDER}:
+        text, raw = read_pose_folder(path, times)
+        return PoseFile(text, TrajectoryFormat.POSE_FOLDER, raw, plain=False)
+    data = read_bounded(path)
+    own = find_format(data) if wanted is TrajectoryFormat.AUTO else format_named(wanted)
+    if own is None or own.read is None:
+        return None
+    return PoseFile(data, TrajectoryFormat(own.name), own.read(data, str(path), times), plain=False)
 
 
 def _is_plain(placed: Columns, found: TrajectoryFormat) -> bool:

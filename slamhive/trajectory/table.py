@@ -170,6 +170,15 @@ def _lines(data: bytes, name: str) -> Iterator[list[str]]:
         yield text[: len(text) - len(rest)].splitlines()
 
 
+def text_lines(data: bytes, name: str, layout: str) -> Iterator[str]:
+    """All lines of a file of text that is no table; raises InvalidInput if it is no text, or has too many lines."""
+    _check_text(data, name, layout)
+    for number, line in enumerate(chain.from_iterable(_lines(data, name)), start=1):
+        if number > 2 * MOST_ROWS:
+            raise InvalidInput(f"{name} has more than {2 * MOST_ROWS:,} lines", "split it, or write less")
+        yield line
+
+
 def _rows(data: bytes, name: str) -> Iterator[str]:
     """The lines that hold numbers, separated by blanks; raises InvalidInput if there are too many."""
     commas, count = b"," in data, 0

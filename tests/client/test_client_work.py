@@ -169,7 +169,7 @@ def test_a_data_root_takes_changes(data: Path) -> None:
 @pytest.mark.parametrize("through", ["files", "server"])
 def test_recordings_and_trajectories_are_imported(data: Path, through: str, request: pytest.FixtureRequest) -> None:
     desk = make_euroc(data.parent / "desk")
-    results = data.parent / "results"
+    results, odd_results = data.parent / "results", data.parent / "odd_results"
     write(results / "mine" / "walk" / "1.txt", trajectory())
     write(results / "walk" / "groundtruth.txt", trajectory())
     files = through == "files"
@@ -179,6 +179,12 @@ def test_recordings_and_trajectories_are_imported(data: Path, through: str, requ
         assert report is not None
         assert (report.runs, report.problems) == ((1,), ())
         assert hive.runs.get(1).algorithm == "mine"
+        lines = [line.split() for line in trajectory(3).splitlines()]
+        odd = ["9 " + " ".join([*row[1:], row[0]]) + "\n" for row in lines]
+        write(odd_results / "other" / "walk" / "1.txt", "".join(odd))
+        named = hive.import_runs(odd_results, sensors={"": "stereo"}, columns="-,x,y,z,qx,qy,qz,qw,t", progress=False)
+        assert named.runs is not None
+        assert (named.runs.runs, named.runs.problems) == ((2,), ())
         with pytest.raises(InvalidInput, match="formt"):
             hive.import_dataset(desk, formt="tum", progress=False)
         with pytest.raises((NotFound, InvalidInput), match="nothing-here"):

@@ -15,8 +15,8 @@ from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask
 from slamhive.evaluation.presets import PRESETS
 from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
 from slamhive.evaluation.work import FILES
+from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.layout import write_tum
-from slamhive.trajectory.pose_file import read_kitti
 from tests.evaluation.evo_commands import evo_commands
 from tests.evaluation.tool_inputs import EVO, RECORDED, RUNS
 

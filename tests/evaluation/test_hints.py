@@ -16,9 +16,9 @@ from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.hints import find_hints, rms_m
 from slamhive.evaluation.pairing import pair
 from slamhive.evaluation.references import TruthReference
+from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.layout import read_tum as read_tum_file
 from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.pose_file import read_kitti
 from slamhive.trajectory.transforms import inverse_quats, multiply_quats, rotations_from_quats
 
 DATA = project_root().parent / "shared" / "data"

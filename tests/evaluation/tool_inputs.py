@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.layout import read_tum
 from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.pose_file import read_kitti
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 EVO, RUNS = DATA / "evo_trajectories", DATA / "euroc_vio_runs"

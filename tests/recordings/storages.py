@@ -70,6 +70,7 @@ def write_ros1(path: Path) -> None:
             points = np.zeros(40, POINT)
             for axis in ("x", "y", "z"):
                 points[axis] = random.uniform(-30, 30, len(points))
+            points["t"] = np.arange(len(points)) * (PERIOD_NS // len(points))
             points["ring"] = np.arange(len(points)) % 4
             bag.points(lidar, stamp_ns, stamp_ns + 1000, points)
             for part in range(5):

@@ -459,8 +459,13 @@ def test_cameras_are_numbered_left_before_right_and_by_value(topics, names):
 
 
 def test_encodings_tell_depth_and_what_cannot_be_read():
-    found = names_of(("/a/image_raw", "bgr8"), ("/b/image_raw", "16UC1"), ("/c/image_raw", "bayer_rggb8"))
+    found = names_of(("/a/image_raw", "bgr8"), ("/b/image_raw", "16UC1"), ("/c/image_raw", "nv24"))
     assert found == {"cam0": "/a/image_raw", "depth0": "/b/image_raw"}
+
+
+def test_plain_images_of_a_camera_are_preferred_to_those_that_have_to_be_converted():
+    assert names_of(("/a/image_raw", "bayer_rggb8"), ("/a/image_color", "rgb8")) == {"cam0": "/a/image_color"}
+    assert names_of(("/a/image_raw", "bayer_rggb8")) == {"cam0": "/a/image_raw"}
 
 
 IMU_DEFINITION = """
@@ -591,7 +596,7 @@ def test_damage_inside_is_found_and_leaves_nothing(recording, tmp_path, storage)
     middle = len(data) // 2
     data[middle : middle + 30_000] = b"\xee" * 30_000
     damaged.write_bytes(data)
-    with pytest.raises(InvalidInput, match=r"cannot be read as a recording|holds [0-9]+ messages") as caught:
+    with pytest.raises(InvalidInput, match=r"cannot be read as a recording|[0-9]+ messages") as caught:
         convert(source, tmp_path / "data" / "made")
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "data").exists() or list((tmp_path / "data").iterdir()) == []

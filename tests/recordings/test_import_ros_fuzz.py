@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import resource
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -76,10 +77,18 @@ def test_mutated_recordings(recording: Callable[[str], Path], tmp_path: Path, na
         source.mkdir()
         for file in original.iterdir():
             (source / file.name).write_bytes(file.read_bytes())
-        target = source / "metadata.yaml"
+        (target,) = source.glob("*.db3")
     else:
         source.write_bytes(original.read_bytes())
     assert len(fuzz(source, target, name)) > 3
+
+
+def test_mutated_metadata_loses_nothing_that_the_storage_holds(
+    recording: Callable[[str], Path], tmp_path: Path
+) -> None:
+    source = tmp_path / "d"
+    shutil.copytree(recording("sqlite3-message-zstd"), source)
+    assert fuzz(source, source / "metadata.yaml", "ros2") == {"made"}
 
 
 def test_mutated_kalibr_files(bag: Path, tmp_path: Path) -> None:

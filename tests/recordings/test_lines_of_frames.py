@@ -11,7 +11,7 @@ import pytest
 from slamhive.base.errors import InvalidInput
 from slamhive.recordings.importing import PlannedTruth
 from slamhive.runtime.messages import to_points
-from slamhive.trajectory.pose_file import read_kitti, read_kitti_matrices
+from slamhive.trajectory.kitti import read_kitti, read_kitti_matrices
 from tests.cases import case
 from tests.recordings.format_world import FORMATS, convert, options_of, plan, recorded, write
 from tests.recordings.range_formats import make_mulran, make_nclt

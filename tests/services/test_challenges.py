@@ -514,7 +514,7 @@ from slamhive.base.budget import unbounded
 from slamhive.domain.challenge import Format
 from slamhive.services.challenges.checking import MEMORY_PER_LINE, in_memory
 from slamhive.services.challenges.checking import frame_trajectory
-from slamhive.trajectory.pose_file import parse_kitti_matrices
+from slamhive.trajectory.kitti import parse_kitti_matrices
 from slamhive.trajectory.layout import parse_tum
 def most_bytes():
     return int(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1]) * 1024

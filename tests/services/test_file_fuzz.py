@@ -43,8 +43,9 @@ from slamhive.services.reindex import reindex, run_folders
 from slamhive.services.runs.series import run_series
 from slamhive.services.stored_analyses.stored import AnalysisFolder
 from slamhive.store import RunRecord
+from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.layout import read_tum
-from slamhive.trajectory.pose_file import TrajectoryFormat, read_kitti
+from slamhive.trajectory.pose_file import TrajectoryFormat
 from tests.analysis.test_paper_file import NUMBERS, PAPER
 from tests.fuzzing import NASTY_TEXTS, mutated
 from tests.services.archive_world import PROTOCOL, make_runs, rewritten, sealed

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from slamhive.base.errors import InvalidInput
-from slamhive.trajectory.layout import SYSTEMS, UNKNOWN, TimeUnit, find_columns, stated_columns
+from slamhive.trajectory.columns import SYSTEMS, find_columns, stated_columns
+from slamhive.trajectory.layout import UNKNOWN, TimeUnit
 from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, read_pose_file
 from tests.cases import case
 

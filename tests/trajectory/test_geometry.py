@@ -6,8 +6,8 @@ import pytest
 from slamhive.base.errors import InvalidInput
 from slamhive.trajectory.alignment import align_umeyama, align_yaw_position
 from slamhive.trajectory.completeness import measure_completeness
+from slamhive.trajectory.kitti import read_kitti, write_kitti
 from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.pose_file import read_kitti, write_kitti
 from slamhive.trajectory.transforms import (
     move_sensor,
     quats_from_rotations,

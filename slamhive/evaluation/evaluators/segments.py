@@ -29,8 +29,8 @@ from slamhive.domain.metrics.trajectories import (
 from slamhive.domain.protocol import Alignment, Association, Protocol, SegmentRule
 from slamhive.evaluation.evaluators.base import KITTI_ESTIMATE, KITTI_REFERENCE, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.relative import IndexArray, Pairs, all_pairs, path_m, relative_errors
+from slamhive.trajectory.kitti import read_kitti_matrices
 from slamhive.trajectory.model import FloatArray, Poses
-from slamhive.trajectory.pose_file import read_kitti_matrices
 from slamhive.trajectory.transforms import rotations_from_quats
 
 _TOLERANCE = 0.2

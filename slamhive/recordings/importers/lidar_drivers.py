@@ -1,37 +1,63 @@
-"""The layout of a LiDAR's points, recognised from the fields that each maker's driver writes."""
+"""The layout of a LiDAR's points, recognised from the fields that each maker's driver writes, and their numbers."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import LidarLayout
-from slamhive.recordings.geometry import Array
+from slamhive.recordings.geometry import Array as GeometryArray
 from slamhive.recordings.ros1_writer import NS_PER_S
-from slamhive.runtime.messages import stamp_ns, to_points
+from slamhive.runtime.messages import Array, stamp_ns, to_points
 from slamhive.runtime.point_times import PointTimes, SweepInstant, TimeReference, TimeUnit
 
-_TIMES: dict[tuple[str, str], tuple[TimeUnit, TimeReference]] = {
-    ("time", "f4"): (TimeUnit.S, TimeReference.TIMESTAMP),  # Velodyne
-    ("t", "u4"): (TimeUnit.NS, TimeReference.TIMESTAMP),  # Ouster
-    ("offset_time", "u4"): (TimeUnit.NS, TimeReference.TIMESTAMP),  # Livox
-    ("timestamp", "f8"): (TimeUnit.S, TimeReference.ABSOLUTE),  # Hesai, RoboSense
-    ("time_stamp", "f8"): (TimeUnit.S, TimeReference.ABSOLUTE),
-}
-"""The unit and the zero of each field of times, by its name and numpy type."""
-_RINGS = ("ring", "line")
+
+@dataclass(frozen=True, slots=True)
+class Driver:
+    """The times that a driver writes for points.
+
+    Attributes:
+        makers: Whose LiDARs, or which programs.
+        field: The name of the field.
+        kind: Its type, as numpy calls it.
+        unit: The unit of the times.
+        reference: What they count from.
+    """
+
+    makers: str
+    field: str
+    kind: str
+    unit: TimeUnit
+    reference: TimeReference
+
+
+DRIVERS = (
+    Driver("Velodyne, Unitree, LSLidar", "time", "f4", TimeUnit.S, TimeReference.TIMESTAMP),
+    Driver("LSLidar", "time", "f8", TimeUnit.S, TimeReference.TIMESTAMP),
+    Driver("Ouster", "t", "u4", TimeUnit.NS, TimeReference.TIMESTAMP),
+    Driver("Livox", "offset_time", "u4", TimeUnit.NS, TimeReference.TIMESTAMP),
+    Driver("Hesai, RoboSense, Seyond", "timestamp", "f8", TimeUnit.S, TimeReference.ABSOLUTE),
+    Driver("Livox", "timestamp", "f8", TimeUnit.NS, TimeReference.ABSOLUTE),
+    Driver("Autoware", "time_stamp", "f8", TimeUnit.S, TimeReference.ABSOLUTE),
+    Driver("Autoware", "time_stamp", "u4", TimeUnit.NS, TimeReference.TIMESTAMP),
+    Driver("Aeva", "time_offset_ns", "i4", TimeUnit.NS, TimeReference.TIMESTAMP),
+    Driver("Blickfeld", "point_time_offset", "u4", TimeUnit.NS, TimeReference.TIMESTAMP),
+)
+"""Drivers by the name and type of the field. What the numbers show counts where they show another unit or zero."""
+_MORE_FIELDS = ("timestamps", "time_offset", "timeOffset", "offset_t", "rel_time", "point_time", "stamp")
+"""Fields of converters and of programs without a driver here, recognised by their numbers alone."""
+_RINGS = ("ring", "line", "channel", "laser_id", "line_index", "layer")
 _NEAR_S = 1.0
 """Times of points that count from the header's clock lie at most so far from the message's timestamp."""
-
-
-_SHORTEST_SPREAD = 0.1
-"""The part of a sweep that its times cover at least."""
+_SHORTEST_SPREAD, _LONGEST_SPREAD = 0.1, 2.0
+"""The parts of a sweep that its times cover: at least, and at most."""
 
 
 def layout_of(message: Any, rate_hz: float) -> tuple[LidarLayout, str]:
-    """What one ``PointCloud2`` shows of the layout, and a note for the user; raises InvalidInput if it is damaged.
+    """Find the layout that one ``PointCloud2`` shows, and a note for the user; raises InvalidInput if it is damaged.
 
     Args:
         message: The first one of the topic.
@@ -42,25 +68,70 @@ def layout_of(message: Any, rate_hz: float) -> tuple[LidarLayout, str]:
     organised = int(message.height) > 1
     rings = cloud.fields.get(ring, np.empty(0))
     beams = int(message.height) if organised else int(rings.max()) + 1 if rings.size else None
-    duration_s = 1.0 / rate_hz
-    names = [name for name, kind in _TIMES if name in cloud.fields and cloud.fields[name].dtype.str[1:] == kind]
-    if not names:
-        times = PointTimes(duration_s)
-        note = f"points have no time that is known (fields {', '.join(('x', 'y', 'z', *cloud.fields))})"
-        return LidarLayout(times, ring, organised=organised, beams=beams), note
-    field = names[0]
-    unit, reference = _TIMES[field, cloud.fields[field].dtype.str[1:]]
-    offsets_s = cloud.fields[field].astype(np.float64) * unit.seconds
-    if reference is TimeReference.ABSOLUTE:
-        offsets_s -= stamp_ns(message) / NS_PER_S
-        if offsets_s.size and np.abs(offsets_s).max() > _NEAR_S:
-            words = f"the times of points in field {field} are {offsets_s[0]:.3f} s from the message's timestamp"
-            return LidarLayout(PointTimes(duration_s), ring, organised=organised, beams=beams), f"{words}: not used"
-    times = PointTimes(duration_s, field, unit, reference, _instant(offsets_s, duration_s))
-    note = (
-        f"the time of a point is its field {field}, {unit} from {_ZEROS[reference]}; timestamps mean the {times.stamp}"
-    )
-    return LidarLayout(times, ring, organised=organised, beams=beams), f"{note} of a sweep"
+    times, note = _times(cloud.fields, stamp_ns(message) / NS_PER_S, 1.0 / rate_hz)
+    return LidarLayout(times, ring, organised=organised, beams=beams), note
+
+
+def _times(fields: dict[str, Array], stamp_s: float, duration_s: float) -> tuple[PointTimes, str]:
+    """When the points were measured, by the first field that says so, and a note for the user."""
+    names = [driver.field for driver in DRIVERS if driver.field in fields]
+    problems = []
+    for field in dict.fromkeys([*names, *(name for name in _MORE_FIELDS if name in fields)]):
+        values = fields[field].astype(np.float64)
+        known = [driver for driver in DRIVERS if driver.field == field and driver.kind == fields[field].dtype.str[1:]]
+        found = _read_as(values, known, stamp_s, duration_s)
+        if isinstance(found, str):
+            problems.append(f"field {field} {found}")
+            continue
+        driver, offsets_s = found
+        times = PointTimes(duration_s, field, driver.unit, driver.reference, _instant(offsets_s, duration_s))
+        maker = f" ({driver.makers})" if driver.makers else ""
+        return times, (
+            f"the time of a point is its field {field}{maker}, {driver.unit} from {_ZEROS[driver.reference]}; "
+            f"timestamps mean the {times.stamp} of a sweep"
+        )
+    if problems:
+        return PointTimes(duration_s), f"the times of points are not used: {'; '.join(problems)}"
+    return PointTimes(duration_s), f"points have no time that is known (fields {', '.join(('x', 'y', 'z', *fields))})"
+
+
+def _read_as(values: Array, known: list[Driver], stamp_s: float, duration_s: float) -> tuple[Driver, Array] | str:
+    """The driver whose times ``values`` are, with their offsets from the timestamp in s; or why they are no times.
+
+    A driver without makers is what the numbers show where no driver fits.
+    """
+    if not np.isfinite(values).all():
+        return "holds numbers that are not finite"
+    if len(values) > 1 and np.ptp(values) == 0:
+        return f"is {values[0]:.12g} for all points"
+    by_numbers = [
+        Driver("", "", "", unit, reference)
+        for unit in TimeUnit
+        for reference in (TimeReference.TIMESTAMP, TimeReference.ABSOLUTE)
+    ]
+    # what a known driver wrote of a part of a sweep comes last: in a larger unit it may be all of it
+    for driver, least_s in (
+        *((driver, _SHORTEST_SPREAD * duration_s) for driver in (*known, *by_numbers)),
+        *((driver, 0.0) for driver in known),
+    ):
+        zero_s = stamp_s if driver.reference is TimeReference.ABSOLUTE else 0.0
+        offsets_s = values * driver.unit.seconds - zero_s
+        if _fits(offsets_s, driver.reference, least_s, duration_s):
+            return driver, offsets_s
+    if known:
+        unit, zero = known[0].unit, known[0].reference
+        apart_s = values[0] * unit.seconds - (stamp_s if zero is TimeReference.ABSOLUTE else 0.0)
+        return f"is {apart_s:.3f} s from the message's timestamp, read in {unit} from {_ZEROS[zero]}"
+    return f"counts from {values.min():.6g} to {values.max():.6g}, which is no part of a sweep of {duration_s:g} s"
+
+
+def _fits(offsets_s: Array, reference: TimeReference, least_s: float, duration_s: float) -> bool:
+    """Return whether points with these offsets cover ``least_s`` of one sweep near its timestamp."""
+    if not offsets_s.size:
+        return least_s == 0
+    spread_s, furthest_s = float(np.ptp(offsets_s)), float(np.abs(offsets_s).max())
+    near_s = _NEAR_S if reference is TimeReference.ABSOLUTE else _LONGEST_SPREAD * duration_s
+    return furthest_s <= near_s and least_s <= spread_s <= _LONGEST_SPREAD * duration_s
 
 
 _ZEROS = {
@@ -71,9 +142,9 @@ _ZEROS = {
 
 
 def _instant(offsets_s: Any, duration_s: float) -> SweepInstant:
-    """Which instant of the sweep the timestamp is, by the points before and after it."""
+    """Find which instant of the sweep the timestamp is, by the points before and after it."""
     if not offsets_s.size or np.ptp(offsets_s) < _SHORTEST_SPREAD * duration_s:
-        return SweepInstant.START  # one column, or times that are not filled in
+        return SweepInstant.START  # one column only
     middle = float(offsets_s.min() + offsets_s.max()) / 2
     if middle < -0.25 * duration_s:
         return SweepInstant.END
@@ -107,7 +178,7 @@ def livox_layout(rate_hz: float) -> tuple[LidarLayout, str]:
     return LidarLayout(times, "line"), "Livox points become PointCloud2, the time of a point is offset_time in ns"
 
 
-def livox_points(raw: bytes, *, cdr: bool) -> tuple[int, int, Array]:
+def livox_points(raw: bytes, *, cdr: bool) -> tuple[int, int, GeometryArray]:
     """The timestamp of the header, the time from which points count (both in ns), and the points (n,) of a message.
 
     Args:
@@ -149,7 +220,7 @@ class _Reader:
     def skip(self, count: int) -> None:
         self._place += count
 
-    def points(self, count: int) -> Array:
+    def points(self, count: int) -> GeometryArray:
         item_bytes = _CDR_ITEM_BYTES if self._cdr else POINT.itemsize
         rest = self._raw[self._place :]
         if count * item_bytes > len(rest) + (item_bytes - POINT.itemsize):

@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from slamhive.base.errors import InvalidInput, nearest
 from slamhive.base.files import visible_files
 from slamhive.domain.sensors import SensorKind
+from slamhive.recordings.importers.lenient_reader import LenientReader, LenientRos1Reader, contradiction
+from slamhive.recordings.importers.odd_images import ODD_ENCODINGS, depth_encoding, is_odd
 from slamhive.recordings.importing import ImportOptions
-from slamhive.recordings.reader import DAMAGE, damaged
+from slamhive.recordings.reader import DAMAGE, damaged, reindexing
 from slamhive.recordings.ros1_writer import NS_PER_S
 from slamhive.runtime.messages import COMPRESSED_IMAGE, IMAGE, IMAGE_ENCODINGS, IMU, POINTS, stamp_ns
 
 _WINDOWS_S = (2.0, 20.0, 200.0)
 """How long before the end the last message of a topic is looked for, before the whole topic is read."""
+_OLD_MAGIC = re.compile(rb"#ROS(?:RECORD|BAG|LOG) V([01]\.\d+)\n")
+_LONGEST_MAGIC = 30
+_NO_TYPE = "__schemaless__"
+"""What rosbags calls the type of an MCAP channel without one in the index."""
+TO_VERSION_2 = "`rosbag reindex` of ROS 1 writes it as 2.0"
 _LONGEST_DEFINITION_BYTES = 1_000_000
 _BAD_METADATA = (TypeError, AttributeError)
 """What follows from values of another type in ``metadata.yaml``, which rosbags does not check."""
@@ -46,11 +54,15 @@ class SourceBag:
         topics: By name, those with messages only.
         start_ns: When the first message was received.
         end_ns: When the last message was received.
+        unreadable: Topics that cannot be read, with the reason.
+        refused: Why rosbags refuses the recording, empty if it does not: then its messages have to be written again.
     """
 
-    def __init__(self, path: Path, reader: AnyReader, spare: Typestore) -> None:
+    def __init__(self, path: Path, reader: AnyReader | LenientReader, spare: Typestore, refused: str = "") -> None:
         self.path = path
         self.reader = reader
+        self.refused = refused
+        self.unreadable: Mapping[str, str] = getattr(reader, "unreadable", {})
         self._spare = spare
         self.topics = {topic.name: topic for topic in self._listed() if topic.count}
         if not self.topics:
@@ -58,9 +70,12 @@ class SourceBag:
         self.start_ns = int(reader.start_time)
         self.end_ns = max(int(reader.end_time) - 1, self.start_ns)
         self._first: dict[str, Any] = {}
+        self._checked: set[str] = set()
 
     def topic(self, name: str, purpose: str) -> SourceTopic:
         """The topic called ``name``, which is wanted for ``purpose``; raises InvalidInput with the nearest name."""
+        if name in self.unreadable and name not in self.topics:
+            raise InvalidInput(f"topic {name!r} of {self.path} for {purpose} cannot be read: {self.unreadable[name]}")
         if name not in self.topics:
             raise InvalidInput(f"{self.path} has no topic {name!r} for {purpose}; {nearest(name, list(self.topics))}")
         return self.topics[name]
@@ -74,7 +89,9 @@ class SourceBag:
         if topic not in self._first:
             found = next(self.stream(topic), None)
             if found is None:
-                raise InvalidInput(f"{self.path}: the index has messages of {topic}, the recording none", "reindex it")
+                raise InvalidInput(
+                    f"{self.path}: the index has messages of {topic}, the recording none", reindexing(self.path)
+                )
             self._first[topic] = found[1]
         return self._first[topic]
 
@@ -90,7 +107,7 @@ class SourceBag:
     def raw(self, *topics: str, start_ns: int | None = None) -> Iterator[tuple[Connection, int, bytes]]:
         """The messages of ``topics`` in order of time, not decoded; raises InvalidInput where one is damaged."""
         wanted = [entry for entry in self.reader.connections if entry.topic in topics]
-        source = self.reader.messages(connections=wanted, start=start_ns)
+        source = self.reader.messages(wanted, start_ns)
         number = 0
         while True:
             try:
@@ -104,7 +121,7 @@ class SourceBag:
 
     def decode(self, connection: Connection, raw: bytes) -> Any:
         """The message in ``raw``; raises InvalidInput if its type is unknown or it is damaged."""
-        self._define(connection)
+        self.define(connection)
         try:
             return self.reader.deserialize(raw, connection.msgtype)
         except DAMAGE as error:
@@ -141,10 +158,11 @@ class SourceBag:
         for name in sorted(kinds):
             yield SourceTopic(name, kinds[name].pop() if len(kinds[name]) == 1 else "various", counts[name])
 
-    def _define(self, connection: Connection) -> None:
-        """Add the definition of a type that the recording lacks."""
+    def define(self, connection: Connection) -> None:
+        """Add the definition of a type that the recording lacks; raises InvalidInput if nobody knows it."""
         kind, known = connection.msgtype, self.reader.typestore
         if kind in known.fielddefs:
+            self._check_definition(kind, known)
             return
         if kind not in self._spare.fielddefs:
             raise InvalidInput(
@@ -154,15 +172,42 @@ class SourceBag:
         missing = {name: fields for name, fields in self._spare.fielddefs.items() if name not in known.fielddefs}
         known.register(missing)
 
+    def _check_definition(self, kind: str, known: Typestore) -> None:
+        """Raise InvalidInput if the recording defines a standard type without a part that everybody reads."""
+        if kind in self._checked or kind not in self._spare.fielddefs:
+            return
+        self._checked.add(kind)
+        lacking = sorted(_field_names(self._spare, kind) - _field_names(known, kind))
+        if lacking:
+            raise InvalidInput(
+                f"{self.path}: its definition of {kind} lacks {', '.join(lacking[:3])}",
+                "it may be damaged: copy it again",
+            )
+
+
+def _field_names(store: Typestore, kind: str) -> set[str]:
+    """The names of all fields of a type and of those within them; ROS 1 has capitals for K, D, R and P."""
+    names: set[str] = set()
+    for own, (node, detail) in store.fielddefs[kind][1]:
+        name = own.lower() if len(own) == 1 else own
+        names.add(name)
+        inner = detail[0] if node in {Nodetype.ARRAY, Nodetype.SEQUENCE} else (node, detail)
+        if inner[0] is Nodetype.NAME and inner[1] in store.fielddefs:
+            names |= {f"{name}.{part}" for part in _field_names(store, inner[1])}
+    return names
+
 
 @contextmanager
-def open_source(paths: Sequence[Path], options: ImportOptions, name: Path | None = None) -> Iterator[SourceBag]:
+def open_source(
+    paths: Sequence[Path], options: ImportOptions, name: Path | None = None, *, lenient: bool = False
+) -> Iterator[SourceBag]:
     """Open a recording, or several ROS 1 bags as one.
 
     Args:
         paths: The file, the folder of a ROS 2 bag, or the parts of a ROS 1 recording.
         options: Where definitions of message types come from.
         name: What messages call it; the first path unless given.
+        lenient: Read what is readable where rosbags refuses the recording, or reads less than it holds.
 
     Raises:
         InvalidInput: It is empty, damaged or none at all; a type store or definition is unknown.
@@ -172,25 +217,70 @@ def open_source(paths: Sequence[Path], options: ImportOptions, name: Path | None
     for part in paths:
         if part.is_file() and part.stat().st_size == 0:
             raise InvalidInput(f"{part} is empty (0 bytes)", "copy or download it again")
+        old = old_version(part) if part.suffix == ".bag" and part.is_file() else ""
+        if old:
+            raise InvalidInput(f"{part} is a ROS bag of version {old}, and 2.0 is read", TO_VERSION_2)
+    reader, refused = _reader(paths, spare, path, lenient=lenient)
     try:
-        reader = AnyReader(paths, default_typestore=spare)
-        reader.open()
-    except (*DAMAGE, *_BAD_METADATA) as error:
-        raise damaged(path, error) from None
-    try:
-        yield _opened(path, reader, spare)
+        yield SourceBag(path, reader, spare, refused)
+    except _BAD_METADATA:
+        if not path.is_dir() or isinstance(reader, LenientReader):
+            raise
+        raise InvalidInput(
+            f"{path}: metadata.yaml lacks a number or a name, or has another value there", reindexing(path)
+        ) from None
     finally:
         reader.close()
 
 
-def _opened(path: Path, reader: AnyReader, spare: Typestore) -> SourceBag:
+def old_version(path: Path) -> str:
+    """Version of a ROS 1 bag from before 2.0, such as ``1.2``; empty for all other files."""
+    with path.open("rb") as file:
+        found = _OLD_MAGIC.match(file.read(_LONGEST_MAGIC))
+    return "" if found is None else found[1].decode()
+
+
+def _reader(
+    paths: Sequence[Path], spare: Typestore, path: Path, *, lenient: bool
+) -> tuple[AnyReader | LenientReader, str]:
+    """Open that of rosbags, or the lenient one with the reason where rosbags refuses, or reads less than there is."""
+    reader = None
     try:
-        return SourceBag(path, reader, spare)
-    except _BAD_METADATA:
-        raise InvalidInput(
-            f"{path}: metadata.yaml lacks a number or a name, or has another value there",
-            "run `ros2 bag reindex` on it",
-        ) from None
+        reader = AnyReader(paths, default_typestore=spare)
+        reader.open()
+        refused = contradiction(reader) if reader.is2 else ""
+        if (
+            reader.is2
+            and not refused
+            and sum(entry.msgcount for entry in reader.connections) < max(reader.message_count, 1)
+        ):
+            refused = "its index lacks channels or messages"
+        if reader.is2 and not refused and any(entry.msgtype == _NO_TYPE for entry in reader.connections):
+            refused = "its index lacks the types of channels"
+        if not refused or not lenient:
+            return reader, ""
+        reader.close()
+    except (*DAMAGE, *_BAD_METADATA) as error:
+        problem = damaged(path, error)
+        reason = textwrap.shorten(str(error), 100, placeholder=" ...") or "its bytes make no sense"
+        refused = f"{reason} is not known" if isinstance(error, KeyError) else reason
+        if not lenient:
+            raise problem from None
+    else:
+        problem = InvalidInput(f"{path} holds no messages", "record or copy it again")
+    try:
+        if reader is not None and not reader.is2:
+            bags = AnyReader(paths, default_typestore=spare)
+            bags.readers = [LenientRos1Reader(part) for part in paths]
+            bags.open()
+            return bags, "its index states lengths that it does not have"
+        found = LenientReader(paths[0], spare)
+    except (*DAMAGE, *_BAD_METADATA):
+        raise problem from None
+    if not found.message_count:
+        found.close()
+        raise problem
+    return found, refused
 
 
 def _spare_types(options: ImportOptions) -> Typestore:
@@ -263,7 +353,8 @@ _DEPTH_ENCODINGS = {"16UC1", "32FC1"}
 _SENSOR_NAME = re.compile(rf"({'|'.join(PREFIXES.values())})(0|[1-9]\d?)")
 _TOPIC = re.compile(r"/?[A-Za-z0-9_/]{1,200}")
 _IMAGE_NAMES = ("image_raw", "image", "image_color", "image_mono", "image_rect_color", "image_rect", "image_rect_raw")
-"""The last part of an image topic, the one that is preferred first; ``/compressed`` may follow."""
+"""The last part of an image topic, the one that is preferred first; ``/compressed`` or the like may follow."""
+_MOST_LISTED = 10
 _SIDES = (("left", "right"), ("infra1", "infra2"))
 
 
@@ -299,7 +390,7 @@ def match_topics(bag: SourceBag, chosen: Mapping[str, str], *, without: str | No
 
     Raises InvalidInput for a topic that does not exist or does not fit, or that two sensors share.
     """
-    found, notes = _by_kind(bag, without)
+    found, reasons, notes = _by_kind(bag, {without or "", *chosen.values()})
     named = _chosen(bag, chosen)
     topics: dict[str, SourceTopic] = {}
     for kind, prefix in PREFIXES.items():
@@ -311,9 +402,19 @@ def match_topics(bag: SourceBag, chosen: Mapping[str, str], *, without: str | No
         if topic == NO_TOPIC and topics.pop(name, None) is None:
             raise InvalidInput(f"--topic {name}=none: there is no such sensor; {nearest(name, list(topics))}")
     if not topics:
-        kinds = ", ".join(sorted({topic.type for topic in bag.topics.values()}))
-        raise InvalidInput(f"{bag.path} has no topic of a sensor: it holds {kinds}", "name them with --topic")
-    return Matching(topics, tuple(notes))
+        raise _nothing_left(bag, reasons)
+    return Matching(topics, (*(f"{name} is left out: {reason}" for name, reason in reasons.items()), *notes))
+
+
+def _nothing_left(bag: SourceBag, reasons: Mapping[str, str]) -> InvalidInput:
+    """The error for a recording without topic of a sensor, with the reason for each of its topics."""
+    others = {topic.name: f"it holds {topic.type}" for topic in bag.topics.values() if topic.type not in KINDS}
+    listed = [f"{name}: {reason}" for name, reason in {**reasons, **bag.unreadable, **others}.items()]
+    more = f", and {len(listed) - _MOST_LISTED} more" if len(listed) > _MOST_LISTED else ""
+    return InvalidInput(
+        f"{bag.path} has no topic of a sensor that can be read ({'; '.join(listed[:_MOST_LISTED])}{more})",
+        "name a topic with --topic SENSOR=TOPIC, or record one that is read",
+    )
 
 
 def _chosen(bag: SourceBag, chosen: Mapping[str, str]) -> dict[str, SourceTopic]:
@@ -338,22 +439,25 @@ def _chosen(bag: SourceBag, chosen: Mapping[str, str]) -> dict[str, SourceTopic]
 _IMAGES = {SensorKind.CAMERA, SensorKind.DEPTH}
 
 
-def _by_kind(bag: SourceBag, without: str | None) -> tuple[dict[SensorKind, list[SourceTopic]], list[str]]:
-    """The topics of each kind in the order of their numbers, and notes."""
+def _by_kind(
+    bag: SourceBag, without: Collection[str]
+) -> tuple[dict[SensorKind, list[SourceTopic]], dict[str, str], list[str]]:
+    """The topics of each kind in the order of their numbers, why others are left out, and notes."""
     found: dict[SensorKind, list[SourceTopic]] = {}
+    reasons: dict[str, str] = {}
     notes: list[str] = []
     for topic in bag.of_type(*KINDS):
-        if topic.name == without:
+        if topic.name in without:
             continue
         reason, kind = _look(bag, topic)
         if reason:
-            notes.append(f"{topic.name} is left out: {reason}")
+            reasons[topic.name] = reason
         else:
             found.setdefault(kind, []).append(topic)
     for kind in _IMAGES & found.keys():
-        found[kind], more = _one_topic_each(found[kind])
+        found[kind], more = _one_topic_each(bag, found[kind])
         notes += more
-    return {kind: _in_order(topics) for kind, topics in found.items()}, notes
+    return {kind: _in_order(topics) for kind, topics in found.items()}, reasons, notes
 
 
 def _look(bag: SourceBag, topic: SourceTopic) -> tuple[str, SensorKind]:
@@ -363,23 +467,29 @@ def _look(bag: SourceBag, topic: SourceTopic) -> tuple[str, SensorKind]:
         return "it has a single message", kind
     if _TOPIC.fullmatch(topic.name) is None:
         return "its name has other characters than letters, digits, '_' and '/'", kind
-    if topic.type == COMPRESSED_IMAGE:
-        text = str(bag.first(topic.name).format)
-        return ("compressed depth is not read" if "compressedDepth" in text else ""), kind
+    if topic.type == COMPRESSED_IMAGE and is_odd(bag.first(topic.name), topic.type):
+        message = bag.first(topic.name)
+        reason = "" if depth_encoding(message) else f"compressed depth of format {str(message.format)!r} is not read"
+        return reason, SensorKind.DEPTH
     if topic.type == IMAGE:
         encoding = str(bag.first(topic.name).encoding)
         is_depth = encoding in _DEPTH_ENCODINGS or (encoding == "mono16" and "depth" in topic.name)
-        reason = "" if encoding in IMAGE_ENCODINGS else f"image encoding {encoding!r} is not read"
+        known = encoding in IMAGE_ENCODINGS | ODD_ENCODINGS
+        reason = "" if known else f"image encoding {encoding!r} is not read"
         return reason, SensorKind.DEPTH if is_depth else kind
     return "", kind
 
 
-def _one_topic_each(topics: Iterable[SourceTopic]) -> tuple[list[SourceTopic], list[str]]:
-    """One topic for each camera: its raw images rather than rectified or compressed ones, and what was left out."""
-    cameras: dict[str, list[tuple[int, SourceTopic]]] = {}
+def _one_topic_each(bag: SourceBag, topics: Iterable[SourceTopic]) -> tuple[list[SourceTopic], list[str]]:
+    """One topic for each camera: its raw images rather than rectified or compressed ones, and what was left out.
+
+    Images that would have to be converted come last.
+    """
+    cameras: dict[str, list[tuple[tuple[bool, int], SourceTopic]]] = {}
     for topic in topics:
         camera, rank = camera_of(topic.name)
-        cameras.setdefault(camera, []).append((rank, topic))
+        odd = is_odd(bag.first(topic.name), topic.type)
+        cameras.setdefault(camera, []).append(((odd, rank), topic))
     kept: list[SourceTopic] = []
     notes: list[str] = []
     for entries in cameras.values():
@@ -391,7 +501,7 @@ def _one_topic_each(topics: Iterable[SourceTopic]) -> tuple[list[SourceTopic], l
 
 def camera_of(topic: str) -> tuple[str, int]:
     """The part of an image topic that names its camera, and how well the topic is liked: 0 is best."""
-    plain = topic.removesuffix("/compressed")
+    plain = topic.removesuffix("/compressed").removesuffix("/compressedDepth")
     camera, _, last = plain.rpartition("/")
     rank = 2 * _IMAGE_NAMES.index(last) if last in _IMAGE_NAMES else 0
     return (camera if last in _IMAGE_NAMES else plain), rank + (plain != topic)

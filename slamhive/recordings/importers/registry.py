@@ -134,7 +134,8 @@ def detect_format(path: Path) -> str:
     Raises InvalidInput that names the formats if several fit; if none does, what the nearest one misses.
     """
     detections = {name: importer.detect(path) for name, importer in IMPORTERS}
-    fitting = {name for name, detection in detections.items() if detection.complete}
+    fitting = {name for name, detection in detections.items() if detection.complete and not detection.weak}
+    fitting = fitting or {name for name, detection in detections.items() if detection.complete}
     general = {other for name in fitting for other in IMPORTERS.get(name).refines}
     names = sorted(fitting - general)
     if len(names) == 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -11,8 +11,18 @@ from slamhive.base.files import size_bytes, visible_files
 from slamhive.domain.sensors import Sensor
 from slamhive.recordings.ground_truth import check_clock
 from slamhive.recordings.importers.calibration import read_calibrations
+from slamhive.recordings.importers.lenient_reader import ZSTD, LenientReader, storage_files
 from slamhive.recordings.importers.lidar_drivers import livox_points
-from slamhive.recordings.importers.recording import LIVOX, Matching, SourceBag, match_topics, open_source
+from slamhive.recordings.importers.odd_images import is_odd, plain_image
+from slamhive.recordings.importers.recording import (
+    LIVOX,
+    TO_VERSION_2,
+    Matching,
+    SourceBag,
+    match_topics,
+    old_version,
+    open_source,
+)
 from slamhive.recordings.importers.sensors import SensorBuilder
 from slamhive.recordings.importers.truth import FoundTruth, read_truth_file, read_truth_topic
 from slamhive.recordings.importing import (
@@ -21,10 +31,14 @@ from slamhive.recordings.importing import (
     ImportOptions,
     ImportPlan,
     KeptRecording,
+    Loss,
     RewrittenRecording,
 )
+from slamhive.recordings.reader import DAMAGE, reindexing
 from slamhive.recordings.ros1_writer import NS_PER_S, BagWriter
 from slamhive.recordings.staging import Progress
+from slamhive.runtime.messages import COMPRESSED_IMAGE, IMAGE
+from slamhive.runtime.messages import stamp_ns as stamp_ns_of
 
 OPTIONS = frozenset(
     {
@@ -38,6 +52,7 @@ OPTIONS = frozenset(
     }
 )
 """The options that all these importers take."""
+_IMAGES = (IMAGE, COMPRESSED_IMAGE)
 _SAME_CLOCK_NS = NS_PER_S
 _SHOW_EVERY = 100
 
@@ -62,7 +77,7 @@ def plan_recording(
             "give --groundtruth or --groundtruth-topic",
         )
     known = read_calibrations(options.calibration)
-    with open_source(paths, options) as bag:
+    with open_source(paths, options, lenient=True) as bag:
         if options.groundtruth_topic is not None:
             truth = read_truth_topic(bag, options.groundtruth_topic)
         without = None if options.groundtruth_topic is None else options.groundtruth_topic.partition(":")[0]
@@ -90,16 +105,31 @@ def _recording(
 ) -> KeptRecording | RewrittenRecording:
     counts = {name: topic.count for name, topic in matching.topics.items()}
     topics = [sensor.topic for sensor in sensors]
-    if len(paths) == 1 and not any(topic.type in LIVOX for topic in matching.topics.values()):
+    odd = _odd_topics(bag, [topic.name for topic in matching.topics.values()])
+    livox = any(topic.type in LIVOX for topic in matching.topics.values())
+    if len(paths) == 1 and not bag.refused and not livox and not odd:
         check = partial(check_messages, topics=topics, total=sum(counts.values()))
         return KeptRecording(paths[0], sensors, counts, bag.start_ns, bag.end_ns, check)
     write = partial(_rewrite, tuple(paths), options, sensors, sum(counts.values()))
     needed_bytes = sum(size_bytes(path) for path in paths)
+    for topic in (bag.topics[name] for name in odd):
+        needed_bytes += topic.count * plain_image(bag.first(topic.name), topic.type)[0].nbytes
     return RewrittenRecording(write, sensors, counts, bag.start_ns, bag.end_ns, needed_bytes)
 
 
+def _odd_topics(bag: SourceBag, topics: Iterable[str]) -> set[str]:
+    """The topics of images that become plain ones, by the first message of each."""
+    images = [bag.topics[name] for name in topics if bag.topics[name].type in _IMAGES]
+    return {topic.name for topic in images if is_odd(bag.first(topic.name), topic.type)}
+
+
 def _notes(bag: SourceBag, truth: FoundTruth | None, recorded_ns: tuple[int, int]) -> list[str]:
-    notes = []
+    notes = list(_damage(bag))
+    if bag.refused:
+        notes.append(
+            f"{bag.path.name} is written again as a ROS 1 bag with the topics of its sensors, since the player of runs "
+            f"refuses it as it is: {bag.refused.rstrip('.')}"
+        )
     if truth is None:
         notes.append("there is no ground truth: runs get no ATE (--groundtruth FILE or --groundtruth-topic adds one)")
     elif not truth.gravity_aligned:
@@ -108,6 +138,16 @@ def _notes(bag: SourceBag, truth: FoundTruth | None, recorded_ns: tuple[int, int
     if abs(apart_s) > 60:
         notes.append(f"headers are {apart_s:.0f} s from the clock of the recording; the time of headers counts")
     return notes
+
+
+def _damage(bag: SourceBag) -> Iterator[str]:
+    """Notes on the messages that are lost of a recording that is damaged or was not finished."""
+    reader = bag.reader
+    if not isinstance(reader, LenientReader):
+        return
+    for number, note in enumerate(reader.notes):
+        read = reader.message_count
+        yield Loss(reader.lost, read + reader.lost, note) if reader.lost and not number else note
 
 
 def check_messages(path: Path, progress: Progress, *, topics: Sequence[str], total: int) -> None:
@@ -120,7 +160,7 @@ def check_messages(path: Path, progress: Progress, *, topics: Sequence[str], tot
     if read != total:
         raise InvalidInput(
             f"{path.name} holds {read} messages of its sensors, but its index says {total}",
-            "it may be truncated: copy or download it again, or reindex it",
+            f"it may be truncated: compare its size with the original, or {reindexing(path)}",
         )
 
 
@@ -132,18 +172,28 @@ def _rewrite(
     out: BagWriter,
     progress: Progress,
 ) -> None:
-    """Write the messages of all sensors to one ROS 1 bag, Livox's as ``PointCloud2``."""
+    """Write the messages of all sensors to one ROS 1 bag: Livox's as ``PointCloud2``, odd images as plain ones."""
     by_topic = {sensor.topic: sensor for sensor in sensors}
-    with open_source(paths, options) as bag:
+    with open_source(paths, options, lenient=True) as bag:
         cdr = bag.reader.is2
+        ros2 = bag.reader.typestore if cdr else None
+        odd = _odd_topics(bag, by_topic)
         for number, (connection, received_ns, raw) in enumerate(bag.raw(*by_topic), start=1):
             if connection.msgtype in LIVOX:
                 stamp_ns, timebase_ns, points = livox_points(raw, cdr=cdr)
                 if abs(timebase_ns - stamp_ns) < _SAME_CLOCK_NS:
                     stamp_ns = timebase_ns
                 out.points(by_topic[connection.topic], stamp_ns, received_ns, points)
+            elif connection.topic in odd:
+                message = bag.decode(connection, raw)
+                pixels, encoding = plain_image(message, connection.msgtype)
+                out.image(by_topic[connection.topic], stamp_ns_of(message), pixels, encoding, received_ns)
             else:
-                out.copy(connection, received_ns, raw, cdr=cdr)
+                bag.define(connection)
+                try:
+                    out.copy(connection, received_ns, raw, ros2)
+                except DAMAGE as error:
+                    raise bag.damaged(error, f"a message of {connection.topic}") from None
             if number % _SHOW_EVERY == 0:
                 progress(number / total, f"writing message {number} of {total}")
 
@@ -152,24 +202,59 @@ def _rewrite(
 
 
 _MAGIC = b"#ROSBAG V2.0"
+_MOST_PARTS = 1000
+_LONGEST_GAP_S = 60.0
+"""`rosbag record --split` begins a part within a second; a longer gap makes another recording."""
 
 
 class Ros1Importer:
-    """A ``.bag`` file of ROS 1."""
+    """A ``.bag`` file of ROS 1, or a folder of bags that are parts of one recording."""
 
-    title = "ROS 1 bag: a .bag file"
+    title = "ROS 1 bag: a .bag file, or a folder of the .bag files of one recording"
     options = OPTIONS
     refines: frozenset[str] = frozenset()
 
     def detect(self, path: Path) -> Detection:
         """By the ending and the first bytes."""
+        if path.is_dir():
+            bags = [file for file in visible_files(path, "*.bag") if starts_with(file, _MAGIC)]
+            return Detection(tuple(bag.name for bag in bags[:1]), (), weak=True)
         if not path.is_file() or path.suffix != ".bag":
             return Detection((), ())
+        old = old_version(path)
+        if old:
+            return Detection((f"{path.name}, a ROS bag of version {old}",), (f"version 2.0 ({TO_VERSION_2})",))
         return Detection((path.name,), () if starts_with(path, _MAGIC) else ("the first line of a ROS 1 bag",))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """Sensors from topics and calibration, the recording as it is."""
-        return plan_recording([source], options, text_of(source, "ROS 1 bag"))
+        """Sensors from topics and calibration, the recording as it is; parts become one bag."""
+        return plan_recording(_parts(source, options), options, text_of(source, "ROS 1 bag"))
+
+
+def _parts(source: Path, options: ImportOptions) -> list[Path]:
+    """The bags of one recording in the order of time; raises InvalidInput if they are several recordings."""
+    if not source.is_dir():
+        return [source]
+    bags = visible_files(source, "*.bag")
+    if not 0 < len(bags) <= _MOST_PARTS:
+        raise InvalidInput(f"{source} holds {len(bags)} bags", "give the folder of one recording")
+    spans: list[tuple[int, int, frozenset[str], Path]] = []
+    for bag in bags:
+        with open_source([bag], options, lenient=True) as part:
+            spans.append((part.start_ns, part.end_ns, frozenset(part.topics), bag))
+    spans.sort(key=lambda span: (span[0], span[3].name))
+    for index, (start_ns, _, topics, bag) in enumerate(spans[1:], start=1):
+        apart_s = (start_ns - max(span[1] for span in spans[:index])) / NS_PER_S
+        double = next((span for span in spans[:index] if span[1] > start_ns and span[2] & topics), None)
+        if double is not None:
+            both = ", ".join(sorted(double[2] & topics)[:3])
+            why = f"{double[3].name} and {bag.name} have {both} at the same time"
+        elif apart_s > _LONGEST_GAP_S:
+            why = f"{bag.name} begins {apart_s:.0f} s after those before it end"
+        else:
+            continue
+        raise InvalidInput(f"the bags in {source} are no parts of one recording: {why}", "give one of them")
+    return [span[3] for span in spans]
 
 
 def starts_with(path: Path, magic: bytes) -> bool:
@@ -193,6 +278,8 @@ class McapImporter:
 
     def detect(self, path: Path) -> Detection:
         """By the ending and the first bytes."""
+        if path.is_file() and path.name.endswith(".mcap.zstd"):
+            return Detection((path.name,), () if starts_with(path, ZSTD) else ("the first bytes of zstd",))
         if not path.is_file() or path.suffix != ".mcap":
             return Detection((), ())
         return Detection((path.name,), () if starts_with(path, _MCAP_MAGIC) else ("the first bytes of MCAP",))
@@ -209,11 +296,13 @@ _METADATA = "metadata.yaml"
 _HEAD_BYTES = 100_000
 _KEY = b"rosbag2_bagfile_information"
 _SQLITE = b"SQLite format 3\0"
-_STORAGES = (".db3", ".mcap", ".zstd")
 
 
 class Ros2Importer:
-    """A folder with ``metadata.yaml`` and SQLite or MCAP files, compressed or not; or a single ``.db3`` file."""
+    """A folder with SQLite or MCAP files, compressed or not; or a single ``.db3`` file.
+
+    ``metadata.yaml`` is there as well, unless the recorder was killed.
+    """
 
     title = "ROS 2 bag: a folder with metadata.yaml (SQLite or MCAP), or a .db3 file"
     options = OPTIONS
@@ -223,13 +312,15 @@ class Ros2Importer:
         """By ``metadata.yaml`` and the files it lies with, or the first bytes of a ``.db3`` file."""
         if path.is_file() and path.suffix == ".db3":
             return Detection((path.name,), () if starts_with(path, _SQLITE) else ("the first bytes of SQLite",))
-        storages = sorted(file.name for file in visible_files(path) if file.suffix in _STORAGES)
+        if path.is_file() and path.name.endswith(".db3.zstd"):
+            return Detection((path.name,), () if starts_with(path, ZSTD) else ("the first bytes of zstd",))
+        storages = [file.name for file in storage_files(path)] if path.is_dir() else []
         metadata = path / _METADATA
         if not metadata.is_file():
-            return Detection(tuple(storages[:1]), ("metadata.yaml (`ros2 bag reindex` makes it)",) if storages else ())
+            return Detection(tuple(storages[:1]), (), weak=True)
         with metadata.open("rb") as file:
             if _KEY not in file.read(_HEAD_BYTES):
-                return Detection((), ())
+                return Detection(tuple(storages[:1]), (), weak=True)
         return Detection((_METADATA, *storages[:1]), () if storages else ("a .db3 or .mcap file",))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:

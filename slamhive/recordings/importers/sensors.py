@@ -15,9 +15,9 @@ from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, is_rig
 from slamhive.recordings.geometry import Array, transform
 from slamhive.recordings.importers.calibration import BODY, FrameGraph, KnownCalibration, KnownSensor
 from slamhive.recordings.importers.lidar_drivers import layout_of, livox_layout
+from slamhive.recordings.importers.odd_images import is_odd, plain_image
 from slamhive.recordings.importers.recording import LIVOX, Matching, SourceBag, camera_of
 from slamhive.recordings.ros1_writer import NS_PER_S
-from slamhive.runtime.messages import convert
 from slamhive.trajectory.transforms import rotations_from_quats
 
 # Calibration in the recording itself: ``CameraInfo`` messages and the transforms of ``/tf_static``.
@@ -244,8 +244,7 @@ class SensorBuilder:
     ) -> dict[str, CalibrationValue]:
         topic = self.matching.topics[name]
         message = self.bag.first(topic.name)
-        pixels = convert(message, topic.type)
-        assert isinstance(pixels, np.ndarray)
+        pixels, encoding = plain_image(message, topic.type)
         height, width = pixels.shape[:2]
         intrinsics = None if known is None else known.intrinsics
         if intrinsics is None:
@@ -267,7 +266,9 @@ class SensorBuilder:
                 f"its calibration is of {intrinsics.width}x{intrinsics.height}",
                 "give the calibration of this recording with --calibration FILE",
             )
-        encoding = str(getattr(message, "encoding", "")) or ("mono8" if pixels.ndim == 2 else "rgb8")
+        if is_odd(message, topic.type):
+            written = getattr(message, "encoding", None) or message.format
+            self.notes.append(f"images of {name} ({written}) become {encoding}")
         if kind is not SensorKind.DEPTH:
             return intrinsics.calibration(encoding)
         units_per_m = self.depth_units_per_m or (_METRES if encoding == "32FC1" else _MILLIMETRES)

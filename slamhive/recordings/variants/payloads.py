@@ -120,27 +120,30 @@ class PointsCodec:
     def decode(self, message: Any, topic: str) -> Array:
         """All points, row by row."""
         size_bytes, row_bytes = message.row_step * message.height, message.width * message.point_step
-        if message.is_bigendian or len(message.data) < size_bytes or message.row_step < row_bytes:
+        if len(message.data) < size_bytes or message.row_step < row_bytes:
             raise InvalidInput(f"{topic}: a point cloud of {len(message.data)} bytes does not fit its own description")
         dtype = np.dtype(
             {
                 "names": [field.name for field in message.fields],
-                "formats": [_point_format(field, topic) for field in message.fields],
+                "formats": [_point_format(field, topic, big=message.is_bigendian) for field in message.fields],
                 "offsets": [field.offset for field in message.fields],
                 "itemsize": message.point_step,
             }
         )
         rows = np.asarray(message.data)[:size_bytes].reshape(message.height, message.row_step)
         used = np.ascontiguousarray(rows[:, :row_bytes])
-        return used.reshape(-1).view(dtype)
+        points = used.reshape(-1).view(dtype)
+        # bytes between the fields of another order are not kept: nothing says in which order they are
+        return points.astype(dtype.newbyteorder("<")) if message.is_bigendian else points
 
     def encode(self, message: Any, payload: Array) -> Any:
-        """As many rows as before if no point is gone, one row otherwise."""
+        """As many rows as before if no point is gone, one row otherwise; little endian."""
         height, width = message.height, message.width
         if len(payload) != height * width:
             height, width = 1, len(payload)
         data = np.frombuffer(payload.tobytes(), np.uint8)
-        return replace(message, height=height, width=width, row_step=width * message.point_step, data=data)
+        row_step = width * message.point_step
+        return replace(message, height=height, width=width, is_bigendian=False, row_step=row_step, data=data)
 
 
 class ImuCodec:
@@ -203,8 +206,8 @@ def _prefix_bytes(message: Any) -> int:
     return _DEPTH_HEADER_BYTES if "compresseddepth" in message.format.lower() else 0
 
 
-def _point_format(field: Any, topic: str) -> Any:
+def _point_format(field: Any, topic: str, *, big: bool) -> Any:
     if field.datatype not in _POINT_TYPES:
         raise InvalidInput(f"{topic}: point field {field.name} is of unknown type {field.datatype}")
-    code = "<" + _POINT_TYPES[field.datatype]
+    code = (">" if big else "<") + _POINT_TYPES[field.datatype]
     return code if field.count == 1 else (code, (field.count,))

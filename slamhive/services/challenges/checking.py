@@ -23,9 +23,9 @@ from slamhive.run_folder.folder import RunFolder
 from slamhive.services.challenges.definition import Definition
 from slamhive.services.challenges.folder import ChallengeFolder, SubmissionFolder
 from slamhive.trajectory.completeness import measure_completeness
+from slamhive.trajectory.kitti import parse_kitti_matrices
 from slamhive.trajectory.layout import format_tum, parse_tum
 from slamhive.trajectory.model import FloatArray
-from slamhive.trajectory.pose_file import parse_kitti_matrices
 from slamhive.trajectory.table import read_bounded
 from slamhive.trajectory.transforms import quats_from_rotations
 

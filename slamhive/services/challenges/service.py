@@ -51,8 +51,8 @@ from slamhive.services.challenges.submitting import Entrant, check_taken, enter,
 from slamhive.services.challenges.views import brief_of, challenge_of, ranking_of, submission_of
 from slamhive.services.datasets import check_writable
 from slamhive.store import VersionRecord
+from slamhive.trajectory.kitti import parse_kitti_matrices
 from slamhive.trajectory.layout import read_tum
-from slamhive.trajectory.pose_file import parse_kitti_matrices
 from slamhive.trajectory.table import read_bounded
 
 logger = logging.getLogger(__name__)

@@ -25,7 +25,7 @@ from slamhive.services.challenges.checking import CheckedFile, check_files, fram
 from slamhive.services.challenges.definition import Definition
 from slamhive.services.challenges.folder import IMAGE, SENT, ChallengeFolder, SubmissionFolder
 from slamhive.services.challenges.images import check_image
-from slamhive.trajectory.pose_file import parse_kitti_matrices
+from slamhive.trajectory.kitti import parse_kitti_matrices
 
 DAY = "%Y%m%d"
 _BLOCK_BYTES = 1 << 20

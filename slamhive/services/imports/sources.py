@@ -15,6 +15,7 @@ from slamhive.domain.names import check_name
 from slamhive.domain.sensors import SensorSetup
 from slamhive.services.imports.reading import FIELDS, PathPattern
 from slamhive.services.imports.request import FoundImports, ImportCandidate, ImportProblem, ImportRequest
+from slamhive.trajectory.formats import pose_files
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.pose_file import TrajectoryFormat
 from slamhive.trajectory.table import read_bounded
@@ -22,9 +23,10 @@ from slamhive.trajectory.table import read_bounded
 _NEEDED = ("algorithm", "dataset", "file")
 _OPTIONAL = (
     *("trial", "sensors", "groundtruth", "relations", "times", "format", "time_unit", "quaternion_order"),
-    *("groundtruth_time_unit", "groundtruth_quaternion_order"),
+    *("groundtruth_time_unit", "groundtruth_quaternion_order", "columns"),
 )
 _ONLY_TRIAL = "1"
+_POSE_FILE = ".pose.txt"
 _LONGEST_NAME_BYTES, _LONGEST_PATH = 255, 1024
 _LINK = "is a link, and links are not followed; put the file there"
 _UNPRINTABLE = "the name holds characters that cannot be printed; rename it"
@@ -99,12 +101,18 @@ def _in_folder(request: ImportRequest, found: FoundImports) -> Iterator[ImportCa
 
 
 def _files(root: Path, found: FoundImports) -> Iterator[tuple[str, Path]]:
-    """All regular files below ``root``. Links are not followed but reported; hidden files are skipped.
+    """All regular files below ``root``, and folders of poses. Links are not followed but reported.
+
+    Hidden files are skipped.
 
     Names that cannot be printed (line ends, escape sequences, bytes that are no UTF-8) are problems: they would go into
     messages, the database and the record of the run.
     """
     for folder, folders, files in os.walk(root):
+        if len(pose_files(Path(folder))) > 1:
+            # a trajectory whose poses have a file each: its name is that of a file, for the pattern
+            yield f"{Path(folder).relative_to(root).as_posix()}.txt", Path(folder)
+            files[:] = [name for name in files if not name.endswith(_POSE_FILE)]
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in sorted([*files, *folders]):
             path = Path(folder) / name
@@ -175,7 +183,7 @@ def _row(request: ImportRequest, found: FoundImports, row: dict[str, str], name:
         format=_member(TrajectoryFormat, "format", row) or request.format,
         times=_inside(folder, row["times"]) if row.get("times") else None,
         told=_told(row, "", request.told),
-        columns=request.columns,
+        columns=row.get("columns") or request.columns,
     )
 
 

@@ -17,9 +17,9 @@ from slamhive.evaluation.evaluators.evo_errors import RotationError
 from slamhive.evaluation.evaluators.relations import read_relations, relation_errors
 from slamhive.evaluation.evaluators.relative import RelativeErrors
 from slamhive.evaluation.evaluators.segments import KittiProtocol, kitti_segments, mean_as_devkit
+from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.layout import parse_tum
 from slamhive.trajectory.model import Poses, Trajectory
-from slamhive.trajectory.pose_file import read_kitti
 from tests.evaluation.evaluators.curves import SE3, paired
 
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data"

@@ -22,8 +22,8 @@ from slamhive.services.hive import open_hive
 from slamhive.services.imports import request, service
 from slamhive.services.imports.request import ImportRequest, one_import
 from slamhive.services.reindex import reindex
+from slamhive.trajectory.kitti import format_kitti
 from slamhive.trajectory.layout import parse_tum
-from slamhive.trajectory.pose_file import format_kitti
 from tests.services.imports.world import POSES, make_source, trajectory, write
 
 pytestmark = pytest.mark.integration

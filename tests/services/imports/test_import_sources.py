@@ -147,3 +147,22 @@ def test_a_table_that_is_no_text_and_a_folder_that_is_none_are_refused(tmp_path)
         find(ImportRequest(tmp_path / "runs.csv", table=True))
     with pytest.raises(InvalidInput, match="is not a folder"):
         find(ImportRequest(tmp_path / "nowhere"))
+
+
+def test_a_folder_of_poses_is_one_trajectory_for_the_pattern(tmp_path):
+    make_source(tmp_path, ("alpha",), trials=1)
+    for number in range(3):
+        write(
+            tmp_path / "fusion" / "seq1" / "1" / f"frame-{number:06d}.pose.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+        )
+    found = find(ImportRequest(tmp_path))
+    folder = next(entry for entry in found.candidates if entry.algorithm == "fusion")
+    assert (folder.trial, folder.path) == ("1", tmp_path / "fusion" / "seq1" / "1")
+    assert found.left_out == []
+
+
+def test_a_row_states_its_columns(tmp_path):
+    request = table(tmp_path, 'algorithm,dataset,file,columns\na,s,a.txt,"t,x,y,z"\na,q,b.txt,\n')
+    write(tmp_path / "a.txt", trajectory())
+    write(tmp_path / "b.txt", trajectory())
+    assert [entry.columns for entry in find(request).candidates] == ["t,x,y,z", None]
