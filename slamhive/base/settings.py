@@ -155,7 +155,11 @@ class Settings:
     connections_per_address: int = setting(
         50, "Most connections of one network address to the web server; TRUSTED_PROXY may have more", minimum=1
     )
-    public_url: str = setting("", "Address at which people reach the web server, for links in messages; empty for none")
+    public_url: str = setting(
+        "",
+        "Address at which people reach the web server, for links in messages; behind a proxy, pages are served under"
+        " its name; empty for none",
+    )
     notify_webhook: str = setting(
         "", "Address that is sent a message when an experiment ends or fails; empty for none", secret=True
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -68,12 +69,14 @@ def protect(app: Flask, hive: Hive, host: str) -> Callers:
     """
     settings = hive.settings
     callers = Callers(app, hive, needed=accounts_needed(settings, host))
+    # A proxy on this machine passes on the name that people have asked for.
+    own_names = LOOPBACK_HOSTS | {host_name(origin_host(settings.public_url))}
     app.extensions[context.CALLERS_EXTENSION] = callers
     app.session_interface = _Sessions()
 
     @app.before_request
     def refuse() -> Response | None:
-        _refuse_foreign_host(local_only=host in LOOPBACK_HOSTS and not callers.needed)
+        _refuse_foreign_host(None if callers.needed or host not in LOOPBACK_HOSTS else own_names)
         g.caller = caller = callers.find()
         g.sight = ExitStack()
         g.sight.enter_context(hive.store.seen_by(callers.viewer(caller), caller.account))
@@ -126,13 +129,18 @@ def _seen_by(store: Store, viewer: Viewer, pieces: Iterator[bytes]) -> Iterator[
             close()
 
 
-def _refuse_foreign_host(*, local_only: bool) -> None:
-    """Refuse a request without a host. Where nobody signs in, reject DNS rebinding on loopback too."""
+def _refuse_foreign_host(own_names: AbstractSet[str | None] | None) -> None:
+    """Refuse a request without a host, and one for another name than these: a page of a stranger has rebound its own.
+
+    Args:
+        own_names: Names of this server; None for any.
+    """
     name = host_name(request.host)
-    if name is None or (local_only and name not in LOOPBACK_HOSTS):
+    if name is None or (own_names is not None and name not in own_names):
         raise InvalidInput(
             f"this server does not accept the host {request.headers.get('Host', '')[:80]!r}",
-            "open http://127.0.0.1, or bind the server to a network address with --host",
+            "open http://127.0.0.1; behind a proxy, set PUBLIC_URL to the address that people open;"
+            " or bind the server to a network address with --host",
         )
 
 

@@ -1,21 +1,33 @@
 from __future__ import annotations
 
+import json
 import math
 import os
 import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import docker
 import pytest
 import requests
 
 from slamhive.base.errors import NotFound, Unavailable
 from slamhive.domain.algorithm import AlgorithmPackage, RunUser
 from slamhive.executors.base import Capabilities, EngineUnavailable, ExecutorContext, ImageMissing, StartFailed
-from slamhive.executors.docker.containers import container_options
-from slamhive.executors.docker.engine import EngineTraits, connect, container_name, engine_errors, lifetime, traits_of
-from slamhive.executors.docker.executor import parse_stats
+from slamhive.executors.docker.containers import container_options, engine_protections
+from slamhive.executors.docker.engine import (
+    EngineTraits,
+    connect,
+    container_name,
+    engine_errors,
+    information_of,
+    lifetime,
+    statistics_of,
+    traits_of,
+)
+from slamhive.executors.docker.executor import DockerStatsSource, parse_stats
 from slamhive.executors.docker.images import follow_build
 from slamhive.executors.docker.run_user import in_words, is_foreign
 from slamhive.executors.process.environment import Environments
@@ -175,6 +187,63 @@ def test_what_an_engine_says_of_itself(info, traits):
     assert traits_of(client) == traits
 
 
+ENDED = "ended-container"
+PODMAN: dict[str, Any] = {
+    "/v1.41/info": {
+        "SecurityOptions": ["name=apparmor", "name=seccomp,profile=default"],
+        "CgroupVersion": "2",
+        "CpuCfsQuota": False,
+        "PidsLimit": True,
+        "MemoryLimit": True,
+        "Rootless": True,
+    },
+    "/v4.0.0/libpod/info": {"host": {"cgroupControllers": ["cpu", "memory", "pids"]}},
+    f"/v1.41/containers/{ENDED}/json": {"Id": ENDED},
+    f"/v1.41/containers/{ENDED}/stats": None,
+}
+"""Answers that Podman 4.3.1 of Debian 12 gave to a user without root; None for a body without a byte."""
+
+
+class _Podman(BaseHTTPRequestHandler):
+    def do_GET(self) -> None:
+        found = PODMAN[self.path.partition("?")[0]]
+        body = b"" if found is None else json.dumps(found).encode()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_words: object) -> None:
+        """Say nothing."""
+
+
+@pytest.fixture
+def podman():
+    with ThreadingHTTPServer(("127.0.0.1", 0), _Podman) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        client = docker.DockerClient(base_url=f"tcp://127.0.0.1:{server.server_port}", version="1.41")
+        yield client
+        client.close()
+        server.shutdown()
+
+
+def test_podman_without_root_is_an_engine_without_root_that_limits_cpu_time(podman):
+    assert traits_of(podman) == EngineTraits(rootless=True, limits_cpu=True)
+    protections = engine_protections(information_of(podman))
+    assert protections.cpu == "enforced by the kernel (cpu.max)"
+
+
+def test_podman_without_the_controller_limits_no_cpu_time(podman, monkeypatch):
+    monkeypatch.setitem(PODMAN, "/v4.0.0/libpod/info", {"host": {"cgroupControllers": ["memory", "pids"]}})
+    assert traits_of(podman) == EngineTraits(rootless=True, limits_cpu=False)
+
+
+def test_podman_sends_nothing_about_a_container_that_has_ended(podman):
+    ended = podman.containers.get(ENDED)
+    assert statistics_of(ended) == {}
+    assert DockerStatsSource(ended).read() is None
+
+
 def test_no_limit_means_no_option(tmp_path, context):
     assert {"mem_limit", "nano_cpus", "cpuset_cpus"}.isdisjoint(
         container_options(spec(tmp_path, ResourceLimits()), context)
@@ -186,7 +255,8 @@ def test_failed_build_names_step_and_last_lines():
         {"stream": "Step 1/2 : FROM base\n"},
         {"stream": " ---> abc\n"},
         {"stream": "Step 2/2 : RUN false\n"},
-        {"stream": "something\n  went wrong\n"},
+        {"stream": "\x1b[91msomething\n\x1b[0m"},
+        {"stream": "  went wrong\n"},
         {"error": "The command returned a non-zero code: 1"},
     ]
     lines: list[str] = []

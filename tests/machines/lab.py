@@ -18,7 +18,7 @@ from pathlib import Path
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 VM = PROJECT_ROOT.parent / "shared" / "machines" / "vm"
 PACKAGES = (
-    *("docker.io", "iptables", "uidmap", "slirp4netns", "fuse-overlayfs", "rootlesskit", "podman", "crun"),
+    *("docker.io", "iptables", "uidmap", "slirp4netns", "fuse-overlayfs", "rootlesskit", "podman", "catatonit", "crun"),
     *("mmdebstrap", "apparmor"),
 )
 SOURCES = ("slamhive", "tests/machines", "tools", "algorithms", "docker", "deploy", "templates", "static", "evaluation")

@@ -116,6 +116,24 @@ def test_only_this_machine_is_answered_to(shown: Web, host: str, status: int):
     assert shown.client.get("/", headers={"Host": host}).status_code == status
 
 
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [("hive.example", 200), ("HIVE.example:443", 200), ("localhost", 200), ("evil.example", 400),
+     ("a.hive.example", 400)],
+)  # fmt: skip
+@pytest.mark.parametrize("mode", [Mode.VIEW_ONLY, Mode.WORKSTATION])
+def test_behind_a_proxy_the_public_name_is_answered_to(shown: Web, mode: Mode, host: str, status: int):
+    before = shown.hive.settings
+    shown.hive.settings = before.with_values({"public_url": "https://hive.example/", "mode": mode})
+    try:
+        client = create_app(shown.hive, host="127.0.0.1").test_client()
+        answer = client.get("/", headers={"Host": host})
+        assert answer.status_code == status
+        assert status == 200 or "set PUBLIC_URL" in answer.text
+    finally:
+        shown.hive.settings = before
+
+
 def test_bound_to_the_network_any_host_is_answered_to(shown: Web):
     client = create_app(shown.hive, host="0.0.0.0").test_client()
     assert client.get("/healthz", headers={"Host": "lab-server:5000"}).status_code == 200

@@ -36,6 +36,7 @@ from slamhive.executors.docker.engine import (
     container_name,
     engine_errors,
     engine_time,
+    statistics_of,
     traits_of,
 )
 from slamhive.executors.docker.run_user import container_user
@@ -245,11 +246,7 @@ class _EngineCounter:
         """Return whether the container is at its limit, as of the last second."""
         if monotonic_s() - self._asked_at_s >= _ASK_EVERY_S:
             self._asked_at_s = monotonic_s()
-            with engine_errors("reading statistics", EngineUnavailable):
-                try:
-                    self._full = is_full(self._container.stats(stream=False, one_shot=True))
-                except docker.errors.NotFound:
-                    self._full = False
+            self._full = is_full(statistics_of(self._container))
         return self._full
 
 

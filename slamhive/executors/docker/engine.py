@@ -38,6 +38,7 @@ OWNER_LABEL = "slamhive.owner"
 """The process that a container serves. Containers of runs do not have it: they outlive their worker."""
 
 _TIMEOUT_S = 60
+_PODMAN_INFO = "/v4.0.0/libpod/info"
 _NAME_LIMIT = 63
 _SERVER_ERROR = 500
 _UNSET_TIME = "0001-"
@@ -73,10 +74,26 @@ PLAIN_ENGINE = EngineTraits()
 
 def traits_of(client: docker.DockerClient) -> EngineTraits:
     """Ask the engine what it is. Raises EngineUnavailable."""
-    with engine_errors("asking the Docker engine", EngineUnavailable):
-        info: dict[str, Any] = client.info()
+    info = information_of(client)
     options = info.get("SecurityOptions") or []
     return EngineTraits("name=rootless" in options, bool(info.get("CpuCfsQuota", True)))
+
+
+def information_of(client: docker.DockerClient) -> dict[str, Any]:
+    """Return what the engine reports of itself and its kernel (``docker info``), for Podman in the words of Docker.
+
+    Podman has a field of its own for running without root. On control groups version 2 it says that CPU time cannot be
+    limited, whatever its kernel can (4.3), so its own interface is asked which controllers it has.
+    Raises EngineUnavailable.
+    """
+    with engine_errors("asking the Docker engine", EngineUnavailable):
+        info: dict[str, Any] = client.info()
+    if not info.get("Rootless"):
+        return info
+    options = [*(info.get("SecurityOptions") or []), "name=rootless"]
+    with engine_errors("asking Podman", EngineUnavailable):
+        host = client.api.get(f"{client.api.base_url}{_PODMAN_INFO}", timeout=_TIMEOUT_S).json().get("host", {})
+    return {**info, "SecurityOptions": options, "CpuCfsQuota": "cpu" in host.get("cgroupControllers", [])}
 
 
 def labels_of_helper(purpose: str, installation: str) -> dict[str, str]:
@@ -106,6 +123,16 @@ def engine_errors(doing: str, failure: type[SlamHiveError]) -> Iterator[None]:
         raise failure(f"{doing}: {error.explanation or error}") from None
     except docker.errors.DockerException as error:
         raise _no_answer(doing, error) from None
+
+
+def statistics_of(container: Any) -> dict[str, Any]:
+    """One reading of a container's statistics; empty once it has ended. Podman then sends no JSON at all."""
+    with engine_errors("reading statistics", EngineUnavailable):
+        try:
+            stats: dict[str, Any] = container.stats(stream=False, one_shot=True)
+        except (docker.errors.NotFound, requests.exceptions.JSONDecodeError):
+            return {}
+    return stats
 
 
 def connect(timeout_s: int = _TIMEOUT_S) -> docker.DockerClient:

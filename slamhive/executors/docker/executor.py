@@ -39,8 +39,10 @@ from slamhive.executors.docker.engine import (
     container_name,
     engine_errors,
     engine_time,
+    information_of,
     is_of_earlier_boot,
     lifetime,
+    statistics_of,
     traits_of,
 )
 from slamhive.executors.docker.foreign_images import DockerImages
@@ -78,11 +80,7 @@ class DockerStatsSource:
 
     def read(self) -> tuple[float, int] | None:
         """CPU time (s) and memory in use (bytes); None once the container has ended."""
-        with engine_errors("reading statistics", EngineUnavailable):
-            try:
-                stats = self._container.stats(stream=False, one_shot=True)
-            except docker.errors.NotFound:
-                return None
+        stats = statistics_of(self._container)
         usage = parse_stats(stats)
         if usage is not None:
             self._totals |= present({"ram.charged_max": stats["memory_stats"].get("max_usage")})
@@ -310,7 +308,7 @@ class DockerExecutor(Executor):
 
     def _protections(self) -> Protections:
         with engine_errors("asking the Docker engine", EngineUnavailable):
-            return engine_protections(self._engine().info())
+            return engine_protections(information_of(self._engine()))
 
     def _engine(self) -> docker.DockerClient:
         with self._lock:

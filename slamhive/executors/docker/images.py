@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tarfile
 import tempfile
@@ -233,6 +234,8 @@ def _import_base(client: docker.DockerClient, archive: Path) -> None:
         raise ImageMissing(f"the engine did not take {OWN_BASE}: {answer}", "set BASE_IMAGE")
 
 
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+"""The engine paints red what a step writes to its error output, warnings too."""
 _STEP_CHARACTERS = 120
 """A step that is longer is a script. Its beginning says which it is."""
 
@@ -248,7 +251,7 @@ def follow_build(events: Iterable[dict[str, Any]], name: str, progress: Progress
     digest: str | None = None
     last: deque[str] = deque(maxlen=_LAST_LINES)
     for event in events:
-        for raw in str(event.get("stream", "")).splitlines():
+        for raw in _COLOUR.sub("", str(event.get("stream", ""))).splitlines():
             line = raw.strip()
             if not line or line.startswith(_ENGINE_CHATTER):
                 continue

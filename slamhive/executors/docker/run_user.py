@@ -24,7 +24,7 @@ from slamhive.base.files import remedy_of
 from slamhive.base.tree import walk
 from slamhive.domain.algorithm import RunUser
 from slamhive.executors.base import EngineUnavailable, StartFailed
-from slamhive.executors.docker.engine import HARDENING, engine_errors, labels_of_helper, traits_of
+from slamhive.executors.docker.engine import HARDENING, engine_errors, information_of, labels_of_helper, traits_of
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.transfer import read_places, written_places
 
@@ -162,5 +162,5 @@ def _take(places: Iterable[Path]) -> None:
 
 
 def _has_user_namespaces(client: docker.DockerClient) -> bool:
-    options: Any = client.info().get("SecurityOptions") or []
+    options: Any = information_of(client).get("SecurityOptions") or []
     return any(str(option).startswith("name=userns") for option in options)
