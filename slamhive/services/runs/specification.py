@@ -13,6 +13,7 @@ from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.base.files import hash_files, write_aside
 from slamhive.base.settings import Settings
 from slamhive.documents.catalogue import MatchDocument
+from slamhive.documents.limits import Limits, RunOptions
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Gpu, GpuNeed
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
@@ -50,15 +51,6 @@ MOST_BYTES_HASHED = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class RunLimits:
-    """Limits asked for with the run; None means the defaults of settings and package."""
-
-    cpu_cores: float | None = None
-    memory_mb: int | None = None
-    timeout_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class Job:
     """One run with its algorithm and dataset resolved, ready to be prepared.
 
@@ -73,7 +65,7 @@ class Job:
     dataset: Dataset
     configuration: Configuration
     seed: int
-    limits: RunLimits
+    options: RunOptions
     used: UsedVariant | None = None
     input_map: FoundMap | None = None
     gpu: Gpu | None = None
@@ -125,7 +117,7 @@ def check_recorded(
             )
 
 
-def check_executor(executor: Executor, package: AlgorithmPackage, asked: RunLimits) -> None:
+def check_executor(executor: Executor, package: AlgorithmPackage, asked: Limits) -> None:
     """Raise InvalidInput if ``executor`` can never run the package, or does not enforce a limit that was asked for."""
     try:
         executor.check_package(package)
@@ -219,8 +211,8 @@ def _map_target(found: FoundMap) -> str:
 
 def time_limit_s(job: Job, settings: Settings) -> float:
     """The wall-clock limit: as asked for, or derived from the recording's duration and the playback rate."""
-    if job.limits.timeout_s is not None:
-        return job.limits.timeout_s
+    if job.options.timeout_s is not None:
+        return job.options.timeout_s
     duration_s = job.dataset.duration_s / min(job.configuration.playback.rate, 1.0)
     factor = max(settings.run_timeout_factor, job.algorithm.package.time_factor)
     return factor * duration_s + settings.run_timeout_slack_s
@@ -299,9 +291,9 @@ def _input(name: str, source: Path, target: str, *, content: str | None = None, 
 
 
 def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None) -> ResourceLimits:
-    memory_mb = job.limits.memory_mb or settings.run_memory_mb or job.algorithm.package.memory_mb
+    memory_mb = job.options.memory_mb or settings.run_memory_mb or job.algorithm.package.memory_mb
     return ResourceLimits(
-        cpu_cores=job.limits.cpu_cores or settings.run_cpu_cores or None,
+        cpu_cores=job.options.cpu_cores or settings.run_cpu_cores or None,
         memory_bytes=memory_mb * 1_000_000,
         pids=settings.run_pids,
         cpuset=cores,
