@@ -42,6 +42,16 @@ TimeoutS = Annotated[
         le=30 * 86_400,
     ),
 ]
+Nice = Annotated[
+    int,
+    Asked(
+        "Niceness of the processes of each run; higher lets other processes go first.",
+        title="Niceness",
+        group="limits",
+        ge=0,
+        le=19,
+    ),
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +61,7 @@ class Limits:
     cpu_cores: CpuCores = None
     memory_mb: MemoryMb = None
     timeout_s: TimeoutS = None
+    nice: Nice = 0
 
     @property
     def limits(self) -> Limits:

@@ -43,6 +43,11 @@ from slamhive.services.weights import StoredWeights
 
 CONTAINER_ROOT = "/slamhive"
 COMMAND = ("python3", f"{CONTAINER_ROOT}/mapping.py")
+_NICE = (
+    "import os, sys; nice = max(int(sys.argv[1]), os.getpriority(os.PRIO_PROCESS, 0)); "
+    "os.setpriority(os.PRIO_PROCESS, 0, nice); os.execv(sys.executable, [sys.executable, *sys.argv[2:]])"
+)
+"""Docker, Kubernetes and Slurm have no option for it, and an image may lack ``nice``, but every one has Python."""
 CONTAINER_WEIGHTS = "/slamhive-weights"
 CONTAINER_VOCABULARY = "/slamhive-vocabulary.txt"
 _VARIANT_CHECKSUM = "variant_checksum"
@@ -183,7 +188,7 @@ def build_spec(
         package_folder=job.algorithm.package.folder,
         image=job.algorithm.package.image,
         identity=identity,
-        command=COMMAND,
+        command=with_niceness(COMMAND, job.options.nice),
         inputs=tuple(_inputs(job, folder, settings)),
         outputs=(results,),
         environment=_environment(job, settings),
@@ -196,6 +201,11 @@ def build_spec(
         variant=job.order,
         shm_bytes=None if job.algorithm.package.shm_mb is None else job.algorithm.package.shm_mb * 1_000_000,
     )
+
+
+def with_niceness(command: tuple[str, ...], nice: int) -> tuple[str, ...]:
+    """The command of a Python program that first takes this niceness, unless it is started with a higher one."""
+    return (command[0], "-c", _NICE, str(nice), *command[1:]) if nice else command
 
 
 def _environment(job: Job, settings: Settings) -> dict[str, str]:
