@@ -176,6 +176,7 @@ def _print_tables(entry: RunRecord, content: dict[str, Any], match: Any) -> None
         for key, part in (content["metrics"] or {}).items()
     ]
     tables: tuple[tuple[tuple[str, ...], list[tuple[Any, ...]]], ...] = (
+        (("option", "value"), list(entry.stated.items())),
         (("parameter", "value"), list(content["parameters"].items())),
         (("parameter", "value", "source"), list(bound_rows(MatchDocument.read(match) if match else None))),
         (("metric", "value", "unit", "over"), metrics),

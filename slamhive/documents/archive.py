@@ -8,14 +8,12 @@ from pydantic import AfterValidator, AliasChoices, BeforeValidator, Field, Finit
 from pydantic import StrictBool as Flag
 from pydantic import StrictInt as Whole
 
-from slamhive.documents.limits import NEVER
 from slamhive.documents.model import (
     ContentHash,
     Definitions,
     Document,
     Moment,
     RowNumber,
-    Rules,
     Uid,
     Values,
     cut,
@@ -23,7 +21,7 @@ from slamhive.documents.model import (
     described,
 )
 from slamhive.documents.protocol import StatedProtocol
-from slamhive.documents.record import ConfigurationContent
+from slamhive.documents.record import ConfigurationContent, StoredOptions
 from slamhive.documents.run import Pinned
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode, Variant
@@ -247,20 +245,14 @@ class RunRow(NamedTuple):
     retry_of: Whole | None
 
 
-class SharedRequest(Document):
+class SharedRequest(StoredOptions):
     """Fields that the runs of a line have in common. A new option has a default, so that older lines can be read."""
 
     executor: str
-    priority: int = 0
     evaluate: bool = False
-    cpu_cores: float | None = None
-    memory_mb: int | None = None
-    timeout_s: float | None = None
     affinity: str = ""
-    repeat_disturbed: int = 0
     experiment: Annotated[str | None, described("The uid of their experiment.")]
     protocol: StatedProtocol | None
-    stop_when: Rules = NEVER
     owner: str | None = None
     visibility: Visibility | None = None
 

@@ -1,12 +1,13 @@
-"""What a run may use, and when it ends early. Every command that reads runs imports this."""
+"""The options of a run: its limits, and when it ends early. Every command that reads runs imports this."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Annotated, Any
 
-from slamhive.documents.options import Asked
+from slamhive.documents.options import Asked, options_of
 
 CpuCores = Annotated[
     float | None,
@@ -41,15 +42,31 @@ TimeoutS = Annotated[
         le=30 * 86_400,
     ),
 ]
+Nice = Annotated[
+    int,
+    Asked(
+        "Niceness of the processes of each run; higher lets other processes go first.",
+        title="Niceness",
+        group="limits",
+        ge=0,
+        le=19,
+    ),
+]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
     """What each run may use; None means the default of the settings or of the package."""
 
     cpu_cores: CpuCores = None
     memory_mb: MemoryMb = None
     timeout_s: TimeoutS = None
+    nice: Nice = 0
+
+    @property
+    def limits(self) -> Limits:
+        """The limits alone."""
+        return Limits(**{field.name: getattr(self, field.name) for field in fields(Limits)})
 
 
 def _rule(title: str, description: str, unit: str = "") -> Any:
@@ -84,3 +101,51 @@ class StopWhen:
 RULES = tuple(field.name for field in fields(StopWhen))
 NEVER = StopWhen()
 """No rule: the run ends by itself or at its limits."""
+
+Priority = Annotated[int, Asked("Runs with a higher priority start first.", ge=-1000, le=1000)]
+RepeatDisturbed = Annotated[
+    int,
+    Asked(
+        "How often a run is repeated at most because the machine was disturbed while it was measured.",
+        title="Repeat if disturbed",
+        ge=0,
+        le=10,
+    ),
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOptions(Limits):
+    """The options of a run besides its configuration, its seed and its executor.
+
+    What asks for runs and what stores them inherit these fields, or take them over by :attr:`options`, so that an
+    option is added here and where it takes effect. JSON stays flat.
+    """
+
+    priority: Priority = 0
+    evaluate: Annotated[bool, Asked("Evaluate each run that succeeds.")] = True
+    stop_when: Annotated[StopWhen, Asked("Rules that end a run early.")] = NEVER
+    repeat_disturbed: RepeatDisturbed = 0
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options by name, as keyword arguments."""
+        return options_in(self)
+
+    @property
+    def stated(self) -> dict[str, Any]:
+        """The options that are not at their defaults, by heading: what pages and commands show."""
+        values = ((option, attrgetter(option.name)(self)) for option in options_of(RunOptions))
+        return {
+            option.heading: ("yes" if value else "no") if isinstance(value, bool) else value
+            for option, value in values
+            if value != option.default
+        }
+
+
+OPTION_NAMES = tuple(field.name for field in fields(RunOptions))
+
+
+def options_in(source: object) -> dict[str, Any]:
+    """The options of a run in any object with these attributes, such as a document."""
+    return {name: getattr(source, name) for name in OPTION_NAMES}

@@ -76,6 +76,11 @@ class Option:
         return f"{title} in {self.unit}" if self.unit else title
 
     @property
+    def heading(self) -> str:
+        """The title with the unit, as forms and tables show it: ``Memory limit [MB]``."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
+    @property
     def choices(self) -> tuple[str, ...]:
         """The values of an enumeration; empty for other kinds."""
         return tuple(self.kind) if isinstance(self.kind, type) and issubclass(self.kind, StrEnum) else ()
@@ -130,9 +135,9 @@ class Option:
 
 
 def options_of(model: type[Any], prefix: str = "") -> Iterator[Option]:
-    """The described fields of a dataclass, those of nested ones included, in order of definition."""
+    """The described fields of a dataclass, those of nested ones included: its own in order, then inherited ones."""
     hints = get_type_hints(model, include_extras=True)
-    for field in dataclasses.fields(model):
+    for field in sorted(dataclasses.fields(model), key=lambda field: field.name not in model.__annotations__):
         kind, info = _parts(hints[field.name])
         if dataclasses.is_dataclass(kind):
             yield from options_of(kind, f"{prefix}{field.name}.")  # type: ignore[arg-type]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Self
+from dataclasses import fields
+from typing import TYPE_CHECKING, Annotated, Any, Self, get_args, get_type_hints
 
-from pydantic import AliasChoices, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import AliasChoices, ConfigDict, Field, FiniteFloat, create_model, model_validator
 from pydantic import StrictBool as Flag
 from pydantic import StrictFloat as Number
 from pydantic import StrictInt as Whole
 
 from slamhive.documents.imports import OriginDocument
-from slamhive.documents.limits import NEVER
+from slamhive.documents.limits import RunOptions, StopWhen
 from slamhive.documents.model import Document, FoundDisturbance, Moment, Rules, Values, described
 from slamhive.documents.protocol import StatedProtocol
 from slamhive.documents.run import Event
@@ -46,19 +47,37 @@ class ConfigurationContent(Document):
         return Configuration(self.algorithm, self.dataset, self.parameters, self.playback, self.variant, *more)
 
 
-class RecordedRequest(ConfigurationContent):
+_STRICT: dict[Any, Any] = {float: Number, int: Whole, bool: Flag, StopWhen: Rules}
+
+
+def _stored(kind: Any) -> Any:
+    """The type of an option in a file: not checked against what may be asked for today, which may change."""
+    optional = type(None) in get_args(kind)
+    plain = get_args(kind)[0] if optional else kind
+    strict = _STRICT.get(plain, plain)
+    return strict | None if optional else strict
+
+
+if TYPE_CHECKING:
+
+    class StoredOptions(Document):
+        """The options of a run in a file."""
+else:
+    _KINDS = get_type_hints(RunOptions)
+    StoredOptions = create_model(
+        "StoredOptions",
+        __base__=Document,
+        __module__=__name__,
+        **{option.name: (_stored(_KINDS[option.name]), option.default) for option in fields(RunOptions)},
+    )
+
+
+class RecordedRequest(StoredOptions, ConfigurationContent):
     """What was asked for."""
 
     executor: str
     seed: Whole
-    priority: Whole
-    evaluate: Flag
-    cpu_cores: Number | None
-    memory_mb: Whole | None
-    timeout_s: Number | None
     retry_of: Annotated[Whole | None, described("Number of the run that this one repeats.")]
-    stop_when: Rules = NEVER
-    repeat_disturbed: Whole = 0
     experiment: Annotated[str | None, described("Name of its experiment.")] = None
     cell: Any = None
     protocol: Annotated[

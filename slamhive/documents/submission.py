@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import Annotated, Any, ClassVar
 
 from slamhive.base.errors import InvalidInput, unknown
-from slamhive.documents.limits import NEVER, RULES, CpuCores, MemoryMb, StopWhen, TimeoutS
+from slamhive.documents.limits import RULES, RunOptions, StopWhen
 from slamhive.documents.options import Asked, options_of
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.algorithm import Algorithm
@@ -21,7 +21,6 @@ CONTENT = "content"
 MAX_REPEATS = 1000
 
 Executor = Annotated[str | None, Asked("Where runs are executed; by default the executor in force.")]
-Priority = Annotated[int, Asked("Runs with a higher priority start first.", ge=-1000, le=1000)]
 StartingMap = Annotated[
     str | None,
     Asked(
@@ -34,16 +33,6 @@ RequestedAlignment = Annotated[
     Alignment | None,
     Asked("How the estimate is aligned to the ground truth; by default as the sensors require."),
 ]
-RepeatDisturbed = Annotated[
-    int,
-    Asked(
-        "How often a run is repeated at most because the machine was disturbed while it was measured.",
-        title="Repeat if disturbed",
-        ge=0,
-        le=10,
-    ),
-]
-
 SameCpu = Annotated[
     bool,
     Asked("All runs of the experiment are measured on one CPU model; false allows several.", title="Same CPU model"),
@@ -58,7 +47,7 @@ _RULE_PREFIX = "stop_when."
 
 
 @dataclass(frozen=True, slots=True)
-class Submission:
+class Submission(RunOptions):
     """A request for one or more runs of one configuration.
 
     Commands and forms build it from text; :meth:`check` refuses values that are not allowed.
@@ -85,12 +74,7 @@ class Submission:
     playback_rate: Annotated[
         float, Asked("Playback speed; 2.0 plays twice as fast.", group=CONTENT, ge=0.01, le=100)
     ] = 1.0
-    evaluate: Annotated[bool, Asked("Evaluate each run that succeeds.")] = True
     alignment: RequestedAlignment = None
-    cpu_cores: CpuCores = None
-    memory_mb: MemoryMb = None
-    timeout_s: TimeoutS = None
-    priority: Priority = 0
     variant: Annotated[Variant, Asked("Pre-processing steps of the dataset, in order.", group=CONTENT)] = ()
     sensors: Annotated[
         Mapping[str, str],
@@ -99,8 +83,6 @@ class Submission:
         ),
     ] = field(default_factory=dict)
     map: StartingMap = None
-    stop_when: Annotated[StopWhen, Asked("Rules that end a run early.")] = NEVER
-    repeat_disturbed: RepeatDisturbed = 0
     visibility: SeenBy = None
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from typing import Any
 
 from slamhive.base.strict_yaml import YamlPlace
-from slamhive.documents.limits import Limits, StopWhen
+from slamhive.documents.limits import OPTION_NAMES, Limits, StopWhen
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Alignment
@@ -141,6 +142,12 @@ class Experiment:
     map: str | None = None
 
     @property
+    def options(self) -> dict[str, Any]:
+        """The options of its runs by name."""
+        stated = {name: value for name in OPTION_NAMES if (value := getattr(self, name, None)) is not None}
+        return {**asdict(self.limits), **stated, "evaluate": self.evaluation.enabled}
+
+    @property
     def content_hash(self) -> str:
         """SHA-256 over what is stated: places and comments in the file do not count, the order of axes does."""
         return _hash(_content(self))
@@ -150,11 +157,13 @@ class Experiment:
         return content_hash in {self.content_hash, _hash(_content(self, yaml_1_1=True))}
 
 
+_FIRST_LIMITS = ("cpu_cores", "memory_mb", "timeout_s")
 _LATER: tuple[tuple[str, object], ...] = (
     ("repeat_disturbed", 0),
     ("same_cpu", True),
     ("sensors", ()),
     ("map", None),
+    *((option.name, option.default) for option in fields(Limits) if option.name not in _FIRST_LIMITS),
 )
 """Fields that came later, at their defaults: experiments that were stored before keep their hash."""
 

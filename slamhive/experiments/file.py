@@ -21,13 +21,11 @@ from pydantic import (
 
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
-from slamhive.documents.limits import NEVER, Limits, StopWhen
+from slamhive.documents.limits import NEVER, Limits, Priority, RepeatDisturbed, StopWhen
 from slamhive.documents.submission import (
     MAX_REPEATS,
     OPTIONS,
     Executor,
-    Priority,
-    RepeatDisturbed,
     RequestedAlignment,
     SameCpu,
     StartingMap,

@@ -10,7 +10,6 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, func, insert, select, union, update
 
-from slamhive.documents.limits import StopWhen
 from slamhive.domain import protocol as domain
 from slamhive.domain.accounts import Sharing
 from slamhive.domain.run import RunEvent, RunState
@@ -33,6 +32,7 @@ from slamhive.store.models import (
 from slamhive.store.models import RunEventRow as EventRow
 from slamhive.store.records import EvaluationState, NewCell, NewConfiguration, RunRequest, SavedSearchRecord
 from slamhive.store.rows import Repository, chunks, get_or_insert
+from slamhive.store.run_listing import options_of_row
 from slamhive.store.runs import DeletedRunRepository, RunRepository
 from slamhive.store.searches import SearchRepository, saved_columns
 from slamhive.store.sharing import sharing_columns
@@ -43,7 +43,7 @@ _EVALUATIONS = EvaluationRow.__table__
 _CONFIGURATIONS = ConfigurationRow.__table__
 _EVENTS = EventRow.__table__
 _ACTIVE = tuple(state for state in RunState if state.active)
-_REQUEST = tuple(name for name in RunRequest.__dataclass_fields__ if name not in ("protocol", "stop_when"))
+_REQUEST = tuple(name for name in RunRequest.__dataclass_fields__ if name in _RUNS.c and name != "stop_when")
 
 WAITING = (RunState.QUEUED, RunState.CANCELLED)
 """States in which a run may have no folder."""
@@ -222,7 +222,7 @@ def _request(row: Any) -> RunRequest:
     return RunRequest(
         **{name: getattr(row, name) for name in _REQUEST},
         protocol=None if override is None else domain.protocol_from_content(override),
-        stop_when=StopWhen.of(row.stop_when),
+        **options_of_row(row),
     )
 
 

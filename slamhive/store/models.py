@@ -245,6 +245,8 @@ class RunRow(TableBase):
     disturbed_by = optional(String(120), index=True)
     disturbance = optional(JsonText)
     repeat_disturbed = column(Integer, server_default=text("0"))
+    more_options = optional(JsonText)
+    """Options of a run that have no column of their own, those at their defaults left out."""
     trajectory = optional(enum_column(TrajectoryKind))
     owner = optional(String(NAME_LENGTH), index=True)
     visibility = optional(enum_column(Visibility))

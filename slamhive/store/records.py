@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import Any, NamedTuple, TypedDict
 
 from slamhive.base.errors import Conflict
-from slamhive.documents.limits import NEVER, Limits, StopWhen
+from slamhive.documents.limits import RunOptions
 from slamhive.domain.accounts import TEAM_SEES, Sharing, Visibility, visibility_of
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode, Variant
@@ -95,34 +95,26 @@ class DatasetRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class RunRequest:
+class RunRequest(RunOptions):
     """A run to queue. ``uid`` (32 hex digits, made by the caller) identifies it across installations.
 
-    ``cpu_cores``, ``memory_mb``, ``timeout_s``: limits asked for, None for the installation's. ``priority``: higher
-    goes first. ``evaluate``: evaluate it when it has succeeded, under ``protocol`` or the default of its sensors.
+    It is evaluated under ``protocol`` or the default of its sensors.
     ``cell``: number of the configuration in the experiment ``experiment_id``, the same for its repeats and retries.
     ``owner`` and ``visibility``: see :class:`slamhive.domain.accounts.Sharing`; who stores it fills them in.
     ``held``: queued, but no worker may claim it. ``affinity``: see :mod:`slamhive.domain.placement`.
-    ``repeat_disturbed``: how often it is repeated at most if the machine was disturbed.
     """
 
     uid: str
     configuration_id: int
     executor: str
     seed: int = 0
-    priority: int = 0
-    evaluate: bool = False
-    cpu_cores: float | None = None
-    memory_mb: int | None = None
-    timeout_s: float | None = None
+    evaluate: bool = field(default=False, kw_only=True)
     retry_of: int | None = None
     protocol: Protocol | None = None
     experiment_id: int | None = None
     cell: int | None = None
     held: bool = False
     affinity: str = ""
-    stop_when: StopWhen = NEVER
-    repeat_disturbed: int = 0
     owner: str | None = None
     visibility: Visibility | None = None
 
@@ -155,8 +147,8 @@ class ProtocolLabel:
     label: str
 
 
-@dataclass(frozen=True, slots=True)
-class RunRecord:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunRecord(RunOptions):
     """A run with everything that lists and pages show.
 
     ``attempt`` counts the times a worker took the run. ``protocol_override`` is what the user asked for,
@@ -187,16 +179,11 @@ class RunRecord:
     detail: str | None
     trajectory: TrajectoryKind | None
     seed: int
-    priority: int
-    evaluate: bool
     created_at: datetime
     started_at: datetime | None
     ended_at: datetime | None
     exit_code: int | None
     poses: int | None
-    cpu_cores: float | None
-    memory_mb: int | None
-    timeout_s: float | None
     attempt: int
     lease_owner: str | None
     lease_expires_at: datetime | None
@@ -213,9 +200,7 @@ class RunRecord:
     cell: int | None
     held: bool
     affinity: str
-    stop_when: StopWhen
     disturbance: Disturbance | None = None
-    repeat_disturbed: int = 0
     asked_version: int | None = None
     input_map: InputMap | None = None
     metrics: dict[str, float] | None = None
@@ -239,11 +224,6 @@ class RunRecord:
     def tags(self) -> tuple[str, ...]:
         """Its tags, in order."""
         return self.notes.tags
-
-    @property
-    def limits(self) -> Limits:
-        """The limits that were asked for or, once the run has started, set."""
-        return Limits(self.cpu_cores, self.memory_mb, self.timeout_s)
 
     @property
     def version_label(self) -> str | None:

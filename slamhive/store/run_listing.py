@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import datetime
 from functools import lru_cache
 from itertools import islice
@@ -28,7 +28,7 @@ from sqlalchemy import (
 )
 
 from slamhive.base.errors import InvalidInput, unknown
-from slamhive.documents.limits import StopWhen
+from slamhive.documents.limits import RunOptions, StopWhen
 from slamhive.domain.configuration import InputMap, Playback, Variant
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
@@ -296,6 +296,24 @@ def _name_of(key: str, runs: FromClause) -> ColumnElement[Any]:
 
 # -- records from rows: one query for the runs, one for parameters, one for metrics ------------------------------------
 
+_MORE_OPTIONS = tuple(option for option in fields(RunOptions) if option.name not in _RUNS.c)
+"""The options without a column of their own; ``more_options`` holds those that are not at their defaults."""
+
+
+def options_row(options: RunOptions) -> dict[str, Any]:
+    """The columns of the options that are no column as they are."""
+    values = ((option, getattr(options, option.name)) for option in _MORE_OPTIONS)
+    more = {option.name: value for option, value in values if value != option.default}
+    return {"stop_when": options.stop_when.content or None, "more_options": more or None}
+
+
+def options_of_row(row: Row[Any]) -> dict[str, Any]:
+    """The options that :func:`options_row` wrote, as keyword arguments."""
+    stored = row.more_options or {}
+    more = {option.name: stored.get(option.name, option.default) for option in _MORE_OPTIONS}
+    return {"stop_when": StopWhen.of(row.stop_when), **more}
+
+
 _CONVERTED = {"protocol_override", "stop_when", "disturbance"}
 _AS_STORED = sorted(set(RunRecord.__dataclass_fields__) & set(RunRow.__table__.c.keys()) - _CONVERTED)
 """The fields of a record that are columns of ``runs`` as they are."""
@@ -396,7 +414,7 @@ def _record(
         if row.cpu_model is None
         else HostRecord(row.cpu_model, row.cpu_count, row.memory_bytes, row.kernel, row.os),
         experiment=row.experiment,
-        stop_when=StopWhen.of(row.stop_when),
+        **options_of_row(row),
         disturbance=None if row.disturbance is None else Disturbance.of(row.disturbance),
         metrics=metrics,
         judged=judged,

@@ -29,7 +29,7 @@ from slamhive.store.models import (
 from slamhive.store.models import RunEventRow as EventRow
 from slamhive.store.records import LeaseLost, Page, RunFields, RunRecord, RunRequest, RunSnapshot, RunSort
 from slamhive.store.rows import Repository, changed, chunks, cut
-from slamhive.store.run_listing import list_page, run_query, to_records
+from slamhive.store.run_listing import list_page, options_row, run_query, to_records
 from slamhive.store.sharing import SharingRepository
 
 _RUNS = RunRow.__table__
@@ -111,7 +111,7 @@ class DeletedRunRepository(Repository):
 
 DETAIL_LENGTH = 10_000
 _EVENTS = EventRow.__table__
-_AS_ASKED = tuple(entry.name for entry in fields(RunRequest) if entry.name not in ("protocol", "stop_when"))
+_AS_ASKED = tuple(entry.name for entry in fields(RunRequest) if entry.name in _RUNS.c and entry.name != "stop_when")
 """The fields of a request that are columns as they are."""
 
 
@@ -320,7 +320,7 @@ def snapshot_row(snapshot: RunSnapshot) -> dict[str, Any]:
 def _new_row(request: RunRequest, now: datetime) -> dict[str, Any]:
     values = {name: getattr(request, name) for name in _AS_ASKED}
     values["protocol_override"] = None if request.protocol is None else request.protocol.content
-    values["stop_when"] = request.stop_when.content or None
+    values |= options_row(request)
     return {**values, "state": RunState.QUEUED, "created_at": now, "attempt": 0, "cancel_requested": False}
 
 

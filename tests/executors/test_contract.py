@@ -18,6 +18,7 @@ from slamhive.executors.base import EvaluationPlace, ImageMissing, StartFailed
 from slamhive.executors.sampler import Sampler
 from slamhive.executors.spec import Limit, ResourceLimits, RunInput
 from slamhive.executors.status import Exited, Gone, Running
+from slamhive.services.runs.specification import with_niceness
 from tests.executors.conftest import Bench, wait_for_end
 from tests.waiting import eventually
 
@@ -159,6 +160,19 @@ def test_limit_of_time(bench):
     status = wait_for_end(bench.executor, handle)
     assert status.timed_out
     assert status.exit_code in (137, 143)
+
+
+def test_niceness_of_the_run_alone(bench):
+    script = RESULT + "(result / 'nice').write_text(pathlib.Path('/proc/self/stat').read_text().rpartition(')')[2])\n"
+    before, plain = bench.spec(script), bench.spec(script)
+    spec = replace(before, command=with_niceness(before.command, 7))
+    found = []
+    for asked in (spec, plain):
+        handle = bench.start_spec(asked)
+        bench.handles.append(handle)
+        assert bench.end(asked, handle).exit_code == 0
+        found.append(int((bench.result(asked) / "nice").read_text().split()[16]))
+    assert found[0] == max(7, found[1])
 
 
 def test_isolation(bench):

@@ -179,7 +179,7 @@ def test_what_is_not_known_of_a_run_takes_no_line_and_no_table(old: Path) -> Non
     queued = call("runs", "show", "11", "--all")
     opening, *tables = queued.split("\n\n")
     assert labels(opening.splitlines()[1:]) == ["configuration", "dataset", "folder", "next"]
-    assert [table.split()[0] for table in tables] == ["parameter", "at"]
+    assert [table.split()[0] for table in tables] == ["option", "parameter", "at"]
     assert all(len(table.splitlines()) > 1 for table in tables)
     imported = call("runs", "show", "8", "--all")
     assert "dataset: hall, unchanged\n" in imported

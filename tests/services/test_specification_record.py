@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 from slamhive.base.errors import InvalidInput
+from slamhive.documents.limits import Limits
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import Capabilities, ImageMissing
 from slamhive.executors.spec import ResourceLimits, RunInput, RunOutput, RunSpec
 from slamhive.executors.transfer import make_own_copies, written_places
 from slamhive.services.runs.record import spec_from_json, spec_to_json
-from slamhive.services.runs.specification import RunLimits, check_executor
+from slamhive.services.runs.specification import check_executor
 from tests.services.fake_executor import FakeExecutor
 
 
@@ -65,9 +66,9 @@ class Unlimited(FakeExecutor):
 
 def test_limits_that_a_user_asks_for_are_enforced_or_refused():
     package = AlgorithmPackage("tiny", Path(), "Tiny", "1", "", "", "")
-    check_executor(Unlimited(), package, RunLimits(timeout_s=5.0))
+    check_executor(Unlimited(), package, Limits(timeout_s=5.0))
     with pytest.raises(InvalidInput, match="unlimited does not limit cores and memory; leave the limit out"):
-        check_executor(Unlimited(), package, RunLimits(cpu_cores=1.0, memory_mb=100))
-    check_executor(FakeExecutor(), package, RunLimits(cpu_cores=1.0, memory_mb=100))
+        check_executor(Unlimited(), package, Limits(cpu_cores=1.0, memory_mb=100))
+    check_executor(FakeExecutor(), package, Limits(cpu_cores=1.0, memory_mb=100))
     with pytest.raises(InvalidInput, match=r"has no requirements\.txt"):
-        check_executor(Unlimited(), replace(package, name="other"), RunLimits())
+        check_executor(Unlimited(), replace(package, name="other"), Limits())

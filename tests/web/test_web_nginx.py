@@ -82,8 +82,7 @@ def test_whoever_signs_in_behind_it_gets_a_cookie_for_https(site):
 
 @pytest.mark.integration
 def test_a_view_only_server_behind_it_shows_pages_and_takes_no_change(site):
-    settings = {"mode": Mode.VIEW_ONLY, "public_url": f"https://{PUBLIC}"}
-    with served(site.web.hive, **settings) as connection:
+    with served(site.web.hive, mode=Mode.VIEW_ONLY, public_url=f"https://{PUBLIC}") as connection:
         assert ask(connection, "GET", "/runs")[0].status == 200
         foreign, _ = ask(connection, "GET", "/runs", **{"X-Forwarded-Host": "evil.example"})
         assert foreign.status == 400

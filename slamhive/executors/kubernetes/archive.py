@@ -14,6 +14,7 @@ SUPERVISOR_MODULES = (
     "executors/kubernetes/pod_files.py",
     "executors/kubernetes/supervisor.py",
     "executors/process/exit_file.py",
+    "base/errors.py",
     "run_folder/host_columns.py",
 )
 _ON_NODE = "executors/node_store/on_node"

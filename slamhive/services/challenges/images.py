@@ -19,6 +19,7 @@ from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.base.files import held_folder, remedy_of
 from slamhive.base.settings import Settings
 from slamhive.documents.challenge import ImageRules, StoredImage
+from slamhive.documents.limits import Limits
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Playback
 from slamhive.domain.packages import version_label
@@ -30,7 +31,7 @@ from slamhive.recordings.staging import seal
 from slamhive.services.algorithms import AlgorithmImports, ImageArchive, PackageImportRequest
 from slamhive.services.challenges.folder import SubmissionFolder
 from slamhive.services.executors import Executors
-from slamhive.services.runs import RunLimits, RunService, check_executor
+from slamhive.services.runs import RunService, check_executor
 from slamhive.services.versions import Versions, is_export, opened_version
 from slamhive.services.weights import WEIGHTS, WeightsStore
 from slamhive.store import Store, VersionRecord
@@ -307,7 +308,9 @@ def algorithm_of(
     try:
         found = choose_algorithm(load_algorithms(folder), image.algorithm)
         found.package.check_playback(Playback(rules.playback, rules.rate))
-        check_executor(executor_of(installation), found.package, RunLimits(rules.cpu_cores, rules.memory_mb))
+        check_executor(
+            executor_of(installation), found.package, Limits(cpu_cores=rules.cpu_cores, memory_mb=rules.memory_mb)
+        )
         WeightsStore(installation.settings).check_present(found.package)
     except InvalidInput as error:
         raise ImageRefused(error.message, error.remedy) from None

@@ -31,7 +31,7 @@ from slamhive.services.experiments.views import (
     PreviewRow,
     VariantNeed,
 )
-from slamhive.services.runs import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
+from slamhive.services.runs import check_disk, check_executor, check_recorded, recorded_topics
 from slamhive.services.versions import check_version
 from slamhive.store.durations import Pairing
 from slamhive.store.records import KnownConfiguration
@@ -79,7 +79,7 @@ def pair_problems(
     """Problems of recordings, packages and alignment, each reported once with its place in the file."""
     recorded: dict[str, Mapping[str, int] | None] = {}
     packages: set[str] = set()
-    asked = RunLimits(experiment.limits.cpu_cores, experiment.limits.memory_mb)
+    asked = experiment.limits
     for algorithm, dataset in expansion.pairs:
         if dataset.name not in recorded:
             try:

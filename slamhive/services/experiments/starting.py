@@ -189,18 +189,12 @@ def _requests(
             configuration_id=configuration_id,
             executor=record.executor,
             seed=run.seed,
-            priority=record.priority,
-            evaluate=experiment.evaluation.enabled,
-            cpu_cores=experiment.limits.cpu_cores,
-            memory_mb=experiment.limits.memory_mb,
-            timeout_s=experiment.limits.timeout_s,
+            **{**experiment.options, "priority": record.priority},
             protocol=rows.protocols[configuration.algorithm, configuration.dataset],
             experiment_id=record.id,
             cell=run.cell,
             held=held,
             affinity=affinity,
-            stop_when=experiment.stop_when,
-            repeat_disturbed=experiment.repeat_disturbed,
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -148,8 +148,7 @@ class Gates:
             executor=executor,
             playback_mode=held.playback.mode,
             playback_rate=held.playback.rate,
-            cpu_cores=limits.cpu_cores,
-            memory_mb=limits.memory_mb,
+            **{**asdict(limits), "timeout_s": None},
             variant=held.variant,
             sensors=held.sensors,
             map=None if held.map is None else held.map.run,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 
 from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.base.settings import Settings
@@ -172,9 +173,7 @@ def _submission(entry: Recorded, seed: int) -> Submission:
         seed=seed,
         playback_mode=held.playback.mode,
         playback_rate=held.playback.rate,
-        cpu_cores=first.cpu_cores,
-        memory_mb=first.memory_mb,
-        timeout_s=first.timeout_s,
+        **asdict(first.limits),
         variant=held.variant,
         sensors=held.sensors,
         map=None if held.map is None else held.map.run,

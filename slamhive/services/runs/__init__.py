@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from slamhive.services.runs.service import Notes, RunService, repeat_if_disturbed, retry_request, run_uid
     from slamhive.services.runs.specification import (
         Job,
-        RunLimits,
         build_spec,
         check_dataset_files,
         check_disk,

@@ -13,6 +13,7 @@ from typing import Any
 from slamhive.base.bounds import MOST_RECORD_BYTES, read_record, read_text
 from slamhive.base.clock import utc_now
 from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.documents.limits import options_in
 from slamhive.documents.model import adapter, dump
 from slamhive.documents.record import Handle, RecordedRequest, RunFile, RunStart
 from slamhive.documents.run import Event
@@ -96,6 +97,8 @@ def snapshot_of(file: RunFile, configuration_id: int, experiment_id: int | None 
     ``experiment_id`` is the row of the experiment that the record names, None if there is none.
     """
     request = file.request
+    options = options_in(request)
+    options["timeout_s"] = file.spec.get("timeout_s", options["timeout_s"])
     return RunSnapshot(
         id=file.id,
         request=RunRequest(
@@ -103,14 +106,8 @@ def snapshot_of(file: RunFile, configuration_id: int, experiment_id: int | None 
             configuration_id=configuration_id,
             executor=request.executor,
             seed=request.seed,
-            priority=request.priority,
-            evaluate=request.evaluate,
-            cpu_cores=request.cpu_cores,
-            memory_mb=request.memory_mb,
-            timeout_s=file.spec.get("timeout_s", request.timeout_s),
+            **options,
             retry_of=request.retry_of,
-            stop_when=request.stop_when,
-            repeat_disturbed=request.repeat_disturbed,
             experiment_id=experiment_id,
             cell=None if experiment_id is None else request.cell,
             protocol=request.protocol,

@@ -31,7 +31,7 @@ from slamhive.services.runs.files import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json
 from slamhive.services.runs.scene import Moment, RunScene, SceneFrame, SceneFrames, moment_at, run_scene
 from slamhive.services.runs.series import RunSeries, Samples, error_over_time, gap_of, run_series
-from slamhive.services.runs.specification import RunLimits, check_disk, check_executor, check_recorded, recorded_topics
+from slamhive.services.runs.specification import check_disk, check_executor, check_recorded, recorded_topics
 from slamhive.services.runs.stored import StoredRuns
 from slamhive.services.versions import check_version
 from slamhive.services.weights import WeightsStore
@@ -57,19 +57,13 @@ def retry_request(t: Transaction, old: RunRecord, uid: str) -> RunRequest:
         configuration_id=old.configuration_id,
         executor=old.executor,
         seed=old.seed,
-        priority=old.priority,
-        evaluate=old.evaluate,
-        cpu_cores=old.cpu_cores,
-        memory_mb=old.memory_mb,
-        timeout_s=old.timeout_s,
+        **old.options,
         retry_of=old.id,
         protocol=old.protocol_override,
         experiment_id=old.experiment_id,
         cell=old.cell,
         held=experiment is not None and experiment.state is ExperimentState.PAUSED,
         affinity=old.affinity,
-        stop_when=old.stop_when,
-        repeat_disturbed=old.repeat_disturbed,
     )
 
 
@@ -127,8 +121,7 @@ class RunService(StoredRuns):
         check_recorded(dataset, algorithm, recorded_topics(dataset), checked.configuration.sensors)
         check_disk(self._settings)
         executor = self._executors.choose(submission.executor)
-        asked = RunLimits(submission.cpu_cores, submission.memory_mb)
-        check_executor(self._executors.get(executor), algorithm.package, asked)
+        check_executor(self._executors.get(executor), algorithm.package, submission)
         if not self._executors.get(executor).capabilities.makes_variants:
             self._configurations.check_room(checked)
         WeightsStore(self._settings).check_present(algorithm.package)
@@ -249,15 +242,9 @@ def _requests(
             configuration_id=configuration_id,
             executor=executor,
             seed=submission.seed + index,
-            priority=submission.priority,
-            evaluate=submission.evaluate,
-            cpu_cores=submission.cpu_cores,
-            memory_mb=submission.memory_mb,
-            timeout_s=submission.timeout_s,
+            **submission.options,
             protocol=protocol,
             affinity=affinity,
-            stop_when=submission.stop_when,
-            repeat_disturbed=submission.repeat_disturbed,
             visibility=None if submission.visibility is None else Visibility(submission.visibility),
         )
         for index in range(submission.repeat)

@@ -13,6 +13,7 @@ from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.base.files import hash_files, write_aside
 from slamhive.base.settings import Settings
 from slamhive.documents.catalogue import MatchDocument
+from slamhive.documents.limits import Limits, RunOptions
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Gpu, GpuNeed
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
@@ -42,20 +43,16 @@ from slamhive.services.weights import StoredWeights
 
 CONTAINER_ROOT = "/slamhive"
 COMMAND = ("python3", f"{CONTAINER_ROOT}/mapping.py")
+_NICE = (
+    "import os, sys; nice = max(int(sys.argv[1]), os.getpriority(os.PRIO_PROCESS, 0)); "
+    "os.setpriority(os.PRIO_PROCESS, 0, nice); os.execv(sys.executable, [sys.executable, *sys.argv[2:]])"
+)
+"""Docker, Kubernetes and Slurm have no option for it, and an image may lack ``nice``, but every one has Python."""
 CONTAINER_WEIGHTS = "/slamhive-weights"
 CONTAINER_VOCABULARY = "/slamhive-vocabulary.txt"
 _VARIANT_CHECKSUM = "variant_checksum"
 MOST_BYTES_HASHED = 1_000_000
 """Larger inputs are hashed only if their hash is known already."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunLimits:
-    """Limits asked for with the run; None means the defaults of settings and package."""
-
-    cpu_cores: float | None = None
-    memory_mb: int | None = None
-    timeout_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +70,7 @@ class Job:
     dataset: Dataset
     configuration: Configuration
     seed: int
-    limits: RunLimits
+    options: RunOptions
     used: UsedVariant | None = None
     input_map: FoundMap | None = None
     gpu: Gpu | None = None
@@ -125,7 +122,7 @@ def check_recorded(
             )
 
 
-def check_executor(executor: Executor, package: AlgorithmPackage, asked: RunLimits) -> None:
+def check_executor(executor: Executor, package: AlgorithmPackage, asked: Limits) -> None:
     """Raise InvalidInput if ``executor`` can never run the package, or does not enforce a limit that was asked for."""
     try:
         executor.check_package(package)
@@ -191,7 +188,7 @@ def build_spec(
         package_folder=job.algorithm.package.folder,
         image=job.algorithm.package.image,
         identity=identity,
-        command=COMMAND,
+        command=with_niceness(COMMAND, job.options.nice),
         inputs=tuple(_inputs(job, folder, settings)),
         outputs=(results,),
         environment=_environment(job, settings),
@@ -204,6 +201,11 @@ def build_spec(
         variant=job.order,
         shm_bytes=None if job.algorithm.package.shm_mb is None else job.algorithm.package.shm_mb * 1_000_000,
     )
+
+
+def with_niceness(command: tuple[str, ...], nice: int) -> tuple[str, ...]:
+    """The command of a Python program that first takes this niceness, unless it is started with a higher one."""
+    return (command[0], "-c", _NICE, str(nice), *command[1:]) if nice else command
 
 
 def _environment(job: Job, settings: Settings) -> dict[str, str]:
@@ -219,8 +221,8 @@ def _map_target(found: FoundMap) -> str:
 
 def time_limit_s(job: Job, settings: Settings) -> float:
     """The wall-clock limit: as asked for, or derived from the recording's duration and the playback rate."""
-    if job.limits.timeout_s is not None:
-        return job.limits.timeout_s
+    if job.options.timeout_s is not None:
+        return job.options.timeout_s
     duration_s = job.dataset.duration_s / min(job.configuration.playback.rate, 1.0)
     factor = max(settings.run_timeout_factor, job.algorithm.package.time_factor)
     return factor * duration_s + settings.run_timeout_slack_s
@@ -299,9 +301,9 @@ def _input(name: str, source: Path, target: str, *, content: str | None = None, 
 
 
 def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None) -> ResourceLimits:
-    memory_mb = job.limits.memory_mb or settings.run_memory_mb or job.algorithm.package.memory_mb
+    memory_mb = job.options.memory_mb or settings.run_memory_mb or job.algorithm.package.memory_mb
     return ResourceLimits(
-        cpu_cores=job.limits.cpu_cores or settings.run_cpu_cores or None,
+        cpu_cores=job.options.cpu_cores or settings.run_cpu_cores or None,
         memory_bytes=memory_mb * 1_000_000,
         pids=settings.run_pids,
         cpuset=cores,

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, replace
 
 from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
+from slamhive.documents.limits import RunOptions
 from slamhive.domain.algorithm import GpuNeed
 from slamhive.domain.parameters import check_stored
 from slamhive.domain.run import FailureReason, Host, RunState
@@ -18,7 +19,6 @@ from slamhive.run_folder.outcome import skipped
 from slamhive.services.configurations import find_map
 from slamhive.services.runs import (
     Job,
-    RunLimits,
     build_spec,
     check_dataset_files,
     check_disk,
@@ -110,13 +110,14 @@ class Preparing:
         dataset = context.catalogue.dataset(run.dataset)
         algorithm.assign(dataset, configuration.sensors)
         check_stored(algorithm.name, algorithm.parameters, configuration.parameters)
-        limits = RunLimits(run.cpu_cores, run.memory_mb, run.timeout_s)
         found = None
         if configuration.map is not None:
             found = find_map(context.store, context.settings.runs_folder, configuration.map.run, algorithm)
             if found.map != configuration.map:
                 raise InvalidInput(f"the map {found.path} has changed since the run was queued", "submit the run again")
-        return Job(run.id, run.uid, algorithm, dataset, configuration, run.seed, limits, input_map=found)
+        return Job(
+            run.id, run.uid, algorithm, dataset, configuration, run.seed, RunOptions(**run.options), input_map=found
+        )
 
     def _with_variant(self, job: Job) -> Job:
         """Add the variant: made if necessary and held until the driver releases the run, or made on its node."""

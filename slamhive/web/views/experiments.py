@@ -9,6 +9,8 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 from flask import url_for as address
 
 from slamhive.base.errors import NotFound, SlamHiveError
+from slamhive.documents.limits import Limits, StopWhen
+from slamhive.documents.options import options_of
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.protocol import ALIGNMENT_LABELS
@@ -232,6 +234,8 @@ def _builder_words(edited: ExperimentDraft) -> dict[str, Any]:
         "draft": edited,
         "builder": None if edited.fields is None else builder(edited.fields, *installed),
         "alignments": alignments,
+        "limits": list(options_of(Limits)),
+        "rules": list(options_of(StopWhen)),
         "executors": [("", "from the settings"), *((name, name) for name in EXECUTORS.names())],
         "most_text": MOST_TEXT,
     }
