@@ -180,8 +180,8 @@ def _mail(settings: Settings) -> Mail:
     )
 
 
-# Sending. What was sent is in ``notices.json`` in the folder of the experiment, written after the sending: if the
-# worker is killed in between, the notice is sent again, and never lost.
+# ``notices.json`` in the folder of the experiment holds what was sent. It is written after the sending: a worker that is
+# killed in between sends the notice again, and loses none.
 
 RECORD = "notices.json"
 LOCK = ".notices.lock"

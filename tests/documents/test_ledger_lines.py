@@ -27,7 +27,8 @@ def test_a_new_option_of_a_run_cannot_be_forgotten_in_the_ledger():
 def test_a_line_of_a_version_with_fewer_or_more_options_is_read():
     line = RunsLine.read({"at": AT, "request": {**REQUEST, "of_tomorrow": 1}, "runs": [[7, UID, 3, 0, None, None]]})
     assert line.runs == (RunRow(7, UID, 3, 0, None, None),)
-    assert (line.request.repeat_disturbed, line.request.stop_when) == (0, NEVER)
+    options = vars(line.request)
+    assert (options["repeat_disturbed"], options["stop_when"]) == (0, NEVER)
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def served(hive, **settings: object) -> Iterator[http.client.HTTPConnection]:
         hive.settings = before
 
 
-def ask(connection, method: str, path: str, fields: dict[str, str] | None = None, **more: str):
+def ask(connection, method: str, path: str, fields: dict[str, str] | None = None, **more):
     headers = {**passed_on(), **more}
     if fields is not None:
         headers["Content-Type"] = "application/x-www-form-urlencoded"
@@ -84,7 +84,7 @@ def test_whoever_signs_in_behind_it_gets_a_cookie_for_https(site):
 def test_a_view_only_server_behind_it_shows_pages_and_takes_no_change(site):
     with served(site.web.hive, mode=Mode.VIEW_ONLY, public_url=f"https://{PUBLIC}") as connection:
         assert ask(connection, "GET", "/runs")[0].status == 200
-        foreign, _ = ask(connection, "GET", "/runs", **{"X-Forwarded-Host": "evil.example"})
+        foreign, _ = ask(connection, "GET", "/runs", None, **{"X-Forwarded-Host": "evil.example"})
         assert foreign.status == 400
         assert ask(connection, "POST", "/runs/1/cancel", {}, Origin=f"https://{PUBLIC}")[0].status == 403
 

@@ -57,5 +57,5 @@ def _hasher() -> PasswordHasher:
 
 @cache
 def nobodys_hash() -> str:
-    """Make a hash to compare with passwords of unknown accounts, so that the time of an answer tells nothing."""
+    """Make a hash to compare with passwords of unknown accounts, so that the time of an answer gives nothing away."""
     return _hasher().hash("")

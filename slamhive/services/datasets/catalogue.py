@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from slamhive.recordings.importing import ImportOptions, ImportPlan
     from slamhive.recordings.room import RoomOptions
 
-# Stamps tell if any file of a kind has changed. Pages look at the catalogue several times; listing a folder and asking
+# Times of modification show if any file of a kind has changed. Pages look at the catalogue several times; listing a folder and asking
 # for the status of each file takes a tenth of the time that ``Path.glob`` takes.
 
 Stamp = tuple[int, int, int]

@@ -129,7 +129,7 @@ def read_about(folder: RunFolder) -> dict[str, Any] | None:
 
 
 def _gone_because(status: RunStatus, saved: dict[str, Any], *, taken_along: bool) -> str | None:
-    """Say why the end of the run tells nothing about the algorithm; None if it does.
+    """Say why the end of the run says nothing about the algorithm; None if it does.
 
     A worker that takes over cannot ask why the engine ended a run, so the record must tell. An engine that takes its
     runs along when it goes away asks them to end, and an algorithm that saves its map then exits with 0.

@@ -160,9 +160,8 @@ class RunInHand:
     def _begin_record(self, transaction: Transaction, changes: dict[str, Any] | None = None) -> None:
         """Write ``sharing.json`` and then the record of a run that has none yet.
 
-        The order matters: until the record exists, users change owner and visibility in the row, which this
-        transaction has locked, and in the ledger; afterwards in the folder, which a later attempt therefore leaves
-        alone.
+        The order matters. Until the record exists, users change owner and visibility in the row, which this transaction
+        has locked, and in the ledger. Afterwards they change the folder, so a later attempt leaves that alone.
         """
         if not (self.folder.record.exists() and self.folder.sharing.exists()):
             run = transaction.runs.get(self.run.id)
