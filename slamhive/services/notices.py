@@ -180,8 +180,8 @@ def _mail(settings: Settings) -> Mail:
     )
 
 
-# ``notices.json`` in the folder of the experiment holds what was sent. It is written after the sending: a worker that is
-# killed in between sends the notice again, and loses none.
+# ``notices.json`` in the folder of the experiment holds what was sent. It is written after the sending: a worker that
+# is killed in between sends the notice again, and loses none.
 
 RECORD = "notices.json"
 LOCK = ".notices.lock"

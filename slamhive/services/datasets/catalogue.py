@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from slamhive.recordings.importing import ImportOptions, ImportPlan
     from slamhive.recordings.room import RoomOptions
 
-# Times of modification show if any file of a kind has changed. Pages look at the catalogue several times; listing a folder and asking
-# for the status of each file takes a tenth of the time that ``Path.glob`` takes.
+# Times of modification show if any file of a kind has changed. Pages look at the catalogue several times. Listing a
+# folder and asking for the status of each file takes a tenth of the time that ``Path.glob`` takes.
 
 Stamp = tuple[int, int, int]
 """Time of the last change in ns, size in bytes and inode of a file: they differ once it has changed."""

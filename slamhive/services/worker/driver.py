@@ -1,7 +1,7 @@
 """Drive one run from state to state.
 
-If the worker dies during a step, another worker repeats that step. It finds in the record what the first one has stored,
-and starting the same run twice finds the first start.
+If the worker dies during a step, another worker repeats that step. It finds in the record what the first one has
+stored, and starting the same run twice finds the first start.
 """
 
 from __future__ import annotations
