@@ -1,1 +1,1 @@
-"""What every other package may use: errors, clock, files, YAML, bounds, settings, registry."""
+"""Parts that every other package may use: errors, clock, files, YAML, bounds, settings, registry."""

@@ -137,7 +137,7 @@ def _held(folder: Path) -> Iterator[bool]:
 
 @contextmanager
 def _unheld(path: Path) -> Iterator[bool]:
-    """Whether no process holds the file or folder; nobody can take it during the block."""
+    """Tell if no process holds the file or folder; nobody can take it during the block."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
     except OSError:
@@ -174,13 +174,13 @@ def share_with_group(path: Path) -> None:
 
 
 def is_full(error: BaseException) -> bool:
-    """Whether ``error``, or what caused it, says that a disk or a quota is full."""
+    """Tell if ``error``, or what caused it, says that a disk or a quota is full."""
     cause = error if isinstance(error, OSError) else error.__context__
     return isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def remedy_of(error: OSError) -> str:
-    """What to do about a file or folder that could not be written."""
+    """Remedy for a file or folder that could not be written."""
     if error.errno == errno.EROFS:
         return "the data root is read-only here; use the command line where the worker runs"
     return "check space and rights"

@@ -51,7 +51,7 @@ class PluginOrigin:
 
     @property
     def is_plugin(self) -> bool:
-        """Whether it comes from another package."""
+        """Tell if it comes from another package."""
         return bool(self.entry_point)
 
     def __str__(self) -> str:
@@ -127,7 +127,7 @@ class Registry(Generic[T]):
         return sorted([*self._origins.values(), *self._broken], key=lambda origin: origin.name)
 
     def is_plugin(self, name: str) -> bool:
-        """Whether the entry called ``name`` comes from another package."""
+        """Tell if the entry called ``name`` comes from another package."""
         return self._origins[name].is_plugin
 
     def drop(self, name: str, error: Exception) -> None:

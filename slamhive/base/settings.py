@@ -17,7 +17,7 @@ LARGEST = {"bytes": 1e15}
 
 
 class Mode(StrEnum):
-    """What this installation is for."""
+    """Purpose of this installation."""
 
     WORKSTATION = "workstation"
     VIEW_ONLY = "view-only"
@@ -26,12 +26,12 @@ class Mode(StrEnum):
 
     @property
     def has_other_machines(self) -> bool:
-        """Whether algorithms run on other machines only. Those of a cloud are rented, and form a cluster."""
+        """Tell if algorithms run on other machines only. Those of a cloud are rented, and form a cluster."""
         return self in {Mode.CLUSTER, Mode.CLOUD}
 
 
 class Auth(StrEnum):
-    """Whether callers of the web server sign in."""
+    """Tell if callers of the web server sign in."""
 
     AUTO = "auto"
     ACCOUNTS = "accounts"
@@ -47,14 +47,14 @@ class NewAccounts(StrEnum):
 
 
 class NewRuns(StrEnum):
-    """Who sees what accounts make until its owner says otherwise. Nothing is public unasked."""
+    """Visibility of what accounts make until its owner says otherwise. Nothing is public unasked."""
 
     PRIVATE = "private"
     TEAM = "team"
 
 
 class MailSecurity(StrEnum):
-    """How the connection to a mail server is protected."""
+    """Protection of the connection to a mail server."""
 
     STARTTLS = "starttls"
     TLS = "tls"
@@ -80,7 +80,7 @@ class ExecutorOption:
 
 @dataclass(frozen=True, slots=True)
 class SettingKind:
-    """What a setting may be. ``kind`` is the type of its values; numbers are from ``minimum`` to ``maximum``.
+    """Bounds of a setting. ``kind`` is the type of its values; numbers are from ``minimum`` to ``maximum``.
 
     ``unit`` is that of the number, empty for none. The value of a ``secret`` is shown nowhere.
     """

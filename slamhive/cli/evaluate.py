@@ -10,7 +10,7 @@ import click
 
 from slamhive.base.errors import Conflict, InvalidInput
 from slamhive.base.settings import Mode
-from slamhive.base.strict_yaml import dump as strict_yaml_dump
+from slamhive.base.strict_yaml import dump as yaml_text
 from slamhive.cli import completion
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli, run_number
 from slamhive.cli.output import hints_of, print_hints, print_json, print_table, tell
@@ -176,9 +176,7 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
         say(f"# {preset.title}\n# {preset.differs}\n# {preset.source}")
         say(f"# prints {', '.join(preset.metrics)}; fingerprint {preset.protocol.fingerprint}")
     values = {key: list(value) if isinstance(value, tuple) else value for key, value in request.values.items()}
-    write_out(
-        strict_yaml_dump({key: str(v) if isinstance(v, str) else v for key, v in values.items() if v is not None})
-    )
+    write_out(yaml_text({key: str(v) if isinstance(v, str) else v for key, v in values.items() if v is not None}))
 
 
 @protocol.command("use", short_help="Show the metrics of PROTOCOL for runs")

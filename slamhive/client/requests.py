@@ -98,7 +98,7 @@ def run_page(query: RunQuery, after: str | None) -> Request[RunPage]:
 
 
 def run_count(query: RunQuery) -> Request[int]:
-    """How many runs match; from :data:`EXACT_BELOW` on, there may be more."""
+    """Number of runs that match; from :data:`EXACT_BELOW` on, there may be more."""
     return Request("/runs", lambda data: _document(RunPage)(data).total, {**_arguments(query), "limit": "1"})
 
 
@@ -128,7 +128,7 @@ def run_log(run_id: int, max_bytes: int) -> Request[str]:
 
 
 def run_progress(run_id: int) -> Request[ProgressDocument]:
-    """How far a run is."""
+    """Progress of a run."""
     return _get(f"/runs/{run_id}/progress", ProgressDocument)
 
 

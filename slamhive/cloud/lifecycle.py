@@ -56,7 +56,7 @@ class CloudStep:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What the plan shows, and what only the record knows: whether firewall and first machine are finished."""
+    """The plan, and what only the record knows: whether firewall and first machine are finished."""
 
     nodes: int
     image: bool
@@ -120,7 +120,7 @@ def _machines(wanted: Wanted, found: Sequence[Resource]) -> CloudStep:
 
 
 def deletable(found: Sequence[Resource]) -> tuple[Resource, ...]:
-    """What can be deleted now. Machines go first, because disks and firewalls are in use until they are gone.
+    """Resources that can be deleted now. Machines go first, because disks and firewalls are in use until they are gone.
 
     An image that does not know its snapshots yet has to wait, because nobody would find these without it.
     """
@@ -149,7 +149,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Hands:
-    """What a cluster is made with.
+    """Parts that a cluster is made with.
 
     ``prepare`` copies data to the first machine, at this address. ``join`` is the secret command of settings.
     """
@@ -292,12 +292,12 @@ _DOWN = "slamhive cloud down {} removes it"
 
 
 def cloud_name(record: CloudRecord) -> str:
-    """What firewall and image are called: no other cluster can have the name."""
+    """Name of firewall and image: no other cluster can have it."""
     return f"slamhive-{record.name}-{record.uid}"
 
 
 def cluster_resources(provider: Provider, uid: str) -> list[Resource]:
-    """What the provider holds of a cluster."""
+    """Resources of a cluster that the provider holds."""
     return [entry for entry in provider.found() if entry.tags[UID_TAG] == uid]
 
 

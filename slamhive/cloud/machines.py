@@ -30,7 +30,7 @@ END_MARGIN = timedelta(minutes=5)
 
 @dataclass(frozen=True, slots=True)
 class NodeOrders:
-    """What one machine has to know. ``waits``: it joins only when it has been prepared and starts again."""
+    """Facts that one machine needs. ``waits``: it joins only when it has been prepared and starts again."""
 
     cluster: str
     number: int

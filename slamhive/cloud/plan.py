@@ -1,4 +1,4 @@
-"""What renting machines takes: how many, for how long, at what price. Nothing here asks a provider."""
+"""The plan of renting machines: how many, for how long, at what price. Nothing here asks a provider."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _network(text: str) -> str:
 
 
 class ProviderName(StrEnum):
-    """Who rents out machines."""
+    """Companies that rent out machines."""
 
     EC2 = "ec2"
     ECS = "ecs"
@@ -59,7 +59,7 @@ class _Section(BaseModel):
 
 
 class FirewallRule(_Section):
-    """Who may reach the machines. They always reach each other, and whatever is outside."""
+    """Addresses that may reach the machines. They always reach each other, and whatever is outside."""
 
     protocol: Literal["tcp", "udp"] = Field("tcp", description="Of the connection.")
     port: Annotated[int, Field(ge=1, le=65535)] = Field(description="Port of the machines.")
@@ -78,7 +78,7 @@ class Network(_Section):
 
 
 class Prices(_Section):
-    """What the provider asks, as somebody looked it up. Taxes and traffic are not included."""
+    """Prices of the provider, as somebody looked them up. Taxes and traffic are not included."""
 
     date: dt.date = Field(description="When the prices were looked up, YYYY-MM-DD.")
     currency: Annotated[str, Field(pattern=r"\A[A-Z]{3}\z")] = Field(description="ISO 4217 code, such as USD.")
@@ -99,7 +99,7 @@ class CloudImages(_Section):
 
 
 class Preparation(_Section):
-    """What is done on the first machine before it is copied. It needs SSH, and a rule of the firewall for it."""
+    """Set-up of the first machine before it is copied. It needs SSH, and a rule of the firewall for it."""
 
     user: Identifier = Field(description="Who logs in by SSH and may use sudo without a password.")
     public_key: str = Field(min_length=1, description="File with the public key of SSH; beside it is the private key.")
@@ -114,7 +114,7 @@ class Preparation(_Section):
 
 
 class CloudFile(_Section):
-    """What to rent. `slamhive cloud plan` shows what follows from it."""
+    """Machines to rent. `slamhive cloud plan` shows what follows from it."""
 
     model_config = ConfigDict(title="SLAM Hive cloud file")
 
@@ -175,7 +175,7 @@ HOURS_OF_MONTH = 730.0
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """What the machines are for: ``hours`` if one run executed at a time, and bytes to copy to the first machine."""
+    """Work of the machines: ``hours`` if one run executed at a time, and bytes to copy to the first machine."""
 
     hours: float
     runs: int | None = None
@@ -185,7 +185,7 @@ class Work:
 
 @dataclass(frozen=True, slots=True)
 class CloudPlan:
-    """What will be rented.
+    """Machines that will be rented.
 
     ``lifetime_h`` is when machines end themselves, after the start: the deadline, or earlier where the budget ends.
     ``most_cost`` is the price if all of them last so long. ``expected_cost`` is what the work needs. The image, which
@@ -223,12 +223,12 @@ IMAGE = "image"
 
 
 def machine_role(number: int) -> str:
-    """What the machine with this number, from 0, is called in its tag."""
+    """Name of the machine with this number, from 0, in its tag."""
     return f"machine-{number}"
 
 
 def planned_roles(nodes: int, *, image: bool) -> tuple[str, ...]:
-    """What is created, in this order; nothing else is. A machine has its disk, and an image its snapshot."""
+    """Resources that are created, in this order; nothing else is. A machine has its disk, and an image its snapshot."""
     return (FIREWALL, machine_role(0), *((IMAGE,) if image else ()), *map(machine_role, range(1, nodes)))
 
 
@@ -295,7 +295,7 @@ def _prepare_h(order: CloudFile, work: Work) -> float:
 
 
 def _nodes(order: CloudFile, work: Work, prepare_h: float) -> int:
-    """As many as finish the work in ``finish_within_h``."""
+    """Number of machines that finish the work in ``finish_within_h``."""
     within_h = order.finish_within_h or math.inf
     image_h = IMAGE_H + IMAGE_H_PER_GB * work.data_bytes / 1e9 if order.prepare is not None else 0.0
     left_h = within_h - prepare_h - 2 * BOOT_H - image_h

@@ -1,4 +1,4 @@
-"""What a provider holds for us, as every provider reports it."""
+"""Resources that a provider holds for us, as every provider reports them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ResourceKind(StrEnum):
 
 
 class State(StrEnum):
-    """How far a resource is. A firewall is always ready."""
+    """State of a resource. A firewall is always ready."""
 
     PENDING = "pending"
     READY = "ready"
@@ -59,7 +59,7 @@ class Resource:
 
     @property
     def role(self) -> str:
-        """What it is in the plan; empty for a disk or snapshot."""
+        """Name in the plan; empty for a disk or snapshot."""
         return self.tags.get(ROLE_TAG, "")
 
 
@@ -134,7 +134,7 @@ class CloudRecords:
         return record
 
     def installation(self) -> str:
-        """What this data root is called in tags. It is made at first use."""
+        """Name of this data root in tags. It is made at first use."""
         path = self.folder / _INSTALLATION
         if not path.is_file():
             self._make_folder()

@@ -56,7 +56,7 @@ Nice = Annotated[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What each run may use; None means the default of the settings or of the package."""
+    """Limits of each run; None means the default of the settings or of the package."""
 
     cpu_cores: CpuCores = None
     memory_mb: MemoryMb = None

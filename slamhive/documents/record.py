@@ -23,7 +23,7 @@ FORMAT = 1
 
 
 class ConfigurationContent(Document):
-    """What exactly is run."""
+    """The configuration that is run."""
 
     algorithm: str
     dataset: str
@@ -73,7 +73,7 @@ else:
 
 
 class RecordedRequest(StoredOptions, ConfigurationContent):
-    """What was asked for."""
+    """The request for the run."""
 
     executor: str
     seed: Whole
@@ -105,7 +105,7 @@ class RunStart(Document):
 
 
 class RecordedOutcome(Document):
-    """How a run has ended."""
+    """The end of a run."""
 
     state: RunState
     reason: FailureReason | None = None
@@ -119,7 +119,7 @@ class RecordedOutcome(Document):
 
 
 class RecordedVersion(Document):
-    """What exactly ran."""
+    """The version that ran."""
 
     package: str | None = None
     mode: str = ""

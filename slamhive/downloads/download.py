@@ -42,7 +42,7 @@ _SAVE_EVERY_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Remote:
-    """What an address offers: its size in bytes (None if it does not say), whether it gives ranges, and its version.
+    """Offer of an address: its size in bytes (None if it does not say), whether it gives ranges, and its version.
 
     ``version`` is the ETag or the date of the last change; empty if the server states neither.
     """
@@ -80,7 +80,7 @@ class PartFile:
 
     @property
     def done_bytes(self) -> int:
-        """How many bytes are there."""
+        """Number of bytes that are there."""
         with self._lock:
             return sum(end - start for start, end in self._done)
 
@@ -103,7 +103,7 @@ class PartFile:
         self.save()
 
     def missing(self, size_bytes: int, longest: int) -> Iterator[Span]:
-        """What is not there yet, in spans of at most ``longest`` bytes."""
+        """Missing bytes, in spans of at most ``longest`` bytes."""
         with self._lock:
             bounds = [*self._done, (size_bytes, size_bytes)]
         position = 0
@@ -282,7 +282,7 @@ _SPARE_BYTES = 100_000_000
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How a download proceeds.
+    """Progress of a download.
 
     ``attempts`` is how often it may fail in a row without new bytes. The pause after a failure doubles from
     ``first_pause_s``; a server that asks to wait longer than ``longest_pause_s`` ends the download.

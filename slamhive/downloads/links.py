@@ -23,7 +23,7 @@ class CheckedLink:
 
 @dataclass(frozen=True, slots=True)
 class LinkReport:
-    """What an address answered; ``problem`` is None if it gives the file."""
+    """The answer of an address; ``problem`` is None if it gives the file."""
 
     address: str
     problem: str | None

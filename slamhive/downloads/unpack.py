@@ -38,7 +38,7 @@ _LONG_HEADERS = {tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.GNUTYPE_LONGNAME, tar
 
 
 class MemberKind(StrEnum):
-    """What a member of an archive is. Only files and folders are unpacked."""
+    """Kind of an archive's member. Only files and folders are unpacked."""
 
     FILE = "file"
     FOLDER = "folder"
@@ -164,7 +164,7 @@ _ENTRY_BYTES = 400
 
 @dataclass(frozen=True, slots=True)
 class UnpackLimits:
-    """What an archive may become: recordings shrink to a third at best, bombs to a thousandth."""
+    """Limits of an unpacked archive: recordings shrink to a third at best, bombs to a thousandth."""
 
     ratio: float = 100.0
     always_bytes: int = 200_000_000
@@ -172,13 +172,13 @@ class UnpackLimits:
     files: int = 1_000_000
 
     def bytes_of(self, packed_bytes: int) -> int:
-        """How much may come out of an archive of ``packed_bytes``."""
+        """Bytes that may come out of an archive of ``packed_bytes``."""
         return min(self.total_bytes, max(int(self.ratio * packed_bytes), self.always_bytes))
 
 
 @dataclass(frozen=True, slots=True)
 class MemberChoice:
-    """What to take out of an archive: the file or folder ``take`` (empty: all) becomes ``to`` (empty: the folder)."""
+    """Part to take out of an archive: file or folder ``take`` (empty: all) becomes ``to`` (empty: the folder)."""
 
     take: str = ""
     to: str = ""
@@ -239,7 +239,7 @@ class _Writer:
 
     @property
     def files(self) -> int:
-        """How many files were written."""
+        """Number of files that were written."""
         return len(self._own)
 
     def check_directory(self) -> None:

@@ -64,14 +64,14 @@ class AccessToken:
     value: str
 
     def allowed(self, address: str) -> bool:
-        """Whether ``address`` may get it."""
+        """Tell if ``address`` may get it."""
         parts = urlsplit(address)
         return parts.hostname == self.host and (parts.scheme == "https" or self.host in {"127.0.0.1", "localhost"})
 
 
 @dataclass(frozen=True, slots=True)
 class Timeouts:
-    """How long to wait for a connection, and for the next bytes, in s."""
+    """Time-outs of the connection and of the next bytes, in s."""
 
     connect_s: float = 15.0
     read_s: float = 30.0

@@ -36,7 +36,7 @@ class Filter:
                 raise at(where.place, unknown("name in the condition", name, sorted(known)))
 
     def excludes(self, context: Mapping[str, Value]) -> bool:
-        """Whether a condition is decided against ``context``."""
+        """Tell if a condition is decided against ``context``."""
         for where in self._where:
             try:
                 if where.condition.decide(context, self._known) is False:
@@ -146,7 +146,7 @@ def _condition_names(experiment: Experiment, view: CatalogueView, axes: Mapping[
 
 
 def _varied(parameter: Parameter, algorithm: str, experiment: Experiment) -> bool:
-    """Whether the experiment sets the parameter. If not, its sensor does, and conditions cannot know the value."""
+    """Tell if the experiment sets the parameter. If not, its sensor does, and conditions cannot know the value."""
     axes = (axis for axis in experiment.parameters if axis.algorithm in (None, algorithm))
     return any(axis.key in (parameter.key, parameter.general) for axis in axes)
 

@@ -18,7 +18,7 @@ MAX_COMBINATIONS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How large an experiment is.
+    """Size of an experiment.
 
     ``combinations`` before conditions, ``configurations`` after (identical ones, which become one when expanded,
     still counted each), ``runs`` with seeds and repeats. ``variants`` of datasets are needed for them. ``axes``: {what

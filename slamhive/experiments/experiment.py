@@ -94,7 +94,7 @@ class SensorChoice:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationChoice:
-    """Whether runs are evaluated, and how; ``alignment`` None means that it is chosen from the sensors."""
+    """Tell if runs are evaluated, and how; ``alignment`` None means that it is chosen from the sensors."""
 
     enabled: bool = True
     alignment: Alignment | None = None
@@ -102,7 +102,7 @@ class EvaluationChoice:
 
 @dataclass(frozen=True, slots=True)
 class PlaybackAxes:
-    """How the recordings are fed; both may vary."""
+    """The way in which the recordings are fed; both may vary."""
 
     modes: tuple[PlaybackMode, ...] = (PlaybackMode.REALTIME,)
     rates: tuple[float, ...] = (1.0,)
@@ -153,7 +153,7 @@ class Experiment:
         return _hash(_content(self))
 
     def has_hash(self, content_hash: str) -> bool:
-        """Whether ``content_hash`` was taken of the same content, now or when files were read as YAML 1.1."""
+        """Tell if ``content_hash`` was taken of the same content, now or when files were read as YAML 1.1."""
         return content_hash in {self.content_hash, _hash(_content(self, yaml_1_1=True))}
 
 

@@ -176,14 +176,14 @@ class StepModel(_Model):
 
 
 class PlaybackModel(_Model):
-    """How the recording is fed."""
+    """The way in which the recording is fed."""
 
     mode: Modes = Field(default=(PlaybackMode.REALTIME,), description="realtime, sequential, or both.")
     rate: Rates = Field(default=(1.0,), description="Times real time.")
 
 
 class EvaluateModel(_Model):
-    """How runs are evaluated."""
+    """The way in which runs are evaluated."""
 
     alignment: RequestedAlignment = None
 

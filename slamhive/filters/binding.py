@@ -112,7 +112,7 @@ Bound: TypeAlias = Tree[Condition]
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """Which runs: ``tree`` (None: all), and the protocol of the metrics (None: each run's current one)."""
+    """The runs of ``tree`` (None: all), and the protocol of the metrics (None: each run's current one)."""
 
     tree: Bound | None = None
     protocol: str | None = None
@@ -312,5 +312,5 @@ def members_of(condition: Condition) -> set[str]:
 
 
 def matches(text: str, pattern: str) -> bool:
-    """Whether ``text`` matches ``pattern``: ``*`` stands for any text, ``?`` for one character."""
+    """Tell if ``text`` matches ``pattern``: ``*`` stands for any text, ``?`` for one character."""
     return fnmatchcase(text, pattern.replace("[", "[[]"))

@@ -286,7 +286,7 @@ UNITS = frozenset(unit for scales in _SCALES.values() for unit in scales) | {"%"
 
 
 def is_number(text: str) -> bool:
-    """Whether ``text`` is a plain number."""
+    """Tell if ``text`` is a plain number."""
     return _NUMBER.fullmatch(text) is not None
 
 

@@ -55,7 +55,7 @@ def allowed_after(terminals: list[Token]) -> set[str]:
 
 
 def levels(parser: Any) -> int:
-    """How many brackets and ``not`` are open."""
+    """Number of open brackets and ``not``."""
     stack = parser.parser_state.value_stack
     return sum(isinstance(entry, Token) and entry.type in {"NOT", "OPEN"} for entry in stack)
 

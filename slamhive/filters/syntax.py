@@ -158,7 +158,7 @@ def written(tree: Tree[Leaf], leaf: Callable[[Leaf], str], outer: str = "") -> s
 
 
 class Sign(StrEnum):
-    """How a name is compared."""
+    """Kind of comparison of a name."""
 
     EQUAL = "="
     NOT_EQUAL = "!="
@@ -209,7 +209,7 @@ class FilterComparison:
 
     @property
     def is_alone(self) -> bool:
-        """Whether only the value was written."""
+        """Tell if only the value was written."""
         return self.place != NOWHERE and self.name.place == self.place
 
 

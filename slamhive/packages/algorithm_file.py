@@ -72,7 +72,7 @@ class ParameterModel(BaseModel):
 
 
 class ModeEntry(Protocol):
-    """What is asked of the mode that has a parameter."""
+    """Conditions on the mode that has a parameter."""
 
     @property
     def title(self) -> str:
@@ -162,7 +162,7 @@ class OriginModel(BaseModel):
 
 
 class TopicModel(BaseModel):
-    """How the algorithm learns of the topic of a role; see :class:`slamhive.domain.roles.TopicOf`."""
+    """The way in which the algorithm learns the topic of a role; see :class:`slamhive.domain.roles.TopicOf`."""
 
     model_config = ConfigDict(extra="forbid", defer_build=True)
     fixed: str | None = Field(default=None, pattern=_TOPIC)
@@ -341,7 +341,7 @@ def package_hash(folder: Path) -> str:
 
 
 def _pinned_image(path: Path, text: str) -> PinnedImage | None:
-    """What ``image`` names, None for an image without a digest. Raises InvalidInput for a name that says nothing."""
+    """The image that ``image`` names, None without a digest. Raises InvalidInput for a name that says nothing."""
     if text in {"own", "standard"}:
         return None
     try:
@@ -411,7 +411,7 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
 
 
 def _lidar_needs(package: _LidarModel, mode: _LidarModel | None) -> LidarNeeds:
-    """What the mode states wins over what the package states."""
+    """Join both; the mode wins over the package."""
     return LidarNeeds(**{**package.model_dump(), **({} if mode is None else mode.model_dump(exclude_unset=True))})
 
 
@@ -430,7 +430,7 @@ def _bound(path: Path, dataset: str, model: _BoundModel, parameters: tuple[Param
 
 
 def _requirements(path: Path, model: _PackageModel) -> Iterator[Requirement]:
-    """What must be known of the sensors; raises InvalidInput for a role that no mode has."""
+    """Facts that must be known of the sensors; raises InvalidInput for a role that no mode has."""
     roles = {role for mode in model.modes.values() for role in mode.inputs}
     for text, allowed in model.requires.items():
         try:

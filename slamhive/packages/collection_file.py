@@ -60,7 +60,7 @@ class _Model(BaseModel):
 
 
 class NeedModel(_Model):
-    """What must be accepted or asked for."""
+    """Conditions that must be accepted, and access that must be asked for."""
 
     kind: NeedKind
     text: str = Field(min_length=1, description="What to do, in one sentence.")
@@ -88,7 +88,7 @@ class FileModel(_Model):
 
 
 class PartModel(_Model):
-    """What a sequence takes of a file."""
+    """The part of a file that a sequence takes."""
 
     file: str = Field(description="A key of files.")
     take: InnerPath = Field(default="", description="File or folder in the archive; everything if empty.")
@@ -98,7 +98,7 @@ class PartModel(_Model):
 
 
 class SequenceModel(_Model):
-    """What is special about one sequence."""
+    """Differences of one sequence from the others."""
 
     values: dict[str, str] = Field(default_factory=dict, description="What placeholders stand for.")
     attributes: Words = Field(default_factory=list)

@@ -69,7 +69,7 @@ def build_run_config(
 
 
 def _algorithm_remap(algorithm: Algorithm, match: Match) -> dict[str, str]:
-    """What published scripts pass on as launch arguments: those that name topics, and no others."""
+    """Launch arguments that published scripts pass on: those that name topics, and no others."""
     topics = {entry.role: entry for entry in algorithm.topics}
     remap: dict[str, str] = {}
     for entry in match.remaps:

@@ -57,7 +57,7 @@ class CalibrationFile:
         return self.number(key) if key in self.content else None
 
     def numbers(self, key: str, *counts: int) -> tuple[float, ...]:
-        """As many finite numbers as one of ``counts`` says, from a list, an OpenCV matrix or a single number.
+        """Read as many finite numbers as one of ``counts`` says, from a list, an OpenCV matrix or a single number.
 
         Raises InvalidInput.
         """

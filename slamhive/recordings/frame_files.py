@@ -72,7 +72,7 @@ def read_image(path: Path, encoding: str) -> Array:
 
 
 def has_colour(path: Path) -> bool:
-    """Whether the image at ``path`` has several channels; raises InvalidInput as :func:`read_image`."""
+    """Tell if the image at ``path`` has several channels; raises InvalidInput as :func:`read_image`."""
     read_image(path, "mono8")
     pixels = cv2.imdecode(np.frombuffer(_read(path), dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     return pixels is not None and pixels.ndim == 3
@@ -100,7 +100,7 @@ def _read(path: Path) -> bytes:
 
 
 def _problem(data: bytes) -> str | None:
-    """What is wrong with the file of an image, None if nothing."""
+    """Name the fault of an image file, None if there is none."""
     if not data:
         return "is empty (0 bytes)"
     if data.startswith(_PNG_SIGNATURE):
@@ -113,7 +113,7 @@ def _problem(data: bytes) -> str | None:
 
 
 def _png_problem(data: bytes) -> str | None:
-    """What is wrong with a PNG's chunks, None if nothing (PNG specification, section 5)."""
+    """Name the fault of a PNG's chunks, None if there is none (PNG specification, section 5)."""
     position = len(_PNG_SIGNATURE)
     while position + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, position)
@@ -134,7 +134,7 @@ def _png_problem(data: bytes) -> str | None:
 
 
 def _jpeg_problem(data: bytes) -> str | None:
-    """What is wrong with a JPEG's segments, None if nothing (ITU T.81, annex B)."""
+    """Name the fault of a JPEG's segments, None if there is none (ITU T.81, annex B)."""
     position = 2
     while position + 4 <= len(data):
         lead, marker, length = struct.unpack_from(">BBH", data, position)
@@ -152,7 +152,7 @@ def _jpeg_problem(data: bytes) -> str | None:
 
 
 def _pnm_problem(data: bytes) -> str | None:
-    """What is wrong with a binary PGM or PPM, None if nothing (netpbm's manual of these formats)."""
+    """Name the fault of a binary PGM or PPM, None if there is none (netpbm's manual of these formats)."""
     header = _PNM_HEADER.match(data)
     if header is None:
         return "is corrupt: its PGM or PPM header cannot be read"

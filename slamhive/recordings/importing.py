@@ -1,4 +1,4 @@
-"""What an importer plans, and how a plan becomes a dataset.
+"""Plans of importers, and the way from a plan to a dataset.
 
 An importer reads the small files of a recording (lists, calibration, ground truth) and returns an
 :class:`ImportPlan`. Commands show the plan before anything is written. :func:`perform` then streams the messages
@@ -48,7 +48,7 @@ OPTION_HELP: dict[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class ImportOptions:
-    """What users say about a recording that its files do not; None or empty means "look for yourself".
+    """Facts about a recording that users state and its files do not; None or empty means "look for yourself".
 
     :data:`OPTION_HELP` explains the fields. All importers know ``accept_loss``: a :class:`Loss` is no error,
     however large.
@@ -148,7 +148,7 @@ class PlannedTruth:
 
     @property
     def definition(self) -> GroundTruth:
-        """As ``dataset.yaml`` describes it."""
+        """The sensor in the terms of ``dataset.yaml``."""
         return GroundTruth(
             GROUND_TRUTH_FILE,
             gravity_aligned=self.gravity_aligned,
@@ -167,7 +167,7 @@ class PlannedTruth:
 
 @dataclass(frozen=True, slots=True)
 class DatasetText:
-    """What people read about a dataset, see :class:`~slamhive.domain.dataset.Dataset`."""
+    """Text about a dataset for people, see :class:`~slamhive.domain.dataset.Dataset`."""
 
     title: str
     description: str = ""
@@ -179,7 +179,7 @@ class DatasetText:
 
 @dataclass(frozen=True, eq=False)
 class ImportPlan:
-    """What an import will make.
+    """Plan of an import.
 
     Attributes:
         recording: The streams that are written, or the recording that is kept or rewritten.
@@ -326,7 +326,7 @@ def _part(progress: Progress, start: float, end: float) -> Progress:
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """Whether a folder has a format: ``found`` is the evidence for it, ``missing`` what it lacks; both in words.
+    """Tell if a folder has a format: ``found`` is the evidence for it, ``missing`` what it lacks; both in words.
 
     Evidence that is ``weak``, such as bags in a folder, counts where no other format fits.
     """
@@ -337,7 +337,7 @@ class Detection:
 
     @property
     def complete(self) -> bool:
-        """Whether the folder can be converted."""
+        """Tell if the folder can be converted."""
         return bool(self.found) and not self.missing
 
 

@@ -1,4 +1,4 @@
-"""What formats with colour and depth images share: sensors and streams of one camera and its registered depth."""
+"""Common parts of formats with colour and depth images: sensors and streams of one camera and its registered depth."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def timed(frames: dict[int, Path], frames_per_s: float) -> Frames:
 
 
 def nominal_note(frames_per_s: float) -> str:
-    """What users should know of such timestamps."""
+    """Note for users about such timestamps."""
     return f"timestamps are nominal: {frames_per_s:g} frames per second (--frame-rate)"
 
 
@@ -175,6 +175,6 @@ def truth_of_matrices(times_ns: Array, poses: Array, source: str, *, gravity_ali
 
 
 def is_pose(matrix: Array) -> bool:
-    """Whether a (4, 4) is a rigid transform; formats write NaN, infinity or zeros for poses that are not known."""
+    """Tell if a (4, 4) is a rigid transform; formats write NaN, infinity or zeros for poses that are not known."""
     numbers = matrix.reshape(-1).tolist()
     return numbers[12:] == list(IDENTITY4[12:]) and is_rigid(tuple(numbers))

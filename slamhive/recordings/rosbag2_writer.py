@@ -30,7 +30,7 @@ _UNKNOWN_HASH = "unknown"
 
 @dataclass(frozen=True, slots=True)
 class Rosbag2Storage:
-    """How a ROS 2 recording is stored; ``plain`` is a single file without the folder around it."""
+    """Storage of a ROS 2 recording; ``plain`` is a single file without the folder around it."""
 
     plugin: StoragePlugin
     compression: CompressionMode = CompressionMode.NONE
@@ -42,7 +42,7 @@ SQLITE_FOLDER = Rosbag2Storage(StoragePlugin.SQLITE3)
 
 
 def storage_of(path: Path, reader: AnyReader) -> Rosbag2Storage:
-    """How the open recording at ``path`` is stored."""
+    """Storage of the open recording at ``path``."""
     (recording,) = reader.readers
     assert isinstance(recording, Reader)
     files = mcap_files(reader)

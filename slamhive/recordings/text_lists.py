@@ -82,7 +82,7 @@ class TimedList:
         return TimedList(self.path, self.times_ns[indices], rows, lines, self.repeated)
 
     def notes(self, kept: TimedList | None = None) -> tuple[str, ...]:
-        """What is left out, for users; ``kept`` are the rows whose files exist."""
+        """Note on rows that are left out, for users; ``kept`` are the rows whose files exist."""
         missing = 0 if kept is None else len(self) - len(kept)
         name, listed = self.path.name, len(self)
         found = (
@@ -133,7 +133,7 @@ def read_timed_list(path: Path, layout: str, unit: TimeUnit, *, columns: int | N
 
 
 def parse_timed_list(lines: list[str], path: Path, layout: str, unit: TimeUnit, *, columns: int) -> TimedList:
-    """As :func:`read_timed_list`, of ``lines`` that were read from ``path``."""
+    """The same as :func:`read_timed_list`, of ``lines`` that were read from ``path``."""
     times_ns: list[int] = []
     rows: list[list[str]] = []
     numbers: list[int] = []
@@ -224,7 +224,7 @@ class TextLine:
         try:
             values = [float(word) for word in words]
         except ValueError:
-            word = next(word for word in words if not _text_lines_is_number(word))
+            word = next(word for word in words if not _is_float(word))
             raise self.error(f"{word[:40]!r} in {what} is not a number", "correct or remove the line") from None
         if not all(map(math.isfinite, values)):
             raise self.error(f"a number in {what} is not finite", "correct or remove the line")
@@ -327,7 +327,7 @@ def lines(path: Path) -> Iterator[TextLine]:
         raise InvalidInput(f"{path} cannot be read: {error}", "copy or download the file again") from None
 
 
-def _text_lines_is_number(word: str) -> bool:
+def _is_float(word: str) -> bool:
     try:
         float(word)
     except ValueError:

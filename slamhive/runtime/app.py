@@ -36,7 +36,7 @@ class Algorithm(Protocol):
         """Return the trajectory, or several, after the end of the recording."""
 
     def about(self) -> dict[str, Any]:
-        """What the run should record of the algorithm: package, version, files used."""
+        """Facts of the algorithm for the record: package, version, files used."""
 
 
 MakeAlgorithm = Callable[[RunConfig], Algorithm]

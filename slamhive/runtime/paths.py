@@ -43,7 +43,7 @@ def run_paths(environment: Mapping[str, str] = os.environ) -> RunPaths:
 
 
 def is_recording(entry: Path) -> bool:
-    """Whether ``entry`` looks like a recording: a ``.bag``, ``.mcap`` or ``.db3`` file, or a folder of ROS 2."""
+    """Tell if ``entry`` looks like a recording: a ``.bag``, ``.mcap`` or ``.db3`` file, or a folder of ROS 2."""
     return entry.suffix in {".bag", ".mcap", ".db3"} or (entry / "metadata.yaml").is_file()
 
 

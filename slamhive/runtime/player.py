@@ -29,7 +29,7 @@ NEXT = "next"
 
 @dataclass(frozen=True, slots=True)
 class PlayerOptions:
-    """What to play and how.
+    """The recording to play, and the way to play it.
 
     ``topics`` maps role to topic; the first that is neither IMU nor odometry gives a frame its timestamp.
     """

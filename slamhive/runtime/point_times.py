@@ -34,7 +34,7 @@ class TimeUnit(StrEnum):
 
 
 class TimeReference(StrEnum):
-    """What the times of points count from."""
+    """The instant that the times of points count from."""
 
     SWEEP_START = "sweep_start"
     """The start of the sweep, whatever the message's timestamp is."""
@@ -45,7 +45,7 @@ class TimeReference(StrEnum):
 
 
 class SweepInstant(StrEnum):
-    """Which instant of the sweep the message's timestamp is."""
+    """The instant of the sweep that the message's timestamp states."""
 
     START = "start"
     MIDDLE = "middle"
@@ -59,7 +59,7 @@ class SweepInstant(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PointTimes:
-    """How the scans of one LiDAR state the time of each point.
+    """Rules by which the scans of one LiDAR state the time of each point.
 
     Attributes:
         scan_duration_s: The time of one sweep.
@@ -123,7 +123,7 @@ class PointTimes:
         return values
 
     def since_timestamp_s(self, cloud: PointCloud, stamp_s: float) -> Array:
-        """As :meth:`since_start_s`, but relative to the timestamp of the message."""
+        """The same as :meth:`since_start_s`, but relative to the timestamp of the message."""
         return self.since_start_s(cloud, stamp_s) - self.stamp.fraction * self.scan_duration_s
 
     def _check(self, since_start_s: Array) -> None:

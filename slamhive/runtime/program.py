@@ -1,4 +1,4 @@
-"""How the program of a run ends, and work that may crash or hang in a child process."""
+"""The end of a run's program, and work that may crash or hang in a child process."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def run_program(work: Callable[[RunPaths], None]) -> int:
 
 
 def done_by_child(work: Callable[[], object], limit_s: float) -> bool:
-    """Whether a copy of this process did ``work`` without an error within ``limit_s``; a slower one is killed."""
+    """Tell if a copy of this process did ``work`` without an error within ``limit_s``; a slower one is killed."""
     sys.stdout.flush()
     child = os.fork()
     if child == 0:

@@ -1,4 +1,4 @@
-"""What a run reports while it runs: ``progress.json`` for the controller, and lines for the log."""
+"""Reports of a run while it runs: ``progress.json`` for the controller, and lines for the log."""
 
 from __future__ import annotations
 

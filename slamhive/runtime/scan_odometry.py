@@ -1,4 +1,4 @@
-"""What adapters of LiDAR odometry share: sweeps with times, their IMU samples, and the timestamps of poses."""
+"""Common parts of adapters of LiDAR odometry: sweeps with times, their IMU samples, and the timestamps of poses."""
 
 from __future__ import annotations
 

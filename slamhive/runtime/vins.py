@@ -1,4 +1,4 @@
-"""What VINS-Mono and VINS-Fusion share: how they run, and the settings of cameras (for camodocal), IMU and solver."""
+"""Common parts of VINS-Mono and VINS-Fusion: start, and settings of cameras (for camodocal), IMU and solver."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def read_kitti(poses_path: Path, times_path: Path) -> Trajectory:
 
 
 def read_kitti_rows(poses_path: Path, times_path: Path) -> RawPoses:
-    """As :func:`read_kitti`, before it is known in which unit the timestamps are."""
+    """The same as :func:`read_kitti`, before it is known in which unit the timestamps are."""
     poses, matrices = _parse_poses(read_bounded(poses_path), str(poses_path))
     times = parse_table(read_bounded(times_path), str(times_path), 1, "timestamp")
     if poses.places[-1] != times.places[-1]:

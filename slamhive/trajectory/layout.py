@@ -196,7 +196,7 @@ def parse_rows(data: bytes, name: str, *, more_columns: bool = False) -> RawPose
 
 
 def parse_position_rows(data: bytes, name: str) -> RawPoses:
-    """As :func:`parse_rows`, of a file with times and positions only."""
+    """The same as :func:`parse_rows`, of a file with times and positions only."""
     table = parse_table(data, name, 4, "timestamp x y z")
     stated = Convention(stated_in(data).time_unit)
     quats = no_rotations(len(table.values))
@@ -210,7 +210,7 @@ _ORDERS = {tuple(order.value): order for order in QuaternionOrder}
 
 
 def stated_in(data: bytes) -> Convention:
-    """What the comment lines at the top of a file say, such as ``#timestamp [ns], p_x [m], ..., q_w [], q_x []``."""
+    """Read the comment lines at the top of a file, such as ``#timestamp [ns], p_x [m], ..., q_w [], q_x []``."""
     unit: TimeUnit | None = None
     order: QuaternionOrder | None = None
     for line in data.splitlines()[:_HEADER_LINES]:

@@ -84,7 +84,7 @@ class PoseFile:
 
     @property
     def has_order(self) -> bool:
-        """Whether the file has quaternions: files of positions or matrices have none."""
+        """Tell if the file has quaternions: files of positions or matrices have none."""
         return self.raw.orientations and self.format in {TrajectoryFormat.TUM, TrajectoryFormat.EUROC}
 
     def unit(self, told: Convention, other: Span | None, what: str = "the ground truth") -> Conclusion[TimeUnit]:

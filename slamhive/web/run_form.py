@@ -30,7 +30,7 @@ T = TypeVar("T")
 
 @dataclass(slots=True)
 class RunForm:
-    """What was typed, and what is wrong with it.
+    """Typed text, and what is wrong with it.
 
     ``values`` holds the text of each field by name, ``errors`` one message for each field that cannot be used.
     ``submission`` is there if all of them can, ``match`` if algorithm and dataset fit.
@@ -75,7 +75,7 @@ class RunForm:
         }
 
     def has_typed(self, group: str) -> bool:
-        """Whether something is typed into an option of this group."""
+        """Tell if something is typed into an option of this group."""
         return any(self.values.get(option.name) for option in RUN_OPTIONS if option.group == group)
 
     def fail(self, error: SlamHiveError) -> None:
@@ -140,7 +140,7 @@ def form_values(submission: Submission) -> dict[str, str]:
 
 
 def preview(submission: Submission, dataset: Dataset, settings: Settings, waiting: int) -> str:
-    """What pressing the button will do: how many runs, how long, behind how many others."""
+    """Effect of pressing the button: how many runs, how long, behind how many others."""
     what = f"{plural(submission.repeat, 'run')} of {submission.algorithm} on {dataset.name}"
     behind = f" {plural(waiting, 'queued run goes', 'queued runs go')} first." if waiting else ""
     if submission.playback_mode == PlaybackMode.SEQUENTIAL:

@@ -162,7 +162,7 @@ def test_archives_of_no_or_several_images_are_refused(tmp_path):
         ImageArchive(archive(tmp_path / "two.tar", 2)).check()
     with tarfile.open(tmp_path / "none.tar", "w"):
         pass
-    with pytest.raises(InvalidInput, match="no saved image"):
+    with pytest.raises(InvalidInput, match="not a saved image"):
         ImageArchive(tmp_path / "none.tar").check()
 
 

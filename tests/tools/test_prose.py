@@ -13,7 +13,7 @@ sys.path.insert(0, str(ROOT / "tools"))
 import prose  # noqa: E402
 
 RULES = [prose.Rule.read(path) for path in sorted(prose.STYLE.glob("*.yml"))]
-MOST_STIFF_OPENINGS = 322
+MOST_STIFF_OPENINGS = 67
 """Lower this with the counts of ``tools/vale/openings.yml``."""
 CLEAN = ("slamhive/cli/", "slamhive/executors/", "slamhive/run_folder/", "slamhive/services/worker/")
 """Folders without any."""

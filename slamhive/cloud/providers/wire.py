@@ -46,7 +46,7 @@ class CallFailed(Exception):
         self.action, self.code, self.message = action, code, message
 
     def is_one_of(self, codes: Iterable[str]) -> bool:
-        """Whether the code is one of ``codes``, or a special case of one."""
+        """Tell if the code is one of ``codes``, or a special case of one."""
         return any(self.code == code or self.code.startswith(f"{code}.") for code in codes)
 
 
@@ -199,5 +199,5 @@ class Endpoint:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """What a driver of Libcloud takes."""
+        """Arguments of a driver of Libcloud."""
         return {"host": self.host, "port": self.port, "secure": self.secure}

@@ -400,15 +400,15 @@ def volumes_of(places: list[PodPlace], data: Path, claim: str) -> tuple[list[dic
     """
     if claim:
         volume = {"name": "data", "persistentVolumeClaim": {"claimName": claim}}
-        return [volume], [_places_mount(place, "data") | {"subPath": _below(place, data)} for place in places]
+        return [volume], [_mount_of_place(place, "data") | {"subPath": _below(place, data)} for place in places]
     volumes = [
         {"name": f"p{number}", "hostPath": {"path": str(place.source), "type": _kind(place)}}
         for number, place in enumerate(places)
     ]
-    return volumes, [_places_mount(place, f"p{number}") for number, place in enumerate(places)]
+    return volumes, [_mount_of_place(place, f"p{number}") for number, place in enumerate(places)]
 
 
-def _places_mount(place: PodPlace, volume: str) -> dict[str, Any]:
+def _mount_of_place(place: PodPlace, volume: str) -> dict[str, Any]:
     return {"name": volume, "mountPath": place.target, "readOnly": place.read_only}
 
 

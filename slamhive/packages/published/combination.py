@@ -236,7 +236,7 @@ class Numbers:
 
 
 def meant(ids: object, given: Mapping[str, str], here: Numbers, place: object) -> Numbers | None:
-    """What the numbers of a file mean, as far as it or its user says; None if they are those of this installation.
+    """Meanings of the numbers in a file, as far as it or its user says; None if they are those of this installation.
 
     Args:
         ids: The key ``ids`` of the file: ``here``, or for each kind {number: meaning}; None if absent.
@@ -303,7 +303,7 @@ _AXES = {
     "591": "image0_resolution",
     "603": "image1_resolution",
 }
-_TEMPLATES_VALUES = {
+_NAMES_OF_TEMPLATES = {
     "350": "image_frequency",
     "351": "image_width",
     "352": "image_height",
@@ -332,13 +332,13 @@ RECTIFICATION = frozenset({"left_r", "left_p", "right_r", "right_p"})
 RATES = frozenset({"image_frequency", "imu_frequency"})
 WIDTH = "image_width"
 
-_TEMPLATES_KINDS = {"frequency": RATE, "resolution": RESOLUTION}
+_KINDS_OF_CHANGES = {"frequency": RATE, "resolution": RESOLUTION}
 _AXIS = re.compile(r"(?P<sensor>[a-z]+?)(?P<place>\d?)_(?P<kind>frequency|resolution)")
 
 
 @dataclass(frozen=True, slots=True)
 class ChangedValue:
-    """What a number before a block of factors means: the rate or the resolution of one sensor.
+    """Meaning of a number before a block of factors: the rate or the resolution of one sensor.
 
     ``sensor`` is ``image``, ``imu``, ``lidar`` ...; ``place`` counts the images, from 0.
     """
@@ -358,9 +358,9 @@ def changed(number: str, meanings: dict[str, str]) -> ChangedValue | None:
     found = _AXIS.fullmatch(meanings.get(number) or _AXES.get(number) or "")
     if found is None:
         return None
-    return ChangedValue(found["sensor"], int(found["place"] or 0), _TEMPLATES_KINDS[found["kind"]])
+    return ChangedValue(found["sensor"], int(found["place"] or 0), _KINDS_OF_CHANGES[found["kind"]])
 
 
 def value_name(number: str, meanings: dict[str, str]) -> str | None:
     """The name of the parameter that a number stands for; None if nobody knows it."""
-    return meanings.get(number) or _TEMPLATES_VALUES.get(number)
+    return meanings.get(number) or _NAMES_OF_TEMPLATES.get(number)

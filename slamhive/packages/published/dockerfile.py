@@ -1,4 +1,4 @@
-"""What a Dockerfile says about users, folders and the files that it needs. Nothing is built here."""
+"""Users, folders and needed files of a Dockerfile. Nothing is built here."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Instruction:
 
 @dataclass(frozen=True, slots=True)
 class DockerfileFacts:
-    """What matters of a Dockerfile.
+    """The relevant content of a Dockerfile.
 
     Attributes:
         base: The image of the last stage.
@@ -157,7 +157,7 @@ def _copied_empty(folder: Path, source: str, links: list[PurePosixPath]) -> list
 
 
 def _lacks(folder: Path, source: str) -> bool:
-    """Whether the build context lacks ``source``; what points out of the context is lacking too."""
+    """Tell if the build context lacks ``source``; what points out of the context is lacking too."""
     place = PurePosixPath(source.lstrip("/") or ".")
     if ".." in place.parts:
         return True

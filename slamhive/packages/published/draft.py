@@ -93,7 +93,7 @@ def plain_value(text: str) -> Plain:
 
 
 def is_plain(value: object) -> bool:
-    """Whether ``value`` can be a value of a parameter."""
+    """Tell if ``value`` can be a value of a parameter."""
     if isinstance(value, list):
         return bool(value) and all(isinstance(part, int | float) and not isinstance(part, bool) for part in value)
     return isinstance(value, bool | int | float | str)
@@ -140,7 +140,7 @@ def _value(name: str, names: set[str], facts: FolderFacts, examples: Mapping[str
 
 
 def _lens_templates(name: str, folder: ForeignFolder) -> tuple[str, ...]:
-    """What ``cam0_calib`` may be, by which the published VINS choose ``template_cam0_pinhole.yaml`` and the like.
+    """Values of ``cam0_calib``, by which the published VINS choose ``template_cam0_pinhole.yaml`` and the like.
 
     Raises InvalidInput if other cameras have such templates and this one has none.
     """
@@ -210,7 +210,7 @@ class PackageDraft:
 
 @dataclass(frozen=True, slots=True)
 class DraftRequest:
-    """What an import knows besides the folder.
+    """Knowledge of an import besides the folder.
 
     Attributes:
         name: The name of the package.
@@ -348,7 +348,7 @@ def licence_of(text: str | None) -> str | None:
 
 
 def described(result: PackageDraft) -> Iterator[str]:
-    """What to say about a draft, one line each."""
+    """Remarks about a draft, one line each."""
     yield from result.notes
     if result.unknown:
         yield f"not known: {', '.join(result.unknown)}"

@@ -1,4 +1,4 @@
-"""What a folder says about the sensors, topics, values and user of its algorithm."""
+"""Evidence in a folder about the sensors, topics, values and user of its algorithm."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def role_of(name: str) -> Role | None:
 
 
 def is_topic(text: str) -> bool:
-    """Whether ``text`` looks like the name of a topic, and not like a path."""
+    """Tell if ``text`` looks like the name of a topic, and not like a path."""
     return _TOPIC.fullmatch(text) is not None and not text.startswith(_FOLDERS)
 
 
@@ -130,7 +130,7 @@ _KEYFRAMES = re.compile(r"(?:keyframe\w*\.txt|loop\.csv)\s+/slamhive/result/traj
 
 @dataclass(frozen=True, slots=True)
 class FolderFacts:
-    """What was found in a folder.
+    """Findings in a folder.
 
     Attributes:
         mapping: ``mapping.py``.
@@ -188,7 +188,7 @@ def find_facts(folder: ForeignFolder) -> FolderFacts:
 
 
 def choose_user(facts: FolderFacts, folder: ForeignFolder, image_user: str | None = None) -> tuple[RunUser, str]:
-    """Who the runs of a folder have to be, and why; ``image_user`` is what the image says, where it is known."""
+    """The user that the runs of a folder need, and why; ``image_user`` is what the image says, where it is known."""
     user = image_user if image_user is not None else (facts.dockerfile.user if facts.dockerfile else "")
     if user not in ("", "0", "root", "0:0", "root:root"):
         return RunUser.IMAGE, f"the image has the user {user}"
@@ -279,7 +279,7 @@ def _fixed_topics(templates: Iterable[str]) -> Iterator[Way]:
 
 
 def names_a_topic(argument: LaunchArgument) -> bool:
-    """Whether a launch argument names the topic of a sensor."""
+    """Tell if a launch argument names the topic of a sensor."""
     default = argument.default or ""
     if "topic" in words_in(argument.name):
         return role_of(argument.name) is not None

@@ -28,7 +28,7 @@ _OPEN = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 @dataclass(frozen=True, slots=True)
 class ForeignFolder:
-    """What was read of an algorithm folder.
+    """Text that was read from an algorithm folder.
 
     Attributes:
         path: The folder.
@@ -71,7 +71,7 @@ def read_folder(path: Path) -> ForeignFolder:
 
 
 def looks_foreign(path: Path) -> bool:
-    """Whether ``path`` is an algorithm folder by its layout: ``slamhive/mapping.py``, read by nobody."""
+    """Tell if ``path`` is an algorithm folder by its layout: ``slamhive/mapping.py``, read by nobody."""
     return (path / SCRIPTS / MAPPING).is_file()
 
 

@@ -1,4 +1,4 @@
-"""What names of parameters mean in the systems of the field, and the values that their upstream examples have."""
+"""Meanings of parameter names in the systems of the field, and the values that their upstream examples have."""
 
 from __future__ import annotations
 

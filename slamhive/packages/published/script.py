@@ -1,4 +1,4 @@
-"""What a script reads of its configuration, found in its syntax tree. Nothing is imported or executed."""
+"""Keys that a script reads of its configuration, found in its syntax tree. Nothing is imported or executed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _OLD_TEXT = re.compile(r"""(['"])([^'"\\\n]{1,300})\1""")
 
 @dataclass(frozen=True, slots=True)
 class PackageScript:
-    """What one Python file says.
+    """Findings in one Python file.
 
     Attributes:
         keys: Names that it looks up in dictionaries, without the sections of ``config.yaml``.
@@ -159,7 +159,7 @@ class LaunchArgument:
 
 @dataclass(frozen=True, slots=True)
 class LaunchFile:
-    """What a launch file says: its arguments, and the topics that it remaps to, which nobody can change."""
+    """Content of a launch file: its arguments, and the topics that it remaps to, which nobody can change."""
 
     arguments: tuple[LaunchArgument, ...]
     fixed_topics: tuple[str, ...]

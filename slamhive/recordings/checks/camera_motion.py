@@ -146,7 +146,7 @@ def _directions(stream: StreamEvidence, poses: Trajectory, moves: list[_Move]) -
 def _explanation(
     sensor: Sensor, poses: Trajectory, matches: list[MatchEvidence], most: float
 ) -> tuple[str, str, str] | None:
-    """What a contradiction is about, the mistake that lowers it to ``most``, and the remedy; None without one."""
+    """Subject of a contradiction, the mistake that lowers it to ``most``, and the remedy; None without one."""
     T_body_camera = matrix(sensor.T_body_sensor)
     wxyz = with_quats(poses, np.roll(poses.quats_xyzw, -1, axis=1))
     inverse = with_quats(poses, inverse_quats(poses.quats_xyzw))

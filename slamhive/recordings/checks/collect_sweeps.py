@@ -165,7 +165,7 @@ def _layout(sensor: Sensor) -> tuple[LidarLayout | None, str | None]:
 
 
 def _zero_s(times: PointTimes, timestamp_s: float) -> float:
-    """What to add to times of points so that they count from the start of the sweep."""
+    """Offset that makes times of points count from the start of the sweep."""
     if times.reference is TimeReference.SWEEP_START:
         return 0.0
     zero_s = timestamp_s if times.reference is TimeReference.TIMESTAMP else 0.0

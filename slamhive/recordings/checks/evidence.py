@@ -1,4 +1,4 @@
-"""What one pass over a recording leaves for the checks: arrays of bounded size for each sensor.
+"""Evidence that one pass over a recording leaves for the checks: arrays of bounded size for each sensor.
 
 Indices count the messages of a stream in the order of the recording. Times are integer nanoseconds.
 """
@@ -156,7 +156,7 @@ class DatasetEvidence:
         return [stream for stream in self.streams.values() if stream.sensor.kind in kinds and stream.total]
 
     def is_follower(self, stream: StreamEvidence) -> bool:
-        """Whether it is the second camera of a stereo pair."""
+        """Tell if it is the second camera of a stereo pair."""
         return any(
             other.partner is not None and other.partner.name == stream.sensor.name for other in self.streams.values()
         )

@@ -48,7 +48,7 @@ def depth_of(camera: Sensor, dataset: Dataset) -> Sensor | None:
 
 
 def doubtful_centre(sensor: Sensor) -> float | None:
-    """How far the principal point is from the middle, as a share of the image size, if that is too far."""
+    """Distance of the principal point from the middle, as a share of the image size, if it is too large."""
     off = max(
         abs(calibrated(sensor, c) / calibrated(sensor, size) - 0.5) for c, size in (("cx", "width"), ("cy", "height"))
     )
@@ -64,7 +64,7 @@ def doubtful_view_deg(sensor: Sensor) -> float | None:
 
 
 def can_undistort(sensor: Sensor) -> bool:
-    """Whether :func:`normalised` knows the camera's model, and its intrinsics are possible."""
+    """Tell if :func:`normalised` knows the camera's model, and its intrinsics are possible."""
     if doubtful_centre(sensor) is not None or doubtful_view_deg(sensor) is not None:
         return False
     return not _distortion(sensor).any() or _model(sensor) in (*_RADTAN, *_FISHEYE)

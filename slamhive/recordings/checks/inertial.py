@@ -159,7 +159,7 @@ class RatePair:
         return float(first @ second) / norm if norm > 0 else np.nan
 
     def offset_s(self) -> float | None:
-        """What to add to the IMU's times so that the magnitudes fit best; None where they never resemble each other."""
+        """Offset of the IMU's times at which the magnitudes fit best; None where they never resemble each other."""
         coarse = np.arange(-WITHIN_S, WITHIN_S + CELL_S / 2, CELL_S)
         scores = np.array([self.correlation(float(offset)) for offset in coarse])
         if not np.isfinite(scores).any() or np.nanmax(scores) < LEAST_CORRELATION:
@@ -191,7 +191,7 @@ def pair_rates(stream: StreamEvidence, poses: Trajectory) -> RatePair | str:
 
 
 def _in_gaps(poses: Trajectory, edges_s: Array) -> Array:
-    """Which cells lie in a gap of the ground truth, (n,) bool."""
+    """Mask of the cells that lie in a gap of the ground truth, (n,) bool."""
     wide = np.flatnonzero(np.diff(poses.stamps_s) > usable_gap_s(poses))
     bad = np.zeros(len(edges_s) - 1, dtype=bool)
     for index in wide[:MOST_GAPS]:
@@ -397,7 +397,7 @@ def _axes(stream: StreamEvidence, poses: Trajectory, pair: RatePair, offset_s: f
 
 
 def _reread(stream: StreamEvidence, poses: Trajectory, offset_s: float, most: float) -> tuple[str, str] | None:
-    """What is wrong with the quaternions, if reading them otherwise leaves a misfit of at most ``most``."""
+    """Name the fault of the quaternions, if reading them otherwise leaves a misfit of at most ``most``."""
     for quats, message, remedy in (
         (
             np.roll(poses.quats_xyzw, -1, axis=1),

@@ -59,14 +59,14 @@ def clean_poses(evidence: DatasetEvidence) -> Trajectory | str:
 
 
 def usable_poses(evidence: DatasetEvidence) -> Trajectory | str:
-    """As :func:`clean_poses`, if they are of the time of the recording."""
+    """The same as :func:`clean_poses`, if they are of the time of the recording."""
     if evidence.truth is not None and not meets_recording(evidence):
         return "ground truth and recording share no time"
     return clean_poses(evidence)
 
 
 def meets_recording(evidence: DatasetEvidence) -> bool:
-    """Whether ground truth and recording share any time."""
+    """Tell if ground truth and recording share any time."""
     truth = evidence.truth
     if truth is None:
         return False
@@ -85,7 +85,7 @@ def with_quats(poses: Trajectory, quats_xyzw: Array) -> Trajectory:
 
 
 def positions_only(evidence: DatasetEvidence) -> bool:
-    """Whether ``dataset.yaml`` says that orientations mean nothing."""
+    """Tell if ``dataset.yaml`` says that orientations mean nothing."""
     truth = evidence.dataset.groundtruth
     return truth is not None and truth.positions_only
 

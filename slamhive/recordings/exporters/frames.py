@@ -152,7 +152,7 @@ def image_bytes(sensor: Sensor) -> int:
 
 
 def share_pixels(depth: Sensor, camera: Sensor) -> bool:
-    """Whether the images of both have the same geometry, as formats with one calibration for both require."""
+    """Tell if the images of both have the same geometry, as formats with one calibration for both require."""
     values = [[sensor.calibration[key] for key in _GEOMETRY_KEYS] for sensor in (depth, camera)]
     return values[0] == values[1] and depth.T_body_sensor == camera.T_body_sensor
 

@@ -13,7 +13,7 @@ from slamhive.recordings.staging import Progress
 
 @dataclass(frozen=True, eq=False)
 class ExportPlan:
-    """What an export will write.
+    """Plan of an export.
 
     Attributes:
         write: Writes into an empty folder; raises InvalidInput for a damaged recording, OSError for a full disk.
@@ -33,5 +33,5 @@ class Exporter(Protocol):
     """Turns datasets into folders of one format."""
 
     def plan(self, dataset: Dataset) -> ExportPlan:
-        """What an export of ``dataset`` will write; raises InvalidInput if the format is for something else."""
+        """Plan the export of ``dataset``; raises InvalidInput if the format is for something else."""
         ...

@@ -1,4 +1,4 @@
-"""What is known of the sensors of a recording before their messages are read: from files and from topics."""
+"""Calibration that is known before messages are read: from files and from topics."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ _CAMERA, _IMU, _SENSOR = re.compile(r"cam\d+"), re.compile(r"imu\d+"), re.compil
 
 
 def is_kalibr(content: Mapping[str, Any]) -> bool:
-    """Whether a YAML file is one of Kalibr's."""
+    """Tell if a YAML file is one of Kalibr's."""
     return "accelerometer_noise_density" in content or any(_SENSOR.fullmatch(key) for key in content)
 
 
@@ -231,7 +231,7 @@ def read_calibrations(paths: Sequence[Path]) -> KnownCalibration:
 
 
 def read_calibration(path: Path) -> KnownCalibration:
-    """What one file says; raises InvalidInput, or NotFound if there is no such file."""
+    """Read one file; raises InvalidInput, or NotFound if there is no such file."""
     content = read_calibration_file(path).content
     if isinstance(content.get("sensors"), list):
         return _of_sensors(load_sensors(path))

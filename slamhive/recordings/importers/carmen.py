@@ -57,7 +57,7 @@ class Scan:
 
 @dataclass(eq=False)
 class Log:
-    """What a log holds besides ranges: of scans the time and the odometry, x y yaw, in m and rad."""
+    """Content of a log besides ranges: of scans the time and the odometry, x y yaw, in m and rad."""
 
     path: Path
     scans: Track = field(default_factory=lambda: Track(3))
@@ -131,7 +131,7 @@ def _add_scan(log: Log, line: TextLine) -> None:
 
 
 def _guessed_increment_rad(count: int) -> float:
-    """As ``carmen_laser_guess_angle_increment``."""
+    """Guess the increment like ``carmen_laser_guess_angle_increment``."""
     for degrees, counts in ((1.0, (180, 181)), (0.5, (360, 361)), (0.25, (400, 401))):
         if count in counts:
             return math.radians(degrees)
@@ -169,7 +169,7 @@ class CarmenImporter:
         return Detection(evidence, lacking)
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What the log becomes; raises InvalidInput naming the line and the remedy."""
+        """Plan the import of the log; raises InvalidInput naming the line and the remedy."""
         logs = _logs(source)
         if len(logs) != 1:
             raise InvalidInput(f"{source} has {len(logs)} CARMEN logs", "give one log")

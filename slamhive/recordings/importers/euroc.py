@@ -79,7 +79,7 @@ class EurocImporter:
         return Detection(tuple(found), () if f"cam0/{LIST}" in found else (f"cam0/{LIST}",))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What the folder becomes; raises InvalidInput naming the file, the line or key, and the remedy."""
+        """Plan the import of the folder; raises InvalidInput naming the file, the line or key, and the remedy."""
         root = _root(source)
         cameras = [_Part(folder) for folder in sorted(root.glob("cam[0-9]")) if folder.is_dir()]
         if not cameras:

@@ -76,7 +76,7 @@ class ImuNumbers(BaseModel):
 
 
 class EvalioPlan(BaseModel):
-    """What the reader says of a sequence. ``values`` are the arrays, by the names in :data:`_ARRAYS`."""
+    """Answer of the reader about a sequence. ``values`` are the arrays, by the names in :data:`_ARRAYS`."""
 
     model_config = ConfigDict(arbitrary_types_allowed=True)
     name: str
@@ -105,7 +105,7 @@ class EvalioSequence:
     name: str
 
     def plan(self) -> EvalioPlan:
-        """What the sequence is, and everything but its scans; reads all measurements once.
+        """The sequence without its scans; reads all measurements once.
 
         Raises:
             Unavailable: There is no environment with evalio.
@@ -193,7 +193,7 @@ def _array(stream: IO[bytes], kind: str, shape: tuple[int, ...]) -> Array:
 
 
 def _failed_at_end(process: subprocess.Popen[bytes]) -> bool:
-    """Whether the process has written everything, and ended with an error."""
+    """Tell if the process has written everything, and ended with an error."""
     assert process.stdout is not None
     return not process.stdout.read(1) and process.wait() != 0
 
@@ -233,7 +233,7 @@ class EvalioImporter:
         return Detection((), ("a folder <data>/<dataset>/<sequence> of evalio",))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What the sequence becomes; raises InvalidInput with evalio's reason, Unavailable without evalio."""
+        """Plan the import of the sequence; raises InvalidInput with evalio's reason, Unavailable without evalio."""
         sequence = _sequence(source, options.sequence)
         about = sequence.plan()
         streams = [_lidar(sequence, about)]

@@ -50,7 +50,7 @@ def fail(message: str) -> int:
 
 
 def write_plan(sequence: Any, out: IO[bytes]) -> None:
-    """What the sequence is, and everything but its scans."""
+    """The sequence without its scans."""
     scan_times_ns: list[int] = []
     imu_times_ns: list[int] = []
     imu: list[list[float]] = []

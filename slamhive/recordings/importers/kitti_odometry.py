@@ -267,7 +267,7 @@ class KittiOdometryImporter:
         return detect_kitti(path)
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:  # noqa: ARG002 - it takes no options
-        """What the sequence becomes; raises InvalidInput naming the file, the line or frame, and the remedy."""
+        """Plan the import of the sequence; raises InvalidInput naming the file, the line or frame, and the remedy."""
         sequence = read_sequence(source)
         streams = [_camera_stream(sequence, number) for number in sequence.images]
         lidar = _lidar(sequence)

@@ -62,7 +62,7 @@ class KittiRawImporter:
         return Detection(tuple(found), tuple(name for name in needed if name not in found))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:  # noqa: ARG002 - it takes no options
-        """What the drive becomes; raises InvalidInput naming the file, the line or key, and the remedy."""
+        """Plan the import of the drive; raises InvalidInput naming the file, the line or key, and the remedy."""
         notes: list[str] = ["timestamps are taken as UTC: the recordings do not say their time zone"]
         rectified_imu = _T_rectified_imu(source)
         streams: list[PlannedStream] = []

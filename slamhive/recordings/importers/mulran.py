@@ -59,7 +59,7 @@ class MulranImporter:
         return Detection(tuple(found), () if has_scans else (f"{_SCANS}/*.bin",))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:  # noqa: ARG002 - it takes no options
-        """What the sequence becomes; raises InvalidInput naming the file, the line and the remedy."""
+        """Plan the import of the sequence; raises InvalidInput naming the file, the line and the remedy."""
         lidar, notes = _lidar(_sensors(source) / _SCANS)
         imu, poses, gnss = (_find(source, name) for name in (_IMU, _POSES, _GNSS))
         streams = [lidar]

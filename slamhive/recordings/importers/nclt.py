@@ -64,7 +64,7 @@ class NcltImporter:
         return Detection(tuple(found), missing)
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:  # noqa: ARG002 - it takes no options
-        """What the session becomes; raises InvalidInput naming the file, the line and the remedy."""
+        """Plan the import of the session; raises InvalidInput naming the file, the line and the remedy."""
         streams = [_lidar(source / _SCANS)]
         streams += [_imu(source / _IMU)] if (source / _IMU).is_file() else []
         streams += [_gnss(source / _GNSS)] if (source / _GNSS).is_file() else []

@@ -48,7 +48,7 @@ class OpenLorisImporter:
         return Detection(found, tuple(name for name in names if name not in found))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What the sequence becomes; raises InvalidInput naming the file, the line or key, and the remedy."""
+        """Plan the import of the sequence; raises InvalidInput naming the file, the line or key, and the remedy."""
         sensors, transforms = (read_calibration_file(source / name) for name in (_SENSORS, _TRANSFORMS))
         colour, notes = listed_frames(source, _COLOUR)
         stream = _camera(sensors, transforms, ("cam0", _CAMERA_FRAME), colour)

@@ -60,7 +60,7 @@ class RawseedsImporter:
         return Detection(tuple(f"*-{part}.csv" for part in found), missing)
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:  # noqa: ARG002 - it takes no options
-        """What the sequence becomes; raises InvalidInput naming the line and the remedy."""
+        """Plan the import of the sequence; raises InvalidInput naming the line and the remedy."""
         notes: list[str] = []
         streams = [
             _laser(f"laser{number}", part, path, notes)

@@ -128,7 +128,7 @@ class SourceBag:
             raise self.damaged(error, f"a message of {connection.topic}") from None
 
     def damaged(self, error: Exception, place: str) -> InvalidInput:
-        """What rosbags found wrong at ``place``, in one line."""
+        """Fault that rosbags found at ``place``, in one line."""
         found = damaged(self.path, error)
         return InvalidInput(f"{found.message} ({place})", found.remedy)
 
@@ -360,7 +360,7 @@ _SIDES = (("left", "right"), ("infra1", "infra2"))
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """Which topic is which sensor: by name of the sensor; and what users should know."""
+    """Assign topics to sensors: {name of the sensor: topic}, and notes for users."""
 
     topics: dict[str, SourceTopic]
     notes: tuple[str, ...]

@@ -54,7 +54,7 @@ class Importer(Protocol):
         ...
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What ``source`` becomes. Reads lists, calibration and ground truth, but no images or point clouds.
+        """Plan the import of ``source``. Reads lists, calibration and ground truth, but no images or point clouds.
 
         Raises InvalidInput naming the file, the line, the value and the remedy.
         """

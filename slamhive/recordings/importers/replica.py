@@ -44,7 +44,7 @@ class ReplicaImporter:
         return Detection(found, tuple(name for name in there if name not in found))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What the scene becomes; raises InvalidInput naming the file, the line or key, and the remedy."""
+        """Plan the import of the scene; raises InvalidInput naming the file, the line or key, and the remedy."""
         frames_per_s = options.frame_rate_hz or _FRAMES_PER_S
         parameters = read_calibration_file(_camera_file(source)).part("camera")
         colour = numbered(source / _IMAGES, "frame*.jpg", "frame*.png")

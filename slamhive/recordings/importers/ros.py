@@ -258,7 +258,7 @@ def _parts(source: Path, options: ImportOptions) -> list[Path]:
 
 
 def starts_with(path: Path, magic: bytes) -> bool:
-    """Whether the file at ``path`` begins with ``magic``."""
+    """Tell if the file at ``path`` begins with ``magic``."""
     with path.open("rb") as file:
         return file.read(len(magic)) == magic
 

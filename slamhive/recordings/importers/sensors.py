@@ -52,7 +52,7 @@ def camera_info_of(bag: SourceBag, image_topic: str) -> Any | None:
 
 
 def is_rectified(image_topic: str) -> bool:
-    """Whether images are rectified, by the name that ROS gives to such topics."""
+    """Tell if images are rectified, by the name that ROS gives to such topics."""
     return "image_rect" in image_topic
 
 
@@ -84,7 +84,7 @@ def stereo_pose(info: Any, image_topic: str) -> Array:
 
 
 def has_baseline(info: Any) -> bool:
-    """Whether a ``CameraInfo`` is that of the right camera of a stereo pair."""
+    """Tell if a ``CameraInfo`` is that of the right camera of a stereo pair."""
     P = _array(info, "p")
     return bool(P[0] > 0 and P[3] != 0)
 
@@ -203,7 +203,7 @@ class SensorBuilder:
         return round((topic.count - 1) * NS_PER_S / (last_ns - first_ns), 6)
 
     def _known(self, name: str, kind: SensorKind) -> KnownSensor | None:
-        """What calibration files say of a sensor: that of its topic, otherwise that of its name."""
+        """Calibration of a sensor in files: that of its topic, otherwise that of its name."""
         topic = self.matching.topics[name].name
         own = [sensor for sensor in self.known.sensors if sensor.kind is kind]
         by_topic = [sensor for sensor in own if sensor.topic == topic]
@@ -319,7 +319,7 @@ class SensorBuilder:
         return owners
 
     def _body(self, graph: FrameGraph) -> str:
-        """That of the ground truth if anything connects it to a sensor, else that of the calibration or a sensor."""
+        """Frame of the ground truth if anything connects it to a sensor, else of the calibration or a sensor."""
         names = list(self.matching.topics)
         for frame in (_TF + self.truth_frame, BODY):
             if frame in graph and any(graph.find(frame, name) is not None for name in names):
@@ -339,7 +339,7 @@ class SensorBuilder:
 
 
 def _shares_pixels(topic: str, width: int, height: int, camera: Sensor) -> bool:
-    """Whether a depth topic says that it is registered to a camera, and the sizes agree."""
+    """Tell if a depth topic says that it is registered to a camera, and the sizes agree."""
     size = camera.calibration.get("width"), camera.calibration.get("height")
     named = "registered" in topic or "aligned_depth_to" in topic
     return camera.kind is SensorKind.CAMERA and named and size == (width, height)

@@ -52,7 +52,7 @@ class SevenScenesImporter:
         return Detection(tuple(f"frame-* {kind}" for kind, there in kinds.items() if there), tuple(missing))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What the sequence becomes; raises InvalidInput naming the file and the remedy."""
+        """Plan the import of the sequence; raises InvalidInput naming the file and the remedy."""
         frames_per_s = options.frame_rate_hz or _FRAMES_PER_S
         colour, depth = numbered(source, *_COLOUR), numbered(source, _DEPTH)
         if not colour or not depth:

@@ -49,7 +49,7 @@ class TartanAirImporter:
         return Detection(tuple(name for name, is_there in there.items() if is_there), tuple(missing))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What the trajectory becomes; raises InvalidInput naming the file, the line and the remedy."""
+        """Plan the import of the trajectory; raises InvalidInput naming the file, the line and the remedy."""
         frames_per_s = options.frame_rate_hz or _FRAMES_PER_S
         left, right = (numbered(source / name, "*.png", "*.jpg") for name in (_LEFT, _RIGHT))
         if not left:

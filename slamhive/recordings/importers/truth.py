@@ -38,7 +38,7 @@ class FoundTruth:
 
     @property
     def planned(self) -> PlannedTruth:
-        """As plans hold it."""
+        """The ground truth as plans hold it."""
         return PlannedTruth(self.times_s, self.positions_m, self.quats_xyzw, self.gravity_aligned, self.source)
 
 

@@ -118,7 +118,7 @@ class TumRgbdImporter:
         return Detection(tuple(found), tuple(name for name in ("rgb.txt", "depth.txt") if name not in found))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What the folder becomes; raises InvalidInput naming the file, the line, and the remedy."""
+        """Plan the import of the folder; raises InvalidInput naming the file, the line, and the remedy."""
         options = _as_exported(source, options)
         colour, colour_notes = _frames(source, "rgb.txt", 3)
         depth, depth_notes = _frames(source, "depth.txt", 1)
@@ -255,7 +255,7 @@ class Eth3dImporter:
         return Detection(tuple(found), tuple(name for name in (_COLOUR, _CAMERA) if name not in found))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What the sequence becomes; raises InvalidInput naming the file, the line and the remedy."""
+        """Plan the import of the sequence; raises InvalidInput naming the file, the line and the remedy."""
         colour, notes = listed_frames(source, _COLOUR)
         streams: list[PlannedStream] = [
             camera_stream("cam0", colour, _eth3d_intrinsics(source / _CAMERA, colour.paths[0]))

@@ -65,7 +65,7 @@ class VideoImporter:
         return Detection((path.suffix,) if is_video else (), () if is_video else ("a video file",))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What the video becomes: it is decoded once for its timestamps. Raises InvalidInput."""
+        """Plan the import of the video: it is decoded once for its timestamps. Raises InvalidInput."""
         intrinsics = given_camera(options.calibration)
         if intrinsics is None:
             raise InvalidInput(f"{source} does not say what its camera is", "give intrinsics with --calibration FILE")

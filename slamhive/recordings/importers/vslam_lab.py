@@ -49,7 +49,7 @@ class VslamLabImporter:
         return Detection(tuple(found), tuple(name for name in (_IMAGES, _CAMERAS) if name not in found))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
-        """What the sequence becomes; raises InvalidInput naming the file, the line or key, and the remedy."""
+        """Plan the import of the sequence; raises InvalidInput naming the file, the line or key, and the remedy."""
         calibration = read_calibration_file(source / _CAMERAS)
         streams: list[PlannedStream] = []
         notes: list[str] = []

@@ -70,7 +70,7 @@ class Renderer:
         self._textures: dict[int, Texture] = {}
 
     def view(self, T_world_camera: Array, camera: Camera) -> View:
-        """What ``camera`` at ``T_world_camera`` (4, 4; optical frame: x right, y down, z forward) sees."""
+        """Render the view of ``camera`` at ``T_world_camera`` (4, 4; optical frame: x right, y down, z forward)."""
         nearness = np.zeros((camera.height, camera.width), dtype=np.float32)
         owner = np.full((camera.height, camera.width), -1, dtype=np.int16)
         projected: dict[int, _Projected] = {}

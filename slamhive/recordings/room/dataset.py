@@ -89,7 +89,7 @@ def sensors_of(options: RoomOptions, rig: Rig) -> tuple[Sensor, ...]:
 
 
 def description_of(options: RoomOptions) -> dict[str, Any]:
-    """What ``dataset.yaml`` says besides the sensors."""
+    """Content of ``dataset.yaml`` besides the sensors."""
     return {
         "duration_s": options.duration_s,
         "groundtruth": GroundTruth(GROUND_TRUTH_FILE, gravity_aligned=True),

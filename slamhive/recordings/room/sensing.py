@@ -30,7 +30,7 @@ _NOISE_STREAM_FRAMES, _NOISE_STREAM_SCANS = 2, 3
 
 
 class TaskKind(StrEnum):
-    """What a worker can be asked for."""
+    """Requests to a worker."""
 
     FRAME = "frame"
     SCAN = "scan"
@@ -47,7 +47,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What a sensing process must know; small, as it is sent to each."""
+    """State of a sensing process; small, as it is sent to each."""
 
     seed: int
     duration_s: float

@@ -44,7 +44,7 @@ class ImuSamples:
 
 
 def measure(motion: RoomMotion, rate_hz: float, noise: SimulatedNoise, rng: np.random.Generator) -> ImuSamples:
-    """What the IMU at the body's origin reads at the instants of ``motion``."""
+    """Readings of the IMU at the body's origin at the instants of ``motion``."""
     upward = motion.accelerations_mps2 + np.array([0.0, 0.0, GRAVITY_MPS2])
     forces = np.einsum("nji,nj->ni", motion.R_world_body, upward)
     dt_s = 1.0 / rate_hz

@@ -17,7 +17,7 @@ ROOM_SIZE_M = (8.0, 6.0, 3.0)
 
 
 class Material(StrEnum):
-    """What a surface is painted as."""
+    """Kind of paint of a surface."""
 
     BRICK = "brick"
     WALLPAPER = "wallpaper"
@@ -201,7 +201,7 @@ def _middles(size_m: float, spacing_m: float) -> Array:
 
 
 def _is_free(points_m: Array) -> Array:
-    """Whether each point, (n, 3), is in the room and in no piece of furniture."""
+    """Tell if each point, (n, 3), is in the room and in no piece of furniture."""
     length, width, height = ROOM_SIZE_M
     middle_m = np.array([0.0, 0.0, height / 2])
     free: Array = (np.abs(points_m - middle_m) < np.array([length, width, height]) / 2).all(axis=1)

@@ -54,7 +54,7 @@ def exclusive(path: Path, waiting: Progress | None = None) -> Iterator[None]:
 
 
 def is_held(path: Path) -> bool:
-    """Whether any process holds the lock now; creates no file."""
+    """Tell if any process holds the lock now; creates no file."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
@@ -111,7 +111,7 @@ UNREADABLE = (InvalidInput, OSError, ValueError, KeyError, TypeError, AttributeE
 
 @dataclass(frozen=True, slots=True)
 class VariantPlan:
-    """What is to be made: its key, where it comes from, its steps as JSON, a bound of its size.
+    """Order for a variant: its key, its source, its steps as JSON, a bound of its size.
 
     ``source_bytes`` is the size of the recording that has to be read for it.
     """
@@ -177,7 +177,7 @@ def _speed(value: object) -> float | None:
 
 
 def problem(folder: Path) -> str | None:
-    """What keeps a variant from being used, as far as names and sizes tell; None if nothing does."""
+    """Name the reason against using a variant, by names and sizes; None if there is none."""
     if not folder.is_dir():
         return "it is not there"
     try:

@@ -74,7 +74,7 @@ def follow_sensor(info: Any, before: Sensor, after: Sensor, topic: str) -> Any:
 
 
 def same_intrinsics(before: Sensor, after: Sensor) -> bool:
-    """Whether focal lengths and principal point are equal up to rounding."""
+    """Tell if focal lengths and principal point are equal up to rounding."""
     return bool(np.allclose(_intrinsics(before), _intrinsics(after), rtol=_ROUNDING, atol=_ROUNDING))
 
 

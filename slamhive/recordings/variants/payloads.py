@@ -137,7 +137,7 @@ class PointsCodec:
         return points.astype(dtype.newbyteorder("<")) if message.is_bigendian else points
 
     def encode(self, message: Any, payload: Array) -> Any:
-        """As many rows as before if no point is gone, one row otherwise; little endian."""
+        """Pack as many rows as before if no point is gone, one row otherwise; little endian."""
         height, width = message.height, message.width
         if len(payload) != height * width:
             height, width = 1, len(payload)

@@ -46,7 +46,7 @@ def plan_variant(dataset: Dataset, variant: Variant) -> VariantPlan | None:
 
 
 def _key(dataset: Dataset, treatments: tuple[Treatment, ...]) -> str:
-    """What decides every byte: the recording, its description, the steps in order, and the code that applies them."""
+    """Recipe that decides every byte: recording, description, steps in order, and the code that applies them."""
     content = {
         "code": [ENGINE_VERSION, cv2.__version__, np.__version__],
         "dataset": dataset_to_yaml(dataset),
@@ -80,7 +80,7 @@ def _needed_bytes(dataset: Dataset, treatments: tuple[Treatment, ...]) -> int:
 
 
 def _image_bytes(sensor: Sensor, duration_s: float) -> float:
-    """What the images of a sensor would take uncompressed; 0 for other sensors."""
+    """Bytes that the images of a sensor would take uncompressed; 0 for other sensors."""
     if sensor.kind not in {SensorKind.CAMERA, SensorKind.DEPTH}:
         return 0.0
     pixels = float(sensor.calibration["width"]) * float(sensor.calibration["height"])  # type: ignore[arg-type]

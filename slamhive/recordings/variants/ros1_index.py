@@ -67,7 +67,7 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True)
 class Ros1Index:
-    """What a bag holds and where; ``entries`` are of :data:`ENTRY`, by chunk and then by offset."""
+    """Content of a bag, with positions; ``entries`` are of :data:`ENTRY`, by chunk and then by offset."""
 
     path: Path
     connections: dict[int, Ros1Connection]

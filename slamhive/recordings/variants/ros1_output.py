@@ -41,7 +41,7 @@ Buffer = bytes | memoryview
 
 @dataclass(frozen=True, slots=True)
 class ChunkSummary:
-    """What the end of a bag says about one of its chunks; ``position`` counts from the start of its piece."""
+    """Entry at the end of a bag about one of its chunks; ``position`` counts from the start of its piece."""
 
     position: int
     start_ns: int
@@ -58,7 +58,7 @@ class NewChunks:
 
     @property
     def size_bytes(self) -> int:
-        """What they take in the file."""
+        """Bytes that they take in the file."""
         return sum(len(part) for part in self.parts)
 
 
@@ -101,13 +101,13 @@ def _index_records(entries: Array, counts: Mapping[int, int]) -> Iterator[bytes]
 
 
 def index_header(connection: int, count: int) -> bytes:
-    """What precedes the entries of an index record."""
+    """Head of an index record, before its entries."""
     fields = record_header(OP_INDEX, ver=U32.pack(1), conn=U32.pack(connection), count=U32.pack(count))
     return fields + U32.pack(count * INDEX_ENTRY.itemsize)
 
 
 def chunk_header(compression: str, size_bytes: int, data_bytes: int) -> bytes:
-    """What precedes the data of a chunk."""
+    """Head of a chunk, before its data."""
     fields = record_header(OP_CHUNK, compression=compression.encode(), size=U32.pack(size_bytes))
     return fields + U32.pack(data_bytes)
 

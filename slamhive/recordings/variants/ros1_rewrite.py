@@ -63,7 +63,7 @@ class RewritePiece:
 
     @property
     def held_bytes(self) -> int:
-        """What of the source is in memory while it is made, at most."""
+        """Part of the source that is in memory while it is made, at most."""
         if self.chunk.compression == NO_COMPRESSION:
             return self.chunk.size_bytes * len(self.rows) // len(self.chunk.rows)
         return self.chunk.size_bytes + self.chunk.data_bytes

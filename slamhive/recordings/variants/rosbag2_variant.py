@@ -89,7 +89,7 @@ def _topics(source: Path, reader: AnyReader, choose: TopicChoice) -> dict[str, _
 
 
 def _tasks(source: Path, reader: AnyReader, topics: dict[str, _Topic], done: Callable[[int], None]) -> Iterator[_Task]:
-    """What becomes of each message that is kept."""
+    """Result of each message that is kept."""
     for number, (connection, received_ns, raw) in enumerate(messages(reader, source), start=1):
         topic = topics.get(connection.topic)
         message = _Message(connection, received_ns, raw)
@@ -100,7 +100,7 @@ def _tasks(source: Path, reader: AnyReader, topics: dict[str, _Topic], done: Cal
 
 
 class _Topic:
-    """What the steps do to the messages of one topic, which come in order of time."""
+    """Operations of the steps on the messages of one topic, which come in order of time."""
 
     def __init__(self, source: Path, reader: AnyReader, topic: str, treatment: Treatment) -> None:
         self._source = source
@@ -115,7 +115,7 @@ class _Topic:
             self._check_definition()
 
     def take(self, message: _Message) -> _Task | None:
-        """What to do with the next message; None if it is dropped."""
+        """Operation on the next message; None if it is dropped."""
         self._number += 1
         raw = message.data
         stamp_ns = self._timestamp_ns(raw) if self._stream.uses_stamps else message.received_ns

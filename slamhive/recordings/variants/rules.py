@@ -1,4 +1,4 @@
-"""What there is to know of the kinds of steps without any recording: for forms, experiments and documentation."""
+"""Facts about the kinds of steps without any recording: for forms, experiments and documentation."""
 
 from __future__ import annotations
 
@@ -77,12 +77,12 @@ def on_all_sensors(dataset: Dataset, step: VariantStep) -> VariantStep:
 
 
 def describe_step(kind: str) -> str:
-    """What a step does, its first sentence in one line; raises NotFound."""
+    """First sentence of a step's description, in one line; raises NotFound."""
     return explain_step(kind).partition("\n")[0].replace("`", "")
 
 
 def explain_step(kind: str) -> str:
-    """What a step does and how, as Markdown; raises NotFound."""
+    """Description of a step as Markdown; raises NotFound."""
     return inspect.cleandoc(STEPS.get(kind).__doc__ or "").replace("``", "`")
 
 

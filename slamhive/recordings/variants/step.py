@@ -75,7 +75,7 @@ images, blue first. Point clouds come as structured arrays (n,) with the cloud's
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """What a step does to the messages of one topic; a part that is None leaves them as they are.
+    """Effect of a step on the messages of one topic; a part that is None leaves them as they are.
 
     ``keep`` and ``restamp`` are decided before anything is decoded. Messages with neither a new timestamp nor a
     transform are copied byte by byte. ``uses_stamps`` asks for header timestamps, and ``restamp`` implies it. Otherwise
@@ -101,22 +101,22 @@ class Step(BaseModel, ABC):
 
     @property
     def entropy(self) -> int:
-        """What randomness starts from; see :class:`SeededStep`."""
+        """Seed of the randomness; see :class:`SeededStep`."""
         return 0
 
     @abstractmethod
     def applies_to(self, sensor: Sensor) -> bool:
-        """Whether this kind of sensor can be treated at all."""
+        """Tell if this kind of sensor can be treated at all."""
 
     @abstractmethod
     def operation(self, stream: Stream) -> Operation:
-        """What happens to one topic's messages."""
+        """Return the operation on one topic's messages."""
 
     def check(self, sensor: Sensor) -> None:
         """Raise InvalidInput if the options make no sense on this sensor (a rate above its own)."""
 
     def is_identity(self, sensor: Sensor) -> bool:  # noqa: ARG002 - for those that know better
-        """Whether nothing changes on this sensor (every factor is 1): such a step needs no copy of the data."""
+        """Tell if nothing changes on this sensor (every factor is 1): such a step needs no copy of the data."""
         return False
 
     def calibrate(self, sensor: Sensor) -> Sensor:

@@ -1,4 +1,4 @@
-"""What the steps of a variant do with each topic: the messages that stay, their timestamps, their transforms."""
+"""Effect of a variant's steps on each topic: the messages that stay, their timestamps, their transforms."""
 
 from __future__ import annotations
 

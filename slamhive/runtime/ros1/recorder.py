@@ -69,7 +69,7 @@ class Recorder:
 
     @property
     def clock(self) -> PlayedClock:
-        """What has been played until now."""
+        """Messages that have been played until now."""
         return PlayedClock(tuple(self._clock_arrivals_s), tuple(self._clock_times_s))
 
     @property

@@ -43,7 +43,7 @@ _STEP_S = 0.05
 
 @dataclass(frozen=True)
 class Played:
-    """What a run left behind."""
+    """Remains of a run."""
 
     frames: Sequence[BagFrame]
     poses: PoseLog
@@ -196,13 +196,13 @@ class Session:
             time.sleep(_STEP_S / 5)
 
     def _patience_s(self) -> float:
-        """How long to wait for the next pose after the end of the recording."""
+        """Time to wait for the next pose after the end of the recording."""
         last_s = max((stamp_s for stamp_s, _ in self._recorder.arrivals), default=0.0)
         return BUSY_S if self._system.processed and last_s < self._frames[-1].stamp_s else QUIET_S
 
 
 def ros_environment() -> dict[str, str]:
-    """What ROS programs need in a container without a network, whatever user they have."""
+    """Environment of ROS programs in a container without a network, whatever user they have."""
     os.environ.pop("ROS_HOSTNAME", None)
     home = Path(os.environ.get("TMPDIR", "/tmp")) / "ros"  # noqa: S108 - the container's own
     return {

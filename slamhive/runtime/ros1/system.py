@@ -1,4 +1,4 @@
-"""What a package says of a ROS 1 system: how to start it, and which topics hold its results."""
+"""A package's description of a ROS 1 system: its start, and the topics that hold its results."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SAVING_PATIENCE_S = 45.0
 
 @dataclass(frozen=True, eq=False)
 class FiledResults:
-    """What the nodes saved in files at their end; None where there is nothing of the kind.
+    """Files that the nodes saved at their end; None where there is nothing of the kind.
 
     Attributes:
         poses: The final trajectory, for ``traj.txt``; the poses of the topic then go to ``traj.live.txt``.
@@ -119,6 +119,6 @@ def sweep_parameters(values: Mapping[str, Any], *, rotation: str = "clockwise", 
 
 
 def middle_delay_s(values: Mapping[str, Any], role: str = "points") -> float:
-    """How long after the timestamp of its message the middle of a sweep is, in s."""
+    """Time from the timestamp of a message to the middle of its sweep, in s."""
     times = sweep_times(values, role)
     return times.start_s(0.0) + 0.5 * times.scan_duration_s

@@ -41,7 +41,7 @@ class PlayedClock:
         return float(np.interp(recorded_s, self.bag_times_s, self.arrivals_s))
 
     def lag_max_s(self, rate: float) -> float:
-        """How far the player fell behind its schedule at most."""
+        """Largest delay of the player behind its schedule."""
         late_s = np.asarray(self.arrivals_s) - np.asarray(self.bag_times_s) / rate
         return float(late_s.max() - late_s[: max(1, len(late_s) // 20)].min())
 

@@ -313,7 +313,7 @@ def frozen_configuration(
 
 # Pairing runs to check with those of the baseline.
 
-_CANDIDATES_MOST_NAMED = 10
+_MOST_LISTED = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -378,9 +378,7 @@ def pair_runs(check: GateCheck, runs: Iterable[RunRecord]) -> PairedRuns:
             else:
                 groups[place].append(run)
     if not groups:
-        found = "; ".join(
-            f"{reason} ({plural(count, 'run')})" for reason, count in left_out.most_common(_CANDIDATES_MOST_NAMED)
-        )
+        found = "; ".join(f"{reason} ({plural(count, 'run')})" for reason, count in left_out.most_common(_MOST_LISTED))
         raise InvalidInput(
             f"no run can be compared with baseline {check.baseline.name}: {found or 'no run matches the filter'}",
             "slamhive gate show names its configurations",
@@ -411,9 +409,7 @@ def measured_pairs(t: Transaction, check: GateCheck, paired: PairedRuns) -> list
         measured = measured_runs(t, runs, held.protocol.fingerprint)
         missing = [run.id for run in runs if run.id not in measured]
         if missing:
-            named = ", ".join(map(str, missing[:_CANDIDATES_MOST_NAMED])) + (
-                ", ..." if len(missing) > _CANDIDATES_MOST_NAMED else ""
-            )
+            named = ", ".join(map(str, missing[:_MOST_LISTED])) + (", ..." if len(missing) > _MOST_LISTED else "")
             raise InvalidInput(
                 f"run {named} of {words} was not evaluated under the protocol of the baseline, "
                 f"{held.protocol.label} ({held.protocol.fingerprint})",

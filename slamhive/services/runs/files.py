@@ -131,7 +131,7 @@ class MapViews:
         self._kept: KeptViews[_Key, MapCloud] = KeptViews(_CACHE_BYTES, lambda cloud: cloud.size_bytes)
 
     def size(self, path: Path, name: str) -> int:
-        """How many points the map at ``path`` has, from its header.
+        """Number of points of the map at ``path``, from its header.
 
         Raises NotFound without the file, InvalidInput for one that cannot be used.
         """
@@ -240,7 +240,7 @@ def run_progress(run: RunRecord, folder: RunFolder, now: datetime, duration_s: f
 
 
 def untracked_s(folder: RunFolder) -> float | None:
-    """How long the algorithm has found no pose, in s of the recording; None if it does not report that."""
+    """Time without a pose, in s of the recording; None if the algorithm does not report that."""
     content = read_untrusted_json(folder.progress, _PROGRESS_LIMIT_BYTES) or {}
     return measured_number(content.get("untracked_s"))
 

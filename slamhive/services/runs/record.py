@@ -144,7 +144,7 @@ class RecordKeeper:
         self._folder = folder
 
     def readable(self) -> bool:
-        """Whether there is a readable record."""
+        """Tell if there is a readable record."""
         try:
             self._folder.read_record()
         except SlamHiveError:
@@ -184,14 +184,14 @@ FoundEvaluation = tuple[Protocol, EvaluationResult, datetime]
 
 @dataclass(frozen=True, slots=True)
 class Filed:
-    """What the record of a run says, and the dataset that it names."""
+    """The content of a run's record, and the dataset that it names."""
 
     file: RunFile
     dataset: Dataset
 
     @property
     def configuration(self) -> Configuration:
-        """What exactly was run."""
+        """The configuration that was run."""
         return self.file.request.configuration
 
     @property
@@ -201,7 +201,7 @@ class Filed:
 
     @property
     def version(self) -> AlgorithmVersion | None:
-        """What exactly ran; None if the run never started."""
+        """The version that ran; None if the run never started."""
         known = self.file.algorithm
         if known.identity is None:
             return None

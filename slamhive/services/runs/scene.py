@@ -1,4 +1,4 @@
-"""What the 3D view of a run shows: all its trajectories and the ground truth, in one frame."""
+"""Content of the 3D view of a run: all its trajectories and the ground truth, in one frame."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class SceneFrames:
         self._kept: KeptViews[object, SceneFrame] = KeptViews(_MOST_FRAMES, lambda _: 1)
 
     def get(self, run: RunRecord, folder: RunFolder, fingerprint: str | None) -> SceneFrame:
-        """As :func:`run_scene` finds it, from the two trajectories that it rests on alone."""
+        """Find the same as :func:`run_scene`, from its two trajectories alone."""
         if fingerprint is None:
             return _OWN_FRAME
         evaluation = folder.evaluation(fingerprint)
@@ -146,7 +146,7 @@ class SceneFrames:
 
 
 def _stamp(path: Path | None) -> object:
-    """What changes with the file at ``path``."""
+    """A mark that changes with the file at ``path``."""
     try:
         status = None if path is None else os.lstat(path)
     except OSError:
@@ -185,7 +185,7 @@ def _read(files: dict[str, Path], gap_s: float) -> dict[str, PathSeries]:
 
 
 def _transform(raw: PathSeries | None, aligned: PathSeries, offset_s: float) -> tuple[Similarity | None, str]:
-    """What moved the trajectory of the algorithm to the ground truth; otherwise None, and why.
+    """The transform of the trajectory onto the ground truth; otherwise None, and why.
 
     The evaluation files the moved poses, not the transform. All matched poses are moved by one transform, so that a fit
     finds it to the precision of the file.
@@ -255,7 +255,7 @@ class FrameFate:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What is known of a run at ``timestamp_s``, a header timestamp: the nearest matched pose and the nearest frame."""
+    """Knowledge of a run at ``timestamp_s``, a header timestamp: the nearest matched pose and the nearest frame."""
 
     timestamp_s: float
     error_m: float | None
@@ -268,7 +268,7 @@ class Moment:
 
 
 def moment_at(run: RunRecord, folder: RunFolder, timestamp_s: float) -> Moment:
-    """What the files of a run say of the moment ``timestamp_s``; unreadable files say nothing."""
+    """Read the moment ``timestamp_s`` from the files of a run; unreadable files say nothing."""
     error_m = None
     if run.protocol is not None:
         path = folder.evaluation(run.protocol.fingerprint) / "errors.csv"

@@ -47,7 +47,7 @@ class PathSeries:
         return PathSeries(self.times_s[kept], self.positions_m[kept], self.poses, self.pieces[kept])
 
     def even_places(self, most: int) -> Places:
-        """Which poses :meth:`thinned` keeps."""
+        """The poses that :meth:`thinned` keeps."""
         found: Places = np.unique(np.linspace(0, len(self.times_s) - 1, min(len(self.times_s), most)).astype(np.int64))
         return found
 
@@ -211,7 +211,7 @@ def read_track(path: Path, gap_s: float = math.inf) -> PathSeries | None:
 
 
 def read_whole_track(path: Path, gap_s: float = math.inf) -> PathSeries | None:
-    """As :func:`read_track`, with every pose."""
+    """The same as :func:`read_track`, with every pose."""
     data = read_untrusted_lines(path, LIMIT_BYTES)
     if not data:
         return None
@@ -246,7 +246,7 @@ def samples_of(times_s: Array, values: Array, gap_s: float = math.inf) -> Sample
 
 
 def stamped_samples(timestamps_s: Array, values: Array, origin_s: float, gap_s: float = math.inf) -> Samples:
-    """As :func:`samples_of`, over the time since the timestamp ``origin_s``."""
+    """The same as :func:`samples_of`, over the time since the timestamp ``origin_s``."""
     return replace(samples_of(timestamps_s - origin_s, values, gap_s), origin_s=origin_s)
 
 

@@ -155,7 +155,7 @@ class RunService(StoredRuns):
         return self.retry_all([run_id])[0]
 
     def retry_all(self, run_ids: Sequence[int]) -> tuple[RunRecord, ...]:
-        """As :meth:`retry`, of several runs: queues a new run for each, or none."""
+        """The same as :meth:`retry`, of several runs: queues a new run for each, or none."""
         check_writable(self._settings)
         runs = [self.get(run_id) for run_id in run_ids]
         for old in runs:
@@ -182,7 +182,7 @@ class RunService(StoredRuns):
         return self.log_of(self.get(run_id), max_bytes)
 
     def log_of(self, run: RunRecord, max_bytes: int = LOG_TAIL_BYTES) -> str:
-        """As :meth:`log`, of a run that was just read."""
+        """The same as :meth:`log`, of a run that was just read."""
         folder = self.folder(run.id)
         if run.state is not RunState.RUNNING or run.handle is None:
             return read_tail(folder.log, max_bytes)

@@ -259,7 +259,7 @@ def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
 
 
 def with_made_variant(record: Mapping[str, Any], checksum: str) -> dict[str, Any]:
-    """What the record of a run says of its dataset, once its node has made the variant."""
+    """The dataset in the record of a run, once its node has made the variant."""
     return {**record["dataset"], _VARIANT_CHECKSUM: checksum}
 
 
@@ -313,6 +313,6 @@ def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None) -> Reso
 
 
 def disk_limit_bytes(settings: Settings) -> int:
-    """How much the run may write: as set, but other runs and the database keep their free space."""
+    """Bytes that the run may write: as set, but other runs and the database keep their free space."""
     spared_bytes = settings.min_free_disk_mb * 500_000
     return max(0, min(settings.run_disk_mb * 1_000_000, shutil.disk_usage(settings.data).free - spared_bytes))

@@ -51,7 +51,7 @@ class StoredRuns:
         return tuple(self._store.read(lambda t: t.runs.events(run_id)))
 
     def counts(self) -> dict[RunState, int]:
-        """How many runs are in each state."""
+        """Number of runs in each state."""
         return self._store.read(lambda t: t.runs.counts_by_state())
 
     def folder(self, run_id: int) -> RunFolder:

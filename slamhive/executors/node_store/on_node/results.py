@@ -177,7 +177,7 @@ def _read(path: Path) -> Optional[bytes]:
 
 
 RESULT_FILE = "result.tar"
-_RESULTS_CONFLICT, _DAMAGED = 409, 422
+_DAMAGED = 422
 _MOST_TIMES = 3
 
 _Question = Callable[[], Dict[str, Any]]
@@ -225,7 +225,7 @@ def send_results(
             _send(connection, archive, lambda call: patiently(call, patience_s, given_up, sleep))
         except NodeRefused as refused:
             # An answer that was lost leaves the two of them with different ideas of what has arrived.
-            if refused.status not in (_RESULTS_CONFLICT, _DAMAGED) or attempt == _MOST_TIMES - 1:
+            if refused.status not in (_CONFLICT, _DAMAGED) or attempt == _MOST_TIMES - 1:
                 raise
         else:
             return

@@ -1,4 +1,4 @@
-"""What the steps on camera images share: the scale of pixel values, and changes that leave transparency alone."""
+"""Steps on camera images, with the scale of pixel values, and changes that leave transparency alone."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ class Calibration(Step):
         return sensor.kind in {SensorKind.CAMERA, SensorKind.DEPTH}
 
     def is_identity(self, sensor: Sensor) -> bool:
-        """What the sensor has anyway."""
+        """Noise that the sensor has anyway."""
         return all(sensor.calibration[key] == value for key, value in self._stated().items())
 
     def calibrate(self, sensor: Sensor) -> Sensor:

@@ -1,4 +1,4 @@
-"""What the steps on point clouds share. Clouds are structured arrays (n,) with the fields x, y, z and others."""
+"""Steps on point clouds. Clouds are structured arrays (n,) with the fields x, y, z and others."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def unorganised(sensor: Sensor) -> Sensor:
 
 
 def beam_numbers(points: Array, beams: int, ring: str = RING_FIELD) -> Array:
-    """Which beam each point comes from (n,), int: the field ``ring``, or the order in which the scan is stored.
+    """Beam of each point (n,), int: the field ``ring``, or the order in which the scan is stored.
 
     Without that field a scan must be stored beam after beam, each turn once around, as KITTI's are: a beam ends where
     the azimuth jumps back.
@@ -99,7 +99,7 @@ class PointBeams(Step):
         return self.every == 1
 
     def calibrate(self, sensor: Sensor) -> Sensor:
-        """As many beams as are left."""
+        """Number of beams that are left."""
         left = {**sensor.calibration, "beams": -(-_beams(sensor) // self.every)}
         return unorganised(replace(sensor, calibration=left))
 
@@ -326,7 +326,7 @@ class Fog(SeededStep):
 
 
 def see_through_fog(points: Array, visibility_m: float, backscatter: float, random: np.random.Generator) -> Array:
-    """What a LiDAR measures of ``points`` in fog; those that are not finite are left out."""
+    """Simulate the measurement of ``points`` in fog; those that are not finite are left out."""
     attenuation = -2.0 * math.log(_CONTRAST_AT_VISIBILITY) / visibility_m
     distances = ranges_m(points)
     lost_at = random.exponential(1.0 / attenuation, len(points))

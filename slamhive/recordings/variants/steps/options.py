@@ -1,4 +1,4 @@
-"""How steps declare their options: pydantic fields that say what they mean, in which unit, within which range."""
+"""Options of steps: pydantic fields with their meaning, unit and range."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ class DropBursts(SeededStep):
 
 
 class _Bursts:
-    """Whether a message falls between bursts; asked in order of time.
+    """Tell if a message falls between bursts; asked in order of time.
 
     Time is cut into windows that begin at multiples of their length, and the draws of a window depend on its number
     alone. So all sensors see the same bursts although their first messages differ.
