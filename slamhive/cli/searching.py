@@ -252,7 +252,7 @@ def find(cli: CliContext, words: tuple[str, ...], as_json: bool) -> None:
     elif found:
         print_table(("what", "name", "description"), [(entry.kind.value, entry.name, entry.words) for entry in found])
     else:
-        tell(f"nothing is called {' '.join(words)!r}")
+        tell(f"nothing found for {' '.join(words)!r}")
 
 
 COMMANDS = (

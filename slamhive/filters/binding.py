@@ -169,7 +169,7 @@ class _Binder:
         if not meanings:
             name = leaf.name.text
             raise self._refusal(
-                f"nothing is called {name[:80]!r}", self._vocabulary.nearest(name[:80]), leaf.name.place
+                f"unknown name {name[:80]!r}", self._vocabulary.nearest(name[:80]), leaf.name.place
             )
         if leaf.sign in PRESENCE:
             return Condition(meanings[0], leaf.sign)

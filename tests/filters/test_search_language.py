@@ -95,7 +95,7 @@ def test_what_is_typed_has_one_spelling_and_words(text, canonical, words):
 @pytest.mark.parametrize(
     ("text", "message", "place"),
     [
-        ("nFeatres > 3", "nothing is called 'nFeatres' (at character 1); did you mean 'nFeatures'?", "nFeatres"),
+        ("nFeatres > 3", "unknown name 'nFeatres' (at character 1); did you mean 'nFeatures'?", "nFeatres"),
         ("id > 1 and ate.rms < 1", "did you mean 'ate.rmse'?", "ate.rms"),
         ("nFeatures ~ abc", "nFeatures is a number, ~ does not compare it", "nFeatures ~ abc"),
         ("nFeatures = abc", "nFeatures is a number, 'abc' is none", "abc"),

@@ -98,4 +98,4 @@ def test_the_command_prints_a_table_or_json(web: Web) -> None:
     found, *_ = json.loads(CliRunner().invoke(main, [*call, "--json"]).stdout)
     assert found == {"kind": "run", "key": "3", "name": "Run 3", "words": "eye-slam-stereo on room, failed"}
     nothing = CliRunner().invoke(main, ["--data", data, "find", "no", "such"])
-    assert (nothing.exit_code, nothing.stdout, nothing.stderr) == (0, "", "nothing is called 'no such'\n")
+    assert (nothing.exit_code, nothing.stdout, nothing.stderr) == (0, "", "nothing found for 'no such'\n")

@@ -28,7 +28,7 @@ _JSON = "application/json"
 _PROBLEM = "application/problem+json"
 _PROBLEMS = {
     "400": ("InvalidInput", "A value that cannot be used."),
-    "401": ("Unauthenticated", "This server needs to know who calls: sign in, or send an API token."),
+    "401": ("Unauthenticated", "Sign-in required: sign in, or send an API token."),
     "403": ("Forbidden", "The server is view-only, or the caller may not do this."),
     "404": ("NotFound", "Nothing has this name or number."),
     "409": ("Conflict", "The present state does not allow it."),
