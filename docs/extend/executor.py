@@ -155,7 +155,7 @@ class PlainExecutor(Executor):
             SCRIPT,
             "sh",
             str(environment.python),
-            str(script),
+            *(str(script) if word == "/slamhive/mapping.py" else word for word in spec.command[1:]),
         ]
         subprocess.run(command, cwd=work, env=variables, check=True)
 

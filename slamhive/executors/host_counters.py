@@ -201,7 +201,7 @@ NOT_MEASURED = "# not measured: "
 _PACKAGE_FOLDER = re.compile(r"intel-rapl:(\d+)")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # pods run this module with Python 3.7, which has no slots
 class PackageEnergy:
     """One counter: the package's number, microjoules, and where the counter begins again."""
 

@@ -168,9 +168,7 @@ class _Binder:
         meanings = self._vocabulary.fields(leaf.name.text)
         if not meanings:
             name = leaf.name.text
-            raise self._refusal(
-                f"unknown name {name[:80]!r}", self._vocabulary.nearest(name[:80]), leaf.name.place
-            )
+            raise self._refusal(f"unknown name {name[:80]!r}", self._vocabulary.nearest(name[:80]), leaf.name.place)
         if leaf.sign in PRESENCE:
             return Condition(meanings[0], leaf.sign)
         problems: list[FilterError] = []

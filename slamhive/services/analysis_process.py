@@ -14,6 +14,7 @@ import os
 import resource
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,12 +42,20 @@ def main() -> int:
 
         if isinstance(error, SlamHiveError):
             outcome = {"error": str(error)}
-        elif UNMAPPED in str(error) or _memory_is_used_up(asked["memory_bytes"]):
+        elif any(UNMAPPED in str(cause) for cause in _with_causes(error)) or _memory_is_used_up(asked["memory_bytes"]):
             outcome = {"error": too_large}
         else:
             raise
     sys.stdout.write(json.dumps(outcome) + "\n")
     return int("error" in outcome)
+
+
+def _with_causes(error: BaseException) -> Iterator[BaseException]:
+    """The error and those behind it: pandas puts an error of its own before that of the dynamic loader."""
+    behind: BaseException | None = error
+    while behind is not None:
+        yield behind
+        behind = behind.__cause__ or behind.__context__
 
 
 def limit_process(memory_bytes: int, time_limit_s: float) -> None:

@@ -119,7 +119,10 @@ def test_many_clients_that_fill_the_server_make_room_for_another():
 def test_no_request_at_work_is_given_up_for_another_and_the_newcomer_is_told(health_path: str):
     limits = ServerLimits(connections=20, per_client=10, health_path=health_path)
     with serving(limits, threads=2) as (app, port), ExitStack() as open_ones:
-        working = [open_ones.enter_context(connected(port, GET % b"/slow")) for _ in range(10)]
+        working = []
+        for _ in range(10):
+            working.append(open_ones.enter_context(connected(port, GET % b"/slow")))
+            time.sleep(0.1)  # the server reads the request; a connection that has sent nothing yet may be given up
         eventually(lambda: app.at_work == 2)
         newcomer = open_ones.enter_context(connected(port))
         with contextlib.suppress(ConnectionError):

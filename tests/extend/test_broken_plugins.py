@@ -83,10 +83,10 @@ TUM = Preset("Ours", Protocol(Alignment.NONE), (), "", "")
 PAGES = """
 from flask import Blueprint
 from slamhive.web.pages import PluginPage
-RUNS = Page("Runs", Blueprint("mine", __name__, url_prefix="/runs"))
-NAMED = Page("Runs", Blueprint("runs", __name__, url_prefix="/mine"))
-BARE = Page("Bare", Blueprint("bare", __name__))
-INDEXLESS = Page("Indexless", Blueprint("indexless", __name__, url_prefix="/indexless"))
+RUNS = PluginPage("Runs", Blueprint("mine", __name__, url_prefix="/runs"))
+NAMED = PluginPage("Runs", Blueprint("runs", __name__, url_prefix="/mine"))
+BARE = PluginPage("Bare", Blueprint("bare", __name__))
+INDEXLESS = PluginPage("Indexless", Blueprint("indexless", __name__, url_prefix="/indexless"))
 """
 
 

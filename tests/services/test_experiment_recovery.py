@@ -27,11 +27,11 @@ seeds: 1 | 2
 
 KILLED_START = """
 import os, signal, sys
-from slamhive.services.experiments import previewing, starting, storing
+from slamhive.services.experiments import previewing, starting
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import open_hive
 from slamhive.store import Store
-storing.CHUNK = 10
+starting.CHUNK = 10
 write, left = Store.write, [int(sys.argv[2])]
 def dying(self, work):
     left[0] -= 1

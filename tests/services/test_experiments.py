@@ -225,7 +225,7 @@ def test_a_name_that_is_taken_is_refused_with_its_place(hive: Hive) -> None:
     other = source(SIX.replace("0.02", "0.03"))
     with pytest.raises(Conflict, match=r"six.yaml line 1: experiment six exists already"):
         hive.experiments.start(other)
-    assert "is there already" in hive.experiments.preview(other).refusals[0]
+    assert "exists already with other content" in hive.experiments.preview(other).refusals[0]
     assert everything(hive) == before
 
 

@@ -36,7 +36,7 @@ from tests.web.web_world import make_web
 pytestmark = pytest.mark.integration
 
 SOURCE = Path(slamhive.__file__).parent
-KNOW_THE_FOLDER = {"settings.py", "services/worker/leftovers.py"}
+KNOW_THE_FOLDER = {"base/settings.py", "services/worker/leftovers.py"}
 """Besides the use case itself; the second removes what killed processes have left."""
 NUMBER = re.compile(rb"\d+\.\d{4,}")
 TIME_OF_DAY = re.compile(rb"\d\d:\d\d:\d\d[.]\d+")
