@@ -31,7 +31,7 @@ from tests.recordings.storages import ROS1, START_NS
 from tests.recordings.test_import_ros import bag, recording, silent
 from tests.recordings.test_import_ros_fuzz import MUTATIONS, outcome
 
-pytestmark = pytest.mark.quick
+pytestmark = pytest.mark.integration
 
 __all__ = ["bag", "recording"]
 HUMBLE = get_typestore(Stores.ROS2_HUMBLE)
