@@ -11,14 +11,14 @@ from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import SlamHiveError
 from slamhive.cli.output import counting_bar, tell
 from slamhive.domain.run import RunState
-from slamhive.executors.host import worker_identity
-from slamhive.services.evaluations import Evaluations
 from slamhive.services.experiments import ConfigurationStanding, Phase
 from slamhive.services.hive import Hive
-from slamhive.store import EvaluationRecord, EvaluationState, RunRecord
+from slamhive.store import EvaluationState, RunRecord
 
 if TYPE_CHECKING:
+    from slamhive.services.evaluations import Evaluations
     from slamhive.services.worker import WorkingMeanwhile
+    from slamhive.store import EvaluationRecord
 
 PAUSE_S = 0.3
 
@@ -158,6 +158,9 @@ def evaluate_to_end(service: Evaluations, evaluation_ids: Sequence[int]) -> list
 
     If this process is interrupted, the others stay queued.
     """
+    # Lists import this module through their commands, and identify no worker.
+    from slamhive.executors.host import worker_identity  # noqa: PLC0415
+
     stopping = threading.Event()
     service.take_over_from_the_dead()
     with counting_bar("evaluating", len(evaluation_ids)) as show:
