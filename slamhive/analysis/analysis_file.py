@@ -17,7 +17,7 @@ from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.documents.validation import first_problem_at
 from slamhive.domain.verdict import FailureRule
-from slamhive.packages.published.combination import Numbers
+from slamhive.packages.published.numbers import Numbers
 
 PROTOCOL = "protocol:"
 

@@ -17,7 +17,8 @@ from slamhive.analysis.selection import Combined, Expression, SetName, names_in,
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.packages.published.combination import Numbers, Part, meant, only, parts_of
+from slamhive.packages.published.combination import Part, only, parts_of
+from slamhive.packages.published.numbers import Numbers, meant
 
 # Keys and values of published analysis files in the language of filters and columns.
 

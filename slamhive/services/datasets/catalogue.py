@@ -20,7 +20,7 @@ from slamhive.domain.algorithm import EXTERNAL_PACKAGE, Algorithm, external_algo
 from slamhive.domain.names import check_name
 from slamhive.domain.packages import split_version, version_label
 from slamhive.domain.sensors import SensorSetup
-from slamhive.packages.published.combination import Numbers
+from slamhive.packages.published.numbers import Numbers
 from slamhive.store import AbsentStore, RunRecord, Store, Transaction
 
 if TYPE_CHECKING:

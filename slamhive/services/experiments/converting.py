@@ -8,8 +8,9 @@ from dataclasses import replace
 from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.algorithm import Algorithm
 from slamhive.experiments.file import parse_experiment
-from slamhive.packages.published.combination import HERE, Combination, read_combinations
+from slamhive.packages.published.combination import Combination, read_combinations
 from slamhive.packages.published.experiment import Converted, convert, other_text
+from slamhive.packages.published.numbers import HERE
 from slamhive.services.datasets import Catalogue
 from slamhive.services.experiments.views import ExperimentSource
 
