@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
-import ast
 import re
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
+
+import grimp
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "design.md"
@@ -21,20 +22,17 @@ _BOX = (118, 34)
 _GAP = (14, 50)
 
 
-def imported_packages(source: Path) -> dict[str, set[str]]:
-    """{package: the packages that its modules import} of the packages directly below ``source``.
+def imported_packages() -> dict[str, set[str]]:
+    """{package: the packages that its modules import} of the packages directly below ``slamhive``.
 
     Imports for type checkers and inside functions count: they are dependencies too.
     """
-    names = {folder.parent.name for folder in source.glob("*/__init__.py")}
-    found: dict[str, set[str]] = {name: set() for name in names}
-    for name in names:
-        for path in (source / name).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("slamhive."):
-                    found[name].add(str(node.module).split(".")[1])
-        found[name] = (found[name] & names) - {name}
-    return found
+    graph = grimp.build_graph("slamhive", cache_dir=None)
+    packages = {module for module in graph.find_children("slamhive") if graph.find_children(module)}
+    for package in packages:
+        graph.squash_module(package)
+    found = {package: graph.find_modules_directly_imported_by(package) & packages - {package} for package in packages}
+    return {_last(package): {_last(other) for other in others} for package, others in found.items()}
 
 
 def shortest(imports: Mapping[str, set[str]]) -> dict[str, frozenset[str]]:
@@ -123,6 +121,10 @@ def as_svg(arrows: Arrows) -> str:
     return "\n".join([*parts, "</svg>", ""])
 
 
+def _last(module: str) -> str:
+    return module.rpartition(".")[2]
+
+
 def _rows(arrows: Arrows) -> list[list[str]]:
     """The packages in rows: one below all that import it, as near to them as possible."""
     depth: dict[str, int] = defaultdict(int)
@@ -142,4 +144,4 @@ def _rows(arrows: Arrows) -> list[list[str]]:
 
 
 if __name__ == "__main__":
-    print(as_text(shortest(imported_packages(ROOT / "slamhive"))), end="")
+    print(as_text(shortest(imported_packages())), end="")

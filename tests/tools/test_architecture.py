@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
 from architecture import PAGE, ROOT, arrows_of, as_svg, as_text, imported_packages, shortest
 
-IMPORTS = imported_packages(ROOT / "slamhive")
+IMPORTS = imported_packages()
 
 
 def test_the_arrows_of_the_page_are_those_of_the_imports():
