@@ -15,8 +15,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from slamhive.documents import arrays
-from slamhive.documents.arrays import Kind
+from slamhive.documents.arrays import Array, Kind
 
 # One colour and one marker for each algorithm, on every page and in every plot; markers of datasets; dark pages.
 
@@ -122,8 +121,6 @@ def _luminance(colour: str) -> float:
 def _parts(colour: str) -> tuple[int, ...]:
     return tuple(int(colour[place : place + 2], 16) for place in (1, 3, 5))
 
-
-Array = arrays.Array
 
 REFERENCE = "reference"
 """The colour of ground truth: dark grey on white, light grey on black."""

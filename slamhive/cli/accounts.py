@@ -15,7 +15,7 @@ from slamhive.cli.visible import say
 from slamhive.documents.accounts import AccountDocument, ApiToken, AuditLineDocument
 from slamhive.domain.accounts import Identity, Role, Scope
 from slamhive.services.accounts import LONGEST_TOKEN_DAYS, TokenRequest
-from slamhive.store import Account as AccountRecord
+from slamhive.store import Account
 
 # ``slamhive account token``: personal API tokens.
 
@@ -218,11 +218,11 @@ def _new_password() -> str:
     return check_text(line, "the password")
 
 
-def _state(entry: AccountRecord) -> str:
+def _state(entry: Account) -> str:
     return "active" if entry.disabled_at is None else f"disabled {entry.disabled_at:%Y-%m-%d}"
 
 
-def _show(entry: AccountRecord, *, as_json: bool) -> None:
+def _show(entry: Account, *, as_json: bool) -> None:
     if as_json:
         print_json(AccountDocument.of(entry).content)
     else:

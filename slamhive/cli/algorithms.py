@@ -17,7 +17,6 @@ from slamhive.cli.visible import say, write_out
 from slamhive.cli.waiting import run_to_end
 from slamhive.documents.catalogue import AlgorithmDocument, BoundResult, Version
 from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.algorithm import Algorithm as Entry
 from slamhive.domain.names import plural
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.sensors import SensorSetup
@@ -140,11 +139,11 @@ def _each_once(show: Callable[[str], None]) -> Callable[[str], None]:
     return line
 
 
-def _json(entry: Entry, identities: Mapping[str, str | None]) -> dict[str, Any]:
+def _json(entry: Algorithm, identities: Mapping[str, str | None]) -> dict[str, Any]:
     return {**AlgorithmDocument.of(entry).content, "identity": identities[entry.package.name]}
 
 
-def _state(entry: Entry, identity: str | None) -> str:
+def _state(entry: Algorithm, identity: str | None) -> str:
     if entry.package.origin is not None:
         return "imported" if identity else "imported, but its image is gone"
     return "built" if identity else "not built"

@@ -23,8 +23,7 @@ from slamhive.domain.sensors import SensorKind
 from slamhive.executors.base import ImageMissing
 from slamhive.experiments.file import parse_experiment
 from slamhive.recordings.room import RoomOptions
-from slamhive.services.experiments import ConfigurationStanding, ExperimentSource, varying
-from slamhive.services.experiments import Phase as RunPhase
+from slamhive.services.experiments import ConfigurationStanding, ExperimentSource, Phase, varying
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 
@@ -206,7 +205,7 @@ def run_demo(hive: Hive, seconds: float) -> None:
     status = hive.experiments.status(status.name)
     print_report(status, list(hive.experiments.report(status.name)), varying(hive.experiments.axes(status.name)))
     tell(f"demo done in {monotonic_s() - began:.0f} s; data in {hive.settings.data}")
-    if not status.counts[RunPhase.GOOD]:
+    if not status.counts[Phase.GOOD]:
         raise click.exceptions.Exit(1)
 
 

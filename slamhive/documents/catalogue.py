@@ -12,8 +12,7 @@ from slamhive.domain.algorithm import RunUser
 from slamhive.domain.collection import Collection, NeedKind, Sequence
 from slamhive.domain.configuration import Playback, Variant
 from slamhive.domain.finding import FoundKind
-from slamhive.domain.matching import Match as Matched
-from slamhive.domain.matching import Origin
+from slamhive.domain.matching import Match, Origin
 from slamhive.domain.parameters import ParameterType, Value
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.sensors import SensorKind, SensorSetup
@@ -242,7 +241,7 @@ class MatchDocument(Document):
     )
 
     @classmethod
-    def of_match(cls, match: Matched) -> Self:
+    def of_match(cls, match: Match) -> Self:
         """The document of a match."""
         return cls(
             sensors={

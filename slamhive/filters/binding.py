@@ -34,7 +34,7 @@ from slamhive.filters.syntax import (
 
 
 VERSIONED = ("algorithm", "package")
-_ALLOWED = (Sign.EQUAL, Sign.NOT_EQUAL, Sign.IN, Sign.NOT_IN)
+_EXACT = (Sign.EQUAL, Sign.NOT_EQUAL, Sign.IN, Sign.NOT_IN)
 
 
 def with_versions(tree: Filter, source: str) -> Filter:
@@ -46,8 +46,8 @@ def with_versions(tree: Filter, source: str) -> Filter:
         return Junction(tree.word, tuple(with_versions(part, source) for part in tree.parts))
     if tree.name.text not in VERSIONED or not any(VERSION_SIGN in value.text for value in tree.values):
         return tree
-    if tree.sign not in _ALLOWED:
-        remedy = f"use {' '.join(_ALLOWED)}"
+    if tree.sign not in _EXACT:
+        remedy = f"use {' '.join(_EXACT)}"
         raise FilterError(f"{tree.sign} does not compare versions", remedy, source, tree.place)
     denied = tree.sign in (Sign.NOT_EQUAL, Sign.NOT_IN)
     return join("and" if denied else "or", [_one(tree, value, source, denied=denied) for value in tree.values])
@@ -80,8 +80,7 @@ _WHOLE = re.compile(r"[-+]?\d{1,18}", re.ASCII)
 _FLAGS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 _ORDERED = (Sign.LESS, Sign.AT_MOST, Sign.MORE, Sign.AT_LEAST, Sign.BETWEEN)
 _PATTERNS = (Sign.LIKE, Sign.UNLIKE)
-_EXACT = (Sign.EQUAL, Sign.NOT_EQUAL, Sign.IN, Sign.NOT_IN)
-_BINDING_ALLOWED: dict[FieldKind, tuple[Sign, ...]] = {
+_ALLOWED: dict[FieldKind, tuple[Sign, ...]] = {
     FieldKind.NUMBER: (*_EXACT, *_ORDERED),
     FieldKind.TIME: (Sign.EQUAL, Sign.NOT_EQUAL, *_ORDERED),
     FieldKind.TEXT: (*_EXACT, *_PATTERNS),
@@ -180,8 +179,8 @@ class _Binder:
         raise problems[0]
 
     def _of(self, meaning: Field, leaf: FilterComparison) -> Condition:
-        if leaf.sign not in _BINDING_ALLOWED[meaning.kind]:
-            signs = " ".join(_BINDING_ALLOWED[meaning.kind])
+        if leaf.sign not in _ALLOWED[meaning.kind]:
+            signs = " ".join(_ALLOWED[meaning.kind])
             raise self._refusal(
                 f"{meaning.name} is a {meaning.kind}, {leaf.sign} does not compare it", f"use {signs}", leaf.place
             )

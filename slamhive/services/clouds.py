@@ -15,8 +15,7 @@ from slamhive.base.files import size_bytes
 from slamhive.base.settings import Settings
 from slamhive.cloud.lifecycle import Hands, Rising, cluster_resources, remove_all, take_down
 from slamhive.cloud.machines import Preparer, read_public_key
-from slamhive.cloud.plan import CloudFile, ProviderName, Work, load_cloud_file, make_plan
-from slamhive.cloud.plan import CloudPlan as Plan
+from slamhive.cloud.plan import CloudFile, CloudPlan, ProviderName, Work, load_cloud_file, make_plan
 from slamhive.cloud.providers import open_provider
 from slamhive.cloud.providers.base import Provider
 from slamhive.cloud.resources import CLUSTER_TAG, INSTALLATION_TAG, UID_TAG, CloudRecords, Resource
@@ -114,7 +113,7 @@ class Clouds:
             assert record is not None
             return self._status(Rising(hands, order, record).up(), hands.provider)
 
-    def _begin(self, hands: Hands, order: CloudFile, text: str, plan: Plan) -> CloudRecord:
+    def _begin(self, hands: Hands, order: CloudFile, text: str, plan: CloudPlan) -> CloudRecord:
         """Write the record of a new cluster; raises InvalidInput or Conflict if the provider cannot have it."""
         hands.provider.check(order)
         self._sweep(hands, (order.provider, order.region), everything=False)

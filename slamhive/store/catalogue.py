@@ -12,10 +12,9 @@ from sqlalchemy.exc import IntegrityError
 
 from slamhive.base.errors import unknown
 from slamhive.domain import protocol as domain
-from slamhive.domain.algorithm import Algorithm as AlgorithmDefinition
-from slamhive.domain.dataset import Dataset as DatasetDefinition
-from slamhive.domain.run import Host as HostRecord
-from slamhive.domain.run import RunNotes
+from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.dataset import Dataset
+from slamhive.domain.run import Host, RunNotes
 from slamhive.store.changes import changes_of
 from slamhive.store.models import (
     AlgorithmRow,
@@ -27,15 +26,14 @@ from slamhive.store.models import (
     RunRow,
     RunTagRow,
 )
-from slamhive.store.records import AlgorithmRecord, DatasetRecord, VersionRecord
-from slamhive.store.records import AlgorithmVersion as NewVersion
+from slamhive.store.records import AlgorithmRecord, AlgorithmVersion, DatasetRecord, VersionRecord
 from slamhive.store.rows import Repository, chunks, cut, get_or_insert
 
 
 class CatalogueRepository(Repository):
     """Gets or creates rows, and keeps them equal to the catalogue folders."""
 
-    def put_algorithm(self, algorithm: AlgorithmDefinition) -> int:
+    def put_algorithm(self, algorithm: Algorithm) -> int:
         """The id of ``algorithm``, stored if it is new."""
         return self.put_algorithm_named(algorithm.name, algorithm.package.name, algorithm.mode)
 
@@ -50,7 +48,7 @@ class CatalogueRepository(Repository):
             )
         return algorithm_id
 
-    def put_dataset(self, dataset: DatasetDefinition, now: datetime, *, gone: bool = False) -> int:
+    def put_dataset(self, dataset: Dataset, now: datetime, *, gone: bool = False) -> int:
         """The id of ``dataset``. A dataset that was made again under its name replaces what the row says.
 
         ``gone``: its folder is gone, so the row stays as it is.
@@ -74,7 +72,7 @@ class CatalogueRepository(Repository):
             )
         return dataset_id
 
-    def put_host(self, host: HostRecord) -> int:
+    def put_host(self, host: Host) -> int:
         """The id of ``host``, stored if it is new."""
         return get_or_insert(self._connection, HostRow, {"fingerprint": host.fingerprint}, asdict(host))[0]
 
@@ -123,7 +121,7 @@ _VERSION = tuple(VersionRecord.__dataclass_fields__)
 class VersionRepository(Repository):
     """Numbers versions, finds them, and notes which of them were removed."""
 
-    def put(self, package: str, version: NewVersion, now: datetime) -> tuple[int, int]:
+    def put(self, package: str, version: AlgorithmVersion, now: datetime) -> tuple[int, int]:
         """Row and number of a version of ``package``. A new one gets its own number if that is free, else the next.
 
         A version that was removed and is here again counts as there.
@@ -141,7 +139,7 @@ class VersionRepository(Repository):
 
     def restore(self, record: VersionRecord) -> None:
         """Store a version under its number, unless the version or the number is there already."""
-        version = NewVersion(record.identity, record.package_hash, record.version, record.number)
+        version = AlgorithmVersion(record.identity, record.package_hash, record.version, record.number)
         _, number = self.put(record.package, version, record.created_at)
         if record.removed_at is not None and number == record.number:
             self.mark_removed(record.package, number, record.removed_at)
@@ -174,7 +172,7 @@ class VersionRepository(Repository):
     def _find(self, *conditions: ColumnElement[bool]) -> Row[tuple[object, ...]] | None:
         return self._connection.execute(select(_VERSIONS).where(*conditions)).one_or_none()
 
-    def _insert(self, package: str, version: NewVersion, now: datetime) -> None:
+    def _insert(self, package: str, version: AlgorithmVersion, now: datetime) -> None:
         """Insert the version, unless another transaction is faster: the caller looks again."""
         own = _VERSIONS.c.package == package
         number = version.number

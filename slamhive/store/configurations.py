@@ -12,8 +12,7 @@ from sqlalchemy.exc import IntegrityError
 from slamhive.base.errors import NotFound
 from slamhive.domain import configuration as domain
 from slamhive.domain.configuration import Variant
-from slamhive.domain.parameters import Parameter as Definition
-from slamhive.domain.parameters import ParameterType, Scalar, Value
+from slamhive.domain.parameters import Parameter, ParameterType, Scalar, Value
 from slamhive.store.changes import NewRow, changes_of
 from slamhive.store.models import (
     TEXT_VALUE_LENGTH,
@@ -57,7 +56,7 @@ class ConfigurationRepository(Repository):
         algorithm_id: int,
         dataset_id: int,
         now: datetime,
-        definitions: Sequence[Definition] = (),
+        definitions: Sequence[Parameter] = (),
     ) -> tuple[int, bool]:
         """The id of ``configuration``, and whether it is new. Equal content is one row, also when two try at once.
 
@@ -182,7 +181,7 @@ class ConfigurationRepository(Repository):
             self._connection.execute(insert(VariantOptionRow.__table__), options)
 
     def _parameter_ids(
-        self, algorithm_id: int, values: Mapping[str, Value], definitions: Sequence[Definition]
+        self, algorithm_id: int, values: Mapping[str, Value], definitions: Sequence[Parameter]
     ) -> dict[str, int]:
         """The rows of ``parameters`` for the keys of ``values``; all modes of a package share theirs.
 
@@ -221,7 +220,7 @@ class _Meanings:
     def __init__(self) -> None:
         self._known: dict[int, tuple[object, ...]] = {}
 
-    def of(self, definitions: Sequence[Definition]) -> tuple[object, ...]:
+    def of(self, definitions: Sequence[Parameter]) -> tuple[object, ...]:
         """The same for definitions that mean the same; the caller keeps ``definitions``."""
         if id(definitions) not in self._known:
             self._known[id(definitions)] = tuple((d.key, d.type, d.unit, d.general) for d in definitions)
@@ -257,7 +256,7 @@ def configuration_of(row: Row[Any], parameters: dict[str, Value]) -> domain.Conf
     )
 
 
-def _description(definition: Definition | None, value: Value) -> tuple[str, str, str | None]:
+def _description(definition: Parameter | None, value: Value) -> tuple[str, str, str | None]:
     """Type, unit and general name."""
     if definition is not None:
         return definition.type.value, definition.unit, definition.general

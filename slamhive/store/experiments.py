@@ -24,9 +24,9 @@ from slamhive.store.models import (
     MetricRow,
     MetricValueRow,
     ProtocolRow,
+    RunEventRow,
     RunRow,
 )
-from slamhive.store.models import RunEventRow as EventRow
 from slamhive.store.records import CellRecord, CellRun, ExperimentRecord, NewCell, ProtocolLabel, StateCount
 from slamhive.store.rows import Repository, chunks, get_or_insert, sample_variance
 from slamhive.store.sharing import sharing_columns
@@ -317,7 +317,7 @@ class ExperimentRepository(Repository):
             values = {"state": RunState.CANCELLED, "ended_at": now, "held": False}
             self._connection.execute(update(_RUNS).where(_RUNS.c.id.in_(part)).values(values))
             event = {"at": now, "from_state": RunState.QUEUED, "to_state": RunState.CANCELLED, "why": why}
-            self._connection.execute(insert(EventRow.__table__), [{"run_id": run_id, **event} for run_id in part])
+            self._connection.execute(insert(RunEventRow.__table__), [{"run_id": run_id, **event} for run_id in part])
         active = [mine, _RUNS.c.state.not_in((*_ENDED, RunState.QUEUED, RunState.CANCELLING))]
         asked = self._column(select(_RUNS.c.id).where(*active).with_for_update())
         for part in chunks(asked):

@@ -26,10 +26,10 @@ from slamhive.store.models import (
     ExperimentCellRow,
     ExperimentRow,
     ProtocolRow,
+    RunEventRow,
     RunRow,
     SavedSearchRow,
 )
-from slamhive.store.models import RunEventRow as EventRow
 from slamhive.store.records import EvaluationState, NewCell, NewConfiguration, RunRequest, SavedSearchRecord
 from slamhive.store.rows import Repository, chunks, get_or_insert
 from slamhive.store.run_listing import options_of_row
@@ -41,7 +41,7 @@ _RUNS = RunRow.__table__
 _CELLS = ExperimentCellRow.__table__
 _EVALUATIONS = EvaluationRow.__table__
 _CONFIGURATIONS = ConfigurationRow.__table__
-_EVENTS = EventRow.__table__
+_EVENTS = RunEventRow.__table__
 _ACTIVE = tuple(state for state in RunState if state.active)
 _REQUEST = tuple(name for name in RunRequest.__dataclass_fields__ if name in _RUNS.c and name != "stop_when")
 

@@ -10,8 +10,7 @@ from sqlalchemy import ColumnElement, and_, false, func, insert, or_, select, un
 from slamhive.domain.placement import same_data
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.store.leases import Lease, LeaseQueue
-from slamhive.store.models import EvaluationRow, RunRow
-from slamhive.store.models import RunEventRow as EventRow
+from slamhive.store.models import EvaluationRow, RunEventRow, RunRow
 from slamhive.store.records import RunRecord
 from slamhive.store.runs import RunRepository
 from slamhive.store.same_cpu import MeasuredMachine, SameCpu
@@ -73,7 +72,7 @@ class RunQueue(LeaseQueue[int]):
                 event = {"from_state": RunState.QUEUED, "to_state": RunState.PREPARING}
                 why = f"claimed by {lease.owner}"
                 self._connection.execute(
-                    insert(EventRow.__table__).values(run_id=run_id, at=lease.at, why=why, **event)
+                    insert(RunEventRow.__table__).values(run_id=run_id, at=lease.at, why=why, **event)
                 )
                 return RunRepository(self._connection).get(run_id)
         return None

@@ -33,8 +33,7 @@ from slamhive.domain.configuration import InputMap, Playback, Variant
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import protocol_from_content
-from slamhive.domain.run import NO_NOTES, FailureReason, RunNotes, RunState
-from slamhive.domain.run import Host as HostRecord
+from slamhive.domain.run import NO_NOTES, FailureReason, Host, RunNotes, RunState
 from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.trust import Disturbance
 from slamhive.domain.verdict import VerdictKind
@@ -54,8 +53,7 @@ from slamhive.store.models import (
     ProtocolRow,
     RunRow,
 )
-from slamhive.store.records import AlgorithmVersion as VersionRecord
-from slamhive.store.records import Count, Page, ProtocolLabel, RunRecord, RunSort
+from slamhive.store.records import AlgorithmVersion, Count, Page, ProtocolLabel, RunRecord, RunSort
 from slamhive.store.rows import behind, decode, encode, from_json, ordered
 from slamhive.store.search_sql import NULLABLE, RUNS, Sql, Start, look_up, starts, stored_parameters
 
@@ -412,7 +410,7 @@ def _record(
         version=_version(row),
         host=None
         if row.cpu_model is None
-        else HostRecord(row.cpu_model, row.cpu_count, row.memory_bytes, row.kernel, row.os),
+        else Host(row.cpu_model, row.cpu_count, row.memory_bytes, row.kernel, row.os),
         experiment=row.experiment,
         **options_of_row(row),
         disturbance=None if row.disturbance is None else Disturbance.of(row.disturbance),
@@ -422,10 +420,10 @@ def _record(
     )
 
 
-def _version(row: Row[Any]) -> VersionRecord | None:
+def _version(row: Row[Any]) -> AlgorithmVersion | None:
     if row.identity is None:
         return None
-    return VersionRecord(row.identity, row.package_hash, row.version, row.version_number)
+    return AlgorithmVersion(row.identity, row.package_hash, row.version, row.version_number)
 
 
 LARGEST_PAGE = 1000

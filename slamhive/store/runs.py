@@ -26,7 +26,6 @@ from slamhive.store.models import (
     RunRow,
     RunTagRow,
 )
-from slamhive.store.models import RunEventRow as EventRow
 from slamhive.store.records import LeaseLost, Page, RunFields, RunRecord, RunRequest, RunSnapshot, RunSort
 from slamhive.store.rows import Repository, changed, chunks, cut
 from slamhive.store.run_listing import list_page, options_row, run_query, to_records
@@ -110,7 +109,7 @@ class DeletedRunRepository(Repository):
 
 
 DETAIL_LENGTH = 10_000
-_EVENTS = EventRow.__table__
+_EVENTS = RunEventRow.__table__
 _AS_ASKED = tuple(entry.name for entry in fields(RunRequest) if entry.name in _RUNS.c and entry.name != "stop_when")
 """The fields of a request that are columns as they are."""
 

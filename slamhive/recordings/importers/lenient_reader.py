@@ -146,6 +146,7 @@ class LenientReader:
         self.readers: Sequence[Any] = ()
         self._stack = ExitStack()
         self._storages: list[Storage] = []
+        self._zstd = zstandard.ZstdDecompressor()
         try:
             for file in self._files(path):
                 storage = McapStorage(file) if file.suffix == ".mcap" else SqliteStorage(file)
@@ -188,7 +189,7 @@ class LenientReader:
         for connection, time_ns, raw in heapq.merge(*parts, key=lambda entry: entry[1]):
             try:
                 # rosbag2 compresses single messages, and MCAP does not know of it
-                plain = zstandard.ZstdDecompressor().decompressobj().decompress(raw) if raw[:4] == ZSTD else raw
+                plain = self._zstd.decompressobj().decompress(raw) if raw[: len(ZSTD)] == ZSTD else raw
             except zstandard.ZstdError as error:
                 raise ReaderError(str(error)) from None
             yield connection, time_ns, plain
@@ -238,7 +239,7 @@ class LenientReader:
         with file.open("rb") as packed, target.open("wb") as plain:
             try:
                 # a recorder writes one frame; files that were put together have several
-                reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+                reader = self._zstd.stream_reader(packed, read_across_frames=True)
                 shutil.copyfileobj(reader, plain)
             except zstandard.ZstdError as error:
                 raise ReaderError(f"{file.name}: {error}") from None

@@ -9,7 +9,6 @@ import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import LidarLayout
-from slamhive.recordings.geometry import Array as GeometryArray
 from slamhive.recordings.ros1_writer import NS_PER_S
 from slamhive.runtime.messages import Array, stamp_ns, to_points
 from slamhive.runtime.point_times import PointTimes, SweepInstant, TimeReference, TimeUnit
@@ -178,7 +177,7 @@ def livox_layout(rate_hz: float) -> tuple[LidarLayout, str]:
     return LidarLayout(times, "line"), "Livox points become PointCloud2, the time of a point is offset_time in ns"
 
 
-def livox_points(raw: bytes, *, cdr: bool) -> tuple[int, int, GeometryArray]:
+def livox_points(raw: bytes, *, cdr: bool) -> tuple[int, int, Array]:
     """The timestamp of the header, the time from which points count (both in ns), and the points (n,) of a message.
 
     Args:
@@ -220,7 +219,7 @@ class _Reader:
     def skip(self, count: int) -> None:
         self._place += count
 
-    def points(self, count: int) -> GeometryArray:
+    def points(self, count: int) -> Array:
         item_bytes = _CDR_ITEM_BYTES if self._cdr else POINT.itemsize
         rest = self._raw[self._place :]
         if count * item_bytes > len(rest) + (item_bytes - POINT.itemsize):

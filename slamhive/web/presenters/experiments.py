@@ -13,6 +13,7 @@ from slamhive.filters.words import matching
 from slamhive.services.experiments import (
     ENDED,
     NO_FIGURES,
+    Cell,
     CellFigures,
     ExperimentGrid,
     ExperimentPreview,
@@ -23,7 +24,6 @@ from slamhive.services.experiments import (
     Phase,
     failure_words,
 )
-from slamhive.services.experiments import Cell as ExperimentCell
 from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import MOST_RUNS
 from slamhive.services.runs import RunProgress
@@ -94,7 +94,7 @@ class CellLine:
     ``title`` is its name without that of the experiment; ``selects`` are the runs that its box selects.
     """
 
-    cell: ExperimentCell
+    cell: Cell
     first: bool
     title: str
     selects: str
@@ -190,7 +190,7 @@ def selection(run_ids: Sequence[int]) -> str:
 
 def cell_lines(
     name: str,
-    cells: Iterable[ExperimentCell],
+    cells: Iterable[Cell],
     axes: Sequence[str],
     metrics: Sequence[Metric],
     labels: Mapping[str, str],
@@ -252,7 +252,7 @@ def phase_count(status: ExperimentStatus, phase: str) -> int:
     return status.counts.get(Phase(phase), 0)
 
 
-def _disturbed(cell: ExperimentCell) -> str:
+def _disturbed(cell: Cell) -> str:
     count = sum(bool(run.disturbed) and not run.retried for run in cell.runs)
     return f"; {thousands(count)} disturbed" if count else ""
 
