@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -126,8 +127,8 @@ def _print_page(listing: Listing, *, as_json: bool) -> None:
         print_runs(list(page.records), as_json)
         return
     if page.records and listing.columns:
-        content, _ = listing.runs()
-        print_table(content.columns, list(content.rows(lambda _: (page.records, None))))
+        content, pages = replace(listing, limit=listing.size).runs()
+        print_table(content.columns, list(content.rows(pages)))
     elif page.records:
         print_runs(list(page.records), as_json)
     tell(listing.summary(len(page.records), page.count))

@@ -21,10 +21,11 @@ from slamhive.filters.binding import Search, bind, read_search
 from slamhive.filters.parser import parse_filter
 from slamhive.filters.syntax import FilterComparison, Sign, Word, filter_text, join
 from slamhive.filters.words import in_words
-from slamhive.services.exports import GroupExport, Record, RunExport, TableExport, by_protocol
+from slamhive.services.exports import RUNS_AT_ONCE, GroupExport, Record, RunExport, TableExport, by_protocol
 from slamhive.services.searches import order_in_words, summary
-from slamhive.store import Count, RunRecord, RunSort
+from slamhive.store import Count, RunSort
 from slamhive.store.records import GroupRecord, SavedSearchRecord, Spread
+from slamhive.store.run_cells import RunCells
 
 if TYPE_CHECKING:
     from slamhive.services.hive import Hive
@@ -55,15 +56,16 @@ def search_of(hive: Hive, where: str, lists: dict[str, Sequence[str]]) -> Search
 
 
 class Pages(Generic[Record]):
-    """The pages of a list, for an export; at most ``limit`` records."""
+    """The pages of a list, for an export; at most ``limit`` records, ``at_once`` in a page."""
 
-    def __init__(self, fetch: Fetch[Record], limit: int | None) -> None:
+    def __init__(self, fetch: Fetch[Record], limit: int | None, at_once: int = PAGE) -> None:
         self._fetch = fetch
         self._left = limit
+        self._at_once = at_once
 
     def __call__(self, after: str | None) -> tuple[Sequence[Record], str | None]:
         """The page after a key, and the key of the next."""
-        size = PAGE if self._left is None else min(PAGE, self._left)
+        size = self._at_once if self._left is None else min(self._at_once, self._left)
         records, next_key = self._fetch(after, size)
         if self._left is not None:
             self._left -= len(records)
@@ -90,14 +92,11 @@ class Listing:
         """The metrics that groups show."""
         return [key for key in self.columns if key in CATALOGUE] or list(GROUP_METRICS)
 
-    def runs(self) -> tuple[RunExport, Pages[RunRecord]]:
+    def runs(self) -> tuple[RunExport, Pages[RunCells]]:
         """All runs, for a file."""
-
-        def fetch(after: str | None, size: int) -> tuple[Sequence[RunRecord], str | None]:
-            page = self.hive.stored_runs.page(self.search, self.sort, after, size)
-            return page.records, page.next_key
-
-        return RunExport(self.columns or FILE_COLUMNS, self.hive.searches.vocabulary()), Pages(fetch, self.limit)
+        export = RunExport(self.columns or FILE_COLUMNS, self.hive.searches.vocabulary())
+        fetch = self.hive.stored_runs.cells(self.search, self.sort, export.wanted)
+        return export, Pages(fetch, self.limit, RUNS_AT_ONCE)
 
     def groups(self) -> tuple[GroupExport, Pages[GroupRecord]]:
         """Their configurations, for a file."""

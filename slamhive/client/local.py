@@ -81,10 +81,13 @@ class LocalBackend:
 
     def table(self, query: RunQuery, columns: Sequence[str]) -> Iterator[dict[str, Any]]:
         """Implement :meth:`~slamhive.client.backend.Backend.table`."""
-        from slamhive.services.exports import RunExport  # noqa: PLC0415 - on first use
+        from slamhive.services.exports import RUNS_AT_ONCE, RunExport  # noqa: PLC0415 - on first use
 
         export = RunExport(columns, self._hive.searches.vocabulary())
-        return (dict(zip(columns, row, strict=True)) for row in export.rows(self._pages(query)))
+        sort = RunSort(query.sort, descending=query.descending)
+        fetch = self._hive.stored_runs.cells(self._hive.searches.read(query.where), sort, export.wanted)
+        rows = export.rows(lambda after: fetch(after, RUNS_AT_ONCE))
+        return (dict(zip(columns, row, strict=True)) for row in rows)
 
     def run(self, run_id: int) -> RunWith:
         """Implement :meth:`~slamhive.client.backend.Backend.run`."""

@@ -314,6 +314,8 @@ LIMITS = (
         remedy="raise the limit of CPU cores",
     ),
 )
+TRUST_METRICS = frozenset({DROPPED_FRAMES, *(limit.metric for limit in LIMITS)})
+"""The metrics that :func:`judge_trust` reads."""
 """The limits, the most important first. A disturbed machine limits the trust as well."""
 
 

@@ -3,26 +3,39 @@
 from __future__ import annotations
 
 import csv
+import functools
 import io
+import itertools
 import json
+import operator
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from slamhive.base.errors import Unavailable, unknown
 from slamhive.documents.json_values import timestamp
+from slamhive.domain.accounts import visibility_of
+from slamhive.domain.configuration import Variant
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.domain.trust import Disturbance, Trust
+from slamhive.domain.packages import version_label
+from slamhive.domain.trust import TRUST_METRICS, Disturbance, Trust
 from slamhive.filters.fields import PARAMETER_PREFIX, FieldKind, Vocabulary
-from slamhive.store.records import GroupRecord, ProtocolLabel, RunRecord, Spread
+from slamhive.store.metrics import VERDICT
+from slamhive.store.records import GroupRecord, ProtocolLabel, Spread, trust_in, verdict_kind
+from slamhive.store.rows import from_json
+from slamhive.store.run_cells import CellsWanted, RunCells
 
 Record = TypeVar("Record")
 Cell = TypeVar("Cell")
 Value = int | float | str | bool | None
 Page: TypeAlias = Callable[[str | None], tuple[Sequence[Record], str | None]]
 """Returns the records of the page after a key (None for the first page) and the key of the next page."""
+RUNS_AT_ONCE = 4_000
+"""Rows of an export that are read with one set of statements: enough that statements cost little beside rows."""
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
@@ -47,7 +60,7 @@ class ExportFormat(StrEnum):
 
 
 class TableExport(ABC, Generic[Record]):
-    """Rows of values, in stored units.
+    """A table of values, in stored units.
 
     Args:
         columns: Their names.
@@ -59,39 +72,63 @@ class TableExport(ABC, Generic[Record]):
         self._numbers = tuple(numbers)
 
     @abstractmethod
-    def cells(self, record: Record) -> Iterator[tuple[Value, ...]]:
-        """The rows of one record."""
+    def table(self, records: Sequence[Record]) -> list[list[Value]]:
+        """The values of each column for some records; all columns have the same length."""
 
-    def rows(self, page: Page[Record]) -> Iterator[tuple[Value, ...]]:
-        """All rows, in order."""
+    def tables(self, page: Page[Record]) -> Iterator[list[list[Value]]]:
+        """The values of each column, page by page. Columns are faster to fill, to test and to write than rows."""
         key: str | None = None
         while True:
             records, key = page(key)
-            for record in records:
-                yield from self.cells(record)
+            if records:
+                yield self.table(records)
             if key is None:
                 return
 
+    def rows(self, page: Page[Record]) -> Iterator[tuple[Value, ...]]:
+        """All rows, in order."""
+        for columns in self.tables(page):
+            yield from zip(*columns, strict=True)
+
     def csv(self, page: Page[Record]) -> Iterator[str]:
         """CSV text; no cell runs as a formula in a spreadsheet."""
-        return _csv_lines(self.columns, self.rows(page))
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow([safe_cell(name) for name in self.columns])
+        for columns in self.tables(page):
+            # numbers need no test, and the writer leaves the cell of None empty
+            safe = [
+                column if number else [safe_cell(value) for value in column]
+                for column, number in zip(columns, self._numbers, strict=True)
+            ]
+            for rows in _batches(zip(*safe, strict=True), 500):
+                writer.writerows(rows)
+                yield text.getvalue()
+                text.seek(0)
+                text.truncate()
+        yield text.getvalue()
 
     def json(self, page: Page[Record]) -> Iterator[str]:
         """A JSON list with one object for each row; missing values are null."""
         separator = "["
-        for line in self.ndjson(page):
-            yield f"{separator}\n{line.rstrip()}"
+        for lines in self._json_lines(page):
+            yield f"{separator}\n{f',{chr(10)}'.join(lines)}"
             separator = ","
         yield "[]\n" if separator == "[" else "\n]\n"
 
     def ndjson(self, page: Page[Record]) -> Iterator[str]:
         """A JSON object in each line, one for each row; missing values are null."""
-        for row in self.rows(page):
-            content = dict(zip(self.columns, row, strict=True))
-            yield f"{json.dumps(content, ensure_ascii=False, allow_nan=False)}\n"
+        for lines in self._json_lines(page):
+            yield "\n".join(lines) + "\n"
+
+    def _json_lines(self, page: Page[Record]) -> Iterator[list[str]]:
+        """JSON objects, one for each row, some hundred at a time."""
+        encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
+        for rows in _batches(self.rows(page), 500):
+            yield [encode(dict(zip(self.columns, row, strict=True))) for row in rows]
 
     def parquet(self, page: Page[Record], path: Path) -> int:
-        """Write a Parquet file with a row group for each 1000 rows; returns the number of rows. Needs pyarrow."""
+        """Write a Parquet file with a row group for each page; returns the number of rows. Needs pyarrow."""
         try:
             import pyarrow as pa  # noqa: PLC0415 - optional
             import pyarrow.parquet as pq  # noqa: PLC0415 - optional
@@ -103,43 +140,25 @@ class TableExport(ABC, Generic[Record]):
         schema = pa.schema(list(zip(self.columns, types, strict=True)))
         written = 0
         with pq.ParquetWriter(path, schema) as writer:
-            for rows in _batches(self.rows(page), 1000):
-                written += len(rows)
-                columns = list(zip(*rows, strict=True))
-                values = [_typed(column, number=number) for column, number in zip(columns, self._numbers, strict=True)]
-                arrays = [pa.array(column, kind) for column, kind in zip(values, types, strict=True)]
+            for columns in self.tables(page):
+                written += len(columns[0])
+                arrays = [
+                    pa.array(_typed(column, number=number), kind)
+                    for column, number, kind in zip(columns, self._numbers, types, strict=True)
+                ]
                 writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
         return written
 
 
-def _csv_lines(header: Sequence[str], rows: Iterable[Sequence[Value]]) -> Iterator[str]:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([safe_cell(name) for name in header])
-    for row in rows:
-        writer.writerow(["" if value is None else safe_cell(value) for value in row])
-        if text.tell() > 32_000:
-            yield text.getvalue()
-            text.seek(0)
-            text.truncate()
-    yield text.getvalue()
-
-
 def _batches(rows: Iterator[tuple[Value, ...]], size: int) -> Iterator[list[tuple[Value, ...]]]:
-    batch: list[tuple[Value, ...]] = []
-    for row in rows:
-        batch.append(row)
-        if len(batch) == size:
-            yield batch
-            batch = []
-    if batch:
+    while batch := list(itertools.islice(rows, size)):
         yield batch
 
 
 def _typed(column: Sequence[Value], *, number: bool) -> list[Any]:
     if number:
-        return [None if value is None or isinstance(value, str) else float(value) for value in column]
-    return [None if value is None else str(value) for value in column]
+        return [None if isinstance(value, str) else value for value in column]
+    return [value if value is None or type(value) is str else str(value) for value in column]
 
 
 def safe_cell(value: Cell) -> Cell | str:
@@ -149,32 +168,77 @@ def safe_cell(value: Cell) -> Cell | str:
 
 # Runs as a table.
 
-_COLUMNS: dict[str, Callable[[RunRecord], Value]] = {
-    "id": lambda run: run.id,
-    "algorithm": lambda run: run.algorithm,
-    "version": lambda run: run.version_label,
-    "dataset": lambda run: run.dataset,
-    "trajectory": lambda run: run.trajectory,
-    "variant": lambda run: "; ".join(map(str, run.variant)) or None,
-    "parameters": lambda run: json.dumps(run.parameters, sort_keys=True),
-    "configuration": lambda run: run.configuration_id,
-    "experiment": lambda run: run.experiment,
-    "executor": lambda run: run.executor,
-    "playback": lambda run: f"{run.playback.mode.value} {run.playback.rate:g}",
-    "seed": lambda run: run.seed,
-    "state": lambda run: run.state.value,
-    "reason": lambda run: None if run.reason is None else run.reason.value,
-    "verdict": lambda run: None if run.verdict is None else run.verdict.kind.value,
-    "trust": lambda run: trust_text(run.trust),
-    "disturbed": lambda run: disturbed_text(run.disturbance),
-    "owner": lambda run: run.owner,
-    "visibility": lambda run: run.seen_by.value,
-    "tags": lambda run: ", ".join(run.tags) or None,
-    "note": lambda run: run.note,
-    "created_at": lambda run: timestamp(run.created_at),
-    "started_at": lambda run: timestamp(run.started_at),
-    "ended_at": lambda run: timestamp(run.ended_at),
-    "protocol": lambda run: None if run.protocol is None else run.protocol.fingerprint,
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of the table of runs: what it reads, and its values for some runs."""
+
+    wanted: CellsWanted
+    values: Callable[[Sequence[RunCells]], list[Value]]
+
+
+def _stored(*columns: str, read: Callable[[Any], Value] | None = None) -> _Column:
+    """A column made of columns of the database; the first one as it is, without ``read``."""
+    value = attrgetter(columns[0]) if read is None else read
+    return _Column(CellsWanted(frozenset(columns)), lambda runs: [value(run.row) for run in runs])
+
+
+def _at(column: str) -> _Column:
+    return _stored(column, read=lambda row: timestamp(getattr(row, column)))
+
+
+def _disturbance(row: Any) -> Disturbance | None:
+    return None if row.disturbance is None else Disturbance.of(row.disturbance)
+
+
+_NOTES = CellsWanted(notes=True)
+_COLUMNS: dict[str, _Column] = {
+    "id": _stored("id"),
+    "algorithm": _stored("algorithm"),
+    "version": _stored(
+        "version_number",
+        "package",
+        read=lambda row: None if row.version_number is None else version_label(row.package, row.version_number),
+    ),
+    "dataset": _stored("dataset"),
+    "trajectory": _stored("trajectory"),
+    "variant": _stored(
+        "variant", read=lambda row: "; ".join(map(str, from_json(Variant, row.variant))) if row.variant else None
+    ),
+    "parameters": _Column(CellsWanted(parameters=True), lambda runs: [run.parameters.text for run in runs]),
+    "configuration": _stored("configuration_id"),
+    "experiment": _stored("experiment"),
+    "executor": _stored("executor"),
+    "playback": _stored(
+        "playback_mode", "playback_rate", read=lambda row: f"{row.playback_mode.value} {row.playback_rate:g}"
+    ),
+    "seed": _stored("seed"),
+    "state": _stored("state", read=lambda row: row.state.value),
+    "reason": _stored("reason", read=lambda row: None if row.reason is None else row.reason.value),
+    "verdict": _Column(
+        CellsWanted(frozenset({"state"}), frozenset({VERDICT})),
+        lambda runs: [
+            None if (kind := verdict_kind(run.row.state, run.judged)) is None else kind.value for run in runs
+        ],
+    ),
+    "trust": _Column(
+        CellsWanted(frozenset({"executor", "state", "playback_mode", "disturbance"}), TRUST_METRICS),
+        lambda runs: [
+            trust_text(
+                trust_in(run.metrics, _disturbance(run.row), run.row.state, run.row.executor, run.row.playback_mode)
+            )
+            for run in runs
+        ],
+    ),
+    "disturbed": _stored("disturbance", read=lambda row: disturbed_text(_disturbance(row))),
+    "owner": _stored("owner"),
+    "visibility": _stored("audience", read=lambda row: visibility_of(row.audience).value),
+    "tags": _Column(_NOTES, lambda runs: [", ".join(run.notes.tags) or None for run in runs]),
+    "note": _Column(_NOTES, lambda runs: [run.notes.note or None for run in runs]),
+    "created_at": _at("created_at"),
+    "started_at": _at("started_at"),
+    "ended_at": _at("ended_at"),
+    "protocol": _stored("protocol_fingerprint"),
 }
 
 
@@ -188,7 +252,7 @@ def trust_text(found: Trust | None) -> str | None:
     return None if found is None or found.level is None else found.level.value
 
 
-class RunExport(TableExport[RunRecord]):
+class RunExport(TableExport[RunCells]):
     """Values of the selected columns.
 
     Args:
@@ -197,24 +261,26 @@ class RunExport(TableExport[RunRecord]):
     """
 
     def __init__(self, columns: Sequence[str], vocabulary: Vocabulary) -> None:
-        self._readers = [_reader(key, vocabulary) for key in columns]
+        chosen = [_column(key, vocabulary) for key in columns]
+        self.wanted = functools.reduce(operator.or_, (column.wanted for column in chosen), CellsWanted())
+        self._values = [column.values for column in chosen]
         super().__init__(columns, [_is_number(key, vocabulary) for key in columns])
 
-    def cells(self, record: RunRecord) -> Iterator[tuple[Value, ...]]:
-        """One row for each run."""
-        yield tuple(read(record) for read in self._readers)
+    def table(self, records: Sequence[RunCells]) -> list[list[Value]]:
+        """The values of each column."""
+        return [values(records) for values in self._values]
 
 
-def _reader(key: str, vocabulary: Vocabulary) -> Callable[[RunRecord], Value]:
+def _column(key: str, vocabulary: Vocabulary) -> _Column:
     if key in _COLUMNS:
         return _COLUMNS[key]
     if key in CATALOGUE:
-        return lambda run: (run.metrics or {}).get(key)
+        return _Column(CellsWanted(metrics=frozenset({key})), lambda runs: [run.metrics.get(key) for run in runs])
     name = key.removeprefix(PARAMETER_PREFIX)
     if name not in vocabulary.parameters:
         raise unknown("column", key, [*_COLUMNS, *CATALOGUE, *vocabulary.parameters])
     own_keys = vocabulary.own_keys.get(name, (name,))
-    return lambda run: _plain(run.parameters, own_keys)
+    return _Column(CellsWanted(parameters=True), lambda runs: [_plain(run.parameters.values, own_keys) for run in runs])
 
 
 def _plain(parameters: Mapping[str, Any], own_keys: Sequence[str]) -> Value:
@@ -249,8 +315,11 @@ class GroupExport(TableExport[GroupRecord]):
         figures = [f"{key}.{part}" for key in metrics for part in _PARTS]
         super().__init__((*HEAD, *figures), [name in _NUMBERS for name in HEAD] + [True] * len(figures))
 
-    def cells(self, record: GroupRecord) -> Iterator[tuple[Value, ...]]:
-        """One row for each protocol."""
+    def table(self, records: Sequence[GroupRecord]) -> list[list[Value]]:
+        """The values of each column, with one row for each protocol of a configuration."""
+        return [list(column) for column in zip(*itertools.chain.from_iterable(map(self._rows, records)), strict=True)]
+
+    def _rows(self, record: GroupRecord) -> Iterator[tuple[Value, ...]]:
         parameters = json.dumps(record.parameters, sort_keys=True)
         for label, figures in by_protocol(record):
             head = (record.configuration_id, record.algorithm, record.dataset, parameters, record.runs, record.failed)

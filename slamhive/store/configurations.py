@@ -129,7 +129,7 @@ class ConfigurationRepository(Repository):
                 .where(ConfigurationValueRow.configuration_id.in_(part))
                 .order_by(ConfigurationValueRow.configuration_id, ConfigurationValueRow.parameter_id)
             )
-            for configuration_id, key, value in rows:
+            for configuration_id, key, value in rows.all():
                 found[configuration_id][key] = tuple(value) if isinstance(value, list) else value
         return found
 

@@ -243,12 +243,27 @@ class RunRecord(RunOptions):
     @property
     def trust(self) -> Trust | None:
         """The trust in the measurements; None for a run that did not end by itself or was imported."""
-        if self.metrics is None or self.executor == IMPORTED:
+        if self.metrics is None:
             return None
-        if self.state not in (RunState.SUCCEEDED, RunState.FAILED):
-            return None
-        realtime = self.playback.mode is PlaybackMode.REALTIME
-        return judge_trust(self.metrics, self.disturbance, realtime=realtime)
+        return trust_in(self.metrics, self.disturbance, self.state, self.executor, self.playback.mode)
+
+
+def trust_in(
+    metrics: Mapping[str, float],
+    disturbance: Disturbance | None,
+    state: RunState,
+    executor: str,
+    playback: PlaybackMode,
+) -> Trust | None:
+    """The trust in the measurements of a run; None for one that did not end by itself or was imported."""
+    if executor == IMPORTED or state not in (RunState.SUCCEEDED, RunState.FAILED):
+        return None
+    return judge_trust(metrics, disturbance, realtime=playback is PlaybackMode.REALTIME)
+
+
+def verdict_kind(state: RunState, judged: VerdictKind | None) -> VerdictKind | None:
+    """The kind of :attr:`RunRecord.verdict`, from the stored verdict alone."""
+    return VerdictKind.ENDED_BADLY if state is RunState.FAILED else judged
 
 
 @dataclass(frozen=True, slots=True)

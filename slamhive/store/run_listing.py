@@ -442,24 +442,38 @@ def list_page(
     """One page of the runs that match ``search``; see :meth:`RunRepository.page`."""
     if not 1 <= limit <= LARGEST_PAGE:
         raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
-    names = look_up(connection, search, sorted_parameter(connection, sort.key))
-    sql = Sql(names)
-    order = Order(sort, sql, names_in_order(connection, sort))
-    key = None if after is None else decode(after, order.kinds)
-    matches = Matches(connection, search, sql)
-    total, rows = matches.page(order, key, limit + 1)
-    shown = [row[-1] for row in rows[:limit]]
+    found = PageKeys.read(connection, search, sort, after, limit)
     records = {
         record.id: record
         for record in to_records(
             connection,
-            connection.execute(run_query(names.protocol_id).where(RunRow.id.in_(shown))).all(),
+            connection.execute(run_query(found.protocol_id).where(RunRow.id.in_(found.run_ids))).all(),
             with_metrics=with_metrics,
-            protocol_id=names.protocol_id,
+            protocol_id=found.protocol_id,
         )
     }
-    next_key = encode(rows[limit - 1]) if len(rows) > limit else None
-    return Page(tuple(records[run_id] for run_id in shown), total, next_key)
+    return Page(tuple(records[run_id] for run_id in found.run_ids), found.count, found.next_key)
+
+
+@dataclass(frozen=True, slots=True)
+class PageKeys:
+    """The runs of one page, in order. ``protocol_id``: the protocol that the search names, None for none."""
+
+    run_ids: list[int]
+    count: Count
+    next_key: str | None
+    protocol_id: int | None
+
+    @classmethod
+    def read(cls, connection: Connection, search: Search, sort: RunSort, after: str | None, limit: int) -> PageKeys:
+        """The page after the key ``after``, of at most ``limit`` runs."""
+        names = look_up(connection, search, sorted_parameter(connection, sort.key))
+        sql = Sql(names)
+        order = Order(sort, sql, names_in_order(connection, sort))
+        key = None if after is None else decode(after, order.kinds)
+        total, rows = Matches(connection, search, sql).page(order, key, limit + 1)
+        next_key = encode(rows[limit - 1]) if len(rows) > limit else None
+        return cls([row[-1] for row in rows[:limit]], total, next_key, names.protocol_id)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from slamhive.store.models import (
 )
 from slamhive.store.records import LeaseLost, Page, RunFields, RunRecord, RunRequest, RunSnapshot, RunSort
 from slamhive.store.rows import Repository, changed, chunks, cut
+from slamhive.store.run_cells import CellPage, CellsWanted, list_cells
 from slamhive.store.run_listing import list_page, options_row, run_query, to_records
 from slamhive.store.sharing import SharingRepository
 
@@ -179,6 +180,12 @@ class RunRepository(Repository):
         """
         search = wanted or EVERYTHING
         return list_page(self._connection, search, sort or RunSort(), after, limit, with_metrics=with_metrics)
+
+    def cells(
+        self, wanted: Search | None, sort: RunSort, after: str | None, limit: int, columns: CellsWanted
+    ) -> CellPage:
+        """Like :meth:`page`, for exports: only what ``columns`` read, and pages of any length."""
+        return list_cells(self._connection, wanted or EVERYTHING, sort, after, limit, columns)
 
     def active(self) -> tuple[RunRecord, ...]:
         """The runs that workers have claimed, in order; there are at most as many as slots."""

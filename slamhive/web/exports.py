@@ -9,8 +9,8 @@ from werkzeug.datastructures import MultiDict
 
 from slamhive.base.files import temporary_folder
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.services.exports import ExportFormat, GroupExport, Page, Record, RunExport, TableExport
-from slamhive.store.records import GroupRecord, RunRecord
+from slamhive.services.exports import RUNS_AT_ONCE, ExportFormat, GroupExport, Page, Record, RunExport, TableExport
+from slamhive.store.records import GroupRecord
 from slamhive.web.context import hive
 from slamhive.web.queries import EXPORT_LIMIT, RunListQuery
 
@@ -22,17 +22,15 @@ def export_file(kind: ExportFormat, args: MultiDict[str, str]) -> Response:
     query = RunListQuery.from_args(args, vocabulary)
     metrics = [key for key in query.columns if key in CATALOGUE]
 
-    def runs(after: str | None) -> tuple[Sequence[RunRecord], str | None]:
-        found = services.runs.page(query.search, query.sort, after, EXPORT_LIMIT)
-        return found.records, found.next_key
-
     def groups(after: str | None) -> tuple[Sequence[GroupRecord], str | None]:
         found = services.searches.groups(query.search, query.sort, after, EXPORT_LIMIT, metrics)
         return found.records, found.next_key
 
     if query.grouped:
         return _file("configurations", kind, GroupExport(metrics), groups)
-    return _file("runs", kind, RunExport(query.columns, vocabulary), runs)
+    content = RunExport(query.columns, vocabulary)
+    runs = services.runs.cells(query.search, query.sort, content.wanted)
+    return _file("runs", kind, content, lambda after: runs(after, RUNS_AT_ONCE))
 
 
 def _file(name: str, kind: ExportFormat, content: TableExport[Record], pages: Page[Record]) -> Response:

@@ -10,8 +10,11 @@ from slamhive.run_folder.folder import RunFolder
 from slamhive.store import Page, RunRecord, RunSort, Store, Transaction
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from slamhive.documents.run import RunWith
     from slamhive.domain.run import RunEvent, RunState
+    from slamhive.store.run_cells import CellPage, CellsWanted
 
 
 class StoredRuns:
@@ -31,6 +34,12 @@ class StoredRuns:
     ) -> Page:
         """One page of runs with their metrics."""
         return self._store.read(lambda t: t.runs.page(wanted, sort, after, limit, with_metrics=True))
+
+    def cells(
+        self, wanted: Search | None, sort: RunSort, columns: CellsWanted
+    ) -> Callable[[str | None, int], CellPage]:
+        """Reader of pages of an export: up to so many runs after a key, only what ``columns`` read of them."""
+        return lambda after, limit: self._store.read(lambda t: t.runs.cells(wanted, sort, after, limit, columns))
 
     def get(self, run_id: int) -> RunRecord:
         """One run with its metrics; raises NotFound."""
