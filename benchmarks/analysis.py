@@ -1,4 +1,4 @@
-"""How long analyses take: all forms over a large experiment, and a scatter of very many runs.
+"""Duration of analyses: all forms over a large experiment, and a scatter of very many runs.
 
     python benchmarks/analysis.py [--runs 1500] [--points 100000] [--browser chromium]
 

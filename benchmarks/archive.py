@@ -47,7 +47,7 @@ class Took:
 
 
 def timed(what: str, work: Callable[[], object], plain: Took | None = None) -> Took:
-    """What ``work`` took; a line with it, and with the ratio to ``plain``."""
+    """Resources that ``work`` took; a line with them, and with the ratio to ``plain``."""
     wall_s, cpu_s = time.perf_counter(), time.process_time()
     work()
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000

@@ -1,4 +1,4 @@
-"""How long it takes to import many trajectories, and to queue the evaluation of all of them at once.
+"""Time to import many trajectories, and to queue the evaluation of all of them at once.
 
     python benchmarks/batches.py [--runs 10000] [--evaluate]
 

@@ -1,4 +1,4 @@
-"""How long ``slamhive dataset check`` takes against a plain pass over the same recording, and its peak memory.
+"""Duration of ``slamhive dataset check`` against a plain pass over the same recording, and its peak memory.
 
 The plain pass reads and deserialises every message and does nothing with it. Both run in pairs, in alternating order,
 each in a process of its own that has imported everything, as a command does. The medians of wall and CPU times are

@@ -1,4 +1,4 @@
-"""How much CPU time short commands take, against Python with the libraries that every command needs.
+"""CPU time of short commands, against Python with the libraries that every command needs.
 
     python benchmarks/command_line.py [--data DIR] [--rounds 5]
 

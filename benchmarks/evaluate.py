@@ -1,4 +1,4 @@
-"""How fast runs are evaluated, against evo's command line, side by side in one run of this script.
+"""Speed of the evaluation of runs, against evo's command line, side by side in one run of this script.
 
 ``python benchmarks/evaluate.py [--json] [--runs N] [--cli-runs N]``: the metrics of the EuRoC runs in
 ``../shared/data/euroc_vio_runs``; the command line needs ``evo_ape`` and ``evo_rpe`` for the same metrics.

@@ -1,4 +1,4 @@
-"""What it costs to expand an experiment of 100,000 configurations: seconds, and the largest memory of the process.
+"""Cost of expanding an experiment of 100,000 configurations: seconds, and the largest memory of the process.
 
     python benchmarks/expand.py [--configurations 100000] [--json]
 

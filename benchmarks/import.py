@@ -1,4 +1,4 @@
-"""How fast datasets are imported, against reading and writing the same bytes, and how much memory that takes.
+"""Speed of imports of datasets, against reading and writing the same bytes, and their memory.
 
 Each importer runs in a process of its own on a recording made for it. In the same run, alternating, a plain copy reads
 the same bytes, writes them, and reads them again for the checksum. It prints the ratio of the wall times and the peak

@@ -1,4 +1,4 @@
-"""What the 3D view of a large map costs the server: time to the first points and to the thinned ones, and memory.
+"""Cost to the server of the 3D view of a large map: time to the first and to the thinned points, and memory.
 
 Writes a map of a hilly ground with walls as binary PCD (or takes one), reads it in a process of its own, and prints
 

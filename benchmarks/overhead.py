@@ -1,4 +1,4 @@
-"""What the queue costs: one run through SLAM Hive against a bare ``docker run`` of the same image and mounts.
+"""Cost of the queue: one run through SLAM Hive against a bare ``docker run`` of the same image and mounts.
 
 Prints, for each pair and as medians:
 

@@ -1,4 +1,4 @@
-"""How long experiments take on a cluster, by how runs are given to nodes: ratios to a bound that nobody can beat.
+"""Duration of experiments on a cluster, by how runs are given to nodes: ratios to a bound that nobody can beat.
 
     python benchmarks/placement.py [--runs 1500 100000] [--nodes 2 4 8 16 32 64 128 256] [--draws 20] [--json]
 
@@ -235,7 +235,7 @@ def _taken_over(cluster: Sequence[_Node], node: _Node, now_s: float) -> Run | No
 
 
 def _end_s(node: _Node, now_s: float) -> float:
-    """When a node is expected to finish what waits for it."""
+    """Time at which a node is expected to finish its waiting runs."""
     return max(node.expected_end_s, now_s) + node.left_s
 
 

@@ -1,4 +1,4 @@
-"""How long one run takes to become JSON, as lists of the command line and the web API do it.
+"""Time for one run to become JSON, as lists of the command line and the web API do it.
 
     python benchmarks/run_json.py
 

@@ -1,4 +1,4 @@
-"""How long a search takes over many runs, on SQLite and MariaDB, side by side with MLflow over the same rows.
+"""Duration of searches over many runs, on SQLite and MariaDB, side by side with MLflow over the same rows.
 
     python benchmarks/search.py --runs 100000 --mlflow /path/to/venv/bin/python
     python benchmarks/search.py --runs 1000000 --only mariadb
@@ -126,7 +126,7 @@ class Times:
 
 
 def measure(store: Store, repeats: int, server_cpu_s: Callable[[], float] = lambda: 0.0) -> dict[str, Times]:
-    """How long each query took, by class."""
+    """Durations of each query, by class."""
     stored, protocols = store.read(lambda t: (t.searches.parameters(), t.searches.protocols()))
     vocabulary = vocabulary_of(stored, protocols=protocols)
     settings = load_settings(project_root())
@@ -161,7 +161,7 @@ def measure(store: Store, repeats: int, server_cpu_s: Callable[[], float] = lamb
 
 
 def rows_read(store: Store) -> int:
-    """How many rows a MariaDB server has read so far, by index or in order; 0 on SQLite."""
+    """Number of rows that a MariaDB server has read so far, by index or in order; 0 on SQLite."""
     if store.engine.dialect.name == "sqlite":
         return 0
     with store.engine.connect() as connection:

@@ -77,7 +77,7 @@ class Made:
 
 
 def needs_protocol(key: str) -> bool:
-    """Whether a metric is filed under the protocol of its evaluation."""
+    """True if a metric is filed under the protocol of its evaluation."""
     return key == VERDICT or CATALOGUE[key].needs_protocol
 
 

@@ -1,4 +1,4 @@
-"""How long a worker with many slots takes to submit its runs to Slurm: as job arrays, and job by job.
+"""Time for a worker with many slots to submit its runs to Slurm: as job arrays, and job by job.
 
 A Slurm of its own starts on this machine (root; ``slurm-wlm``, ``munge``, ``charliecloud``), with nodes that take no
 jobs. Both ways use as many threads as there are runs, alternating::

@@ -1,4 +1,4 @@
-"""How fast one step is on each storage: a ROS 1 bag, a folder of ROS 2 (SQLite) and an MCAP file of equal messages.
+"""Speed of one step on each storage: a ROS 1 bag, a folder of ROS 2 (SQLite) and an MCAP file of equal messages.
 
 The storages are measured in turn, so that other load meets all of them. It prints the median MB/s of the source, and
 the median ratio of times to the ROS 1 bag of the same round.

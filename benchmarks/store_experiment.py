@@ -1,4 +1,4 @@
-"""What it costs to store an experiment of 100,000 configurations and their runs, and to look at it afterwards.
+"""Cost of storing an experiment of 100,000 configurations and their runs, and of looking at it afterwards.
 
     PYTHONPATH=. python benchmarks/store_experiment.py [--configurations 100000] [--database sqlite|mysql] [--json]
 

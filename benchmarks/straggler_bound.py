@@ -1,4 +1,4 @@
-"""How early runs can end on average if nobody knows the stragglers before: a bound for all such schedulers.
+"""Bound on how early runs can end on average if nobody knows the stragglers before, for all such schedulers.
 
 A run takes its expected time, times a factor. Factors are independent of each other. A scheduler may know how they are
 distributed and may use luck. It learns the factor of a run only while the run goes on, and does not interrupt runs.

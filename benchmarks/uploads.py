@@ -1,4 +1,4 @@
-"""How long sending a recording to a server takes, as a multiple of copying and hashing it here, and the memory.
+"""Time to send a recording to a server, as a multiple of copying and hashing it here, and the memory.
 
 ``python benchmarks/uploads.py [MB]``: a file of so many megabytes (default 400) goes to a server on this machine.
 """

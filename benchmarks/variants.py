@@ -1,4 +1,4 @@
-"""How fast variants of a dataset are made, against copying the file and against a plain loop over its messages.
+"""Speed of making variants of a dataset, against copying the file and a plain loop over its messages.
 
 Every comparison runs in pairs, in alternating order, on a bag generated for it. It prints medians of the ratios of the
 pairs, because the machine is shared and absolute times vary. The plain loop is what one would write with rosbags: read,

@@ -1,4 +1,4 @@
-"""What it costs that a viewer may not see all runs: CPU time of the pages of ``search.py``, by how much is hidden.
+"""Cost of hiding runs from a viewer: CPU time of the pages of ``search.py``, by how much is hidden.
 
     python benchmarks/visibility.py --runs 100000
 

@@ -36,7 +36,7 @@ COMPILE = (
 
 
 def fingerprint() -> str:
-    """What an environment was made from: the sources of its packages, this Python, and where it lies."""
+    """Fingerprint of an environment: the sources of its packages, this Python, and where it lies."""
     digest = hashlib.sha256(f"{sys.version_info[:2]} {ENVIRONMENT}".encode())
     for name in SOURCES:
         path = ROOT / name
@@ -45,7 +45,7 @@ def fingerprint() -> str:
 
 
 def missing_extras(wanted: tuple[str, ...]) -> tuple[str, ...] | None:
-    """Which extras the present environment lacks; None if it has to be made again."""
+    """Extras that the present environment lacks; None if it has to be made again."""
     try:
         stamp = json.loads(STAMP.read_text())
         subprocess.run([ENVIRONMENT / "bin" / "python", "-c", ""], check=True, capture_output=True)

@@ -4,11 +4,8 @@ No package registry carries the Vale program, so the kinds of rules that the sty
 
     python tools/prose.py             check every file; part of "make test TIERS=lint"
     python tools/prose.py FILE ...    check these
-    python tools/prose.py --lower     lower the counts of docstrings that open stiffly
 
-A docstring opens with a verb or a noun. ``tools/vale/openings.yml`` names words that are neither, and counts for each
-folder the docstrings that opened so before this rule. A count only falls. A folder with more fails, and so does one
-with fewer until the count is lowered. A file that is named is held to the rule without a count.
+A docstring opens with a verb or a noun. ``STIFF`` names words that are neither.
 """
 
 from __future__ import annotations
@@ -16,7 +13,6 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +23,8 @@ from prose_text import Passage, opening_words, passages
 
 ROOT = Path(__file__).resolve().parent.parent
 STYLE = ROOT / "tools" / "vale" / "SlamHive"
-OPENINGS = ROOT / "tools" / "vale" / "openings.yml"
+STIFF = frozenset({"As", "How", "See", "That", "What", "When", "Whether", "Which", "Who"})
+"""Words that no docstring opens with."""
 CHECKED = ("*.md", "templates/*.html", "*.py", "*/algorithm.yaml")
 GENERATED = ("cli", "settings", "analysis-forms", "variant-steps")
 LEFT_OUT = ("docs/glossary.md", *(f"docs/{name}.md" for name in GENERATED), "tests/", "algorithms/*/README.md")
@@ -85,80 +82,27 @@ class Rule:
                 yield Problem(passage.line, f"{self.message} {' '.join(sentence.split())[:60]} ...")
 
 
-@dataclass(frozen=True)
-class Openings:
-    """The words that no docstring opens with, and how many docstrings of each folder still do."""
-
-    words: frozenset[str]
-    allowed: Mapping[str, int]
-
-    @classmethod
-    def read(cls, path: Path) -> Openings:
-        """Read the words and counts from a file."""
-        entries: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return cls(frozenset(entries["words"]), entries["allowed"])
-
-    def problems(self, path: Path) -> list[Problem]:
-        """Find the docstrings of a Python file that open stiffly."""
-        if path.suffix != ".py":
-            return []
-        return [
-            Problem(entry.line, f"Open a docstring with a verb or a noun, and not with '{entry.text}'.")
-            for entry in opening_words(path.read_text(encoding="utf-8"))
-            if entry.text in self.words
-        ]
-
-    def beyond(self, found: Mapping[str, Sequence[Problem]]) -> dict[str, list[Problem]]:
-        """Compare what all files have with the counts; returns what fails."""
-        counts = self.count(found)
-        failed: dict[str, list[Problem]] = {}
-        for folder in sorted({*counts, *self.allowed}):
-            count, most = counts.get(folder, 0), self.allowed.get(folder, 0)
-            if count > most:
-                failed |= {
-                    name: list(entries) for name, entries in found.items() if entries and _folder(name) == folder
-                }
-                failed[folder] = [Problem(0, f"{count} docstrings open stiffly, {most} did. Mend the new ones.")]
-            elif count < most:
-                failed[folder] = [Problem(0, f"{count} docstrings open stiffly, {most} did: tools/prose.py --lower")]
-        return failed
-
-    @staticmethod
-    def count(found: Mapping[str, Sequence[Problem]]) -> dict[str, int]:
-        """Count the problems of each folder that has any."""
-        counts = Counter({_folder(name): 0 for name in found})
-        for name, entries in found.items():
-            counts[_folder(name)] += len(entries)
-        return {folder: count for folder, count in sorted(counts.items()) if count}
-
-    def lower(self, counts: Mapping[str, int], path: Path) -> None:
-        """Write the counts that fell into the file; none is raised."""
-        lowered = {folder: min(most, counts.get(folder, 0)) for folder, most in self.allowed.items()}
-        head = path.read_text(encoding="utf-8").partition("allowed:")[0]
-        lines = [f"  {folder}: {count}\n" for folder, count in sorted(lowered.items()) if count]
-        path.write_text(f"{head}allowed:{'' if lines else ' {}'}\n{''.join(lines)}", encoding="utf-8")
-
-
-def _folder(name: str) -> str:
-    return Path(name).parent.as_posix()
+def stiff_openings(path: Path) -> list[Problem]:
+    """Find the docstrings of a Python file that open with one of ``STIFF``."""
+    if path.suffix != ".py":
+        return []
+    return [
+        Problem(entry.line, f"Open a docstring with a verb or a noun, and not with '{entry.text}'.")
+        for entry in opening_words(path.read_text(encoding="utf-8"))
+        if entry.text in STIFF
+    ]
 
 
 def main(arguments: Sequence[str]) -> int:
     """Check the named files or all; returns the exit code."""
-    openings = Openings.read(OPENINGS)
-    if arguments == ["--lower"]:
-        openings.lower(openings.count({name: openings.problems(ROOT / name) for name in tracked_files()}), OPENINGS)
-        return 0
     rules = [Rule.read(path) for path in sorted(STYLE.glob("*.yml"))]
     unknown = next((name for name in arguments if not (ROOT / name).is_file()), None)
     if unknown is not None:
         print(f"there is no file {unknown}; usage: prose.py [FILE ...]", file=sys.stderr)
         return 2
     names = arguments or tracked_files()
-    stiff = {name: openings.problems(ROOT / name) for name in names}
     print(f"prose: {len(names)} files")
-    wording = report({name: check(ROOT / name, rules) for name in names})
-    return max(wording, report(stiff if arguments else openings.beyond(stiff)))
+    return report({name: [*check(ROOT / name, rules), *stiff_openings(ROOT / name)] for name in names})
 
 
 def tracked_files() -> list[str]:

@@ -1,4 +1,4 @@
-"""How fast this machine is while tests run, so that limits on CPU time mean the same everywhere."""
+"""Speed of this machine while tests run, so that limits on CPU time mean the same everywhere."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ EVERY_S = 1.0
 
 @dataclass
 class Slowness:
-    """How much slower than the reference the machine was while something ran."""
+    """Slowness of the machine against the reference while something ran."""
 
     taken_s: list[float] = field(default_factory=list)
 
     def factor(self) -> float:
-        """How many times longer the same work takes; 1 if nothing was measured.
+        """Ratio by which the same work takes longer; 1 if nothing was measured.
 
         At least 1, because a fast machine gets no tighter limits.
         """

@@ -147,7 +147,7 @@ def archive_of(runs: Iterable[Packed]) -> bytes:
 
 
 def read_archive(path: Path) -> list[Packed]:
-    """What :func:`archive_of` wrote. Raises NotFound and InvalidInput."""
+    """Trajectory that :func:`archive_of` wrote. Raises NotFound and InvalidInput."""
     try:
         with tarfile.open(path, mode="r:xz") as archive:
             files = {name: _text(archive, name) for name in archive.getnames()}

@@ -43,7 +43,7 @@ def main() -> None:
 
 
 def check(folder: Path) -> list[str]:
-    """What differs between the files and the list, one line each."""
+    """Differences between the files and the list, one line each."""
     problems = []
     expected = {LIST}
     for package, entry in _read(folder).items():

@@ -20,7 +20,7 @@ class ImuCsvExporter:
     """`NAME.csv` of each IMU: timestamp in ns, angular rate in rad/s, acceleration in m/s²."""
 
     def plan(self, dataset: Dataset) -> ExportPlan:
-        """What will be written. What cannot be held is listed, so that nobody loses it unnoticed."""
+        """List what will be written, and what cannot be held, so that nobody loses it unnoticed."""
         imus = dataset.of_kind(SensorKind.IMU)
         if not imus:
             raise InvalidInput(f"dataset {dataset.name} has no IMU", "export to mcap")

@@ -50,7 +50,7 @@ class SetModel(_Model):
 
 
 class FailureModel(_Model):
-    """When a run that ended well counts as failed; replaces the rule that applies elsewhere."""
+    """Rule by which a run that ended well counts as failed; replaces the rule that applies elsewhere."""
 
     tracked_path_below: float | None = Field(
         default=0.7, ge=0, le=1, description="Share of the path; gaps relate to the spacing of the estimate."

@@ -214,7 +214,7 @@ class CloudPlan:
     roles: tuple[str, ...]
 
     def ends_at(self, started: datetime) -> datetime:
-        """When the machines of a cluster that starts now end themselves."""
+        """Time at which the machines of a cluster that starts now end themselves."""
         return started + timedelta(hours=self.lifetime_h)
 
 
@@ -311,7 +311,7 @@ def _nodes(order: CloudFile, work: Work, prepare_h: float) -> int:
 
 
 def _lifetime_h(order: CloudFile, hourly: float, total_h: float) -> float:
-    """When machines end themselves: at the deadline, or when the budget is spent. Raises InvalidInput if too early."""
+    """Time when machines end themselves: the deadline, or the end of the budget. Raises InvalidInput if too early."""
     affordable_h = order.budget / hourly if hourly > 0 else math.inf
     needed_h = max(total_h, LEAST_LIFETIME_H)
     if affordable_h < needed_h:

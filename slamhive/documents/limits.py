@@ -75,7 +75,7 @@ def _rule(title: str, description: str, unit: str = "") -> Any:
 
 @dataclass(frozen=True, slots=True)
 class StopWhen:
-    """When a run ends early, with the reason recorded. None never ends one."""
+    """Rule that ends a run early, with the reason recorded. None never ends one."""
 
     lost_tracking_s: Annotated[
         float | None, _rule("No pose for", "End the run after so many seconds of the recording without a pose.", "s")

@@ -35,7 +35,7 @@ class Counted(StrEnum):
 
 
 class Reveal(StrEnum):
-    """When scores of a phase are shown."""
+    """Time at which the scores of a phase are shown."""
 
     AT_ONCE = "at_once"
     AT_END = "at_end"

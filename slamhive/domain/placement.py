@@ -83,7 +83,7 @@ def place(groups: Sequence[DataRuns], nodes: int) -> list[NodePlan]:
 
 
 def makespan_s(plans: Sequence[NodePlan]) -> float:
-    """When the last node has finished."""
+    """Time at which the last node has finished."""
     return max((plan.busy_s for plan in plans), default=0.0)
 
 

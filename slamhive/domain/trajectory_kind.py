@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class TrajectoryKind(StrEnum):
-    """When the poses of a trajectory were known."""
+    """Moment at which the poses of a trajectory were known."""
 
     LIVE = "live"
     """Each pose as it was given while the recording played."""

@@ -106,7 +106,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class FailureRule:
-    """When a run counts as failed. Stored verdicts use the defaults; an analysis may set others.
+    """Rule by which a run counts as failed. Stored verdicts use the defaults; an analysis may set others.
 
     Attributes:
         tracked_path_below: Least share of the true path that must be tracked (metric ``tracked.path``). Without a

@@ -39,7 +39,7 @@ EARLIEST_NS = 1
 
 
 def playable_ns(received_ns: int) -> int:
-    """When a ROS 1 bag says that a message was received; its timestamp stays what it is."""
+    """Time at which a ROS 1 bag says that a message was received; its timestamp stays as it is."""
     return max(received_ns, EARLIEST_NS)
 
 

@@ -77,7 +77,7 @@ def sweep_at(dataset: Dataset, sensor: Sensor, time_s: float) -> SweepView | Non
 
 
 def received_s(dataset: Dataset, sensor: Sensor, timestamp_s: float) -> float | None:
-    """When the first message with this timestamp in its header, or a later one, was received.
+    """Time of receipt of the first message with this timestamp in its header, or a later one.
 
     Returns:
         s from the start of the recording, as :func:`frames_at` and :func:`sweep_at` take them; None after the last.

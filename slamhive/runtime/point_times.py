@@ -1,4 +1,4 @@
-"""When each point of a LiDAR sweep was measured: how a recording says it, and the conversion to seconds.
+"""Times of the points of a LiDAR sweep: how a recording says them, and the conversion to seconds.
 
 Drivers disagree: on the name of the field, its unit, what it counts from, and which instant of the sweep the message's
 timestamp is. A dataset states all of it, and an algorithm asks for the times relative to the instant that it needs.

@@ -109,7 +109,7 @@ class UploadFolder:
 
     @property
     def changed_s(self) -> float:
-        """When something happened to it for the last time, in seconds since 1970."""
+        """Time of the last change, in seconds since 1970."""
         return max(path.stat().st_mtime for path in (self.root, *self.root.iterdir()))
 
     def create(self, promise: Promise) -> None:

@@ -66,7 +66,7 @@ def _with_stated(stated: Conclusion[_Choice] | None, by_numbers: Conclusion[_Cho
 
 
 def span_of(times: FloatArray, unit: TimeUnit) -> Span:
-    """When the poses begin and end, in s."""
+    """First and last time of the poses, in s."""
     return float(times.min()) / unit.per_second, float(times.max()) / unit.per_second
 
 

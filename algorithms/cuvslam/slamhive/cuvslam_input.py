@@ -1,4 +1,4 @@
-"""What cuVSLAM takes, in plain numbers: cameras, IMU, images. Its bindings take lists, but not every kind of array."""
+"""Inputs of cuVSLAM in plain numbers: cameras, IMU, images. Its bindings take lists, but not every kind of array."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What DPVO takes, made without a GPU: its settings, images and intrinsics."""
+"""Inputs of DPVO, made without a GPU: its settings, images and intrinsics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What DROID-SLAM takes and gives, without a GPU: its arguments, images, intrinsics, and the scale of a stereo pair."""
+"""Inputs and outputs of DROID-SLAM, without a GPU: arguments, images, intrinsics, the scale of a stereo pair."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PARAMETERS = (
 
 
 def arguments_of(values: Mapping[str, Any], weights: str, size: tuple[int, int], *, stereo: bool) -> dict[str, Any]:
-    """What upstream's ``demo.py`` hands over as command-line arguments."""
+    """Arguments that upstream's ``demo.py`` takes from its command line."""
     chosen = {key: values[key] for key in PARAMETERS}
     return {**FIXED, "weights": weights, "image_size": list(size), "stereo": stereo, **chosen}
 

@@ -80,7 +80,7 @@ class EvalioOdometry(ScanOdometry):
         return np.array(found[-1][1].to_mat()) if found else None
 
     def map_points_m(self) -> np.ndarray:
-        """What the pipeline keeps to register the next sweep with, features of all kinds together."""
+        """Features, of all kinds together, that the pipeline keeps to register the next sweep."""
         points = [(point.x, point.y, point.z) for part in self._pipeline.map().values() for point in part]
         return np.array(points).reshape(-1, 3)
 

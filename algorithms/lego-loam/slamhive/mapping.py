@@ -44,7 +44,7 @@ def make(config: RunConfig) -> Ros1System:
 
 
 def ground_beams(values: Mapping[str, Any]) -> int:
-    """How many of the lowest beams may see the ground. Raises InvalidInput for rings that are not counted upwards."""
+    """Lowest beams that may see the ground. Raises InvalidInput for rings that are not counted upwards."""
     lowest_deg, distance_deg = float(values["lowest_deg"]), float(values["ring_distance_deg"])
     if distance_deg <= 0:
         raise InvalidInput(

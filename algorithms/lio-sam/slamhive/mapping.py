@@ -58,7 +58,7 @@ def make(config: RunConfig) -> Ros1System:
 
 
 def settings(values: Mapping[str, Any]) -> dict[str, Any]:
-    """What the nodes read below ``/lio_sam``, except for the topics."""
+    """Parameters that the nodes read below ``/lio_sam``, except for the topics."""
     T_lidar_imu = np.array(values["T_lidar_imu"], dtype=float).reshape(4, 4)
     R_lidar_imu = T_lidar_imu[:3, :3].ravel().tolist()
     return {

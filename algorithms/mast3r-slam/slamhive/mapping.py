@@ -65,7 +65,7 @@ class Mast3rSlam:
             return poses_in(found, self._stamps_s) if found.is_file() else Poses(np.empty(0), np.empty((0, 4, 4)))
 
     def about(self) -> dict[str, Any]:
-        """Whether it knew the camera."""
+        """True if it knew the camera."""
         return {"package": "mast3r-slam", "calibrated": bool(self._values["calibrated"]), "offline": True}
 
     def _write_calibration(self) -> None:

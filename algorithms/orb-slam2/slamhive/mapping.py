@@ -50,7 +50,7 @@ def make(config: RunConfig) -> Ros1System:
 
 
 def results(folder: Path, mode: str) -> FiledResults:
-    """What the node saved at its end; nothing if it never tracked a frame.
+    """Trajectory that the node saved at its end; nothing if it never tracked a frame.
 
     With one camera the keyframes are the final trajectory, as upstream has it.
     """

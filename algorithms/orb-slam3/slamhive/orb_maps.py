@@ -85,7 +85,7 @@ class MapPoints:
         self._points_m: list[NDArray[np.float32]] = []
 
     def due(self, stamp_s: float) -> bool:
-        """Whether the points of a frame are wanted."""
+        """True if the points of a frame are wanted."""
         return not self._stamps_s or stamp_s - self._stamps_s[-1] >= POINTS_EVERY_S
 
     def add(self, stamp_s: float, points_m: NDArray[np.float32], T_world_camera: NDArray[np.float64]) -> None:
@@ -107,7 +107,7 @@ class MapPoints:
 
 
 class Relocalisation:
-    """Whether ORB-SLAM3 works in the map that it started with, which only its output says.
+    """True if ORB-SLAM3 works in the map that it started with, which only its output says.
 
     It begins a map of its own, and merges it into the other one as soon as it recognises a place.
     """

@@ -1,4 +1,4 @@
-"""What ORB-SLAM3 writes as its trajectory: taken without hanging, and put right."""
+"""Trajectories that ORB-SLAM3 writes: taken without hanging, and put right."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def without_repeats(table: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _saved_by_child(slam: Savable, path: Path, log: Path, limit_s: float) -> bool:
-    """Whether a child process wrote the file; ``log`` takes what it prints."""
+    """True if a child process wrote the file; ``log`` takes its output."""
 
     def save() -> None:
         os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), 1)

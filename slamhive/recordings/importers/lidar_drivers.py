@@ -72,7 +72,7 @@ def layout_of(message: Any, rate_hz: float) -> tuple[LidarLayout, str]:
 
 
 def _times(fields: dict[str, Array], stamp_s: float, duration_s: float) -> tuple[PointTimes, str]:
-    """When the points were measured, by the first field that says so, and a note for the user."""
+    """Times of the points, by the first field that says so, and a note for the user."""
     names = [driver.field for driver in DRIVERS if driver.field in fields]
     problems = []
     for field in dict.fromkeys([*names, *(name for name in _MORE_FIELDS if name in fields)]):

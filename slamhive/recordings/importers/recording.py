@@ -100,7 +100,7 @@ class SourceBag:
         return stamp_ns(self.first(topic)), stamp_ns(self._last(topic))
 
     def stream(self, topic: str, start_ns: int | None = None) -> Iterator[tuple[int, Any]]:
-        """When each message of ``topic`` was received, and the message; raises InvalidInput where it is damaged."""
+        """Messages of ``topic`` with the time of receipt; raises InvalidInput where one is damaged."""
         for connection, received_ns, raw in self.raw(topic, start_ns=start_ns):
             yield received_ns, self.decode(connection, raw)
 

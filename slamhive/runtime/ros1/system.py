@@ -92,7 +92,7 @@ NAMESPACE = "/slamhive/sweep"
 
 
 def sweep_times(values: Mapping[str, Any], role: str = "points") -> PointTimes:
-    """When the points of the LiDAR in ``role`` were measured, from the parameters of a run."""
+    """Times of the points of the LiDAR in ``role``, from the parameters of a run."""
     return PointTimes.of(values, float(values[f"{role}_rate_hz"]), role, f"{role}_")
 
 

@@ -1,4 +1,4 @@
-"""When frames went in and poses came out, from what was recorded of a run. Pure."""
+"""Times at which frames went in and poses came out, from the record of a run. Pure."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class PlayedClock:
 
     @property
     def start_s(self) -> float:
-        """When playback began, on the monotonic clock."""
+        """Start of playback, on the monotonic clock."""
         return self.arrivals_s[0]
 
     def arrival_of(self, recorded_s: float, rate: float) -> float:
-        """When a message recorded at ``recorded_s`` was played, on the monotonic clock."""
+        """Time at which a message recorded at ``recorded_s`` was played, on the monotonic clock."""
         if recorded_s <= self.bag_times_s[0]:
             return self.arrivals_s[0] - (self.bag_times_s[0] - recorded_s) / rate
         return float(np.interp(recorded_s, self.bag_times_s, self.arrivals_s))

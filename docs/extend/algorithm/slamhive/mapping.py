@@ -39,7 +39,7 @@ class DeadReckoning:
         return Poses(times_s[nearest], poses[nearest])
 
     def about(self):
-        """What the record of the run says of the program."""
+        """Facts about the program for the record of the run."""
         return {"package": "dead-reckoning", "version": "1.0.0"}
 
 

@@ -161,7 +161,7 @@ class _Bursts:
         return not any(begin <= stamp_ns < begin + self._duration_ns for begin in begins)
 
     def _begins(self, window: int) -> list[int]:
-        """When the bursts of one window begin, ns; those of the last two windows are remembered."""
+        """Starts of the bursts of one window, ns; those of the last two windows are remembered."""
         if window not in self._windows:
             random = np.random.default_rng((self._entropy, window + 1))
             count = random.poisson(self._mean_per_window)
