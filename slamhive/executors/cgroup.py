@@ -103,13 +103,12 @@ class TaskCounter:
         before = self._refusals
         try:
             self._refusals = parse_flat((self._folder / "pids.events").read_text()).get("max", 0)
-            return self._refusals > before or (self._refusals > 0 and self._is_full())
+            if self._refusals > before:
+                return True
+            limit = (self._folder / "pids.max").read_text().strip() if self._refusals else "max"
+            return limit != "max" and int((self._folder / "pids.current").read_text()) >= int(limit)
         except (OSError, ValueError):
             return False
-
-    def _is_full(self) -> bool:
-        limit = (self._folder / "pids.max").read_text().strip()
-        return limit != "max" and int((self._folder / "pids.current").read_text()) >= int(limit)
 
 
 def cgroup_of(pid: int, container_id: str, root: Path = CGROUP_ROOT, proc: Path = Path("/proc")) -> Cgroup | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
 import uuid
@@ -15,30 +16,21 @@ from slamhive.executors.process.table import process_birth
 
 def describe_host() -> Host:
     """Describe this machine; ``cpu_count`` counts logical cores."""
+    models: list[str] = []
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+        models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    try:
+        system = platform.freedesktop_os_release().get("PRETTY_NAME", platform.system())
+    except OSError:
+        system = platform.system()
     return Host(
-        cpu_model=_cpu_model(Path("/proc/cpuinfo")),
+        cpu_model=models[0] if models else platform.processor() or platform.machine(),
         cpu_count=os.cpu_count() or 1,
         memory_bytes=int(psutil.virtual_memory().total),
         kernel=platform.release(),
-        os=_os_name(),
+        os=system,
     )
-
-
-def _cpu_model(cpuinfo: Path) -> str:
-    try:
-        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
-
-
-def _os_name() -> str:
-    try:
-        return platform.freedesktop_os_release().get("PRETTY_NAME", platform.system())
-    except OSError:
-        return platform.system()
 
 
 # The name under which a process holds runs and containers; it lets others detect that the process is dead.

@@ -8,7 +8,7 @@ import tarfile
 from pathlib import Path
 from typing import IO, Collection, Optional
 
-from slamhive.base.tree import FolderEntry, walk
+from slamhive.base.tree import walk
 
 MOST_LIVE_BYTES = 100_000_000
 PLAIN_FILE, PLAIN_FOLDER = 0o644, 0o755
@@ -59,20 +59,15 @@ def add_folder(
             if bounds.take(0):
                 archive.addfile(info)
         elif entry.is_file and (only is None or entry.place in only):
-            _add_file(archive, info, entry, bounds, only is not None)
-
-
-def _add_file(
-    archive: tarfile.TarFile, info: tarfile.TarInfo, entry: FolderEntry, bounds: Bounds, as_a_whole: bool
-) -> None:
-    try:
-        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-        descriptor = os.open(entry.name, flags, dir_fd=entry.folder)
-    except OSError:
-        return
-    with os.fdopen(descriptor, "rb") as content:
-        source = io.BytesIO(content.read(MOST_LIVE_BYTES)) if as_a_whole else content  # type: IO[bytes]
-        info.size = source.seek(0, os.SEEK_END)
-        source.seek(0)
-        if bounds.take(info.size):
-            archive.addfile(info, source)
+            try:
+                flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+                descriptor = os.open(entry.name, flags, dir_fd=entry.folder)
+            except OSError:
+                continue
+            with os.fdopen(descriptor, "rb") as content:
+                # What was asked for by name is small, and may be replaced while it is read.
+                source = content if only is None else io.BytesIO(content.read(MOST_LIVE_BYTES))  # type: IO[bytes]
+                info.size = source.seek(0, os.SEEK_END)
+                source.seek(0)
+                if bounds.take(info.size):
+                    archive.addfile(info, source)

@@ -74,7 +74,10 @@ def unpack_output(stream: IO[bytes], output: RunOutput, work: Path, below: str =
             if not info.name.startswith(below):
                 continue
             info.name = info.name[len(below) :]
-            if _can_be_named(info.name) and bounds.take(info.size):
+            parts = PurePosixPath(info.name).parts
+            short = all(len(part.encode()) <= _LONGEST_NAME_BYTES for part in parts)
+            can_be_named = short and len(parts) <= DEEPEST_FOLDERS and len(info.name.encode()) <= _LONGEST_PATH_BYTES
+            if can_be_named and bounds.take(info.size):
                 _take(archive, info, fresh)
     if output.destination.exists():
         output.destination.rename(old)
@@ -89,12 +92,6 @@ def unpack_live(stream: IO[bytes], output: RunOutput) -> None:
             content = archive.extractfile(info) if info.isreg() else None
             if content is not None and info.name in output.live and info.size <= MOST_LIVE_BYTES:
                 write_aside(output.destination / info.name, content.read())
-
-
-def _can_be_named(name: str) -> bool:
-    parts = PurePosixPath(name).parts
-    short = all(len(part.encode()) <= _LONGEST_NAME_BYTES for part in parts)
-    return short and len(parts) <= DEEPEST_FOLDERS and len(name.encode()) <= _LONGEST_PATH_BYTES
 
 
 def _take(archive: tarfile.TarFile, info: tarfile.TarInfo, root: Path) -> None:

@@ -21,7 +21,7 @@ from slamhive.executors.docker import containers, engine
 from slamhive.executors.docker.engine import OWNER_LABEL, labels_of_helper
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.host import worker_identity
-from slamhive.executors.process.paths import KEY_VARIABLE
+from slamhive.executors.process.paths import KEY_VARIABLE, shim_spec_of
 from slamhive.executors.process.tree_limit import ProcessTreeSource
 from slamhive.executors.spec import ResourceLimits
 from slamhive.executors.status import Exited, Gone, Running
@@ -104,8 +104,9 @@ def test_start_that_was_killed_before_it_knew_the_supervisor(bench):
     script = "import os, time\nopen(os.environ['SLAMHIVE_RESULT'] + '/starts', 'a').write('x')\ntime.sleep(60)\n"
     spec = bench.spec(script)
     work = spec.work
-    environment = bench.executor._environments.find(spec.package, spec.identity)
-    bench.executor._shim_spec(spec, environment, work).save(work)
+    executor = bench.executor
+    environment = executor._environments.find(spec.package, spec.identity)
+    shim_spec_of(spec, environment, work, executor._context, executor._containment).save(work)
     orphan = [sys.executable, "-m", "slamhive.executors.process.shim", str(work)]
     with subprocess.Popen(orphan, cwd=PROJECT_ROOT), subprocess.Popen(orphan, cwd=PROJECT_ROOT):
         handle = bench.executor.start(spec)

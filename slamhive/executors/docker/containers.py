@@ -57,6 +57,9 @@ def container_options(spec: RunSpec, context: ExecutorContext, traits: EngineTra
     """The arguments of ``containers.create`` for a run. Pure, so that a test can check them."""
     limits = spec.limits
     home = WORKER_HOME if spec.user is RunUser.WORKER else {}
+    read_only = read_places(spec)
+    # /tmp counts with the result, unlike the container's own layer, and takes no memory, unlike a tmpfs.
+    places = {**read_only, **written_places(spec), "/tmp": scratch_folder(spec)}  # noqa: S108 - the container's
     options: dict[str, Any] = {
         **HARDENING,
         "image": spec.identity,
@@ -69,7 +72,10 @@ def container_options(spec: RunSpec, context: ExecutorContext, traits: EngineTra
             INSTALLATION_LABEL: context.installation,
         },
         "environment": {**ROS_ENVIRONMENT, **home, **spec.environment},
-        "mounts": _mounts(spec),
+        # In this order, a mount below another one comes after it, and so shows in it.
+        "mounts": [
+            Mount(target, str(places[target]), type="bind", read_only=target in read_only) for target in sorted(places)
+        ],
         "user": container_user(spec.user, rootless=traits.rootless),
         "pids_limit": limits.pids,
         "log_config": LogConfig(
@@ -92,14 +98,6 @@ def container_options(spec: RunSpec, context: ExecutorContext, traits: EngineTra
         options["device_requests"] = [DeviceRequest(device_ids=[spec.gpu], capabilities=[["gpu"]])]
         options["labels"][GPU_LABEL] = spec.gpu
     return options
-
-
-def _mounts(spec: RunSpec) -> list[Mount]:
-    """The mounts of a run. A mount below another one comes after it, and so shows in it."""
-    read_only = read_places(spec)
-    # /tmp counts with the result, unlike the container's own layer, and takes no memory, unlike a tmpfs.
-    places = {**read_only, **written_places(spec), "/tmp": scratch_folder(spec)}  # noqa: S108 - the container's
-    return [Mount(target, str(places[target]), type="bind", read_only=target in read_only) for target in sorted(places)]
 
 
 def scratch_folder(spec: RunSpec) -> Path:

@@ -121,7 +121,13 @@ class DockerImages:
                 f"the image has no {'python3' if found is None else 'PyYAML'}", "install it in the image"
             )
         if found is None:
-            digest = self._with_python(digest, user, progress)
+            progress("the image has no python3: installing it")
+            try:
+                digest = self._layer(digest, user, [f"RUN {json.dumps(['/bin/sh', '-c', _GET_PYTHON])}"], progress)
+            except ImageMissing as error:
+                raise ImageMissing(
+                    f"the image has no python3, and it cannot be installed: {error.message}", "use an image that has it"
+                ) from None
             added.append("python3")
             found = self._probe(digest, modules)
             if found is None:
@@ -161,16 +167,6 @@ class DockerImages:
                 self._client.api.remove_image(name)
             except docker.errors.ImageNotFound:
                 return
-
-    def _with_python(self, digest: str, user: str, progress: ProgressCallback) -> str:
-        """Put python3 on top of an image, by its own package manager; the new digest."""
-        progress("the image has no python3: installing it")
-        try:
-            return self._layer(digest, user, [f"RUN {json.dumps(['/bin/sh', '-c', _GET_PYTHON])}"], progress)
-        except ImageMissing as error:
-            raise ImageMissing(
-                f"the image has no python3, and it cannot be installed: {error.message}", "use an image that has it"
-            ) from None
 
     def _layer(self, digest: str, user: str, steps: list[str], progress: ProgressCallback) -> str:
         """Put steps of a Dockerfile on top of an image, as root; the new digest."""

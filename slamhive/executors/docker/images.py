@@ -179,7 +179,11 @@ def choose_base(client: docker.DockerClient, project_root: Path, progress: Progr
             problem = _make_in_container(client, script, archive)
         if problem is not None:
             raise ImageMissing(f"no registry offers {PUBLIC_BASE}, and it cannot be made here: {problem}")
-        _import_base(client, archive)
+        repository, _, tag = OWN_BASE.rpartition(":")
+        with engine_errors(f"importing {OWN_BASE}", ImageMissing):
+            answer = client.api.import_image_from_file(str(archive), repository, tag, changes=['CMD ["/bin/sh"]'])
+        if get_image(client, OWN_BASE) is None:
+            raise ImageMissing(f"the engine did not take {OWN_BASE}: {answer}", "set BASE_IMAGE")
     return OWN_BASE
 
 
@@ -223,15 +227,6 @@ def _make_in_container(client: docker.DockerClient, script: Path, archive: Path)
         finally:
             container.remove(force=True, v=True)
     return None
-
-
-def _import_base(client: docker.DockerClient, archive: Path) -> None:
-    """Hand the files of the base image over to the engine."""
-    repository, _, tag = OWN_BASE.rpartition(":")
-    with engine_errors(f"importing {OWN_BASE}", ImageMissing):
-        answer = client.api.import_image_from_file(str(archive), repository, tag, changes=['CMD ["/bin/sh"]'])
-    if get_image(client, OWN_BASE) is None:
-        raise ImageMissing(f"the engine did not take {OWN_BASE}: {answer}", "set BASE_IMAGE")
 
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")

@@ -73,7 +73,14 @@ def open_to_user(spec: RunSpec, *, rootless: bool) -> None:
     """Let the foreign user of a run write to its folders, and nobody else into them. Raises StartFailed."""
     if not is_foreign(spec.user, rootless=rootless):
         return
-    _check_readable(spec)
+    for target, source in read_places(spec).items():
+        files = [entry for entry in source.rglob("*") if entry.is_file()] if source.is_dir() else [source]
+        for file in files:
+            if not file.stat().st_mode & stat.S_IROTH:
+                raise StartFailed(
+                    f"run {spec.run_id} is {spec.user.in_words}, which may not read {file} ({target})",
+                    f"chmod o+r {file}",
+                )
     run_folder = spec.work.parent
     try:
         run_folder.chmod(stat.S_IMODE(run_folder.stat().st_mode) & ~_OTHERS)
@@ -86,25 +93,17 @@ def open_to_user(spec: RunSpec, *, rootless: bool) -> None:
         raise StartFailed(problem, remedy_of(error)) from None
 
 
-def _check_readable(spec: RunSpec) -> None:
-    """Raise StartFailed for an input that only its owner may read."""
-    for target, path in read_places(spec).items():
-        files = [entry for entry in path.rglob("*") if entry.is_file()] if path.is_dir() else [path]
-        for file in files:
-            if not file.stat().st_mode & stat.S_IROTH:
-                raise StartFailed(
-                    f"run {spec.run_id} is {spec.user.in_words}, which may not read {file} ({target})",
-                    f"chmod o+r {file}",
-                )
-
-
 def take_back(engine: Callable[[], docker.DockerClient], spec: RunSpec, installation: str) -> None:
     """Give what a foreign user has written in an ended run to this process's user, and close its folders again."""
     if spec.user is RunUser.WORKER:
         return
     if is_foreign(spec.user, rootless=traits_of(engine()).rootless):
         _hand_over(engine(), [*written_places(spec).values(), spec.work / "tmp"], spec.identity, installation)
-        _close_again(spec.work.parent)
+        run_folder = spec.work.parent
+        mode = stat.S_IMODE(run_folder.parent.stat().st_mode)  # that of new folders beside it
+        for path in (run_folder, run_folder / "result"):
+            if path.is_dir() and path.stat().st_uid == os.getuid():
+                path.chmod(mode)
 
 
 def _hand_over(client: docker.DockerClient, places: Iterable[Path], image: str, installation: str) -> None:
@@ -113,7 +112,9 @@ def _hand_over(client: docker.DockerClient, places: Iterable[Path], image: str, 
     Root does it itself. Others ask the engine for a container of the run's image, which has the rights to do this and
     sees the folders of this run alone.
     """
-    strangers = [place for place in places if place.is_dir() and _has_strangers(place)]
+    strangers = [
+        place for place in places if place.is_dir() and any(entry.status.st_uid != os.getuid() for entry in walk(place))
+    ]
     if not strangers:
         return
     if os.getuid() == 0:
@@ -125,7 +126,8 @@ def _hand_over(client: docker.DockerClient, places: Iterable[Path], image: str, 
     owner = ["0", "0"] if traits_of(client).rootless else [str(os.getuid()), str(os.getgid())]
     command = ["python3", "-I", "-c", HANDOVER, *owner, *inside]
     with engine_errors("handing over the files of a run", EngineUnavailable):
-        if _has_user_namespaces(client):
+        security: Any = information_of(client).get("SecurityOptions") or []
+        if any(str(option).startswith("name=userns") for option in security):
             options["userns_mode"] = "host"  # inside the namespace, users of this machine have no number
         container = client.containers.create(
             image, entrypoint=command, command=[], labels=labels_of_helper("handover", installation), **options
@@ -142,25 +144,8 @@ def _hand_over(client: docker.DockerClient, places: Iterable[Path], image: str, 
             container.remove(force=True, v=True)
 
 
-def _close_again(run_folder: Path) -> None:
-    """Give the folder of a run and its result the rights that new folders beside it have."""
-    mode = stat.S_IMODE(run_folder.parent.stat().st_mode)
-    for path in (run_folder, run_folder / "result"):
-        if path.is_dir() and path.stat().st_uid == os.getuid():
-            path.chmod(mode)
-
-
-def _has_strangers(place: Path) -> bool:
-    return any(entry.status.st_uid != os.getuid() for entry in walk(place))
-
-
 def _take(places: Iterable[Path]) -> None:
     for place in places:
         for entry in walk(place):
             if entry.status.st_uid != os.getuid():
                 os.chown(entry.name, os.getuid(), os.getgid(), dir_fd=entry.folder, follow_symlinks=False)
-
-
-def _has_user_namespaces(client: docker.DockerClient) -> bool:
-    options: Any = information_of(client).get("SecurityOptions") or []
-    return any(str(option).startswith("name=userns") for option in options)

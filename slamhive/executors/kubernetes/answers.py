@@ -142,7 +142,10 @@ def how_it_was_lost(pod: Document | None) -> str:
 
 def why_not_started(pod: Document) -> NotStarted:
     """Why the algorithm of a pod that has not ended does not run yet."""
-    waiting = _waiting_before(pod) or _state(pod, "waiting") or {}
+    # What keeps back a container that comes before the run keeps back the run.
+    before = (state.get("waiting") or {} for state in _before(pod))
+    noted = next((found for found in before if found.get("reason", _INITIALISING) != _INITIALISING), None)
+    waiting = noted or _state(pod, "waiting") or {}
     reason, said = str(waiting.get("reason", "")), str(waiting.get("message", ""))
     text = f"{reason}: {said}" if said else reason
     if reason in _IMAGE_NEVER:
@@ -157,7 +160,8 @@ def why_not_started(pod: Document) -> NotStarted:
             return NotStarted(condition.get("message") or "no node was chosen yet", unschedulable=unschedulable)
     if reason in ("", _INITIALISING) and _made(pod):
         return NotStarted(f"node {node_of(pod)} has made a container of the pod and does not go on", created=True)
-    doing = "gets the data of the run" if _is_fetching(pod) else "prepares the pod"
+    fetching = any(state.get("running") is not None for state in _before(pod))
+    doing = "gets the data of the run" if fetching else "prepares the pod"
     return NotStarted(f"node {node_of(pod)} {doing}" if node_of(pod) else "no node was chosen yet")
 
 
@@ -276,18 +280,14 @@ def _made(pod: Document) -> bool:
     After a power cut of its node, a pod may keep a container whose end nobody knows, and never go on. Nor does a pod
     that is never restarted, if its containers lose their common namespaces between one and the next.
     """
-    if _failed_before(pod) is not None or _is_between_containers(pod):
-        return True
     entries = _containers(pod)
-    return any((entry.get("state") or {}).get("waiting") is not None and entry.get("containerID") for entry in entries)
-
-
-def _is_between_containers(pod: Document) -> bool:
-    """Return whether what comes before the run has ended well, and nothing has followed yet."""
-    states = [entry.get("state") or {} for entry in _containers(pod)]
+    states = [entry.get("state") or {} for entry in entries]
     ended = [state for state in states if state.get("terminated") is not None]
     waiting = [state for state in states if (state.get("waiting") or {}).get("reason") == _INITIALISING]
-    return bool(ended and waiting) and len(ended) + len(waiting) == len(states)
+    between_two = bool(ended and waiting) and len(ended) + len(waiting) == len(states)
+    if _failed_before(pod) is not None or between_two:
+        return True
+    return any((entry.get("state") or {}).get("waiting") is not None and entry.get("containerID") for entry in entries)
 
 
 def _containers(pod: Document) -> list[Document]:
@@ -302,12 +302,6 @@ def _before(pod: Document) -> Iterable[Document]:
         yield status.get("state") or {}
 
 
-def _waiting_before(pod: Document) -> Document | None:
-    """Find what keeps back a container that comes before the run; None if nothing of note does."""
-    waiting = (state.get("waiting") or {} for state in _before(pod))
-    return next((found for found in waiting if found.get("reason", _INITIALISING) != _INITIALISING), None)
-
-
 def _failed_before(pod: Document) -> Document | None:
     """Find how a container failed that comes before the run and had to succeed; None if none failed."""
     if _state(pod, "terminated") is not None or _state(pod, "running") is not None:
@@ -320,10 +314,6 @@ def data_refused(pod: Document) -> bool:
     """Return whether the pod did not get its data for a reason that another pod would meet too."""
     failed = _failed_before(pod)
     return failed is not None and failed.get("exitCode") == REFUSED_EXIT
-
-
-def _is_fetching(pod: Document) -> bool:
-    return any(state.get("running") is not None for state in _before(pod))
 
 
 def _state(pod: Document, kind: str) -> Document | None:

@@ -84,7 +84,9 @@ def connect(options: Options) -> ApiConnection:
         if any(path.is_file() for path in _kubeconfig_files()):
             # Named here, because the client reads KUBECONFIG only once.
             files = os.pathsep.join(map(str, _kubeconfig_files()))
-            namespace = _namespace_of(options.context, config.list_kube_config_contexts(files))
+            contexts, active = config.list_kube_config_contexts(files)
+            chosen = next((entry for entry in contexts if entry["name"] == options.context), active)
+            namespace = str(((chosen or {}).get("context") or {}).get("namespace") or "default")
             config.load_kube_config(
                 files, options.context or None, configuration, temp_file_path=str(_credentials_folder())
             )
@@ -161,12 +163,6 @@ def _credentials_folder() -> Path:
 def _kubeconfig_files() -> list[Path]:
     text = os.environ.get("KUBECONFIG", "")
     return [Path(part) for part in text.split(os.pathsep) if part] or [Path.home() / ".kube" / "config"]
-
-
-def _namespace_of(context: str, known: tuple[list[dict[str, Any]], dict[str, Any] | None]) -> str:
-    contexts, active = known
-    chosen = next((entry for entry in contexts if entry["name"] == context), active)
-    return str(((chosen or {}).get("context") or {}).get("namespace") or "default")
 
 
 _CONNECT_S, _ANSWER_S = 5.0, 30.0
@@ -368,18 +364,15 @@ def _events(chunks: Iterable[bytes]) -> Iterator[Document]:
     for chunk in chunks:
         *lines, rest = (rest + chunk).split(b"\n")
         for line in lines:
-            if line.strip():
-                yield _event(line)
-
-
-def _event(line: bytes) -> Document:
-    try:
-        event: Document = json.loads(line)
-    except ValueError:
-        raise EngineUnavailable("watching pods: the API server sent half a line") from None
-    if event.get("type") == "ERROR":
-        status = event.get("object") or {}
-        if status.get("code") in (410, 504):
-            raise Expired
-        raise EngineUnavailable(f"watching pods: {status.get('message', 'the API server reports an error')}")
-    return event
+            if not line.strip():
+                continue
+            try:
+                event: Document = json.loads(line)
+            except ValueError:
+                raise EngineUnavailable("watching pods: the API server sent half a line") from None
+            if event.get("type") == "ERROR":
+                status = event.get("object") or {}
+                if status.get("code") in (410, 504):
+                    raise Expired
+                raise EngineUnavailable(f"watching pods: {status.get('message', 'the API server reports an error')}")
+            yield event

@@ -175,7 +175,11 @@ class CourierReport:
             patiently(mirror.finish, given_up=self._given_up)  # that it has ended, before the results are packed
             last = [Watched(EXIT_FILE, self._folders.pod / EXIT_FILE, change=self._change())]
             try:
-                deliver(self._connection, mirror, self._folders.private, self._outputs(), last, self._given_up)
+                outputs = [
+                    Output(name, self._folders.outputs / name, max_bytes, max_files)
+                    for name, max_bytes, max_files in self._claimed["outputs"]
+                ]
+                deliver(self._connection, mirror, self._folders.private, outputs, last, self._given_up)
             except NodeRefused as refused:
                 print("the results are not wanted: " + str(refused), file=sys.stderr)
         else:
@@ -227,12 +231,6 @@ class CourierReport:
             Watched(LOG_FOLDER, pod / LOG_FOLDER),
             Watched(DISK_FILE, self._folders.private / DISK_FILE),
             *live,
-        ]
-
-    def _outputs(self) -> list[Output]:
-        return [
-            Output(name, self._folders.outputs / name, max_bytes, max_files)
-            for name, max_bytes, max_files in self._claimed["outputs"]
         ]
 
     def _change(self) -> Any:

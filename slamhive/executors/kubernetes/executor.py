@@ -102,11 +102,16 @@ class KubernetesExecutor(Executor):
         nodes = cluster.nodes()
         ready = [] if nodes is None else answers.ready_nodes(nodes)
         counted = "unknown" if nodes is None else f"{len(ready)} of {len(nodes)} take runs"
+        if self._store is not None:
+            storage = self._store.examine()
+        else:
+            same_path = f"nodes need {self._context.data.resolve()} at the same path"
+            storage = ProtectionFinding("storage", f"claim {options.claim}" if options.claim else same_path)
         return [
             ProtectionFinding("cluster", f"{cluster.version()}, namespace {cluster.namespace}"),
             ProtectionFinding("rights", rights, "apply deploy/kubernetes/base/rights.yaml" if missing else None),
             ProtectionFinding("nodes", counted, None if ready or nodes is None else "see kubectl get nodes"),
-            self._storage(),
+            storage,
             ProtectionFinding(
                 "images", f"registry {options.registry}" if options.registry else "nodes need them already"
             ),
@@ -262,13 +267,6 @@ class KubernetesExecutor(Executor):
 
     def _files(self, work: Path, key: str) -> PodRunFiles:
         return PodRunFiles(work) if self._store is None else NodeRunFiles(work, key, self._store)
-
-    def _storage(self) -> ProtectionFinding:
-        """Report how files get to nodes."""
-        if self._store is not None:
-            return self._store.examine()
-        claim, same_path = self._options.claim, f"nodes need {self._context.data.resolve()} at the same path"
-        return ProtectionFinding("storage", f"claim {claim}" if claim else same_path)
 
     def _all_nodes(self) -> list[Document]:
         nodes = self._cluster.nodes()

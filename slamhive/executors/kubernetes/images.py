@@ -62,15 +62,24 @@ class NodeImages:
 
     def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
         """Build the image, and push it if there is a registry; its identity. Raises ImageMissing, EngineUnavailable."""
-        from slamhive.executors.docker.images import make_image  # noqa: PLC0415 - the SDK takes long to load
+        from slamhive.executors.docker.engine import engine_errors  # noqa: PLC0415 - the SDK takes long to load
+        from slamhive.executors.docker.images import make_image, name_image  # noqa: PLC0415 - as above
 
+        reference = self.reference(package)
         with self._engine() as client:
             digest = make_image(client, package, self._context, progress)
             if not self._registry:
                 return digest
             if dockerfile_of(package, self._context.project_root) is not None:
-                _push(client, digest, self.reference(package), progress)
-        return self.reference(package)
+                name_image(client, digest, reference)
+                repository, _, tag = reference.rpartition(":")
+                with engine_errors(f"pushing {reference}", ImageMissing):
+                    for event in client.api.push(repository, tag=tag, stream=True, decode=True):
+                        if "error" in event:
+                            problem = f"{reference} cannot be pushed: {event['error']}"
+                            raise ImageMissing(problem, "try docker login, docker push")
+                        progress(f"{reference}: {event.get('status', '')} {event.get('progress', '')}".strip())
+        return reference
 
     @contextlib.contextmanager
     def _engine(self) -> Iterator[Any]:
@@ -93,16 +102,3 @@ def explain_missing(image: str, registry: str, why: str) -> ImageMissing:
         return ImageMissing(f"image {image}: {why}", "push it: slamhive algorithm build NAME, where Docker is")
     remedy = "load it there: docker save IMAGE | ctr -n k8s.io images import -, or set --registry"
     return ImageMissing(f"image {image[:19]}: {why}", remedy)
-
-
-def _push(client: Any, digest: str, reference: str, progress: ProgressCallback) -> None:
-    from slamhive.executors.docker.engine import engine_errors  # noqa: PLC0415 - as above
-    from slamhive.executors.docker.images import name_image  # noqa: PLC0415 - the SDK takes long to load
-
-    name_image(client, digest, reference)
-    repository, _, tag = reference.rpartition(":")
-    with engine_errors(f"pushing {reference}", ImageMissing):
-        for event in client.api.push(repository, tag=tag, stream=True, decode=True):
-            if "error" in event:
-                raise ImageMissing(f"{reference} cannot be pushed: {event['error']}", "try docker login, docker push")
-            progress(f"{reference}: {event.get('status', '')} {event.get('progress', '')}".strip())

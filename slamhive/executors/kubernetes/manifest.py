@@ -118,42 +118,8 @@ def job_manifest(
     """
     labels = labels_of(spec, installation)
     queue = {QUEUE_LABEL: options.queue} if options.queue else {}
-    return {
-        "apiVersion": "batch/v1",
-        "kind": "Job",
-        "metadata": {
-            "name": job_name(installation, spec.key),
-            "labels": labels | queue,
-            "annotations": {KEY_ANNOTATION: spec.key},
-        },
-        "spec": {
-            "backoffLimit": 0,
-            "completions": 1,
-            "parallelism": 1,
-            "podReplacementPolicy": "Failed",
-            "template": {
-                "metadata": {"labels": labels, "annotations": {KEY_ANNOTATION: spec.key}},
-                "spec": _pod(spec, options, who, volumes),
-            },
-        },
-    }
-
-
-def labels_of(spec: RunSpec, installation: str) -> dict[str, str]:
-    """The labels of all that belongs to a run."""
-    return {
-        _APP_LABEL: _APP,
-        INSTALLATION_LABEL: label_value(installation),
-        KEY_LABEL: label_value(spec.key),
-        RUN_LABEL: str(spec.run_id),
-    }
-
-
-def _pod(
-    spec: RunSpec, options: Options, who: Who, volumes: tuple[list[dict[str, Any]], list[dict[str, Any]]]
-) -> dict[str, Any]:
     shm = {"medium": "Memory", "sizeLimit": str(spec.shm_bytes or SHM_BYTES)}
-    return {
+    pod = {
         "restartPolicy": "Never",
         "activeDeadlineSeconds": math.ceil(spec.timeout_s) + LATEST_END_S,
         "terminationGracePeriodSeconds": TERMINATION_GRACE_S,
@@ -181,6 +147,35 @@ def _pod(
         ],
         "containers": [_container(spec, options, volumes[1])],
         "volumes": [*volumes[0], {"name": "shm", "emptyDir": shm}],
+    }
+    return {
+        "apiVersion": "batch/v1",
+        "kind": "Job",
+        "metadata": {
+            "name": job_name(installation, spec.key),
+            "labels": labels | queue,
+            "annotations": {KEY_ANNOTATION: spec.key},
+        },
+        "spec": {
+            "backoffLimit": 0,
+            "completions": 1,
+            "parallelism": 1,
+            "podReplacementPolicy": "Failed",
+            "template": {
+                "metadata": {"labels": labels, "annotations": {KEY_ANNOTATION: spec.key}},
+                "spec": pod,
+            },
+        },
+    }
+
+
+def labels_of(spec: RunSpec, installation: str) -> dict[str, str]:
+    """The labels of all that belongs to a run."""
+    return {
+        _APP_LABEL: _APP,
+        INSTALLATION_LABEL: label_value(installation),
+        KEY_LABEL: label_value(spec.key),
+        RUN_LABEL: str(spec.run_id),
     }
 
 
@@ -277,7 +272,14 @@ def node_job_manifest(
         given: What was handed out for it.
         cache: The folder of the cache on the nodes.
     """
-    volumes = _volumes(secret_name(installation, spec.key, given.mark), cache)
+    volumes = [
+        {"name": _CACHE, "hostPath": {"path": cache, "type": "DirectoryOrCreate"}},
+        {"name": _WORK, "emptyDir": {}},
+        {
+            "name": _TICKET,
+            "secret": {"secretName": secret_name(installation, spec.key, given.mark), "defaultMode": 0o444},
+        },
+    ]
     job = job_manifest(spec, installation, options, who, (volumes, run_mounts(spec, given)))
     pod = job["spec"]["template"]["spec"]
     (run,) = pod["containers"]
@@ -320,14 +322,6 @@ def run_mounts(spec: RunSpec, given: HandedOut) -> list[dict[str, Any]]:
 
 def _mount(volume: str, target: str, path: str, *, read_only: bool) -> dict[str, Any]:
     return {"name": volume, "mountPath": target, "subPath": path, "readOnly": read_only}
-
-
-def _volumes(secret: str, cache: str) -> list[dict[str, Any]]:
-    return [
-        {"name": _CACHE, "hostPath": {"path": cache, "type": "DirectoryOrCreate"}},
-        {"name": _WORK, "emptyDir": {}},
-        {"name": _TICKET, "secret": {"secretName": secret, "defaultMode": 0o444}},
-    ]
 
 
 def _courier(name: str, run: dict[str, Any], cache: str, resources: dict[str, dict[str, str]]) -> dict[str, Any]:

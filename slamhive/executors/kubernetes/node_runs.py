@@ -26,7 +26,7 @@ from slamhive.executors.node_store.controller import NodeStore, Reports, item_na
 from slamhive.executors.node_store.exchange import ask_to_stop, claimed_by, results_archive
 from slamhive.executors.node_store.on_node.making import VARIANT_FILE, item_of
 from slamhive.executors.process.exit_file import EXIT_FILE
-from slamhive.executors.spec import DATASET_TARGET, RECORDING, RunInput, RunOutput, RunSpec, VariantOrder
+from slamhive.executors.spec import DATASET_TARGET, RECORDING, RunOutput, RunSpec, VariantOrder
 from slamhive.packages.dataset_file import DATASET_FILE
 
 REPORTED = (VARIANT_FILE, STARTED_FILE, USAGE_FILE, DISK_FILE, OVER_FILE, EXIT_FILE)
@@ -135,7 +135,11 @@ def hand_out(store: NodeStore, spec: RunSpec, files: PodRunFiles, log_max_bytes:
     }
     if order is not None:
         made = place_of(item_of(order).sha256)
-        items |= {entry.target: f"{made}/{place}" for entry in spec.inputs if (place := _place_in_variant(entry))}
+        for entry in spec.inputs:
+            # A dataset has its recording below its folder; the container sees it at the same place.
+            below = entry.target.partition(f"{DATASET_TARGET}/")[2] if entry.name == RECORDING else ""
+            if entry.name == DATASET_FILE or below:
+                items[entry.target] = f"{made}/{below or DATASET_FILE}"
     own = {entry.target: entry.name for entry in spec.inputs if entry.own_copy}
     orders: dict[str, Any] = {
         "order": {**order_of(spec, log_max_bytes), "waits_for_delivery": True},
@@ -155,11 +159,3 @@ def hand_out(store: NodeStore, spec: RunSpec, files: PodRunFiles, log_max_bytes:
     }
     secret = {name: base64.b64encode(content).decode() for name, content in contents.items()}
     return HandedOut(secret, items, own, store.mark(spec.key) or "")
-
-
-def _place_in_variant(entry: RunInput) -> str | None:
-    """Where an input lies in the folder of a variant; None if it is no part of it."""
-    if entry.name == DATASET_FILE:
-        return DATASET_FILE
-    # A dataset has its recording below its folder; the container sees it at the same place.
-    return entry.target.partition(f"{DATASET_TARGET}/")[2] if entry.name == RECORDING else None

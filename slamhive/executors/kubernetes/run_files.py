@@ -214,7 +214,12 @@ class PodRunFiles:
             # A listing makes NFS look at the server; what it says of single names may be old.
             if name not in [entry.name for entry in self.folder.iterdir()]:
                 return None
-            content = json.loads(_read_plain(self.folder / name))
+            # The run may write here, so neither a link is followed nor a pipe waited for.
+            flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+            with os.fdopen(os.open(self.folder / name, flags), "rb") as stream:
+                if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+                    return {}
+                content = json.loads(stream.read(_MOST_BYTES).decode(errors="replace"))
         except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError):
@@ -263,13 +268,10 @@ def _start(found: dict[str, Any]) -> Started:
         kernel=_words(found.get("kernel", _UNKNOWN)),
         os=_UNKNOWN,  # a pod sees the system of its image
     )
-    return Started(_moment(found["started_s"]), str(found["node"]), host, _uuid(found.get("gpu")))
-
-
-def _uuid(found: object) -> str | None:
-    """The UUID of a GPU of NVIDIA. Images hold other words in the same variable, such as ``all``."""
-    words = _words(found)
-    return words if words.startswith("GPU-") else None
+    # Images hold other words than the UUID of a GPU in the same variable, such as ``all``.
+    gpu = _words(found.get("gpu"))
+    uuid = gpu if gpu.startswith("GPU-") else None
+    return Started(_moment(found["started_s"]), str(found["node"]), host, uuid)
 
 
 def _words(found: object) -> str:
@@ -294,13 +296,6 @@ def _ending(found: dict[str, Any]) -> Exited | Gone:
         started_at=_moment(found["started_s"]),
         ended_at=_moment(found["ended_s"]),
     )
-
-
-def _read_plain(path: Path) -> str:
-    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
-        if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
-            raise ValueError(f"{path} is no plain file")
-        return stream.read(_MOST_BYTES).decode(errors="replace")
 
 
 class PodUsage:

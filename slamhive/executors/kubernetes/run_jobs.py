@@ -107,24 +107,20 @@ class RunJobs:
     def _make(self, spec: RunSpec, files: PodRunFiles) -> None:
         """Prepare the files of the run and make its Job; both may have been done before. Raises StartFailed."""
         if self._store is not None:
-            self._make_on_node(spec, files, self._store)
+            if self._cluster.job(self.name(spec.key)) is not None:
+                return  # that Job has the ticket that counts
+            files.prepare(spec, self._log_max_bytes)
+            self._delete_secret(spec.key, self._store)
+            given = hand_out(self._store, spec, files, self._log_max_bytes)
+            self._cluster.create_secret(secret_manifest(spec, self._installation, given), StartFailed)
+            job = node_job_manifest(spec, self._installation, self._options, _who(), given, self._cache)
+            self._cluster.create_job(job, StartFailed)
             return
         files.prepare(spec, self._log_max_bytes)
         placed = prepare_inputs(outputs_on_node(spec, files.outputs), self._data, files.inputs)
         other = {POD_FOLDER: files.folder, "/tmp": files.scratch}  # noqa: S108 - the container's own
         volumes = volumes_of(places_of(placed, other), self._data, self._options.claim)
         self._cluster.create_job(job_manifest(spec, self._installation, self._options, _who(), volumes), StartFailed)
-
-    def _make_on_node(self, spec: RunSpec, files: PodRunFiles, store: NodeStore) -> None:
-        """The same for a node that shares no storage. A Job that is there has the ticket that counts."""
-        if self._cluster.job(self.name(spec.key)) is not None:
-            return
-        files.prepare(spec, self._log_max_bytes)
-        self._delete_secret(spec.key, store)
-        given = hand_out(store, spec, files, self._log_max_bytes)
-        self._cluster.create_secret(secret_manifest(spec, self._installation, given), StartFailed)
-        job = node_job_manifest(spec, self._installation, self._options, _who(), given, self._cache)
-        self._cluster.create_job(job, StartFailed)
 
     def _wait_for_start(self, spec: RunSpec, files: PodRunFiles) -> Started:
         """Wait a little until the algorithm has started. Raises ImageMissing, StartFailed."""
@@ -144,7 +140,9 @@ class RunJobs:
                 if unschedulable and not before:
                     self._refuse_unmeetable(spec)
                 created_since_s = (created_since_s or monotonic_s()) if found.created else None
-                self._check_forgotten(spec, files, found, created_since_s)
+                forgotten = created_since_s is not None and monotonic_s() - created_since_s >= CREATED_PATIENCE_S
+                if forgotten and not files.begun:
+                    raise NeverBegan(f"the pod of run {spec.run_id} did not start: {found.why}")
             if monotonic_s() > deadline_s:
                 raise self._why_it_waits(spec)
             time.sleep(_STEP_S)
@@ -179,14 +177,6 @@ class RunJobs:
             self._cluster.delete_job(job["metadata"]["name"])
         else:
             self.delete(key)
-
-    def _check_forgotten(
-        self, spec: RunSpec, files: PodRunFiles, found: NotStarted, created_since_s: float | None
-    ) -> None:
-        """Raise NeverBegan for a pod whose container has long been made and was never started."""
-        if created_since_s is None or monotonic_s() - created_since_s < CREATED_PATIENCE_S or files.begun:
-            return
-        raise NeverBegan(f"the pod of run {spec.run_id} did not start: {found.why}")
 
     def _look(self, spec: RunSpec, files: PodRunFiles) -> NotStarted:
         """Why the pod has not started. Raises ImageMissing or StartFailed if waiting for it is of no use."""

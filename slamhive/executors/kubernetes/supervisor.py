@@ -97,8 +97,11 @@ class PodSupervisor:
         end_all_others()
         log.join(TIMEOUT_GRACE_S)
         self._record(started_s, error)
-        if self._order.get("waits_for_delivery"):
-            self._wait_for_delivery()
+        # Kubernetes ends the courier soon after this process: so stay until the results are at the worker.
+        while self._order.get("waits_for_delivery") and not (self._folder / DELIVERED_FILE).exists():
+            found = signal.sigtimedwait(SIGNALS, INTERVAL_S)
+            if found is not None and found.si_signo != signal.SIGCHLD:
+                break
         return self._exit_code
 
     def _start(self, output: int) -> None:
@@ -143,14 +146,12 @@ class PodSupervisor:
             self._end("processes", 0.0)
         if self._kill_at_s is not None and time.monotonic() >= self._kill_at_s:
             signal_all_others(signal.SIGKILL)
-        self._measure()
-
-    def _wait_for_delivery(self) -> None:
-        """Kubernetes ends the courier soon after this process: so stay until the results are at the worker."""
-        while not (self._folder / DELIVERED_FILE).exists():
-            found = signal.sigtimedwait(SIGNALS, INTERVAL_S)
-            if found is not None and found.si_signo != signal.SIGCHLD:
-                return
+        content, time_s = count_usage(), time.monotonic() - self._began_s
+        try:
+            reading = self._host.read(time_s, used_cpu_s(content["files"], content["own_cpu_s"]))
+            write_json(self._folder / USAGE_FILE, {**content, HOST_KEY: reading.content})
+        except (OSError, ValueError):
+            pass  # a full disk, absent storage or a strange counter costs samples, not the run
 
     def _reap(self) -> None:
         for pid, status in reap():
@@ -164,15 +165,6 @@ class PodSupervisor:
             self._cause = cause
             signal_all_others(signal.SIGTERM)
         self._kill_at_s = kill_at_s if self._kill_at_s is None else min(self._kill_at_s, kill_at_s)
-
-    def _measure(self) -> None:
-        """Hand over what the run uses, and what else its node does."""
-        content, time_s = count_usage(), time.monotonic() - self._began_s
-        try:
-            reading = self._host.read(time_s, used_cpu_s(content["files"], content["own_cpu_s"]))
-            write_json(self._folder / USAGE_FILE, {**content, HOST_KEY: reading.content})
-        except (OSError, ValueError):
-            return  # a full disk, absent storage or a strange counter costs samples, not the run
 
     def _record(self, started_s: float, error: str) -> None:
         write_exit(

@@ -290,7 +290,8 @@ class Offers:
         with _readable(source):
             if source.is_dir():
                 return self.folder(source, entry.content or hash_files(source), words)
-            sha256 = _digits(entry.content) or self._sha256(source)
+            digits = (entry.content or "").removeprefix(_PREFIX)
+            sha256 = digits if len(digits) == _HEX_DIGITS else self._sha256(source)
             return Offered(source, Item(sha256, source.stat().st_size, FILE, 0, words))
 
     def folder(self, folder: Path, content: str, words: str) -> Offered:
@@ -350,11 +351,6 @@ def _known(archive: Path) -> Item | None:
         return item if archive.stat().st_size == item.size_bytes else None
     except FileNotFoundError:
         return None
-
-
-def _digits(content: str | None) -> str | None:
-    digits = (content or "").removeprefix(_PREFIX)
-    return digits if len(digits) == _HEX_DIGITS else None
 
 
 @contextlib.contextmanager

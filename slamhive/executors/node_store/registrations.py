@@ -119,7 +119,11 @@ class Registrations:
         if not _matches(content, token) or content is None or OVER in content:
             return None
         del content["token_sha256"]
-        return _registration(content)
+        offered = {
+            name: Offered(Path(entry["path"]), Item.of(entry["item"])) for name, entry in content["offered"].items()
+        }
+        paths = {name: {place: Path(path) for place, path in content[name].items()} for name in ("copies", "logs")}
+        return Registration(**{**content, "work": Path(content["work"]), "offered": offered, **paths})
 
     def mark(self, key: str) -> str | None:
         """Names the newest token of a run without giving it away; None if there was none, or long ago."""
@@ -191,12 +195,6 @@ def _load(path: Path) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     return content
-
-
-def _registration(content: dict[str, Any]) -> Registration:
-    offered = {name: Offered(Path(entry["path"]), Item.of(entry["item"])) for name, entry in content["offered"].items()}
-    paths = {name: {place: Path(path) for place, path in content[name].items()} for name in ("copies", "logs")}
-    return Registration(**{**content, "work": Path(content["work"]), "offered": offered, **paths})
 
 
 def _hash(text: str) -> str:

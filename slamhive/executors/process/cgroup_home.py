@@ -100,7 +100,8 @@ def _v1_folder(tree: Path, own: str) -> Path | None:
 def _v2_home(root: Path, own: str, *, own_scope: bool) -> CgroupHome:
     group = root / own.lstrip("/")
     folder = group.parent if group.name == LEAF else group
-    if not _can_be_changed(folder):
+    files = (folder / "cgroup.procs", folder / "cgroup.subtree_control")
+    if not os.access(folder, os.W_OK | os.X_OK) or not all(os.access(file, os.W_OK) for file in files):
         raise DoesNotHold(f"this user may not change the control group {_shown(folder, root)}")
     if folder.suffix in (".service", ".scope") and not own_scope and not _is_delegated(folder, root):
         raise DoesNotHold(f"systemd has not delegated {folder.name} (Delegate=yes)")
@@ -112,11 +113,6 @@ def _v2_home(root: Path, own: str, *, own_scope: bool) -> CgroupHome:
     # A group whose threaded controllers alone are enabled may hold processes, but then no run can enter a group in it.
     settled = "pids" in enabled and ("memory" in enabled or "memory" not in controllers) and not _is_threaded(folder)
     return CgroupHome(2, dict.fromkeys(enabled if settled else controllers, folder), settled)
-
-
-def _can_be_changed(folder: Path) -> bool:
-    files = (folder / "cgroup.procs", folder / "cgroup.subtree_control")
-    return os.access(folder, os.W_OK | os.X_OK) and all(os.access(file, os.W_OK) for file in files)
 
 
 def _shown(folder: Path, root: Path) -> str:
@@ -201,8 +197,15 @@ def _empty_and_enable(home: CgroupHome) -> None:
     leaf.mkdir(exist_ok=True)
     for _ in range(_ROUNDS):
         if _is_threaded(folder):
-            _undo_threads(folder)
-        if _move_processes(folder, leaf):
+            # Threaded controllers were enabled while the group held processes: take them back.
+            for controller in _enabled(folder):
+                with contextlib.suppress(OSError):  # a group of a run below still uses it
+                    (folder / "cgroup.subtree_control").write_text(f"-{controller}", encoding="ascii")
+        pids = (folder / "cgroup.procs").read_text(encoding="ascii").split()
+        for pid in pids:
+            with contextlib.suppress(ProcessLookupError):  # it has ended
+                (leaf / "cgroup.procs").write_text(pid, encoding="ascii")
+        if pids:
             continue  # who was moved may have started another one just before
         try:
             (folder / "cgroup.subtree_control").write_text(order, encoding="ascii")
@@ -213,24 +216,6 @@ def _empty_and_enable(home: CgroupHome) -> None:
             if not _is_threaded(folder):
                 return
     raise DoesNotHold(f"{folder} never became empty: something starts processes in it all the time")
-
-
-def _move_processes(folder: Path, leaf: Path) -> int:
-    """Move all processes of ``folder`` itself into ``leaf``; the number of those that were there."""
-    pids = (folder / "cgroup.procs").read_text(encoding="ascii").split()
-    for pid in pids:
-        try:
-            (leaf / "cgroup.procs").write_text(pid, encoding="ascii")
-        except ProcessLookupError:
-            continue  # it has ended
-    return len(pids)
-
-
-def _undo_threads(folder: Path) -> None:
-    """Take back threaded controllers that were enabled while the group held processes."""
-    for controller in _enabled(folder):
-        with contextlib.suppress(OSError):  # a group of a run below still uses it
-            (folder / "cgroup.subtree_control").write_text(f"-{controller}", encoding="ascii")
 
 
 def smallest_limit_above(home: CgroupHome, file: str, root: Path = CGROUP_ROOT) -> tuple[str, int] | None:

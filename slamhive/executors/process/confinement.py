@@ -196,12 +196,18 @@ def enter_namespaces() -> None:
         _unshare(_CLONE_NEWNS | _CLONE_NEWNET)
     else:
         _unshare(_CLONE_NEWUSER | _CLONE_NEWNS | _CLONE_NEWNET)
-        _stay(uid, gid)
+        # The mapping makes it the same user and group inside as outside. The kernel wants setgroups denied before.
+        Path("/proc/self/setgroups").write_text("deny", encoding="ascii")
+        Path("/proc/self/uid_map").write_text(f"{uid} {uid} 1", encoding="ascii")
+        Path("/proc/self/gid_map").write_text(f"{gid} {gid} 1", encoding="ascii")
     _mount("none", "/", "none", _MS_REC | _MS_PRIVATE, "")
     if Path(SHARED_MEMORY).is_dir():
         options = f"size={SHARED_MEMORY_BYTES},mode=1777"
         _mount("tmpfs", SHARED_MEMORY, "tmpfs", _MS_NOSUID | _MS_NODEV, options)
-    _raise_loopback()
+    # A new network has its loopback down, and nodes of ROS talk to each other over it.
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        _, flags = _INTERFACE.unpack(fcntl.ioctl(any_socket, _GET_FLAGS, _INTERFACE.pack(b"lo", 0)))
+        fcntl.ioctl(any_socket, _SET_FLAGS, _INTERFACE.pack(b"lo", flags | _UP))
 
 
 def make_read_only(path: str) -> None:
@@ -211,19 +217,6 @@ def make_read_only(path: str) -> None:
     flags = found & _SAME_FLAGS | (_MS_RELATIME if found & os.ST_RELATIME else 0)
     _mount(path, path, "none", _MS_BIND | _MS_REC, "")
     _mount("none", path, "none", _MS_REMOUNT | _MS_BIND | _MS_RDONLY | flags, "")
-
-
-def _stay(uid: int, gid: int) -> None:
-    """Be the same user and group within the user namespace as outside."""
-    Path("/proc/self/setgroups").write_text("deny", encoding="ascii")
-    Path("/proc/self/uid_map").write_text(f"{uid} {uid} 1", encoding="ascii")
-    Path("/proc/self/gid_map").write_text(f"{gid} {gid} 1", encoding="ascii")
-
-
-def _raise_loopback() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        _, flags = _INTERFACE.unpack(fcntl.ioctl(any_socket, _GET_FLAGS, _INTERFACE.pack(b"lo", 0)))
-        fcntl.ioctl(any_socket, _SET_FLAGS, _INTERFACE.pack(b"lo", flags | _UP))
 
 
 def _unshare(namespaces: int) -> None:

@@ -92,7 +92,13 @@ class Environments:
 
     def build(self, package: AlgorithmPackage, progress: ProgressCallback) -> str:
         """Make what is missing; returns the identity. Raises ImageMissing naming what went wrong and the remedy."""
-        _check_libraries(package)
+        if package.system_libraries:
+            command = [sys.executable, "-c", _FIND_LIBRARIES, *package.system_libraries]
+            missing = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
+            if missing:
+                installing = install_command(package.system_packages)
+                remedy = f"{installing}, or use Docker" if package.system_packages else "install them, or use Docker"
+                raise ImageMissing(f"{package.name} needs {', '.join(missing)}, which this machine lacks", remedy)
         identity = self.identity(package)
         environment = self.find(package.name, identity)
         if environment.ready:
@@ -206,18 +212,6 @@ def _stage_runtime(target: Path) -> None:
     except OSError as error:
         if not target.is_dir():
             raise Unavailable(f"{target} cannot be written: {error.strerror}", "check space and rights") from None
-
-
-def _check_libraries(package: AlgorithmPackage) -> None:
-    """Raise ImageMissing naming the system libraries that the loader does not find, and the command that helps."""
-    if not package.system_libraries:
-        return
-    command = [sys.executable, "-c", _FIND_LIBRARIES, *package.system_libraries]
-    missing = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
-    if missing:
-        installing = install_command(package.system_packages)
-        remedy = f"{installing}, or use Docker" if package.system_packages else "install them, or use Docker"
-        raise ImageMissing(f"{package.name} needs {', '.join(missing)}, which this machine lacks", remedy)
 
 
 def _run_step(title: str, command: list[str], variables: dict[str, str], progress: ProgressCallback) -> None:

@@ -43,15 +43,14 @@ from slamhive.executors.base import (
 from slamhive.executors.process.cgroup_home import NO_SCOPE, run_in_scope, scope_wanted
 from slamhive.executors.process.containment import found_again
 from slamhive.executors.process.containment_base import Containment
-from slamhive.executors.process.environment import Environment, Environments, pip_problem
+from slamhive.executors.process.environment import Environments, pip_problem
 from slamhive.executors.process.exit_file import EXIT_FILE, assemble
 from slamhive.executors.process.paths import INHERITED, KEY_VARIABLE, shim_spec_of
 from slamhive.executors.process.run_cgroup import RunCgroup, group_name, left_over_groups
 from slamhive.executors.process.shim import IDENTITY_FILE, LOCK_FILE, NO_ROOM
-from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.supervisor import OUTPUT_FOLDER
 from slamhive.executors.process.survey import survey, survey_goes_on
-from slamhive.executors.process.table import ProcessEntry, all_processes, end_all, living, process_birth
+from slamhive.executors.process.table import all_processes, end_all, living, process_birth
 from slamhive.executors.process.tree_limit import ProcessTreeSource
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
@@ -176,13 +175,8 @@ def kill_leftovers(handle: RunHandle) -> None:
     if containment is not None:
         containment.end(KILL_WAIT_S)
         containment.remove()
-    end_all(lambda: _with_key(handle.data["key"]), KILL_WAIT_S)
-
-
-def _with_key(key: str) -> list[ProcessEntry]:
-    """The living processes that carry the run's key in their environment."""
-    mark = f"{KEY_VARIABLE}={key}".encode()
-    return [entry for entry in living(all_processes()) if mark in _environment(entry.pid)]
+    mark = f"{KEY_VARIABLE}={handle.data['key']}".encode()
+    end_all(lambda: [entry for entry in living(all_processes()) if mark in _environment(entry.pid)], KILL_WAIT_S)
 
 
 def _environment(pid: int) -> list[bytes]:
@@ -279,7 +273,7 @@ class ProcessExecutor(Executor):
             environment = self._environments.find(spec.package, spec.identity)
             if not environment.ready:
                 raise ImageMissing(f"the environment {spec.identity} of {spec.package} is gone", "build it again")
-            self._shim_spec(spec, environment, work).save(work)
+            shim_spec_of(spec, environment, work, self._context, self._containment).save(work)
             in_scope = self._containment in (None, RunCgroup.kind) and scope_wanted()
             identity = launch(work, in_scope=in_scope)
         return _handle(spec, work, identity)
@@ -357,9 +351,6 @@ class ProcessExecutor(Executor):
             return None
         containment = containment_of(handle)
         return (None if containment is None else containment.usage()) or ProcessTreeSource(shim)
-
-    def _shim_spec(self, spec: RunSpec, environment: Environment, work: Path) -> ShimSpec:
-        return shim_spec_of(spec, environment, work, self._context, self._containment)
 
 
 def _end_of(handle: RunHandle) -> Exited | Gone | None:

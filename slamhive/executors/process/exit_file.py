@@ -89,7 +89,15 @@ class CappedLog:
             self._head_left -= len(head)
         while rest:
             if self._part == 0 or self._stream.tell() >= self._part_limit:
-                self._next_part()
+                # Only the newest two parts stay; the size of those before is added to what was left out.
+                self._stream.close()
+                self._part += 1
+                old = self._folder / f"part-{self._part - 2}"
+                if old.exists():
+                    self._left_out += old.stat().st_size
+                    old.unlink()
+                    (self._folder / "left-out").write_text(str(self._left_out), encoding="ascii")
+                self._stream = (self._folder / f"part-{self._part}").open("wb", buffering=0)
             room = self._part_limit - self._stream.tell()
             self._stream.write(rest[:room])
             rest = rest[room:]
@@ -97,17 +105,6 @@ class CappedLog:
     def close(self) -> None:
         """Close the file in use."""
         self._stream.close()
-
-    def _next_part(self) -> None:
-        """Begin the next part; the one before the last is dropped, and its size added to what was left out."""
-        self._stream.close()
-        self._part += 1
-        old = self._folder / f"part-{self._part - 2}"
-        if old.exists():
-            self._left_out += old.stat().st_size
-            old.unlink()
-            (self._folder / "left-out").write_text(str(self._left_out), encoding="ascii")
-        self._stream = (self._folder / f"part-{self._part}").open("wb", buffering=0)
 
 
 def assemble(folder: Path) -> bytes:

@@ -81,12 +81,14 @@ def shim_spec_of(
         KEY_VARIABLE: spec.key,
     }
     program = str(environment.python) if spec.command[0] == "python3" else spec.command[0]
+    absolute = [value for value in variables.values() if value.startswith("/") and os.pathsep not in value]
+    files = [value for value in absolute if Path(value).exists()]
     return replace(
         orders_for_limits(spec, context),
         command=[program, *map(paths.translate, spec.command[1:])],
         environment=variables,
         folder=str(home),
-        readable=[program, *filter(_is_file_here, variables.values()), *map(str, paths.places.values())],
+        readable=[program, *files, *map(str, paths.places.values())],
         writable=[str(home), *map(str, paths.writable.values())],
         containment=containment,
     )
@@ -108,7 +110,3 @@ def orders_for_limits(spec: RunSpec, context: ExecutorContext) -> ShimSpec:
         installation=context.installation,
         key=spec.key,
     )
-
-
-def _is_file_here(value: str) -> bool:
-    return value.startswith("/") and os.pathsep not in value and Path(value).exists()

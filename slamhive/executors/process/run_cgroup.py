@@ -92,7 +92,14 @@ class RunCgroup(ABC):
                 folder.mkdir(exist_ok=True)
             limited = kind(folders)._set_limits(request)
             group = kind(folders, limited, place_of(home, request), limits_above(home, request))
-            group._try_to_enter()
+            # Only a process that enters shows that others can: the rights on the files do not say so.
+            probe = os.posix_spawnp("sleep", ["sleep", "60"], os.environ)
+            try:
+                for folder in set(folders.values()):
+                    (folder / "cgroup.procs").write_text(str(probe), encoding="ascii")
+            finally:
+                os.kill(probe, signal.SIGKILL)
+                os.waitpid(probe, 0)
         except OSError as error:
             kind(folders).remove()
             raise DoesNotHold(f"{error.filename or folders['pids']}: {error.strerror}") from None
@@ -126,12 +133,17 @@ class RunCgroup(ABC):
         if self.holds_memory:
             swap = "swap included" if "swap" in self._limited else "but not swap, which this kernel does not count"
             memory = f"enforced by the kernel ({self.memory_file}), {swap}{self._above.get('memory', '')}"
+        end = "the whole group is stopped, then killed"
+        if (self._tasks / "cgroup.kill").exists():
+            end = "the whole group is killed at once (cgroup.kill)"
+        elif self._freezer():
+            end = "the whole group is frozen, then killed"
         return {
             "held_by": f"control group, version {self.version}" + (f", in {self._place}" if self._place else ""),
             "processes": f"enforced by the kernel (pids.max){self._above.get('pids', '')}",
             "memory": memory,
             "cpu": f"enforced by the kernel ({self.cpu_file})" if self.holds_cpu else "bound to whole cores",
-            "end": self._way_to_end(),
+            "end": end,
         }
 
     def enter(self) -> None:
@@ -157,14 +169,31 @@ class RunCgroup(ABC):
         self._try_to_write("pids", "pids.max", "0")
         if not self.members():
             return True
-        self._kill()
+        # Kernels before 5.14 have no cgroup.kill: members are frozen first if possible, so that none escapes by a fork.
+        if (self._tasks / "cgroup.kill").exists():
+            self._try_to_write("pids", "cgroup.kill", "1")
+        elif self._freeze():
+            # Frozen processes use no CPU time, and receive their signals when they thaw.
+            for entry in self.members():
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(entry.pid, signal.SIGKILL)
+            file = self._freezer()
+            if file is not None:
+                with contextlib.suppress(OSError):
+                    file.write_text(self.thawed_word, encoding="ascii")
         return end_all(self.members, patience_s)
 
     def remove(self) -> None:
         """Implement :class:`Containment`. A group that still holds processes stays."""
         deadline_s = monotonic_s() + _FREEZE_PATIENCE_S
         for folder in set(self._folders.values()):
-            while not _remove_tree(folder) and monotonic_s() < deadline_s:
+            while True:
+                # A run may have made groups inside of its own.
+                for parent, _, _ in os.walk(folder, topdown=False):
+                    with contextlib.suppress(OSError):
+                        Path(parent).rmdir()
+                if not folder.exists() or monotonic_s() >= deadline_s:
+                    break
                 time.sleep(_PAUSE_S)
 
     @abstractmethod
@@ -203,37 +232,6 @@ class RunCgroup(ABC):
                 self._limit_cpu(self._folders["cpu"], quota_us)
                 limited.add("cpu")
         return frozenset(limited)
-
-    def _try_to_enter(self) -> None:
-        """Put an idle process into the group. Raises OSError."""
-        probe = os.posix_spawnp("sleep", ["sleep", "60"], os.environ)
-        try:
-            for folder in set(self._folders.values()):
-                (folder / "cgroup.procs").write_text(str(probe), encoding="ascii")
-        finally:
-            os.kill(probe, signal.SIGKILL)
-            os.waitpid(probe, 0)
-
-    def _way_to_end(self) -> str:
-        if (self._tasks / "cgroup.kill").exists():
-            return "the whole group is killed at once (cgroup.kill)"
-        return (
-            "the whole group is frozen, then killed" if self._freezer() else "the whole group is stopped, then killed"
-        )
-
-    def _kill(self) -> None:
-        """Kill all members once. Without ``cgroup.kill`` (kernel 5.14) they are frozen first if possible."""
-        if (self._tasks / "cgroup.kill").exists():
-            self._try_to_write("pids", "cgroup.kill", "1")
-        elif self._freeze():
-            # Frozen processes use no CPU time, and receive their signals when they thaw.
-            for entry in self.members():
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(entry.pid, signal.SIGKILL)
-            file = self._freezer()
-            if file is not None:
-                with contextlib.suppress(OSError):
-                    file.write_text(self.thawed_word, encoding="ascii")
 
     def _freeze(self) -> bool:
         """Freeze the group; returns whether that worked. A process inside a system call may take a moment."""
@@ -376,11 +374,3 @@ def _write(path: Path, value: int | str) -> None:
     """Write into a file that the kernel has made: without one there is no such control."""
     with path.open("r+", encoding="ascii") as stream:
         stream.write(str(value))
-
-
-def _remove_tree(folder: Path) -> bool:
-    """Remove a group and those that were made inside of it; whether it is gone."""
-    for parent, _, _ in os.walk(folder, topdown=False):
-        with contextlib.suppress(OSError):
-            Path(parent).rmdir()
-    return not folder.exists()

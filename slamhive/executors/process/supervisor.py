@@ -93,12 +93,25 @@ class Supervisor:
 
     def run(self, started_at: datetime) -> None:
         """From start to ``exit.json``."""
-        reader = self._spawn()
+        reader, writer = os.pipe()
+        os.set_blocking(reader, False)
+        self._pid = os.fork()
+        if self._pid == 0:
+            self._become_algorithm(writer)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+        os.close(writer)
         while self._status is None:
             self._tick(reader)
         ended_at = utc_now()
-        self._last_look()
-        self._end_descendants()
+        # The kernel's counters vanish with the run.
+        look = self._containment.look(self._tree)
+        self._out_of_memory |= look.out_of_memory
+        self._refusals.see(refused=look.refused, now_s=monotonic_s())
+        while True:  # the algorithm may have left processes
+            self._kill_all()
+            self._reap()
+            if not self._containment.members() and not self._tree.living():
+                break
         self._containment.remove()
         while self._copy_output(reader):
             pass
@@ -115,17 +128,6 @@ class Supervisor:
             "lost_output": self._lost.text,
         }
         write_exit(self._work, content)
-
-    def _spawn(self) -> int:
-        """Fork the algorithm; returns the end of the pipe to read its output from."""
-        reader, writer = os.pipe()
-        os.set_blocking(reader, False)
-        self._pid = os.fork()
-        if self._pid == 0:
-            self._become_algorithm(writer)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
-        os.close(writer)
-        return reader
 
     def _become_algorithm(self, writer: int) -> None:
         """In the child: set limits, enter the containment, become the command. Never returns."""
@@ -217,38 +219,22 @@ class Supervisor:
             return
         self._checked_at_s = now_s
         look = self._containment.look(self._tree)
-        if look.out_of_memory or self._is_over_memory():
+        limit_bytes = self._spec.memory_bytes
+        if look.out_of_memory or (
+            limit_bytes is not None
+            and not self._containment.holds_memory
+            and self._tree.resident_bytes() > limit_bytes
+        ):
             self._out_of_memory = True
-            limit_bytes = self._spec.memory_bytes
             self._kill_at("the memory limit" + ("" if limit_bytes is None else f" of {limit_bytes / 1e6:.0f} MB"))
         elif self._refusals.see(refused=look.refused, now_s=now_s):
             self._process_limit = True
             self._kill_at(f"the limit of {self._spec.tasks} processes and threads")
 
-    def _is_over_memory(self) -> bool:
-        limit_bytes = self._spec.memory_bytes
-        if limit_bytes is None or self._containment.holds_memory:
-            return False
-        return self._tree.resident_bytes() > limit_bytes
-
-    def _last_look(self) -> None:
-        """Read the kernel's counters a last time, before they vanish with the run."""
-        look = self._containment.look(self._tree)
-        self._out_of_memory |= look.out_of_memory
-        self._refusals.see(refused=look.refused, now_s=monotonic_s())
-
     def _kill_at(self, limit: str) -> None:
         self._write_log(f"[killed at {limit}]\n".encode())
         self._kill_asked = True
         self._kill_all()
-
-    def _end_descendants(self) -> None:
-        """Kill and reap the processes that the algorithm left."""
-        while True:
-            self._kill_all()
-            self._reap()
-            if not self._containment.members() and not self._tree.living():
-                return
 
     def _kill_all(self) -> None:
         """Kill the members of the containment, then what is left below the supervisor."""

@@ -38,8 +38,15 @@ def survey(installation: str, kind: str | None = None) -> Protections:
     if kind not in (None, RunCgroup.kind):
         return _tried(request, kind)
     if scope_wanted():
-        found = _survey_in_scope(installation, kind)
-        return found if isinstance(found, Protections) else _tried(replace(request, no_scope=found), kind)
+        # Another process looks from within a scope of its own, as a supervisor would.
+        environment = {**os.environ, "PYTHONPATH": str(Path(slamhive.__file__).parent.parent)}
+        with tempfile.TemporaryFile() as output:
+            command = [sys.executable, "-m", __name__, installation, kind or ""]
+            refused = run_in_scope(command, environment, output.fileno())
+            if refused is not None:
+                return _tried(replace(request, no_scope=refused), kind)
+            output.seek(0)
+            return Protections(**json.loads(output.read().splitlines()[-1]))
     try:
         home = find_home()
     except DoesNotHold:
@@ -49,18 +56,6 @@ def survey(installation: str, kind: str | None = None) -> Protections:
     group = RunCgroup.foreseen(request, home)
     told = _described(group, {})
     return replace(told, held_by=told.held_by + _FORESEEN)
-
-
-def _survey_in_scope(installation: str, kind: str | None) -> Protections | str:
-    """The survey of another process in a scope of its own, or why there is no scope."""
-    environment = {**os.environ, "PYTHONPATH": str(Path(slamhive.__file__).parent.parent)}
-    with tempfile.TemporaryFile() as output:
-        command = [sys.executable, "-m", __name__, installation, kind or ""]
-        refused = run_in_scope(command, environment, output.fileno())
-        if refused is not None:
-            return refused
-        output.seek(0)
-        return Protections(**json.loads(output.read().splitlines()[-1]))
 
 
 def _tried(request: ContainmentRequest, kind: str | None) -> Protections:

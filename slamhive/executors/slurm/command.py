@@ -377,16 +377,13 @@ class Queue:
             self._waiting.append((request, answer))
         with self._sending:
             if not answer.done():
-                self._send_waiting()
+                with self._noting:
+                    waiting, self._waiting = self._waiting, []
+                answers = {id(request): answer for request, answer in waiting}
+                for chunk in chunks(request for request, _ in waiting):
+                    self._send_chunk(chunk, [answers[id(request)] for request in chunk])
         self.forget()
         answer.result()
-
-    def _send_waiting(self) -> None:
-        with self._noting:
-            waiting, self._waiting = self._waiting, []
-        answers = {id(request): answer for request, answer in waiting}
-        for chunk in chunks(request for request, _ in waiting):
-            self._send_chunk(chunk, [answers[id(request)] for request in chunk])
 
     def _send_chunk(self, requests: Sequence[JobRequest], answers: Sequence[Future[None]]) -> None:
         try:

@@ -137,23 +137,19 @@ class SlurmExecutor(ProcessExecutor):
         place = JobPlace.load(work)
         data = {name: str(identity[name]) for name in ("pid", "birth", "started_at")}
         if self.capabilities.shares_files:
-            data |= self._by_this_clock(spec, work, place.node, datetime.fromisoformat(identity["started_at"]))
+            # The clock of the node may differ from this one, by which times of runs are recorded.
+            said = datetime.fromisoformat(identity["started_at"])
+            found = start_by_this_clock(work / IDENTITY_FILE, said)
+            difference = difference_in_words(place.node, said, found)
+            if difference is not None:
+                logger.warning("run %d: %s", spec.run_id, difference)
+                data |= {"started_at": found.isoformat(), "clock": difference}
         data |= {"work": str(work), "key": spec.key, "timeout_s": str(spec.timeout_s)}
         data |= {"node": place.node, "job": place.job}
         protections = Protections(**identity["protections"])
         container = f"a container of {place.runtime}, " if place.runtime else ""
         where = f"{container}job {place.job} of Slurm on node {place.node}, {protections.held_by}"
         return RunHandle(self.name, data, replace(protections, held_by=where), place.host, place.gpu)
-
-    @staticmethod
-    def _by_this_clock(spec: RunSpec, work: Path, node: str, said: datetime) -> dict[str, str]:
-        """The part of the handle that says by how much the clock of the node differs; nothing where it does not."""
-        found = start_by_this_clock(work / IDENTITY_FILE, said)
-        difference = difference_in_words(node, said, found)
-        if difference is None:
-            return {}
-        logger.warning("run %d: %s", spec.run_id, difference)
-        return {"started_at": found.isoformat(), "clock": difference}
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """``exit.json`` says how the run ended. Without it, Slurm knows whether the job goes on or what ended it."""
@@ -241,7 +237,9 @@ class SlurmExecutor(ProcessExecutor):
         """Submit the job of the run unless Slurm has one. A second job would find the lock of the first and end."""
         if any(not job.over for job in self._jobs(spec.key, 0.0)):
             return
-        self._check_nodes(spec)
+        others = set(spec.placing.other_nodes)
+        if others and others.issuperset(node.name for node in command.list_nodes(self._options)):
+            raise StartFailed(f"run {spec.run_id}: {spec.placing.nobody}", "same_cpu: false allows others")
         commands = self._commands(replace(spec, limits=job_limits(spec.limits)), work)
         installation = self._context.installation
         request = job_request(spec, installation, self._options, self._gpu, commands, self._printed)
@@ -252,12 +250,6 @@ class SlurmExecutor(ProcessExecutor):
         """Return the script of the job. It finds its orders in the work folder. Raises ImageMissing."""
         self._give_orders(spec, work)
         return job_commands(work, gpu=spec.asks_gpu)
-
-    def _check_nodes(self, spec: RunSpec) -> None:
-        """Raise StartFailed if each node is known to have another CPU model than the run needs."""
-        others = set(spec.placing.other_nodes)
-        if others and others.issuperset(node.name for node in command.list_nodes(self._options)):
-            raise StartFailed(f"run {spec.run_id}: {spec.placing.nobody}", "same_cpu: false allows others")
 
     def _give_orders(self, spec: RunSpec, work: Path) -> None:
         """Write into the work folder what the job starts. Raises ImageMissing."""

@@ -104,7 +104,8 @@ def _apply(layer: tarfile.TarFile, root: Path) -> None:
     for member in layer:
         place = _inside(root, member.name)
         if place.name == _EMPTIED:
-            for path in [path for path in _children(place.parent) if path not in made]:
+            there = place.parent.iterdir() if place.parent.is_dir() else ()
+            for path in [path for path in there if path not in made]:
                 _remove(path)
         elif place.name.startswith(_REMOVED):
             _remove(place.with_name(place.name.removeprefix(_REMOVED)))
@@ -144,10 +145,6 @@ def _inside(root: Path, name: str) -> Path:
         if part == ".." or (number < len(parts) and place.is_symlink()):
             raise InvalidInput(f"the image has a file behind a link: {name[:80]!r}", "build the image again")
     return place
-
-
-def _children(folder: Path) -> Iterator[Path]:
-    return folder.iterdir() if folder.is_dir() else iter(())
 
 
 def _remove(path: Path) -> None:

@@ -180,7 +180,10 @@ class Cache:
             fcntl.flock(room, fcntl.LOCK_EX)
             others = sorted(entry for entry in self._entries() if entry.sha256 != item.sha256)
             used_bytes = sum(entry.room_bytes for entry in others)
-            arrived_bytes = _arrived_bytes(self._path(item.sha256))
+            try:
+                arrived_bytes = Path(str(self._path(item.sha256)) + _PART).stat().st_size
+            except OSError:
+                arrived_bytes = 0
             for entry in others:
                 if self._fits(item, used_bytes, arrived_bytes):
                     break
@@ -264,21 +267,14 @@ def unpack_folder(archive: Path, folder: Path) -> None:
     """Unpack an archive of the controller. All files belong to whoever unpacks them. Raises OSError, TarError."""
     folder.mkdir()
     with tarfile.open(str(archive)) as opened:
-        opened.extractall(str(folder), members=_owned(opened), **_trusted())  # noqa: S202 - the hash was checked
-
-
-def _owned(archive: tarfile.TarFile) -> List[tarfile.TarInfo]:
-    members = archive.getmembers()
-    for member in members:
-        if member.name.startswith("/") or ".." in member.name.split("/"):
-            raise tarfile.TarError("the archive names {!r}, which is outside of its folder".format(member.name))
-        member.uid, member.gid, member.uname, member.gname = os.getuid(), os.getgid(), "", ""
-    return members
-
-
-def _trusted() -> Dict[str, Any]:
-    """Images hold links to absolute paths, which newer versions of Python refuse by default."""
-    return {"filter": "fully_trusted"} if hasattr(tarfile, "fully_trusted_filter") else {}
+        members = opened.getmembers()
+        for member in members:
+            if member.name.startswith("/") or ".." in member.name.split("/"):
+                raise tarfile.TarError("the archive names {!r}, which is outside of its folder".format(member.name))
+            member.uid, member.gid, member.uname, member.gname = os.getuid(), os.getgid(), "", ""
+        # Images hold links to absolute paths, which newer versions of Python refuse by default.
+        trust = {"filter": "fully_trusted"} if hasattr(tarfile, "fully_trusted_filter") else {}  # type: Dict[str, Any]
+        opened.extractall(str(folder), members=members, **trust)  # noqa: S202 - the hash was checked
 
 
 def _make(item: Item, folder: Path, make: Fetch) -> int:
@@ -305,13 +301,6 @@ def _is_there(item: Item, path: Path, lock: int) -> bool:
     if item.kind == FILE:
         return path.is_file()
     return path.is_dir() and (os.pread(lock, 32, 0) not in (b"", b"0") or not item.kept_bytes)
-
-
-def _arrived_bytes(path: Path) -> int:
-    try:
-        return Path(str(path) + _PART).stat().st_size
-    except OSError:
-        return 0
 
 
 def _write_room(lock: int, room_bytes: int) -> None:

@@ -89,10 +89,14 @@ def make_apart(
             process.stdin.write(json.dumps(order))
             process.stdin.close()
             for line in process.stdout:
-                said = _said_in(line)
-                problem = said.get(PROBLEM, problem)
-                if FRACTION in said:
-                    progress(said[FRACTION])
+                try:
+                    said = json.loads(line)
+                except ValueError:
+                    continue  # one of its libraries has printed it
+                if isinstance(said, dict):
+                    problem = said.get(PROBLEM, problem)
+                    if FRACTION in said:
+                        progress(said[FRACTION])
         except BrokenPipeError:
             problem = "{} cannot make variants".format(" ".join(program))
         except BaseException:
@@ -101,12 +105,3 @@ def make_apart(
     if problem or process.returncode:
         why = problem or "the process that makes it ended with code {}".format(process.returncode)
         raise WrongNode("{} cannot be made on its node: {}".format(words_of(order), why))
-
-
-def _said_in(line: str) -> Dict[str, Any]:
-    """Parse a line of the process; nothing if one of its libraries has printed it."""
-    try:
-        said = json.loads(line)
-    except ValueError:
-        return {}
-    return said if isinstance(said, dict) else {}

@@ -116,8 +116,12 @@ class Mirror:
 
     def _send_file(self, place: str, path: Path, change: Optional[Callable[[bytes], bytes]]) -> None:
         copy = self._copies.setdefault(place, _Copy())
-        found = _look_at(path)
-        if found is None or found == copy.seen:
+        try:
+            status = path.lstat()
+        except OSError:
+            return
+        found = (status.st_ino, status.st_size, status.st_mtime_ns)
+        if not stat.S_ISREG(status.st_mode) or found == copy.seen:
             return
         content = _read(path)
         if content is None:
@@ -152,15 +156,6 @@ class Mirror:
 
 def _address(place: str) -> str:
     return "state/" + quote(place)
-
-
-def _look_at(path: Path) -> Any:
-    """Return a mark that changes with the file; None if it is no plain file."""
-    try:
-        found = path.lstat()
-    except OSError:
-        return None
-    return (found.st_ino, found.st_size, found.st_mtime_ns) if stat.S_ISREG(found.st_mode) else None
 
 
 def _read(path: Path) -> Optional[bytes]:
