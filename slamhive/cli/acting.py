@@ -104,13 +104,9 @@ def acting(cli: CliContext, subject: str) -> Iterator[Accounts]:
 
     hive = cli.hive()
     action = command_name(click.get_current_context())
-    with hive.store.acting(AuditAct(uuid.uuid4().hex, utc_now(), _user(), COMMAND_LINE, "", action, subject[:200])):
-        yield hive.accounts
-
-
-def _user() -> str:
-    """Return the user who runs this command; the number of a user without a name, as containers have them."""
     try:
-        return getpass.getuser()[:64]
+        user = getpass.getuser()[:64]
     except (KeyError, OSError):
-        return f"user {os.getuid()}"
+        user = f"user {os.getuid()}"  # users of containers may have no name
+    with hive.store.acting(AuditAct(uuid.uuid4().hex, utc_now(), user, COMMAND_LINE, "", action, subject[:200])):
+        yield hive.accounts

@@ -22,10 +22,10 @@ from slamhive.domain.parameters import Parameter
 from slamhive.domain.sensors import SensorSetup
 from slamhive.services.bounds import BoundTest, bound_tests
 from slamhive.services.hive import Hive
-from slamhive.services.weights import StoredWeights, WeightsStore
+from slamhive.services.weights import WeightsStore
 
 if TYPE_CHECKING:
-    from slamhive.services.algorithms import ImportedPackage, PlannedPackage
+    from slamhive.services.algorithms import PlannedPackage
 
 
 @click.group()
@@ -186,8 +186,8 @@ def import_(cli: CliContext, source: str, preview: bool, as_json: bool, **asked:
     hive = cli.hive(indexed=False)
     if is_export(Path(source)):
         chosen = hive.executors.get(hive.executors.choose(asked["executor"]))
-        made, record = hive.versions.load(Path(source), chosen)
-        say(f"{record.label}: {made.package.folder}")
+        loaded, record = hive.versions.load(Path(source), chosen)
+        say(f"{record.label}: {loaded.package.folder}")
         return
     setup = asked.pop("setup")
     request = PackageImportRequest(setup=None if setup is None else SensorSetup(setup), **asked)
@@ -196,7 +196,14 @@ def import_(cli: CliContext, source: str, preview: bool, as_json: bool, **asked:
             _show_plan(planned, as_json=as_json)
             return
         tell(f"{planned.name}: {_way(planned)}", style="bold")
-        _show_result(hive.algorithms.perform(planned, lambda line: tell(line, style="dim")), as_json=as_json)
+        made = hive.algorithms.perform(planned, lambda line: tell(line, style="dim"))
+    for note in made.notes:
+        tell(f"note: {note}")
+    if as_json:
+        print_json([AlgorithmDocument.of(entry).content for entry in made.algorithms])
+        return
+    package = made.algorithms[0].package
+    say(f"imported {', '.join(entry.name for entry in made.algorithms)}; check {package.folder / 'algorithm.yaml'}")
 
 
 @click.command("remove")
@@ -228,16 +235,6 @@ def _show_plan(planned: PlannedPackage, *, as_json: bool) -> None:
     write_out(planned.draft.text)
     for note in planned.draft.notes:
         tell(f"note: {note}")
-
-
-def _show_result(made: ImportedPackage, *, as_json: bool) -> None:
-    for note in made.notes:
-        tell(f"note: {note}")
-    if as_json:
-        print_json([AlgorithmDocument.of(entry).content for entry in made.algorithms])
-        return
-    package = made.algorithms[0].package
-    say(f"imported {', '.join(entry.name for entry in made.algorithms)}; check {package.folder / 'algorithm.yaml'}")
 
 
 # ``slamhive algorithm test``: whether packages keep what they promise, on this machine.
@@ -448,27 +445,23 @@ def weights_command(
         store.add(package, file, weights)
     elif fetch:
         store.fetch(package, lambda done, size: tell(f"{done / 1e6:,.0f} of {(size or 0) / 1e6:,.0f} MB", style="dim"))
-    _print_weights(hive, store.stored(package), as_json=as_json)
-
-
-def _print_weights(hive: Hive, entries: tuple[StoredWeights, ...], *, as_json: bool) -> None:
-    rows = [
-        {
-            "name": entry.weights.name,
-            "present": entry.present,
-            "sha256": entry.sha256,
-            "licence": entry.weights.licence,
-            "page": entry.weights.page,
-            "path": str(entry.path.relative_to(hive.settings.data)),
-        }
-        for entry in entries
-    ]
+    entries = store.stored(package)
     if as_json:
+        rows = [
+            {
+                "name": entry.weights.name,
+                "present": entry.present,
+                "sha256": entry.sha256,
+                "licence": entry.weights.licence,
+                "page": entry.weights.page,
+                "path": str(entry.path.relative_to(hive.settings.data)),
+            }
+            for entry in entries
+        ]
         print_json(rows)
         return
-    columns = ("weights", "here", "SHA-256", "licence", "published at")
     print_table(
-        columns,
+        ("weights", "here", "SHA-256", "licence", "published at"),
         [
             (
                 entry.weights.name,

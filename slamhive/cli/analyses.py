@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamhive.analysis.report import DisturbedRuns, PlotBrief, Report, ReportBrief
+from slamhive.analysis.report import PlotBrief, Report, ReportBrief
 from slamhive.base.errors import InvalidInput
 from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
@@ -53,7 +53,12 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         zipped,
     )
 
-    formats = (*_formats(options["figures"]), *(PAPER_FORMATS if options["paper"] else ()))
+    figures = options["figures"]
+    chosen = () if figures == "none" else tuple(part.strip() for part in figures.split(","))
+    for name in chosen:
+        if name not in FIGURE_FORMATS:
+            raise InvalidInput(f"--figures {name!r} is not known", f"use some of {', '.join(FIGURE_FORMATS)}, or none")
+    formats = (*chosen, *(PAPER_FORMATS if options["paper"] else ()))
     printing = Printing(formats, options["font"])
     if out is None and options["paper"]:
         raise InvalidInput("--paper writes files, but --out is missing", "add --out FOLDER")
@@ -78,8 +83,7 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         tell(f"{report.runs} runs, {report.failed} failed: {report.selection}")
         if report.unevaluated:
             tell(f"left out: {report.unevaluated} runs: not evaluated under this protocol, cancelled or not ended")
-        _show_disturbance(report.disturbance)
-        _show_mixed(report)
+        _show_what_differs(report)
         rows = [(entry.form, entry.title, entry.charts, entry.error or "") for entry in plots]
         print_table(("form", "title", "plots", "not shown because"), rows)
         if out is not None:
@@ -88,8 +92,13 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         raise InvalidInput(f"{len(refused)} of {len(plots)} plots do not fit: {refused[0]}")
 
 
-def _show_mixed(report: Report) -> None:
-    """Print what runs of the report do not have in common."""
+def _show_what_differs(report: Report) -> None:
+    """Print what runs of the report do not have in common: disturbance, versions, kinds of trajectories, CPUs."""
+    found = report.disturbance
+    if found is not None and found.left_out:
+        tell(f"left out: {found.left_out} runs that were measured on a disturbed machine")
+    if found is not None and found.disturbed:
+        tell(f"{found.disturbed} runs were measured on a disturbed machine")
     for name, labels in report.mixed_versions.items():
         tell(f"versions are mixed: {name} ran as {', '.join(labels)}", style="yellow")
     for kind, names in report.mixed_trajectories.items():
@@ -97,21 +106,6 @@ def _show_mixed(report: Report) -> None:
     if report.mixed_cpus:
         models = ", ".join(f"{model} ({plural(runs, 'run')})" for model, runs in report.mixed_cpus.items())
         tell(f"CPU models are mixed: {models}", style="yellow")
-
-
-def _show_disturbance(found: DisturbedRuns | None) -> None:
-    if found is not None and found.left_out:
-        tell(f"left out: {found.left_out} runs that were measured on a disturbed machine")
-    if found is not None and found.disturbed:
-        tell(f"{found.disturbed} runs were measured on a disturbed machine")
-
-
-def _formats(text: str) -> tuple[str, ...]:
-    chosen = () if text == "none" else tuple(part.strip() for part in text.split(","))
-    for name in chosen:
-        if name not in FIGURE_FORMATS:
-            raise InvalidInput(f"--figures {name!r} is not known", f"use some of {', '.join(FIGURE_FORMATS)}, or none")
-    return chosen
 
 
 # ``slamhive analyses``: the analyses that the pages compute and keep.

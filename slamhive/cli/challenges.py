@@ -22,9 +22,7 @@ if TYPE_CHECKING:
     from slamhive.documents.challenge import (
         Challenge,
         ChallengePhase,
-        ChallengeRanking,
         ChallengeSubmission,
-        ImageRules,
         RankedTeam,
     )
 
@@ -54,7 +52,11 @@ def submit(cli: CliContext, /, name: str, files: tuple[Path, ...], dry_run: bool
     FILES are named after their sequences, such as room-1.txt; a folder stands for the files in it. An image is a file
     that `slamhive algorithm export` or `docker save` wrote.
     """
-    _check_one_kind(files, options)
+    given = [bool(files), options["image"] is not None, options["package"] is not None]
+    if sum(given) != 1:
+        raise click.UsageError("Give either FILES, or --image, or --package.")
+    if options["algorithm"] is not None and files:
+        raise click.UsageError("--algorithm belongs to --image or --package.")
     if options["image"] is None and options["package"] is None:
         made = _submit_files(cli, name, files, options, dry_run=dry_run)
     else:
@@ -66,14 +68,6 @@ def submit(cli: CliContext, /, name: str, files: tuple[Path, ...], dry_run: bool
     else:
         say(f"submission {made.id} of team {made.team} to phase {made.phase} is queued")
         tell("a worker evaluates it; `slamhive challenge evaluate` does so without one")
-
-
-def _check_one_kind(files: tuple[Path, ...], options: Mapping[str, Any]) -> None:
-    given = [bool(files), options["image"] is not None, options["package"] is not None]
-    if sum(given) != 1:
-        raise click.UsageError("Give either FILES, or --image, or --package.")
-    if options["algorithm"] is not None and files:
-        raise click.UsageError("--algorithm belongs to --image or --package.")
 
 
 def _submit_files(
@@ -208,7 +202,13 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
     say(f"{found.name}: {found.title}")
     say(f"{found.counts} Each sequence: {found.metric}, {found.protocol.label}.")
     if found.images is not None:
-        say(_image_rules(found.images))
+        rules = found.images
+        cores = "1 core" if rules.cpu_cores == 1 else f"{rules.cpu_cores:g} cores"
+        say(
+            f"Images: {plural(rules.repeats, 'run')} on each sequence with {cores}, {rules.memory_mb:,} MB and "
+            f"{rules.time_limit_s:g} s. Playback is {rules.playback.value} at {rules.rate:g}. Results are shown every "
+            f"{plural(rules.answers_every_h, 'hour')}."
+        )
     rows = [(entry.name, _extent(found, entry.name), entry.data or None) for entry in found.sequences]
     print_table(("sequence", "recording", "data"), rows, cut=("data",))
     say()
@@ -266,7 +266,21 @@ def ranking(cli: CliContext, name: str, phase: str | None, as_json: bool) -> Non
     elif not found.teams:
         tell(f"phase {found.phase} has no evaluated submission yet")
     else:
-        _print_ranking(hive.challenges.get(name), found)
+        counted = hive.challenges.get(name)
+        unit = f" [{counted.score_unit}]" if counted.score_unit else ""
+        rows = [
+            (
+                f"{entry.rank}{'=' if entry.tied else ''}",
+                entry.team,
+                shown(entry.score, counted.digits),
+                _interval(entry, counted.digits),
+                f"{entry.at:%Y-%m-%d}",
+            )
+            for entry in found.teams
+        ]
+        heads = ("rank", "team", f"score{unit}", "95 % interval", "sent")
+        print_table(heads, rows, right=("rank", heads[2], heads[3]))
+        tell(f"phase {found.phase}; ranks are separated by {found.test}; = marks a rank that is shared")
 
 
 @challenge.command()
@@ -303,23 +317,6 @@ def remove(cli: CliContext, name: str, yes: bool) -> None:
     say(f"challenge {name} is removed")
 
 
-def _print_ranking(found: Challenge, ranked: ChallengeRanking) -> None:
-    unit = f" [{found.score_unit}]" if found.score_unit else ""
-    rows = [
-        (
-            f"{entry.rank}{'=' if entry.tied else ''}",
-            entry.team,
-            shown(entry.score, found.digits),
-            _interval(entry, found.digits),
-            f"{entry.at:%Y-%m-%d}",
-        )
-        for entry in ranked.teams
-    ]
-    heads = ("rank", "team", f"score{unit}", "95 % interval", "sent")
-    print_table(heads, rows, right=("rank", heads[2], heads[3]))
-    tell(f"phase {ranked.phase}; ranks are separated by {ranked.test}; = marks a rank that is shared")
-
-
 def _interval(entry: RankedTeam, digits: int) -> str | None:
     if entry.low is None or entry.high is None:
         return None
@@ -334,16 +331,6 @@ def _state(entry: ChallengePhase) -> str:
     if entry.state.value == "open":
         return "open" if entry.ends is None else f"open until {_moment(entry.ends)} UTC"
     return f"opens {_moment(entry.begins)} UTC" if entry.state.value == "coming" else "ended"
-
-
-def _image_rules(rules: ImageRules) -> str:
-    runs = plural(rules.repeats, "run")
-    cores = "1 core" if rules.cpu_cores == 1 else f"{rules.cpu_cores:g} cores"
-    return (
-        f"Images: {runs} on each sequence with {cores}, {rules.memory_mb:,} MB and "
-        f"{rules.time_limit_s:g} s. Playback is {rules.playback.value} at {rules.rate:g}. Results are shown every "
-        f"{plural(rules.answers_every_h, 'hour')}."
-    )
 
 
 def _extent(found: Challenge, name: str) -> str:

@@ -41,7 +41,13 @@ class CliContext:
             self._hive = open_hive(self._options, expected)
             self._opened.callback(self._hive.close)
             if expected is DataRoot.MADE:
-                _tell_data_root(self._hive)
+                from slamhive.base.project import about_data_root  # noqa: PLC0415
+                from slamhive.cli.output import tell  # noqa: PLC0415 - `--help` prints without rich
+
+                # Nothing to say if the user chose the place or can see it in the checkout.
+                remark = about_data_root(self._hive.project_root, self._hive.settings.data)
+                if remark:
+                    tell(f"data root {self._hive.settings.data} ({remark})")
             if command_name(context) in LISTS:
                 self._opened.enter_context(self._hive.store.snapshot())
         if indexed:
@@ -55,16 +61,6 @@ class CliContext:
     def close(self) -> None:
         """Close what was opened."""
         self._opened.close()
-
-
-def _tell_data_root(hive: Hive) -> None:
-    """Say where results go, unless the user chose the place or can see it in the checkout."""
-    from slamhive.base.project import about_data_root  # noqa: PLC0415
-    from slamhive.cli.output import tell  # noqa: PLC0415 - `--help` prints without rich
-
-    remark = about_data_root(hive.project_root, hive.settings.data)
-    if remark:
-        tell(f"data root {hive.settings.data} ({remark})")
 
 
 def choice(kind: type[StrEnum]) -> click.Choice[str]:

@@ -11,7 +11,7 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import counting_bar, print_json, print_table, progress_bar, tell
 from slamhive.domain.names import plural
 from slamhive.services.datasets import dataset_document
-from slamhive.services.fetching import FetchPlan, FetchRequest
+from slamhive.services.fetching import FetchRequest
 
 if TYPE_CHECKING:
     from slamhive.documents.catalogue import PublicSequence
@@ -43,7 +43,13 @@ def fetch(cli: CliContext, preview: bool, as_json: bool, **given: Any) -> None:
     fetching = cli.hive(indexed=False).fetching
     request = FetchRequest(**given)
     plans = fetching.plan(request)
-    _show_plans(plans)
+    for plan in plans:
+        size = plan.download_bytes
+        words = "of unknown size" if size is None else f"about {size / 1e6:,.0f} MB"
+        files = [file.name for file in plan.files if file.name not in plan.by_hand]
+        what = f"{', '.join(files)}, {words}" if files else "the files given"
+        tell(f"{plan.sequence.full_name} becomes dataset {plan.name}: {what}")
+        tell(f"licence: {plan.collection.licence or 'not stated'}; please cite: {plan.collection.citation}")
     if preview:
         return
     made: list[Dataset] = []
@@ -76,7 +82,7 @@ def search(cli: CliContext, words: tuple[str, ...], as_json: bool) -> None:
             size_in_words(entry),
             _sensors(entry),
             ", ".join(entry.attributes[1:]),
-            _needs(entry),
+            ", ".join(need.kind.value for need in entry.needs) or None,
             entry.licence,
         )
         for entry in found
@@ -129,16 +135,6 @@ def links(cli: CliContext, collections: tuple[str, ...], timeout_s: float, conne
         click.get_current_context().exit(1)
 
 
-def _show_plans(plans: tuple[FetchPlan, ...]) -> None:
-    for plan in plans:
-        size = plan.download_bytes
-        words = "of unknown size" if size is None else f"about {size / 1e6:,.0f} MB"
-        files = [file.name for file in plan.files if file.name not in plan.by_hand]
-        what = f"{', '.join(files)}, {words}" if files else "the files given"
-        tell(f"{plan.sequence.full_name} becomes dataset {plan.name}: {what}")
-        tell(f"licence: {plan.collection.licence or 'not stated'}; please cite: {plan.collection.citation}")
-
-
 def size_in_words(entry: PublicSequence) -> str:
     """``448``, ``about 22,000, shared``, ``unknown``."""
     if entry.download_bytes is None:
@@ -149,10 +145,6 @@ def size_in_words(entry: PublicSequence) -> str:
 
 def _sensors(entry: PublicSequence) -> str:
     return ", ".join(entry.setups)
-
-
-def _needs(entry: PublicSequence) -> str | None:
-    return ", ".join(need.kind.value for need in entry.needs) or None
 
 
 COMMANDS = (fetch, search, links)

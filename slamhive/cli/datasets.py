@@ -19,7 +19,7 @@ from slamhive.documents.catalogue import DatasetCheck, FindingDocument
 from slamhive.domain.dataset import Dataset, Severity
 
 if TYPE_CHECKING:
-    from slamhive.services.datasets import MotionSummary, PlannedImport
+    from slamhive.services.datasets import PlannedImport
 
 
 # Exporters load OpenCV, and no list of datasets should wait for it.
@@ -97,18 +97,15 @@ def import_(
 def _topics(texts: Iterable[str]) -> dict[str, str]:
     topics: dict[str, str] = {}
     for text in texts:
-        sensor, topic = _sensor_and_topic(text)
+        sensor, equals, topic = text.partition("=")
+        if not sensor or not equals or not topic:
+            raise InvalidInput(
+                f"--topic {text!r} is not SENSOR=TOPIC", "write for instance --topic cam0=/left/image_raw"
+            )
         if sensor in topics:
             raise InvalidInput(f"--topic names two topics for {sensor}: {topics[sensor]} and {topic}", "name one")
         topics[sensor] = topic
     return topics
-
-
-def _sensor_and_topic(text: str) -> tuple[str, str]:
-    sensor, equals, topic = text.partition("=")
-    if not sensor or not equals or not topic:
-        raise InvalidInput(f"--topic {text!r} is not SENSOR=TOPIC", "write for instance --topic cam0=/left/image_raw")
-    return sensor, topic
 
 
 def _show_plan(planned: PlannedImport) -> None:
@@ -197,23 +194,19 @@ def show(cli: CliContext, name: str, picture: Path | None, as_json: bool) -> Non
     else:
         _report(entry, as_json)
         if motion is not None:
-            say(_motion_in_words(motion))
+            words = [f"path: {motion.length_m:.4g} m in {motion.span_s:.1f} s"]
+            if motion.mean_speed_mps is not None:
+                words.append(f"{motion.mean_speed_mps:.3g} m/s on average")
+            if motion.max_speed_mps is not None:
+                words.append(f"{motion.max_speed_mps:.3g} m/s at most")
+            if motion.max_angular_rate_radps is not None:
+                words.append(f"turning at {motion.max_angular_rate_radps:.3g} rad/s at most")
+            say(", ".join(words))
         say()
         print_table(("sensor", "calibration", "value"), _calibration(entry))
     if picture is not None:
         draw_ground_truth(entry, picture)
         tell(f"wrote {picture}")
-
-
-def _motion_in_words(motion: MotionSummary) -> str:
-    words = [f"path: {motion.length_m:.4g} m in {motion.span_s:.1f} s"]
-    if motion.mean_speed_mps is not None:
-        words.append(f"{motion.mean_speed_mps:.3g} m/s on average")
-    if motion.max_speed_mps is not None:
-        words.append(f"{motion.max_speed_mps:.3g} m/s at most")
-    if motion.max_angular_rate_radps is not None:
-        words.append(f"turning at {motion.max_angular_rate_radps:.3g} rad/s at most")
-    return ", ".join(words)
 
 
 @dataset.command("remove", short_help="Delete a dataset and its variants; runs keep their results")

@@ -159,15 +159,14 @@ class Phases:
 def _mean(took: Sequence[tuple[DemoPhase, float]]) -> _Factor:
     """The factor of one kind by its phases alone."""
     found = [
-        (math.log(max(took_s - phase.steady_s, 0.05 * phase.work_s) / phase.work_s), _phase_variance(phase))
+        (
+            math.log(max(took_s - phase.steady_s, 0.05 * phase.work_s) / phase.work_s),
+            _PHASE_VAR + _PHASE_VAR_S / phase.work_s,
+        )
         for phase, took_s in took
     ]
     precision = sum(1 / variance for _, variance in found)
     return _Factor(sum(value / variance for value, variance in found) / precision, 1 / precision)
-
-
-def _phase_variance(phase: DemoPhase) -> float:
-    return _PHASE_VAR + _PHASE_VAR_S / phase.work_s
 
 
 FILE = "docs/examples/room-demo.yaml"
@@ -195,8 +194,16 @@ def run_demo(hive: Hive, seconds: float) -> None:
     packages = list(dict.fromkeys(hive.catalogue.algorithm(name).package.name for name in asked))
     phases = _phases(hive, executor, packages, seconds)
     algorithms = buildable(hive, executor, asked, phases)
-    _prepare_evaluation(hive, phases)
-    _render_room(hive, seconds, phases)
+    # Built now, where it is seen, and not between the first run and its result.
+    with phases.next() as show:
+        hive.evaluations.prepare(lambda line: show(0.0, line[:60]))
+        show(1.0, "ready")
+    with phases.next() as show:
+        if _rendered(hive, seconds):
+            show(1.0, "is there already, used again")
+        else:
+            options = RoomOptions(name=DATASET, duration_s=seconds, seed=SEED)
+            hive.catalogue.render_room(options, show, replace=True)
     source = _source(hive, strict_yaml.parse(text, FILE), algorithms, executor)
     status = hive.experiments.start(source, executor)
     if status.standing is ConfigurationStanding.FINISHED:
@@ -259,28 +266,12 @@ def buildable(hive: Hive, executor: str, algorithms: Sequence[str], phases: Phas
     return found
 
 
-def _prepare_evaluation(hive: Hive, phases: Phases) -> None:
-    """Build what evaluations need now, where it is seen, and not between the first run and its result."""
-    with phases.next() as show:
-        hive.evaluations.prepare(lambda line: show(0.0, line[:60]))
-        show(1.0, "ready")
-
-
 def _rendered(hive: Hive, seconds: float) -> bool:
     """Return whether the room is there, and as long as it is to be."""
     try:
         return abs(hive.catalogue.dataset(DATASET).duration_s - seconds) < 0.5
     except NotFound:
         return False
-
-
-def _render_room(hive: Hive, seconds: float, phases: Phases) -> None:
-    with phases.next() as show:
-        if _rendered(hive, seconds):
-            show(1.0, "is there already, used again")
-            return
-        options = RoomOptions(name=DATASET, duration_s=seconds, seed=SEED)
-        hive.catalogue.render_room(options, show, replace=True)
 
 
 def _announce(run: RunRecord) -> None:

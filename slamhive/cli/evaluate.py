@@ -28,7 +28,7 @@ from slamhive.domain.verdict import Hint
 from slamhive.evaluation.job import Artefacts
 from slamhive.filters.syntax import join
 from slamhive.filters.words import matching
-from slamhive.services.evaluations import ToolFigures, preset_documents, presets, protocols_document
+from slamhive.services.evaluations import preset_documents, presets, protocols_document
 from slamhive.services.hive import Hive
 from slamhive.store import EvaluationRecord
 
@@ -65,7 +65,11 @@ def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **opti
     if options["all_unevaluated"]:
         wanted, waiting = service.unevaluated(), [record.id for record in service.waiting()]
     else:
-        wanted = list(dict.fromkeys(run_ids)) if run_ids else _succeeded(hive, options["where"])
+        wanted = list(dict.fromkeys(run_ids))
+    if options["where"] is not None:
+        search, succeeded = hive.searches.read(options["where"]), matching(states=(RunState.SUCCEEDED,))
+        parts = [tree for tree in (search.tree, succeeded.tree) if tree is not None]
+        wanted = hive.searches.run_ids(replace(search, tree=join("and", parts)))
     if not wanted and not waiting:
         none = "every run that succeeded has been evaluated" if options["all_unevaluated"] else "no such run succeeded"
         tell(none)
@@ -80,13 +84,6 @@ def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **opti
     _report(hive, ended, as_json=as_json)
     if any(record.reason is not None for record in ended):
         raise click.exceptions.Exit(1)
-
-
-def _succeeded(hive: Hive, where: str) -> list[int]:
-    """The runs that match the filter and succeeded; raises InvalidInput pointing at a mistake in it."""
-    search, succeeded = hive.searches.read(where), matching(states=(RunState.SUCCEEDED,))
-    parts = [tree for tree in (search.tree, succeeded.tree) if tree is not None]
-    return hive.searches.run_ids(replace(search, tree=join("and", parts)))
 
 
 def _asked(hive: Hive, protocol: str | None, align: str | None, duplicates: str | None) -> ProtocolRequest | None:
@@ -209,32 +206,33 @@ def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
             evaluate_to_end(hive.evaluations, evaluation_ids)
     rows = hive.comparisons.of(run_id)
     if as_json:
-        print_json([_tool(row).content for row in rows])
+        print_json(
+            [
+                schema.ToolMetrics(
+                    name=row.name,
+                    title=row.preset.title,
+                    protocol=row.protocol,
+                    fingerprint=None if row.protocol is None else row.protocol.fingerprint,
+                    figures=schema.with_units(row.figures, row.samples),
+                    note=row.note,
+                    differs=row.preset.differs,
+                ).content
+                for row in rows
+            ]
+        )
         return
-    print_table(("tool", "protocol", "metrics", "note"), [_tool_row(row) for row in rows])
+    table: list[tuple[Any, ...]] = []
+    for row in rows:
+        figures = [
+            f"{key} {value:.6g} {described(key).unit}".rstrip()
+            + (f" over {row.samples[key]}" if key in row.samples else "")
+            for key, value in row.figures.items()
+        ]
+        fingerprint = None if row.protocol is None else row.protocol.fingerprint
+        table.append((row.name, fingerprint, "\n".join(figures) or None, row.note))
+    print_table(("tool", "protocol", "metrics", "note"), table)
     for row in rows:
         say(f"{row.name}: {row.preset.differs}")
-
-
-def _tool_row(row: ToolFigures) -> tuple[Any, ...]:
-    figures = [
-        f"{key} {value:.6g} {described(key).unit}".rstrip()
-        + (f" over {row.samples[key]}" if key in row.samples else "")
-        for key, value in row.figures.items()
-    ]
-    return (row.name, None if row.protocol is None else row.protocol.fingerprint, "\n".join(figures) or None, row.note)
-
-
-def _tool(row: ToolFigures) -> schema.ToolMetrics:
-    return schema.ToolMetrics(
-        name=row.name,
-        title=row.preset.title,
-        protocol=row.protocol,
-        fingerprint=None if row.protocol is None else row.protocol.fingerprint,
-        figures=schema.with_units(row.figures, row.samples),
-        note=row.note,
-        differs=row.preset.differs,
-    )
 
 
 COMMANDS = (

@@ -132,8 +132,15 @@ def _show(report: ImportReport, evaluated: int, failures: dict[int, str]) -> Non
         tell(f"{problem.name}: {problem.text}")
     for run_id, reason in failures.items():
         tell(f"run {run_id} cannot be evaluated: {reason}")
-    for line in _readings_in_words(report.readings):
-        tell(line)
+    # A line for each way in which files were read that are not TUM files with poses, with the reasons of one.
+    alike: dict[str, list[Reading]] = {}
+    for reading in report.readings:
+        if not reading.as_it_stands or "orientation" in reading.because:
+            alike.setdefault(reading.words, []).append(reading)
+    for read, members in alike.items():
+        first = members[0]
+        files = f"{first.name} was" if len(members) == 1 else f"{len(members):,} files, the first {first.name}, were"
+        tell(f"{files} {read}. " + " ".join(f"{_WHAT[key]}: {because}." for key, because in first.because.items()))
     if report.left_out:
         shown = ", ".join(report.left_out[:_SHOWN_LEFT_OUT])
         more = f" and {len(report.left_out) - _SHOWN_LEFT_OUT} more" if len(report.left_out) > _SHOWN_LEFT_OUT else ""
@@ -145,21 +152,6 @@ def _show(report: ImportReport, evaluated: int, failures: dict[int, str]) -> Non
     words += [plural(len(report.problems), "problem")] if report.problems else []
     words += [f"{plural(len(failures), 'evaluation')} failed"] if failures else []
     say(", ".join(words))
-
-
-def _readings_in_words(readings: list[Reading]) -> list[str]:
-    """A line for each way in which files were read that are not TUM files with poses, with the reasons of one."""
-    alike: dict[str, list[Reading]] = {}
-    for reading in readings:
-        if not reading.as_it_stands or "orientation" in reading.because:
-            alike.setdefault(reading.words, []).append(reading)
-    return [_reading_in_words(words, members) for words, members in alike.items()]
-
-
-def _reading_in_words(words: str, members: list[Reading]) -> str:
-    first = members[0]
-    files = f"{first.name} was" if len(members) == 1 else f"{len(members):,} files, the first {first.name}, were"
-    return f"{files} {words}. " + " ".join(f"{_WHAT[key]}: {because}." for key, because in first.because.items())
 
 
 _WHAT = {"time_unit": "Unit", "quaternion_order": "Order", "orientation": "Orientation"}

@@ -52,12 +52,8 @@ def plugins(with_shipped: bool, as_json: bool) -> None:
 
 
 def all_origins() -> list[PluginOrigin]:
-    """Return the origins that fill each seam, seam by seam. Loads every plug-in."""
-    return [origin for registry in _registries() for origin in registry.origins()]
-
-
-def _registries() -> tuple[Registry[Any], ...]:
-    """Every seam, with its plug-ins put to use. Loading them all takes seconds, so it is not done at the top."""
+    """Return the origins that fill each seam, seam by seam. Loads every plug-in and puts it to use."""
+    # This takes seconds, so it is not done at the top.
     from slamhive.analysis.plot_types import PLOT_TYPES  # noqa: PLC0415
     from slamhive.domain.metrics import METRICS  # noqa: PLC0415
     from slamhive.evaluation.evaluators.builtin import EVALUATORS  # noqa: PLC0415
@@ -75,7 +71,7 @@ def _registries() -> tuple[Registry[Any], ...]:
     check_plugin_pages()
     with temporary_folder() as nowhere:
         check_plugin_executors(ExecutorContext(nowhere, project_root(), NO_INSTALLATION))
-    return (
+    registries: tuple[Registry[Any], ...] = (
         ALGORITHM_FOLDERS,
         IMPORTERS,
         EXPORTERS,
@@ -87,6 +83,7 @@ def _registries() -> tuple[Registry[Any], ...]:
         EXECUTORS,
         PAGES,
     )
+    return [origin for registry in registries for origin in registry.origins()]
 
 
 def _document(origin: PluginOrigin) -> PlugIn:

@@ -18,7 +18,7 @@ from slamhive.cli.visible import say, visible, visible_json, visible_line
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from slamhive.documents.catalogue import MatchDocument, UsedSensor
+    from slamhive.documents.catalogue import MatchDocument
     from slamhive.domain.verdict import Hint
     from slamhive.services.hive import Hive
     from slamhive.store import EvaluationRecord
@@ -237,7 +237,13 @@ def print_hints(found: dict[int, tuple[Hint, ...]]) -> None:
 def print_match(match: MatchDocument) -> None:
     """The sensor in each role, and the parameters that are taken from sensors."""
     rows = [
-        (role, used.name, f"{used.rate_hz:g}", match.topics.get(role, used.topic), _others(used))
+        (
+            role,
+            used.name,
+            f"{used.rate_hz:g}",
+            match.topics.get(role, used.topic),
+            ", ".join(name for name in used.fitting if name != used.name) or None,
+        )
         for role, used in match.sensors.items()
     ]
     print_table(("role", "sensor", "Hz", "topic", "also fits"), rows, right=("Hz",))
@@ -245,10 +251,6 @@ def print_match(match: MatchDocument) -> None:
         print_table(("parameter", "value", "source"), list(bound_rows(match)))
     else:
         say("no parameter is taken from a sensor")
-
-
-def _others(used: UsedSensor) -> str | None:
-    return ", ".join(name for name in used.fitting if name != used.name) or None
 
 
 def bound_rows(match: MatchDocument | None) -> Iterator[tuple[str, object, str]]:

@@ -107,7 +107,9 @@ def submission_values(options: dict[str, Any]) -> dict[str, Any]:
         "stop_when": parse_stop_when,
     }
     names = {option.name.partition(".")[0] for option in OPTIONS.values()}
-    return {name: readers.get(name, _as_given)(value) for name, value in options.items() if name in names}
+    return {
+        name: readers[name](value) if name in readers else value for name, value in options.items() if name in names
+    }
 
 
 def parse_assignments(texts: Sequence[str]) -> dict[str, str]:
@@ -126,10 +128,6 @@ def parse_assignments(texts: Sequence[str]) -> dict[str, str]:
 def parse_steps(texts: Sequence[str]) -> Variant:
     """The steps of ``--step`` options, options still text; raises InvalidInput."""
     return tuple(parse_step(text) for text in texts)
-
-
-def _as_given(value: Any) -> Any:
-    return value
 
 
 def _options(options: Iterable[Option]) -> Decorator:

@@ -118,20 +118,14 @@ def list_runs(hive: Hive, options: dict[str, Any], *, as_json: bool) -> None:
     elif grouped:
         print_groups(listing)
     else:
-        _print_page(listing, as_json=as_json)
-
-
-def _print_page(listing: Listing, *, as_json: bool) -> None:
-    page = listing.hive.stored_runs.page(listing.search, listing.sort, limit=listing.size)
-    if as_json:
-        print_runs(list(page.records), as_json)
-        return
-    if page.records and listing.columns:
-        content, pages = replace(listing, limit=listing.size).runs()
-        print_table(content.columns, list(content.rows(pages)))
-    elif page.records:
-        print_runs(list(page.records), as_json)
-    tell(listing.summary(len(page.records), page.count))
+        page = hive.stored_runs.page(listing.search, listing.sort, limit=listing.size)
+        if page.records and listing.columns:
+            content, pages = replace(listing, limit=listing.size).runs()
+            print_table(content.columns, list(content.rows(pages)))
+        elif page.records or as_json:
+            print_runs(list(page.records), as_json)
+        if not as_json:
+            tell(listing.summary(len(page.records), page.count))
 
 
 @runs.command("show", short_help="Show what matters of one run")
@@ -163,15 +157,12 @@ def show(cli: CliContext, run_id: int, everything: bool, as_json: bool) -> None:
         if evaluation["reason"]
     ]
     say("\n".join(lines))
-    if everything:
-        _print_tables(entry, content, recorded.get("match"))
-
-
-def _print_tables(entry: RunRecord, content: dict[str, Any], match: Any) -> None:
-    """Print parameters, what was taken from sensors, metrics and changes of state, as far as there are any."""
+    if not everything:
+        return
     from slamhive.cli.output import bound_rows  # noqa: PLC0415 - the list of runs needs none
     from slamhive.documents.catalogue import MatchDocument  # noqa: PLC0415
 
+    match = recorded.get("match")
     metrics = [
         (key, f"{part['value']:.6g}", part["unit"], described(key).sample(entry.metrics or {}))
         for key, part in (content["metrics"] or {}).items()

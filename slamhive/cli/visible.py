@@ -111,7 +111,9 @@ def mistakes_end_with(code: int) -> Iterator[None]:
         _print_error(str(error), getattr(error, "pointer", ()))
         raise click.exceptions.Exit(code) from None
     except click.UsageError as error:
-        _print_error(_usage(error))
+        path = "slamhive" if error.ctx is None else error.ctx.command_path
+        # The right arguments are listed there.
+        _print_error(f"{one_line(error.format_message()).rstrip('.')}; see {path} --help")
         raise click.exceptions.Exit(code) from None
 
 
@@ -120,9 +122,3 @@ def _print_error(text: str, pointer: tuple[str, ...] = ()) -> None:
     from slamhive.cli.output import print_error  # noqa: PLC0415 - rich takes a moment, which success need not wait for
 
     print_error(text, pointer)
-
-
-def _usage(error: click.UsageError) -> str:
-    """One line: what is wrong with the arguments, and where the right ones are listed."""
-    path = "slamhive" if error.ctx is None else error.ctx.command_path
-    return f"{one_line(error.format_message()).rstrip('.')}; see {path} --help"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -17,7 +18,6 @@ from slamhive.store import EvaluationState, RunRecord
 
 if TYPE_CHECKING:
     from slamhive.services.evaluations import Evaluations
-    from slamhive.services.worker import WorkingMeanwhile
     from slamhive.store import EvaluationRecord
 
 PAUSE_S = 0.3
@@ -39,10 +39,36 @@ def run_to_end(
 
     with WorkingMeanwhile(hive.worker, lambda: run_ids) as worker:
         try:
-            _show_until_complete(hive, run_ids, evaluate, on_end, worker)
+            waiting = list(run_ids)
+            with counting_bar("runs", len(run_ids)) as show:
+                while waiting:
+                    worker.check()
+                    records = hive.store.read(lambda t: t.runs.get_many(waiting, with_metrics=True))
+                    complete = [record for record in records if _is_complete(hive, record, evaluate)]
+                    for record in complete:
+                        waiting.remove(record.id)
+                        if on_end is not None:
+                            on_end(record)
+                    active = next((record for record in records if record.state.active), None)
+                    words = ""
+                    if active is not None:
+                        progress = hive.runs.progress(active.id)
+                        left = "" if progress is None or progress.left_s is None else f", {progress.left_s:.0f} s left"
+                        doing = active.state.value if progress is None else f"{progress.text}{left}"
+                        words = f"run {active.id} {active.algorithm} on {active.dataset}: {doing}"
+                    show(len(run_ids) - len(waiting), words)
+                    if waiting:
+                        time.sleep(PAUSE_S)
         except KeyboardInterrupt:
             tell("interrupted: cancelling what has not ended")
-            _cancel_all(hive, run_ids)
+            for run_id in run_ids:
+                with contextlib.suppress(SlamHiveError):  # it has ended already
+                    hive.runs.cancel(run_id)
+            deadline_s = monotonic_s() + 30
+            while monotonic_s() < deadline_s:
+                if all(record.state.ended for record in hive.store.read(lambda t: t.runs.get_many(run_ids))):
+                    break
+                time.sleep(PAUSE_S)
             raise
 
 
@@ -59,59 +85,30 @@ def experiment_to_end(
 
     with WorkingMeanwhile(hive.worker, lambda: hive.experiments.unfinished(name)[:WORKED_ON]) as worker:
         try:
-            _show_experiment(hive, name, on_end, worker, title)
+            waiting = hive.experiments.unfinished(name)
+            total = len(waiting)
+            with counting_bar(title, total, tells_left=False) as show:
+                while waiting:
+                    worker.check()
+                    began = monotonic_s()
+                    left = hive.experiments.unfinished(name)
+                    if on_end is not None:
+                        for run_id in sorted(set(waiting).difference(left)):
+                            on_end(hive.runs.get(run_id))
+                    waiting = left
+                    status = hive.experiments.status(name)
+                    if status.standing is ConfigurationStanding.PAUSED and not status.counts[Phase.RUNNING]:
+                        tell(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
+                        return
+                    phase = f" ({status.phase})" if status.phase else ""
+                    time_left = "" if status.left is None or not waiting else f", {status.left.words()}{phase}"
+                    show(max(0, total - len(waiting)), f"{status.counts[Phase.FAILED]} failed{time_left}")
+                    if waiting:
+                        # Looking at a large experiment takes a while: most of the time is left to what is looked at.
+                        time.sleep(max(PAUSE_S, 5 * (monotonic_s() - began)))
         except KeyboardInterrupt:
             tell(f"interrupted: what is queued stays queued; `slamhive experiment cancel {name}` cancels it")
             raise
-
-
-def _show_until_complete(
-    hive: Hive,
-    run_ids: Sequence[int],
-    evaluate: bool,
-    on_end: Callable[[RunRecord], None] | None,
-    worker: WorkingMeanwhile,
-) -> None:
-    waiting = list(run_ids)
-    with counting_bar("runs", len(run_ids)) as show:
-        while waiting:
-            worker.check()
-            records = hive.store.read(lambda t: t.runs.get_many(waiting, with_metrics=True))
-            complete = [record for record in records if _is_complete(hive, record, evaluate)]
-            for record in complete:
-                waiting.remove(record.id)
-                if on_end is not None:
-                    on_end(record)
-            active = next((record for record in records if record.state.active), None)
-            show(len(run_ids) - len(waiting), "" if active is None else _activity(hive, active))
-            if waiting:
-                time.sleep(PAUSE_S)
-
-
-def _show_experiment(
-    hive: Hive, name: str, on_end: Callable[[RunRecord], None] | None, worker: WorkingMeanwhile, title: str
-) -> None:
-    waiting = hive.experiments.unfinished(name)
-    total = len(waiting)
-    with counting_bar(title, total, tells_left=False) as show:
-        while waiting:
-            worker.check()
-            began = monotonic_s()
-            left = hive.experiments.unfinished(name)
-            if on_end is not None:
-                for run_id in sorted(set(waiting).difference(left)):
-                    on_end(hive.runs.get(run_id))
-            waiting = left
-            status = hive.experiments.status(name)
-            if status.standing is ConfigurationStanding.PAUSED and not status.counts[Phase.RUNNING]:
-                tell(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
-                return
-            phase = f" ({status.phase})" if status.phase else ""
-            time_left = "" if status.left is None or not waiting else f", {status.left.words()}{phase}"
-            show(max(0, total - len(waiting)), f"{status.counts[Phase.FAILED]} failed{time_left}")
-            if waiting:
-                # Looking at a large experiment takes a while: most of the time is left to what is looked at.
-                time.sleep(max(PAUSE_S, 5 * (monotonic_s() - began)))
 
 
 def _is_complete(hive: Hive, record: RunRecord, evaluate: bool) -> bool:
@@ -121,28 +118,6 @@ def _is_complete(hive: Hive, record: RunRecord, evaluate: bool) -> bool:
         return True
     open_states = {EvaluationState.QUEUED, EvaluationState.RUNNING}
     return all(evaluation.state not in open_states for evaluation in hive.evaluations.of_run(record.id))
-
-
-def _activity(hive: Hive, record: RunRecord) -> str:
-    progress = hive.runs.progress(record.id)
-    text = f"run {record.id} {record.algorithm} on {record.dataset}: "
-    if progress is None:
-        return text + record.state.value
-    left = "" if progress.left_s is None else f", {progress.left_s:.0f} s left"
-    return f"{text}{progress.text}{left}"
-
-
-def _cancel_all(hive: Hive, run_ids: Sequence[int]) -> None:
-    for run_id in run_ids:
-        try:
-            hive.runs.cancel(run_id)
-        except SlamHiveError:
-            continue  # it has ended already
-    deadline = monotonic_s() + 30
-    while monotonic_s() < deadline:
-        if all(record.state.ended for record in hive.store.read(lambda t: t.runs.get_many(run_ids))):
-            return
-        time.sleep(PAUSE_S)
 
 
 # Run many evaluations, or wait until a worker has.
