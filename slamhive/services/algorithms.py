@@ -28,7 +28,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.names import check_name
 from slamhive.domain.packages import PackageOrigin
 from slamhive.domain.sensors import SensorSetup
-from slamhive.executors.base import CompletedImage, ImageTools
+from slamhive.executors.base import ImageTools
 from slamhive.packages.algorithm_file import ALGORITHM_FILE, load_algorithms
 from slamhive.packages.published.draft import DraftRequest, PackageDraft, described, draft
 from slamhive.packages.published.facts import FolderFacts, find_facts
@@ -362,25 +362,22 @@ class ImageArchive:
             counted = _Counted(file, lambda done: progress(f"loaded {done / 1e6:.0f} of {total / 1e6:.0f} MB"))
             with tarfile.open(fileobj=counted, mode="r|*") as archive:
                 for member in archive:
-                    yield from self._without_names(archive, member)
+                    if member.name == _NAMES:
+                        continue
+                    content: IO[bytes] | None = archive.extractfile(member) if member.isreg() else None
+                    if content is not None and member.name in (_MANIFEST, _INDEX):
+                        text = json.dumps(_nameless(self._json(archive, member))).encode()
+                        member.size, content = len(text), io.BytesIO(text)
+                    yield member.tobuf(tarfile.GNU_FORMAT)
+                    if content is None:
+                        continue
+                    while block := content.read(_BLOCK_BYTES):
+                        yield block
+                    yield b"\0" * (-member.size % _TAR_BLOCK)
             yield b"\0" * 2 * _TAR_BLOCK
             while counted.read(_BLOCK_BYTES):
                 pass
             self.checksum = f"sha256:{counted.digest.hexdigest()}"
-
-    def _without_names(self, archive: tarfile.TarFile, member: tarfile.TarInfo) -> Iterator[bytes]:
-        if member.name == _NAMES:
-            return
-        content: IO[bytes] | None = archive.extractfile(member) if member.isreg() else None
-        if content is not None and member.name in (_MANIFEST, _INDEX):
-            text = json.dumps(_nameless(self._json(archive, member))).encode()
-            member.size, content = len(text), io.BytesIO(text)
-        yield member.tobuf(tarfile.GNU_FORMAT)
-        if content is None:
-            return
-        while block := content.read(_BLOCK_BYTES):
-            yield block
-        yield b"\0" * (-member.size % _TAR_BLOCK)
 
     def _json(self, archive: tarfile.TarFile, member: tarfile.TarInfo) -> Any:
         stream = archive.extractfile(member)
@@ -466,7 +463,13 @@ class AlgorithmImports:
         own = {entry.image for entry in packages if entry.folder.parent != self._settings.algorithms_folder}
         with opened(source) as found:
             result = plan(found, request, self._tools(request.executor), own)
-            self._check_free(check_name("package", result.name), replace=request.replace)
+            name = check_name("package", result.name)
+            if (self._settings.algorithms_folder / name).exists():
+                if not request.replace:
+                    problem = f"a package {name!r} was imported already"
+                    raise Conflict(problem, "--replace takes its place, or choose --name")
+            elif name in {*(p.name for p in packages), *(a.name for a in self._catalogue.algorithms())}:
+                raise Conflict(f"{name!r} is the name of an algorithm here already", "choose another --name")
             yield result
 
     def perform(self, planned: PlannedPackage, progress: Progress) -> ImportedPackage:
@@ -481,13 +484,25 @@ class AlgorithmImports:
                 folder, scripts = _scripts_of(planned, digest, tools, aside)
                 modules = find_facts(scripts).modules
                 image = tools.complete(digest, modules, progress, builds=planned.request.builds)
-                notes = _write_package(planned, scripts, image, checksum, folder)
+                # Only now is all known that algorithm.yaml says.
+                now = utc_now().isoformat(timespec="seconds")
+                origin = replace(
+                    planned.origin, checksum=checksum, image=image.digest, added=image.added, imported_at=now
+                )
+                request = DraftRequest(planned.name, origin, planned.request.setup, image.user)
+                drafted = draft(scripts, find_facts(scripts), request)
+                (folder / ALGORITHM_FILE).write_text(drafted.text, encoding="utf-8")
                 load_algorithms(folder)
                 tools.give_name(image.digest, f"slam-hive-algorithm:{planned.name}")
                 _put(folder, root / planned.name)
         except OSError as error:
             raise Unavailable(f"{root} cannot be written: {error.strerror or error}", remedy_of(error)) from None
-        return ImportedPackage(load_algorithms(root / planned.name), notes)
+        notes = list(described(drafted))
+        if image.added:
+            notes.append(f"put on top of the image, since the container contract needs it: {', '.join(image.added)}")
+        if image.missing:
+            notes.append(f"the scripts import {', '.join(image.missing)}, which the image lacks")
+        return ImportedPackage(load_algorithms(root / planned.name), tuple(notes))
 
     def remove(self, name: str, executor: str | None = None) -> str | None:
         """Remove an imported package and the name of its image; in words what could not be removed.
@@ -508,17 +523,6 @@ class AlgorithmImports:
 
     def _tools(self, executor: str | None = None) -> ImageTools:
         return self._executors.get(self._executors.choose(executor)).image_tools()
-
-    def _check_free(self, name: str, *, replace: bool) -> None:
-        """Raise Conflict if the name means something else here."""
-        if (self._settings.algorithms_folder / name).exists():
-            if replace:
-                return
-            raise Conflict(f"a package {name!r} was imported already", "--replace takes its place, or choose --name")
-        taken = {algorithm.package.name for algorithm in self._catalogue.algorithms()}
-        taken |= {algorithm.name for algorithm in self._catalogue.algorithms()}
-        if name in taken:
-            raise Conflict(f"{name!r} is the name of an algorithm here already", "choose another --name")
 
 
 def _get_image(planned: PlannedPackage, tools: ImageTools, progress: Progress) -> tuple[str, str | None]:
@@ -550,23 +554,6 @@ def _scripts_of(planned: PlannedPackage, digest: str, tools: ImageTools, aside: 
         )
     copy_scripts(inside, folder / SCRIPTS)
     return folder, read_folder(inside)
-
-
-def _write_package(
-    planned: PlannedPackage, scripts: ForeignFolder, image: CompletedImage, checksum: str | None, folder: Path
-) -> tuple[str, ...]:
-    """Write ``algorithm.yaml`` with what is known now; what to say about it."""
-    now = utc_now().isoformat(timespec="seconds")
-    origin = replace(planned.origin, checksum=checksum, image=image.digest, added=image.added, imported_at=now)
-    request = DraftRequest(planned.name, origin, planned.request.setup, image.user)
-    result = draft(scripts, find_facts(scripts), request)
-    (folder / ALGORITHM_FILE).write_text(result.text, encoding="utf-8")
-    notes = list(described(result))
-    if image.added:
-        notes.append(f"put on top of the image, since the container contract needs it: {', '.join(image.added)}")
-    if image.missing:
-        notes.append(f"the scripts import {', '.join(image.missing)}, which the image lacks")
-    return tuple(notes)
 
 
 def _put(folder: Path, target: Path) -> None:

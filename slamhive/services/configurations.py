@@ -424,13 +424,21 @@ class Configurations:
             if checked.configuration.content_hash == old.configuration.content_hash:
                 self._describe(t, old, label)
                 return Stored(t.configuration_book.get(old.id), created=False)
-            held = _held_by(old)
-            if held is not None:
+            held = ""
+            if old.runs:
+                held = f"it has {old.runs} run{'s' if old.runs > 1 else ''}"
+            elif old.experiments:
+                held = f"it is part of experiment {old.experiments[0]}"
+            if held:
                 stored = self._put_in(t, checked, label)
                 return replace(stored, notes=(*notes, f"{old.label} stays as it is: {held}"))
             stored = self._put_in(t, checked, NO_LABEL)
             t.configuration_book.delete(old.id)
-            self._describe(t, stored.record, _inherited(old, stored.record, label))
+            # Fields that are empty in both are taken from the old one.
+            new = stored.record
+            name = old.name if label.name is None and new.name is None else label.name
+            note = old.note if label.note is None and not new.note else label.note
+            self._describe(t, new, replace(label, name=name, note=note))
             for group in old.groups:
                 t.configuration_book.add_to_group(group, [stored.record.id])
             told = f"{old.label} is gone: nothing depended on it"
@@ -544,17 +552,3 @@ def put_configuration(t: Transaction, checked: Checked, now: datetime) -> tuple[
         now,
         checked.algorithm.parameters,
     )
-
-
-def _inherited(old: ConfigurationRecord, new: ConfigurationRecord, label: Label) -> Label:
-    """``label`` for ``new``; fields that are empty in both are taken from ``old``."""
-    name = old.name if label.name is None and new.name is None else label.name
-    note = old.note if label.note is None and not new.note else label.note
-    return replace(label, name=name, note=note)
-
-
-def _held_by(record: ConfigurationRecord) -> str | None:
-    """Why a configuration cannot be deleted; None if it can."""
-    if record.runs:
-        return f"it has {record.runs} run{'s' if record.runs > 1 else ''}"
-    return f"it is part of experiment {record.experiments[0]}" if record.experiments else None

@@ -38,7 +38,14 @@ def open_data_root(settings: Settings, expected: DataRoot) -> Store:
     if settings.mode is Mode.VIEW_ONLY:
         expected = DataRoot.READ
     if expected is not DataRoot.MADE:
-        _check_there(settings)
+        try:
+            found = settings.data.stat()
+        except FileNotFoundError:
+            raise NotFound(f"data root {settings.data} does not exist", REMEDY) from None
+        except OSError as error:
+            raise _unusable(settings, error) from None
+        if not stat.S_ISDIR(found.st_mode):
+            raise InvalidInput(f"data root {settings.data} is not a folder", REMEDY)
     if expected is DataRoot.READ:
         # A new data root has datasets, but no runs that a lost database could have held.
         runs = settings.runs_folder
@@ -49,17 +56,6 @@ def open_data_root(settings: Settings, expected: DataRoot) -> Store:
         return store
     _make_folders(settings)
     return open_store(settings.effective_database_url, settings.database_retry_s)
-
-
-def _check_there(settings: Settings) -> None:
-    try:
-        found = settings.data.stat()
-    except FileNotFoundError:
-        raise NotFound(f"data root {settings.data} does not exist", REMEDY) from None
-    except OSError as error:
-        raise _unusable(settings, error) from None
-    if not stat.S_ISDIR(found.st_mode):
-        raise InvalidInput(f"data root {settings.data} is not a folder", REMEDY)
 
 
 def _make_folders(settings: Settings) -> None:

@@ -261,9 +261,24 @@ class Fetching:
         sequences = [entry for text in request.sequences for entry in self.collections.named(text)]
         if len(sequences) > 1 and (request.name is not None or request.archives):
             raise InvalidInput("--name and --archive are for a single sequence", "fetch one after the other")
-        return tuple(
-            self._plan_one(entry, request) for entry in {entry.full_name: entry for entry in sequences}.values()
-        )
+        from slamhive.recordings.importers.registry import IMPORTERS  # noqa: PLC0415 - some thirty modules
+
+        plans: list[FetchPlan] = []
+        for sequence in {entry.full_name: entry for entry in sequences}.values():
+            collection = self.collections.collection(sequence.collection)
+            token, missing = tokens_of(collection, self._environment)
+            check_needs(collection, request, missing)
+            parts = sequence.source(request.source)
+            IMPORTERS.get(collection.importer)
+            check_unpackable(parts, sequence, collection.importer)
+            name = check_name("dataset", request.name or sequence.dataset_name)
+            if self._catalogue.dataset_folder(name).exists():
+                raise Conflict(f"dataset {name!r} exists already", "choose another --name, or remove it first")
+            by_hand = parts_by_hand(sequence, parts, request.archives)
+            if not parts:
+                parts = tuple(Part(RemoteFile(file, (), kind_of(file))) for file in by_hand)
+            plans.append(FetchPlan(collection, sequence, name, parts, token, by_hand))
+        return tuple(plans)
 
     def perform(self, plans: tuple[FetchPlan, ...], request: FetchRequest, progress: Progress) -> Iterator[Dataset]:
         """Make one dataset after the other. A file is removed when no later plan needs it, unless it shall be kept."""
@@ -303,30 +318,31 @@ class Fetching:
         """Where downloads lie until they are imported."""
         return self._settings.data / "downloads"
 
-    def _plan_one(self, sequence: Sequence, request: FetchRequest) -> FetchPlan:
-        from slamhive.recordings.importers.registry import IMPORTERS  # noqa: PLC0415 - some thirty modules
-
-        collection = self.collections.collection(sequence.collection)
-        token, missing = tokens_of(collection, self._environment)
-        check_needs(collection, request, missing)
-        parts = sequence.source(request.source)
-        IMPORTERS.get(collection.importer)
-        check_unpackable(parts, sequence, collection.importer)
-        name = check_name("dataset", request.name or sequence.dataset_name)
-        if self._catalogue.dataset_folder(name).exists():
-            raise Conflict(f"dataset {name!r} exists already", "choose another --name, or remove it first")
-        by_hand = parts_by_hand(sequence, parts, request.archives)
-        if not parts:
-            parts = tuple(Part(RemoteFile(file, (), kind_of(file))) for file in by_hand)
-        return FetchPlan(collection, sequence, name, parts, token, by_hand)
-
     def _make(self, plan: FetchPlan, progress: Progress) -> Dataset:
         paths = self._download_all(plan, progress)
         with temporary_folder(root=self._own_folder(plan)) as folder:
             for number, part in enumerate(plan.parts):
                 done = _DOWNLOADED + (_UNPACKED - _DOWNLOADED) * number / len(plan.parts)
                 take(part, paths[part.file.name], folder, lambda text, done=done: progress(done, text))  # type: ignore[misc]
-            return self._import(plan, folder, lambda share, text: progress(_UNPACKED + (1 - _UNPACKED) * share, text))
+            collection, sequence = plan.collection, plan.sequence
+            planned = self._catalogue.plan_import(
+                folder / sequence.path,
+                ImportOptions(**collection.options),  # type: ignore[arg-type] # a test holds that they are fields of it
+                format_name=collection.importer,
+                name=plan.name,
+            )
+            text = replace(
+                planned.plan.text,
+                title=f"{collection.title} {sequence.name}",
+                licence=collection.licence or planned.plan.text.licence,
+                citation=collection.citation,
+                source=collection.homepage,
+                attributes=tuple(dict.fromkeys((*sequence.attributes, *planned.plan.text.attributes))),
+            )
+            return self._catalogue.import_dataset(
+                replace(planned, plan=replace(planned.plan, text=text)),
+                lambda share, text: progress(_UNPACKED + (1 - _UNPACKED) * share, text),
+            )
 
     def _download_all(self, plan: FetchPlan, progress: Progress) -> dict[str, Path]:
         """The files of a plan by name; those that were downloaded by hand stay where they are."""
@@ -365,24 +381,6 @@ class Fetching:
         except OSError as error:
             raise Unavailable(f"{folder} cannot be made: {error.strerror}", remedy_of(error)) from None
         return folder
-
-    def _import(self, plan: FetchPlan, folder: Path, progress: Progress) -> Dataset:
-        collection, sequence = plan.collection, plan.sequence
-        planned = self._catalogue.plan_import(
-            folder / sequence.path,
-            ImportOptions(**collection.options),  # type: ignore[arg-type] # a test holds that they are fields of it
-            format_name=collection.importer,
-            name=plan.name,
-        )
-        text = replace(
-            planned.plan.text,
-            title=f"{collection.title} {sequence.name}",
-            licence=collection.licence or planned.plan.text.licence,
-            citation=collection.citation,
-            source=collection.homepage,
-            attributes=tuple(dict.fromkeys((*sequence.attributes, *planned.plan.text.attributes))),
-        )
-        return self._catalogue.import_dataset(replace(planned, plan=replace(planned.plan, text=text)), progress)
 
     def _remove(self, plan: FetchPlan, later: set[str]) -> None:
         folder = self._own_folder(plan)

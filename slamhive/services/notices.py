@@ -138,22 +138,18 @@ def channels_of(settings: Settings) -> tuple[Channel, ...]:
     """The channels that the settings name; raises InvalidInput for one that cannot be used."""
     found: list[Channel] = []
     if settings.notify_webhook:
-        found.append(Webhook(_checked_address(settings.notify_webhook), settings.notify_webhook_secret))
+        try:
+            parts = urlsplit(settings.notify_webhook)
+            valid = parts.scheme in {"http", "https"} and bool(parts.hostname) and parts.port != 0
+        except ValueError:
+            valid = False
+        if not valid:
+            # The address may hold a secret, so it is not repeated.
+            raise InvalidInput("NOTIFY_WEBHOOK is not an address", "write it as https://chat.example.org/hooks/...")
+        found.append(Webhook(settings.notify_webhook, settings.notify_webhook_secret))
     if settings.notify_mail_to:
         found.append(_mail(settings))
     return tuple(found)
-
-
-def _checked_address(text: str) -> str:
-    try:
-        parts = urlsplit(text)
-        valid = parts.scheme in {"http", "https"} and bool(parts.hostname) and parts.port != 0
-    except ValueError:
-        valid = False
-    if not valid:
-        # The address may hold a secret, so it is not repeated.
-        raise InvalidInput("NOTIFY_WEBHOOK is not an address", "write it as https://chat.example.org/hooks/...")
-    return text
 
 
 def _mail(settings: Settings) -> Mail:
@@ -249,7 +245,17 @@ class Notices:
                 arrived = 0
                 for key, event in self._due(status, record):
                     before = record.sent.get(key, Sent())
-                    after = self._tried(before, self._notice(status, event))
+                    base = self._settings.public_url.rstrip("/")
+                    notice = Notice(
+                        event=event,
+                        experiment=status.name,
+                        words=_words(status, event),
+                        counts={phase.label: count for phase, count in status.counts.items()},
+                        failures={str(failure.value): count for failure, count in status.failures.items()},
+                        address=f"{base}/experiments/{quote(status.name, safe='')}" if base else None,
+                        at=self._now(),
+                    )
+                    after = self._tried(before, notice)
                     if after != before:
                         arrived += len(after.arrived) - len(before.arrived)
                         record = NoticeRecord(sent={**record.sent, key: after})
@@ -294,18 +300,6 @@ class Notices:
                 arrived.append(channel.name)
         pause = max(FIRST_PAUSE, min(now - first, LONGEST_PAUSE))
         return Sent(arrived=tuple(arrived), first_tried=first, next_try=now + pause if problem else None)
-
-    def _notice(self, status: ExperimentStatus, event: NoticeEvent) -> Notice:
-        base = self._settings.public_url.rstrip("/")
-        return Notice(
-            event=event,
-            experiment=status.name,
-            words=_words(status, event),
-            counts={phase.label: count for phase, count in status.counts.items()},
-            failures={str(failure.value): count for failure, count in status.failures.items()},
-            address=f"{base}/experiments/{quote(status.name, safe='')}" if base else None,
-            at=self._now(),
-        )
 
 
 def notices_of(settings: Settings, store: Store) -> Notices | None:

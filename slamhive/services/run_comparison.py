@@ -514,16 +514,14 @@ def _read(
         for entry in t.evaluations.for_run(run.id)
         if entry.state is EvaluationState.SUCCEEDED
     }
-    return runs, values, tuple(_common(key, label, runs, values) for key, label in labels.items())
-
-
-def _common(key: str, label: str, runs: Sequence[RunRecord], values: Mapping[int, _ByProtocol]) -> CommonProtocol:
-    having = tuple(run.id for run in runs if key in values[run.id])
-    could = (run.id for run in runs if run.state is RunState.SUCCEEDED)
-    kinds = {run.trajectory for run in runs if run.id in having}
-    if len(kinds) == 1:
-        label = with_trajectory(label, *kinds)
-    return CommonProtocol(key, label, having, tuple(run_id for run_id in could if run_id not in having))
+    common: list[CommonProtocol] = []
+    for key, label in labels.items():
+        having = tuple(run.id for run in runs if key in values[run.id])
+        could = (run.id for run in runs if run.state is RunState.SUCCEEDED)
+        kinds = {run.trajectory for run in runs if run.id in having}
+        words = with_trajectory(label, *kinds) if len(kinds) == 1 else label
+        common.append(CommonProtocol(key, words, having, tuple(run_id for run_id in could if run_id not in having)))
+    return runs, values, tuple(common)
 
 
 def _chosen(protocols: Sequence[CommonProtocol], runs: Sequence[RunRecord], asked: str | None) -> CommonProtocol | None:

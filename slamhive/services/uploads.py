@@ -522,14 +522,6 @@ def import_runs(
     def show(done: int, total: int) -> None:
         progress(done / total, f"{done:,} of {total:,} trajectories")
 
-    report = imports.carry_out(_runs_request(request, folder), show)
-    if request.evaluate:
-        evaluations.queue(evaluations.unsettled(report.run_ids))
-    made = Import.of(report, evaluated=0, failed_evaluations={}, hints={})
-    return ImportedDocument(datasets=made.datasets, runs=made)
-
-
-def _runs_request(request: RunsUpload, folder: Path) -> ImportRequest:
     if not folder.is_dir():
         raise InvalidInput(
             f"{folder.name} is not an archive", "send the trajectories as a zip or tar archive of their folder"
@@ -540,7 +532,7 @@ def _runs_request(request: RunsUpload, folder: Path) -> ImportRequest:
         "relations": request.relations,
         "times": request.times,
     }
-    return ImportRequest(
+    wanted = ImportRequest(
         source=folder if request.table is None else _inside(folder, request.table),
         table=request.table is not None,
         format=_member(TrajectoryFormat, "format", request.format) or TrajectoryFormat.AUTO,
@@ -553,6 +545,11 @@ def _runs_request(request: RunsUpload, folder: Path) -> ImportRequest:
         trajectory=request.trajectory,
         **{key: text for key, text in given.items() if text is not None},
     )
+    report = imports.carry_out(wanted, show)
+    if request.evaluate:
+        evaluations.queue(evaluations.unsettled(report.run_ids))
+    made = Import.of(report, evaluated=0, failed_evaluations={}, hints={})
+    return ImportedDocument(datasets=made.datasets, runs=made)
 
 
 def _convention(unit: str | None, order: str | None) -> Convention:

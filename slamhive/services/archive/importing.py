@@ -295,14 +295,6 @@ def _original(entry: _Unpacked, numbers: dict[str, int]) -> int | None:
     return None if entry.line.retry_of is None else numbers.get(entry.line.retry_of)
 
 
-def _renumbered(entry: _Unpacked, numbers: dict[str, int]) -> FolderRun:
-    """The run with the numbers that runs have here."""
-    filed = entry.run.filed
-    request = filed.file.request.model_copy(update={"retry_of": _original(entry, numbers)})
-    file = filed.file.model_copy(update={"id": numbers[entry.line.uid], "request": request})
-    return replace(entry.run, filed=replace(filed, file=file))
-
-
 def _file(
     t: Transaction, catalogue: Catalogue, entries: list[_Unpacked], known: dict[str, int], *, keep: bool
 ) -> dict[str, int]:
@@ -319,5 +311,11 @@ def _file(
     else:
         given = {entry.line.uid: entry.line.id for entry in entries}
     numbers = {**known, **given}
-    file_runs(t, catalogue, [_renumbered(entry, numbers) for entry in entries])
+    renumbered: list[FolderRun] = []
+    for entry in entries:
+        filed = entry.run.filed
+        request = filed.file.request.model_copy(update={"retry_of": _original(entry, numbers)})
+        file = filed.file.model_copy(update={"id": numbers[entry.line.uid], "request": request})
+        renumbered.append(replace(entry.run, filed=replace(filed, file=file)))
+    file_runs(t, catalogue, renumbered)
     return given

@@ -86,29 +86,25 @@ class ImageRunsOfPhase:
             source = self.folder.recording(entry.name)
             link_folder(source, self.installation.settings.datasets_folder / entry.name)
             for seed in self.seeds:
-                if (entry.name, seed) not in known and not self._submitted(algorithm, executor, entry.name, seed):
-                    break
-
-    def _submitted(self, algorithm: Algorithm, executor: str, sequence: str, seed: int) -> bool:
-        rules = self.rules
-        try:
-            self.installation.runs.submit(
-                Submission(
-                    algorithm.label,
-                    sequence,
-                    executor=executor,
-                    seed=seed,
-                    playback_mode=rules.playback,
-                    playback_rate=rules.rate,
-                    evaluate=False,
-                    cpu_cores=rules.cpu_cores,
-                    memory_mb=rules.memory_mb,
-                    timeout_s=rules.time_limit_s,
-                )
-            )
-        except (InvalidInput, NotFound):
-            return False
-        return True
+                if (entry.name, seed) in known:
+                    continue
+                try:
+                    self.installation.runs.submit(
+                        Submission(
+                            algorithm.label,
+                            entry.name,
+                            executor=executor,
+                            seed=seed,
+                            playback_mode=self.rules.playback,
+                            playback_rate=self.rules.rate,
+                            evaluate=False,
+                            cpu_cores=self.rules.cpu_cores,
+                            memory_mb=self.rules.memory_mb,
+                            timeout_s=self.rules.time_limit_s,
+                        )
+                    )
+                except (InvalidInput, NotFound):
+                    break  # it will not fit with another seed either
 
     @property
     def seeds(self) -> range:
@@ -152,20 +148,17 @@ class ImageRunsOfPhase:
             run = attempts[-1] if attempts else None
             ended.append(StoredRun(sequence=name, run=None if run is None else run.id, failure=_failure(run)))
             if run is not None and not entries[name].secret:
-                self._keep_log(run)
+                text = read_tail(self.installation.runs.folder(run.id).log, LOG_BYTES)
+                said = f"{run.state}: {run.detail}\n" if run.detail else f"{run.state}\n"
+                logs = self.found.root / LOGS
+                logs.mkdir(mode=0o750, exist_ok=True)
+                number = run.seed - self.rules.seed + 1
+                label = name if self.rules.repeats == 1 else f"{name}-{number}"
+                # Nothing that could steer a terminal.
+                kept = "".join(character for character in text + said if character.isprintable() or character in "\n\t")
+                write_aside(logs / f"{label}.txt", kept, 0o640)
         content = json.dumps(StoredRunsDocument(runs=tuple(ended)).content)
         write_aside(self.folder.installation(self.found.root.name) / ENDED_RUNS, content, 0o600)
-
-    def _keep_log(self, run: RunRecord) -> None:
-        text = read_tail(self.installation.runs.folder(run.id).log, LOG_BYTES)
-        said = f"{run.state}: {run.detail}\n" if run.detail else f"{run.state}\n"
-        logs = self.found.root / LOGS
-        logs.mkdir(mode=0o750, exist_ok=True)
-        number = run.seed - self.rules.seed + 1
-        name = run.dataset if self.rules.repeats == 1 else f"{run.dataset}-{number}"
-        # Nothing that could steer a terminal.
-        kept = "".join(character for character in text + said if character.isprintable() or character in "\n\t")
-        write_aside(logs / f"{name}.txt", kept, 0o640)
 
     def cancel(self) -> list[RunRecord]:
         """Cancel the runs that have not ended; those that a worker still has to end."""
@@ -307,7 +300,12 @@ class ImageWork:
         with closing(self._opened(root)) as installation:
             runs = ImageRunsOfPhase(folder, found, installation, rules)
             if found.cancelled:
-                self._end_cancelled(runs, stopping, cores)
+                for cancelled in runs.cancel():
+                    self._drive(runs, cancelled, stopping, cores)
+                    if stopping.is_set():
+                        return
+                forget_image(installation)
+                self._end(found, Failure.CANCELLED.value)
                 return
             try:
                 version = load_image(installation, found, self._settings.versions_folder)
@@ -356,14 +354,6 @@ class ImageWork:
 
         with _meanwhile(look):
             worker.run(until_idle=True, cores=cores)
-
-    def _end_cancelled(self, runs: ImageRunsOfPhase, stopping: threading.Event, cores: tuple[int, ...] | None) -> None:
-        for run in runs.cancel():
-            self._drive(runs, run, stopping, cores)
-            if stopping.is_set():
-                return
-        forget_image(runs.installation)
-        self._end(runs.found, Failure.CANCELLED.value)
 
     def _end(self, found: SubmissionFolder, failure: str) -> None:
         """Keep why an image has no runs. That can be shown soon, since it has seen no recording."""

@@ -55,7 +55,19 @@ def check_image(path: Path, algorithm: str | None, largest_mb: int) -> StoredIma
 
     Raises InvalidInput if it is damaged or too large, or holds no such algorithm.
     """
-    _check_room(path, largest_mb)
+    left = largest_mb * MB
+    with _reading(path):
+        if path.stat().st_size > left:
+            raise _too_large(path, largest_mb)
+        # Small files can unpack to much.
+        with tarfile.open(path, mode="r|*") as archive:
+            for member in archive:
+                left -= _ENTRY_BYTES
+                content = archive.extractfile(member) if member.isreg() else None
+                if content is not None:
+                    left -= max(member.size, _unpacked(path, content, max(left, 0)))
+                if left < 0:
+                    raise _too_large(path, largest_mb)
     if not is_export(path):
         ImageArchive(path).check()
         return StoredImage(package=None, algorithm=algorithm)
@@ -75,22 +87,6 @@ def choose_algorithm(algorithms: tuple[Algorithm, ...], asked: str | None) -> Al
         if asked in (None, entry.name):
             return entry
     raise InvalidInput(f"the package has no algorithm {str(asked)[:80]!r}", f"it has {names}")
-
-
-def _check_room(path: Path, largest_mb: int) -> None:
-    """Raise InvalidInput if the archive, or what its layers unpack to, is too large: small files can unpack to much."""
-    left = largest_mb * MB
-    with _reading(path):
-        if path.stat().st_size > left:
-            raise _too_large(path, largest_mb)
-        with tarfile.open(path, mode="r|*") as archive:
-            for member in archive:
-                left -= _ENTRY_BYTES
-                content = archive.extractfile(member) if member.isreg() else None
-                if content is not None:
-                    left -= max(member.size, _unpacked(path, content, max(left, 0)))
-                if left < 0:
-                    raise _too_large(path, largest_mb)
 
 
 def _unpacked(path: Path, content: IO[bytes], most: int) -> int:

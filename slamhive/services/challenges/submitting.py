@@ -119,7 +119,17 @@ def enter_image(
         found = check_image(image, entrant.algorithm, rules.largest_mb)
         return Submitted(digest, lambda aside: _copy(image, aside / IMAGE), image=found)
 
-    digest = _digest_of_image(image, entrant.algorithm)
+    hashed = hashlib.sha256(f"{entrant.algorithm}\0".encode())
+    if isinstance(image, StoredImage):
+        hashed.update(json.dumps(image.content).encode())
+    else:
+        try:
+            with image.open("rb") as stream:
+                while block := stream.read(_BLOCK_BYTES):
+                    hashed.update(block)
+        except OSError as error:
+            raise InvalidInput(f"{image.name} cannot be read: {error.strerror}") from None
+    digest = hashed.hexdigest()
     return _enter(folder, phase, entrant, digest, check, now)
 
 
@@ -235,18 +245,4 @@ def _digest(files: Mapping[str, Path]) -> str:
                     digest.update(block)
         except OSError as error:
             raise InvalidInput(f"{name} cannot be read: {error.strerror}") from None
-    return digest.hexdigest()
-
-
-def _digest_of_image(image: Path | StoredImage, algorithm: str | None) -> str:
-    digest = hashlib.sha256(f"{algorithm}\0".encode())
-    if isinstance(image, StoredImage):
-        digest.update(json.dumps(image.content).encode())
-        return digest.hexdigest()
-    try:
-        with image.open("rb") as stream:
-            while block := stream.read(_BLOCK_BYTES):
-                digest.update(block)
-    except OSError as error:
-        raise InvalidInput(f"{image.name} cannot be read: {error.strerror}") from None
     return digest.hexdigest()

@@ -9,7 +9,7 @@ import contextlib
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -273,10 +273,17 @@ class Catalogue:
         """Find algorithms and broken folders. If no file has changed, the files are not looked into."""
         from slamhive.packages.algorithm_file import ALGORITHM_FILE, load_algorithms
         from slamhive.packages.folders import ALGORITHM_FOLDERS
+        from slamhive.packages.published.folder import MAPPING, SCRIPTS
 
         folders = [(name, root / name) for root in self._algorithm_roots for name, _ in stamped(root, ALGORITHM_FILE)]
         folders += ALGORITHM_FOLDERS
-        strange = list(self._foreign_folders())
+        # Those of the published SLAM Hive, which have no algorithm.yaml.
+        strange = [
+            root / name
+            for root in self._algorithm_roots
+            for name, _ in stamped(root, f"{SCRIPTS}/{MAPPING}")
+            if stamp_of(root / name / ALGORITHM_FILE) is None
+        ]
         stamps = [*((name, folder, stamp_of(folder / ALGORITHM_FILE)) for name, folder in folders), *strange]
         known = self._scanned.get("algorithms")
         if known is not None and known[0] == stamps:
@@ -309,16 +316,6 @@ class Catalogue:
     @property
     def _algorithm_roots(self) -> tuple[Path, Path]:
         return self.project_root / "algorithms", self._settings.algorithms_folder
-
-    def _foreign_folders(self) -> Iterator[Path]:
-        """Folders of algorithms without ``algorithm.yaml``, as the published SLAM Hive has them."""
-        from slamhive.packages.algorithm_file import ALGORITHM_FILE
-        from slamhive.packages.published.folder import MAPPING, SCRIPTS
-
-        for root in self._algorithm_roots:
-            for name, _ in stamped(root, f"{SCRIPTS}/{MAPPING}"):
-                if stamp_of(root / name / ALGORITHM_FILE) is None:
-                    yield root / name
 
     def _scan_datasets(self) -> tuple[Sequence[Dataset], list[BrokenEntry]]:
         """Find datasets and broken folders, like :meth:`_scan_algorithms`."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,7 +97,7 @@ class VariantService:
         order = VariantOrder(plan.key, dataset.name, dataset_to_yaml(dataset), steps, plan.needed_bytes)
         return UsedVariant(plan.key, self.planned(dataset, variant), order)
 
-    @contextmanager
+    @contextlib.contextmanager
     def hold(self, dataset: Dataset, variant: Variant, progress: Progress) -> Iterator[UsedVariant]:
         """Make the variant if necessary, and keep it in the cache until the block ends.
 
@@ -119,7 +119,7 @@ class VariantService:
         with self._cache.hold(plan, build, progress) as made:
             yield UsedVariant(plan.key, made)
 
-    @contextmanager
+    @contextlib.contextmanager
     def hold_made(self, key: str) -> Iterator[None]:
         """Keep the variant of an active run in the cache until the block ends."""
         if key == IDENTITY:
@@ -165,14 +165,12 @@ class VariantService:
         """The variants of active runs: their containers outlive a killed worker and its locks."""
         active = matching(states=tuple(state for state in RunState if state.active))
         records = self._store.read(lambda t: t.runs.page(active, limit=_MOST_ACTIVE)).records
-        keys = {self._key_of(record.id) for record in records if record.variant}
+        keys: set[str | None] = set()
+        for record in records:
+            if record.variant:
+                with contextlib.suppress(SlamHiveError):  # a record that cannot be read names no variant
+                    keys.add(variant_key(RunFolder(self._settings.runs_folder / str(record.id)).read_record()))
         return {key for key in keys if key is not None}
-
-    def _key_of(self, run_id: int) -> str | None:
-        try:
-            return variant_key(RunFolder(self._settings.runs_folder / str(run_id)).read_record())
-        except SlamHiveError:
-            return None
 
 
 def variant_key(record: dict[str, object]) -> str | None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
 from slamhive.analysis.report import Cell, ResultTable, TableColumn
-from slamhive.documents.gate import GateAnswer, GateConfiguration, GateMetric, MetricChange
+from slamhive.documents.gate import GateAnswer, GateMetric, MetricChange
 from slamhive.domain.gate import FAILURES, Answer
 from slamhive.domain.names import plural
 from slamhive.services.markdown import escaped, table_markdown
@@ -46,7 +46,18 @@ def answer_markdown(answer: GateAnswer) -> str:
 
 def answer_junit(answer: GateAnswer) -> str:
     """JUnit XML: one test case for each metric. What is worse is a failure, what is undecided is skipped."""
-    cases = [_case(answer, entry) for entry in answer.metrics]
+    cases: list[ET.Element] = []
+    for entry in answer.metrics:
+        case = ET.Element("testcase", classname=f"gate.{answer.baseline}", name=entry.key)
+        change, interval = change_words(entry)
+        message = f"{entry.label} changed by {change or 'an unknown amount'}"
+        message += f" (95 % interval {interval})" if interval else ""
+        message += f"; the margin is {entry.margin}, the p value of worse {p_words(entry.p_worse)}"
+        if entry.answer is Answer.WORSE:
+            ET.SubElement(case, "failure", message=message, type="worse")
+        elif entry.answer is Answer.UNDECIDED:
+            ET.SubElement(case, "skipped", message=f"undecided: {message}")
+        cases.append(case)
     if answer.missing:
         case = ET.Element("testcase", classname=f"gate.{answer.baseline}", name="configurations")
         ET.SubElement(case, "skipped", message=f"no runs of {', '.join(answer.missing)}")
@@ -79,7 +90,9 @@ def value_rows(answer: GateAnswer) -> list[tuple[Cell, ...]]:
     """The cells of each metric in each configuration."""
     rows: list[tuple[Cell, ...]] = []
     for place, configuration in enumerate(answer.configurations):
-        rows.append(_failure_row(configuration))
+        failed = f"{configuration.baseline_failed} of {configuration.baseline_runs}"
+        failed_now = f"{len(configuration.failed)} of {len(configuration.runs)}"
+        rows.append((configuration.words, "Failed runs", failed, failed_now, None, None))
         for metric in answer.metrics:
             found = [entry for entry in metric.configurations if entry.configuration == place]
             for entry in found if metric.key != FAILURES else []:
@@ -87,18 +100,6 @@ def value_rows(answer: GateAnswer) -> list[tuple[Cell, ...]]:
                 p_values = p_words(entry.p_worse), p_words(entry.p_within)
                 rows.append((configuration.words, label, entry.baseline, entry.candidate, *p_values))
     return rows
-
-
-def _failure_row(configuration: GateConfiguration) -> tuple[Cell, ...]:
-    baseline = f"{configuration.baseline_failed} of {configuration.baseline_runs}"
-    return (
-        configuration.words,
-        "Failed runs",
-        baseline,
-        f"{len(configuration.failed)} of {len(configuration.runs)}",
-        None,
-        None,
-    )
 
 
 def change_words(entry: MetricChange) -> tuple[str | None, str | None]:
@@ -125,16 +126,3 @@ def _table(key: str, headings: Sequence[str], rows: Sequence[tuple[Cell, ...]]) 
     return ResultTable(
         key=key, title=key, columns=tuple(TableColumn(key=head, label=head) for head in headings), rows=tuple(rows)
     )
-
-
-def _case(answer: GateAnswer, entry: GateMetric) -> ET.Element:
-    case = ET.Element("testcase", classname=f"gate.{answer.baseline}", name=entry.key)
-    change, interval = change_words(entry)
-    message = f"{entry.label} changed by {change or 'an unknown amount'}"
-    message += f" (95 % interval {interval})" if interval else ""
-    message += f"; the margin is {entry.margin}, the p value of worse {p_words(entry.p_worse)}"
-    if entry.answer is Answer.WORSE:
-        ET.SubElement(case, "failure", message=message, type="worse")
-    elif entry.answer is Answer.UNDECIDED:
-        ET.SubElement(case, "skipped", message=f"undecided: {message}")
-    return case

@@ -185,7 +185,12 @@ def one_import(runs: Path, what: str, waiting: Waiting = lambda _text: None) -> 
     lock, began_s = runs / _LOCK, monotonic_s()
 
     def wait(_share: float, _text: str) -> None:
-        text = _holder(lock)
+        try:
+            content = json.loads(lock.read_text(encoding="utf-8"))
+            since = datetime.fromisoformat(content["since"])
+            text = f"another import files {content['what']} since {since:%H:%M:%S} UTC"
+        except (OSError, ValueError, KeyError, TypeError):  # it begins or ends now, or an earlier version made it
+            text = "another import files runs"
         if monotonic_s() - began_s >= WAIT_S:
             raise Conflict(text, "wait for it to end")
         waiting(f"waiting: {text}")
@@ -201,16 +206,6 @@ def one_import(runs: Path, what: str, waiting: Waiting = lambda _text: None) -> 
         finally:
             _remove_leftovers(runs)
             lock.unlink(missing_ok=True)
-
-
-def _holder(lock: Path) -> str:
-    """In words, which import holds the lock, and since when."""
-    try:
-        content = json.loads(lock.read_text(encoding="utf-8"))
-        since = datetime.fromisoformat(content["since"])
-        return f"another import files {content['what']} since {since:%H:%M:%S} UTC"
-    except (OSError, ValueError, KeyError, TypeError):  # it begins or ends now, or an earlier version made it
-        return "another import files runs"
 
 
 def sweep_imports(runs: Path) -> None:

@@ -45,7 +45,15 @@ def find(request: ImportRequest) -> FoundImports:
             found.problems.append(ImportProblem(candidate.name, str(error)))
         else:
             found.candidates.append(candidate)
-    found.candidates = list(_without_doubles(found))
+    names: dict[tuple[str, str, str], str] = {}
+    candidates, found.candidates = found.candidates, []
+    for candidate in candidates:
+        first = names.setdefault((candidate.algorithm, candidate.dataset, candidate.trial), candidate.name)
+        if first is candidate.name:
+            found.candidates.append(candidate)
+        else:
+            text = f"trial {candidate.trial} of {candidate.algorithm} on {candidate.dataset} occurs twice"
+            found.problems.append(ImportProblem(candidate.name, f"{text}: {first} is the other; number the trials"))
     return found
 
 
@@ -227,16 +235,3 @@ def _inside(folder: Path, text: str) -> Path:
 def _check(candidate: ImportCandidate) -> None:
     for kind in FIELDS:
         check_name(kind, getattr(candidate, kind))
-
-
-def _without_doubles(found: FoundImports) -> Iterator[ImportCandidate]:
-    """Keep one file for each trial; report a second one as a problem."""
-    seen: dict[tuple[str, str, str], str] = {}
-    for candidate in found.candidates:
-        key = (candidate.algorithm, candidate.dataset, candidate.trial)
-        first = seen.setdefault(key, candidate.name)
-        if first is candidate.name:
-            yield candidate
-        else:
-            text = f"trial {candidate.trial} of {candidate.algorithm} on {candidate.dataset} occurs twice"
-            found.problems.append(ImportProblem(candidate.name, f"{text}: {first} is the other; number the trials"))

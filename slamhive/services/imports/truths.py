@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -89,7 +90,13 @@ class Truths:
         known = self._known(name)
         if known is not None:
             reading = self._check_same(known, files)
-            return TruthHome(known, False, _truth_here(known), reading, _relations_here(known))
+            path, truth, times = known.groundtruth_path, None, None
+            if path is not None and known.groundtruth is not None:
+                truth = read_truth_here(path, positions_only=known.groundtruth.positions_only)
+            if known.relations is not None:
+                with contextlib.suppress(InvalidInput, NotFound):  # an evaluation will refuse them
+                    times = _read_relations(known.folder / known.relations)[1]
+            return TruthHome(known, False, truth, reading, times)
         if files.trajectory is None and files.relations is None:
             raise InvalidInput(
                 f"dataset {name} is not here, and no ground truth was found for it",
@@ -171,13 +178,6 @@ class Truths:
         return reading
 
 
-def _truth_here(known: Dataset) -> ImportTruth | None:
-    path = known.groundtruth_path
-    if path is None or known.groundtruth is None:
-        return None
-    return read_truth_here(path, positions_only=known.groundtruth.positions_only)
-
-
 def _check_file(known: Dataset, kind: str, here: Path | None, text: bytes, option: str) -> None:
     if here is None or read_bounded(here) != text:
         other = f"with other {kind} than those" if kind == "relations" else f"with another {kind} than the one"
@@ -185,16 +185,6 @@ def _check_file(known: Dataset, kind: str, here: Path | None, text: bytes, optio
             f"dataset {known.name} is here {f'without {kind}, unlike the one' if here is None else other} to import",
             f"import under another name of the dataset, or leave the {kind} out ({option} '')",
         )
-
-
-def _relations_here(known: Dataset) -> Span | None:
-    """First and last time of the relations of a dataset; None without, or if an evaluation will refuse them."""
-    if known.relations is None:
-        return None
-    try:
-        return _read_relations(known.folder / known.relations)[1]
-    except (InvalidInput, NotFound):
-        return None
 
 
 def _read_relations(path: Path) -> tuple[bytes, Span]:

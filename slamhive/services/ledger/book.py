@@ -84,7 +84,11 @@ class Book:
             descriptor = self._open()
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX)
-                if not self._is(descriptor):
+                try:
+                    same = os.path.samestat(os.fstat(descriptor), os.lstat(self.path))
+                except FileNotFoundError:
+                    same = False
+                if not same:
                     continue  # replaced while this process waited for the lock
                 yield descriptor
                 return
@@ -102,12 +106,6 @@ class Book:
             if self.path.parent.stat().st_mode & stat.S_IWGRP:
                 os.fchmod(descriptor, 0o664)
             return descriptor
-
-    def _is(self, descriptor: int) -> bool:
-        try:
-            return os.path.samestat(os.fstat(descriptor), os.lstat(self.path))
-        except FileNotFoundError:
-            return False
 
 
 def _text(line: Line) -> str:

@@ -114,7 +114,18 @@ class Missing:
                 t.ledger.experiments(),
             )
         )
-        untold = [run_id for run_id, state in waiting.items() if self._untold(run_id, state, told[state])]
+        untold: list[int] = []
+        for run_id, state in waiting.items():
+            if run_id in told[state]:
+                continue
+            # The folder of a run may say it where the book does not.
+            folder = RunFolder(self._settings.runs_folder / str(run_id))
+            try:
+                filed = folder.record.exists() and folder.read_record().get("state") == state.value
+            except SlamHiveError:
+                filed = False
+            if not filed:
+                untold.append(run_id)
         for part in _parts(sorted(set(untold) - told[RunState.QUEUED])):
             yield from run_lines(self._store.read(lambda t: t.ledger.requests(part)), experiments)  # noqa: B023
         yield from self._cancelled([run_id for run_id in untold if waiting[run_id] is RunState.CANCELLED])
@@ -158,16 +169,6 @@ class Missing:
         while found := self._store.read(lambda t: t.ledger.ended(after=after)):  # noqa: B023
             yield from ((run_id, entry) for _, run_id, entry in found)
             after = found[-1][0]
-
-    def _untold(self, run_id: int, state: RunState, told: set[int]) -> bool:
-        """Tell if neither the book nor the run's folder says that it is in ``state``."""
-        if run_id in told:
-            return False
-        folder = RunFolder(self._settings.runs_folder / str(run_id))
-        try:
-            return not folder.record.exists() or folder.read_record().get("state") != state.value
-        except SlamHiveError:
-            return True
 
 
 def catalogue_lines(store: Store) -> Iterator[Line]:

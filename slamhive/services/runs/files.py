@@ -155,20 +155,16 @@ class MapViews:
 
         def read(_path: Path, _name: str) -> MapCloud:
             known = thinned_cloud(reference, reference.name, REFERENCE_POINTS).positions_m
-            return replace(thinned, errors_m=_distances_m(to_reference.points(thinned.positions_m), known))
+            from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to load, and few maps have a reference
+
+            # From each point to the nearest of the reference, shape (n,).
+            errors_m: FloatArray = cKDTree(known).query(to_reference.points(thinned.positions_m))[0]
+            return replace(thinned, errors_m=errors_m)
 
         return self._cloud(path, name, str(against), read)
 
     def _cloud(self, path: Path, name: str, what: str, read: Callable[[Path, str], MapCloud]) -> MapCloud:
         return self._kept.get(_key(path, name, what), lambda: read(path, name))
-
-
-def _distances_m(points_m: FloatArray, reference_m: FloatArray) -> FloatArray:
-    """From each point to the nearest of the reference, shape (n,)."""
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to load, and few maps have a reference
-
-    found: FloatArray = cKDTree(reference_m).query(points_m)[0]
-    return found
 
 
 def _key(path: Path, name: str, what: str) -> _Key:
@@ -228,11 +224,17 @@ def run_progress(run: RunRecord, folder: RunFolder, now: datetime, duration_s: f
         return None
     elapsed_s = None if run.started_at is None else (now - run.started_at).total_seconds()
     fraction = _fraction(folder)
+    left_s = None
+    if fraction is not None and elapsed_s is not None:
+        if run.playback.mode is PlaybackMode.REALTIME and duration_s is not None:
+            left_s = (1 - fraction) * duration_s / run.playback.rate
+        elif fraction > 0.01:
+            left_s = elapsed_s * (1 / fraction - 1)
     cpu_cores, memory_bytes = _last_sample(folder)
     return RunProgress(
         fraction=fraction,
         elapsed_s=elapsed_s,
-        left_s=_left_s(run, fraction, elapsed_s, duration_s),
+        left_s=left_s,
         cpu_cores=cpu_cores,
         memory_bytes=memory_bytes,
         text=_doing(run, folder) if fraction is None else f"{fraction:.0%} of the recording",
@@ -256,14 +258,6 @@ def _fraction(folder: RunFolder) -> float | None:
     content = read_untrusted_json(folder.progress, _PROGRESS_LIMIT_BYTES) or {}
     fraction = measured_number(content.get("fraction"))
     return None if fraction is None else min(fraction, 1.0)
-
-
-def _left_s(run: RunRecord, fraction: float | None, elapsed_s: float | None, duration_s: float | None) -> float | None:
-    if fraction is None or elapsed_s is None:
-        return None
-    if run.playback.mode is PlaybackMode.REALTIME and duration_s is not None:
-        return (1 - fraction) * duration_s / run.playback.rate
-    return elapsed_s * (1 / fraction - 1) if fraction > 0.01 else None
 
 
 def _last_sample(folder: RunFolder) -> tuple[float | None, int | None]:

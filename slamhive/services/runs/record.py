@@ -249,7 +249,7 @@ def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -
     """
     places = put_configurations(t, catalogue, [run.filed for run in runs])
     named = {run.filed.file.request.experiment for run in runs}
-    experiments = {name: found.id for name in named if name and (found := t.experiments.find(name)) is not None}
+    experiments = {name: entry.id for name in named if name and (entry := t.experiments.find(name)) is not None}
     machines = {run.filed.host for run in runs if run.filed.host is not None}
     hosts = {host: t.catalogue.put_host(host) for host in machines}
     versions: dict[tuple[str, AlgorithmVersion], int] = {}
@@ -272,7 +272,19 @@ def file_runs(t: Transaction, catalogue: Catalogue, runs: Sequence[FolderRun]) -
         if request.executor != IMPORTED:
             affinity = run_affinity(configuration.dataset, configuration.variant, run.filed.package)
             request = replace(request, affinity=affinity)
-        rows.append(_filed_run(run, replace(snapshot, request=request, fields=fields, attempt=run.attempt)))
+        known = {(entry.protocol.fingerprint, entry.state) for entry in run.history}
+        found = [_ended(protocol, result, at) for protocol, result, at in run.found]
+        rows.append(
+            FiledRun(
+                replace(snapshot, request=request, fields=fields, attempt=run.attempt),
+                measured=run.filed.file.metrics,
+                evaluations=[*run.history, *(e for e in found if (e.protocol.fingerprint, e.state) not in known)],
+                figures={result.fingerprint: result.metrics for _, result, _ in run.found if result.succeeded},
+                current=run.current,
+                notes=run.notes,
+                shared=run.sharing is not None,
+            )
+        )
     return t.filed_runs.file(rows)
 
 
@@ -309,7 +321,7 @@ def found_evaluations(folder: RunFolder) -> list[FoundEvaluation]:
         except (InvalidInput, *_NOT_A_RECORD) as error:
             logger.warning("%s is skipped: %s", path.parent, error)
             continue
-        found.append((protocol, result, _modified(path)))
+        found.append((protocol, result, datetime.fromtimestamp(path.stat().st_mtime, UTC)))
     return found
 
 
@@ -349,20 +361,6 @@ def current_protocol(folder: RunFolder, evaluations: Iterable[FoundEvaluation]) 
     return succeeded[-1] if succeeded else None
 
 
-def _filed_run(run: FolderRun, snapshot: RunSnapshot) -> FiledRun:
-    known = {(entry.protocol.fingerprint, entry.state) for entry in run.history}
-    found = [_ended(protocol, result, at) for protocol, result, at in run.found]
-    return FiledRun(
-        snapshot,
-        measured=run.filed.file.metrics,
-        evaluations=[*run.history, *(e for e in found if (e.protocol.fingerprint, e.state) not in known)],
-        figures={result.fingerprint: result.metrics for _, result, _ in run.found if result.succeeded},
-        current=run.current,
-        notes=run.notes,
-        shared=run.sharing is not None,
-    )
-
-
 def _ended(protocol: Protocol, result: EvaluationResult, at: datetime) -> EndedEvaluation:
     state = EvaluationState.SUCCEEDED if result.succeeded else EvaluationState.FAILED
     return EndedEvaluation(protocol, state, result.reason, Artefacts.FILES, result.engine, at, None, at, attempt=1)
@@ -383,7 +381,3 @@ def dataset_of(catalogue: Catalogue, name: str, record: Mapping[str, Any]) -> Da
             groundtruth=None,
             checksum=str(known.get("checksum", "")),
         )
-
-
-def _modified(path: Path) -> datetime:
-    return datetime.fromtimestamp(path.stat().st_mtime, UTC)

@@ -213,15 +213,12 @@ def _moved(track: PathSeries, to_scene: Similarity, offset_s: float) -> PathSeri
 def _path(kind: str, whole: PathSeries, errors: Array | None = None) -> ScenePath:
     track = whole.thinned(MAX_POINTS)
     errors_m = None if errors is None else _near(errors[:, 0], errors[:, 1], track.times_s, _SAME_TIME_S)
-    return ScenePath(kind, track, _speeds_mps(whole, track.times_s), errors_m)
-
-
-def _speeds_mps(whole: PathSeries, times_s: Array) -> Array:
-    """The speed at some times, from all poses."""
+    # The speed comes from all poses, also of those that are not drawn.
     order = np.argsort(whole.times_s, kind="stable")
     no_turns = np.tile((0.0, 0.0, 0.0, 1.0), (len(order), 1))
     motion = motion_of(Poses(whole.times_s[order], whole.positions_m[order], no_turns))
-    return _near(motion.times_s, motion.speeds_mps, times_s, _FAR_S)
+    speeds_mps = _near(motion.times_s, motion.speeds_mps, track.times_s, _FAR_S)
+    return ScenePath(kind, track, speeds_mps, errors_m)
 
 
 def _near(known_at_s: Array, values: Array, times_s: Array, most_s: float) -> Array:

@@ -109,7 +109,14 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
         errors = read_errors(evaluation)
     aligned = estimate is not None
     frames = read_played_frames(folder.frames)
-    start_s = _recording_start(frames, groundtruth, errors)
+    # The time of the recording is 0 at its first frame, or at what is known of it otherwise.
+    start_s = 0.0
+    if frames is not None:
+        start_s = float(frames.timestamps_s[0])
+    elif groundtruth is not None:
+        start_s = float(groundtruth.times_s[0])
+    elif errors is not None:
+        start_s = float(errors[0, 0])
     clock = None if frames is None else frames.clock((run.metrics or {}).get("startup"))
     usage = _columns(folder.profiling, ("time", "cpu_usage", "memory_usage"))
     found: dict[str, Any] = {
@@ -120,24 +127,21 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
         "memory": None if usage is None else _usage_over_time(usage[:, 0], usage[:, 2], clock, start_s),
         "latency": None if frames is None else latency_of(frames, start_s),
     }
+    latency: Samples | None = found["latency"]
+    dropped_s: Array = np.empty(0)
+    if frames is not None and latency is not None and latency.origin_s is not None:
+        times_s = frames.dropped_timestamps_s() - latency.origin_s
+        kept = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), MAX_POINTS)).astype(np.int64))
+        dropped_s = times_s[kept]
     explanations = _explanations(run)
     return RunSeries(
         **found,
         aligned=aligned,
         gap_s=gap_s,
-        dropped_s=_dropped_of(frames, found["latency"]),
+        dropped_s=dropped_s,
         played_s=None if clock is None else _ends(clock.timestamps_s - start_s),
         reasons={name: explanations[name] for name, data in found.items() if data is None},
     )
-
-
-def _recording_start(frames: PlayedFrames | None, groundtruth: PathSeries | None, errors: Array | None) -> float:
-    """The header timestamp at which the recording's time is 0: its first frame, or what is known of it otherwise."""
-    if frames is not None:
-        return float(frames.timestamps_s[0])
-    if groundtruth is not None:
-        return float(groundtruth.times_s[0])
-    return 0.0 if errors is None else float(errors[0, 0])
 
 
 def _usage_over_time(run_times_s: Array, values: Array, clock: RecordingClock | None, start_s: float) -> Samples:
@@ -268,13 +272,3 @@ def latency_of(frames: PlayedFrames, origin_s: float) -> Samples | None:
     """
     timestamps_s, latencies_s = frames.latencies()
     return stamped_samples(timestamps_s, latencies_s, origin_s) if len(timestamps_s) else None
-
-
-def _dropped_of(frames: PlayedFrames | None, latency: Samples | None) -> Array:
-    """The times of dropped frames on the time axis of ``latency``, at most ``MAX_POINTS``; none without it."""
-    if frames is None or latency is None or latency.origin_s is None:
-        return np.empty(0)
-    times_s = frames.dropped_timestamps_s() - latency.origin_s
-    kept = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), MAX_POINTS)).astype(np.int64))
-    found: Array = times_s[kept]
-    return found

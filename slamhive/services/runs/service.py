@@ -8,7 +8,6 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 from slamhive.base.clock import utc_now
@@ -189,7 +188,10 @@ class RunService(StoredRuns):
         # Fetched into another folder: the worker may store the complete log in the run's folder at the same time.
         with temporary_folder() as aside:
             path = aside / folder.log.name
-            self._fetch_log(run, path)
+            try:
+                self._executors.get(run.executor).save_log(handle_from_json(run.handle), path)
+            except SlamHiveError as error:
+                logger.info("log of run %d: %s", run.id, error)
             return read_tail(path, max_bytes) or read_tail(folder.log, max_bytes)
 
     def progress(self, run_id: int) -> RunProgress | None:
@@ -223,12 +225,6 @@ class RunService(StoredRuns):
     def moment(self, run_id: int, timestamp_s: float) -> Moment:
         """The error and the frame of a run at a header timestamp."""
         return moment_at(self.get(run_id), self.folder(run_id), timestamp_s)
-
-    def _fetch_log(self, run: RunRecord, path: Path) -> None:
-        try:
-            self._executors.get(run.executor).save_log(handle_from_json(run.handle or {}), path)
-        except SlamHiveError as error:
-            logger.info("log of run %d: %s", run.id, error)
 
 
 def _requests(

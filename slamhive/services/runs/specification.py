@@ -232,6 +232,7 @@ def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
     """The provenance of the run for ``run.json``; ``number`` is that of the package's version."""
     package = job.algorithm.package
     match = match_of(job.algorithm, job.seen, job.configuration.parameters, job.configuration.sensors)
+    used_map = job.input_map
     return {
         "software": f"slamhive {__version__}",
         "algorithm": {
@@ -254,17 +255,13 @@ def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
         "trajectory": job.algorithm.trajectory,
         **({"weights": {entry.weights.name: entry.sha256 for entry in job.weights}} if job.weights else {}),
         "match": MatchDocument.of_match(match).content,
-        **_map_provenance(job.input_map),
+        **({} if used_map is None else {"map": {**asdict(used_map.map), "dataset": used_map.dataset}}),
     }
 
 
 def with_made_variant(record: Mapping[str, Any], checksum: str) -> dict[str, Any]:
     """The dataset in the record of a run, once its node has made the variant."""
     return {**record["dataset"], _VARIANT_CHECKSUM: checksum}
-
-
-def _map_provenance(found: FoundMap | None) -> dict[str, Any]:
-    return {} if found is None else {"map": {**asdict(found.map), "dataset": found.dataset}}
 
 
 def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInput]:

@@ -126,19 +126,14 @@ class Versions:
         for package in sorted({record.package for record in records if wanted in (None, record.package)}):
             versions = [record for record in records if record.package == package and record.removed_at is None]
             for record in versions:
-                findings += self._verify_one(record, executors)
+                if not any(self._has(executor, record) for executor in executors):
+                    asked = ", ".join(executor.name for executor in executors) or "no executor"
+                    words = f"{record.identity[:19]} is gone ({asked} asked); {record.runs} runs used it"
+                    findings.append(VersionFinding(record.label, "missing", words))
+                folder = self._folder(record)
+                if folder.is_dir() and package_hash(folder) != record.package_hash:
+                    findings.append(VersionFinding(record.label, "edited", f"the kept folder {folder} was changed"))
             findings += self._verify_package(package, versions, executors)
-        return findings
-
-    def _verify_one(self, record: VersionRecord, executors: list[Executor]) -> list[VersionFinding]:
-        findings = []
-        if not any(self._has(executor, record) for executor in executors):
-            asked = ", ".join(executor.name for executor in executors) or "no executor"
-            words = f"{record.identity[:19]} is gone ({asked} asked); {record.runs} runs used it"
-            findings.append(VersionFinding(record.label, "missing", words))
-        folder = self._folder(record)
-        if folder.is_dir() and package_hash(folder) != record.package_hash:
-            findings.append(VersionFinding(record.label, "edited", f"the kept folder {folder} was changed"))
         return findings
 
     def _verify_package(

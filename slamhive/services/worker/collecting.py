@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from datetime import datetime
 
 from slamhive.base.errors import SlamHiveError
 from slamhive.base.settings import Settings
@@ -15,7 +14,7 @@ from slamhive.domain.run import RunState
 from slamhive.domain.trust import Disturbance, DisturbanceLimits, judge
 from slamhive.executors.status import Exited
 from slamhive.run_folder.folder import RunFolder
-from slamhive.run_folder.outcome import Evidence, Outcome, decide
+from slamhive.run_folder.outcome import decide
 from slamhive.run_folder.profiling import limit_metrics, measure_run, plots_are_missing, read_host_load, write_plots
 from slamhive.services.evaluations import protocols_of_all
 from slamhive.services.runs import repeat_if_disturbed
@@ -53,28 +52,6 @@ class Collecting:
         metrics = measure_run(hand.folder, hand.started_at, ended_at, saved.get("kernel_totals", {}), evidence)
         metrics |= limit_metrics(metrics, hand.spec.limits.cores)
         disturbance = judge_run(hand.folder, metrics, hand.context.settings)
-        self._seal(outcome, evidence, ended_at, metrics, disturbance)
-        # The outcome is stored: errors of cleaning up and drawing do not change it. The next worker does when it
-        # starts what is left undone here (``leftovers.py`` and :func:`make_missing`).
-        steps: tuple[Callable[[], None], ...] = (
-            lambda: hand.executor.remove(hand.handle),
-            lambda: remove_scratch(hand),
-            lambda: write_plots(hand.folder),
-        )
-        for step in steps:
-            try:
-                step()
-            except (SlamHiveError, OSError) as error:
-                logger.warning("run %d has ended, but: %s", hand.run.id, str(error))
-
-    def _seal(
-        self,
-        outcome: Outcome,
-        evidence: Evidence,
-        ended_at: datetime,
-        metrics: dict[str, float],
-        disturbance: Disturbance,
-    ) -> None:
         hand = self._hand
         poses = evidence.trajectory.poses
         ending = {
@@ -113,6 +90,18 @@ class Collecting:
             poses=poses,
             disturbance=disturbance,
         )
+        # The outcome is stored: errors of cleaning up and drawing do not change it. The next worker does when it
+        # starts what is left undone here (``leftovers.py`` and :func:`make_missing`).
+        steps: tuple[Callable[[], None], ...] = (
+            lambda: hand.executor.remove(hand.handle),
+            lambda: remove_scratch(hand),
+            lambda: write_plots(hand.folder),
+        )
+        for step in steps:
+            try:
+                step()
+            except (SlamHiveError, OSError) as error:
+                logger.warning("run %d has ended, but: %s", hand.run.id, str(error))
 
 
 def judge_run(folder: RunFolder, metrics: Mapping[str, float], settings: Settings) -> Disturbance:

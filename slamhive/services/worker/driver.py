@@ -52,7 +52,15 @@ class RunDriver:
         """
         hand = self._hand
         with ExitStack() as held:
-            self._hold_again(held)
+            if hand.run.state is not RunState.PREPARING and hand.keeper.readable():
+                # Another worker prepared the run: its own holds of the variant and the GPU ended with it.
+                if hand.run.variant and (key := variant_key(hand.saved())) is not None:
+                    held.enter_context(self._context.variants.hold_made(key))
+                leased = hand.executor.capabilities.gpu is GpuGiver.WORKER
+                if leased and hand.run.state in (RunState.STARTING, RunState.RUNNING):
+                    gpu = hand.saved().get("gpu")
+                    if gpu is not None:
+                        held.enter_context(hold_gpu(hand, [Gpu(**gpu)]))
             steps: dict[RunState, Callable[[], None]] = {
                 RunState.PREPARING: Preparing(hand, held).prepare,
                 RunState.STARTING: self._start,
@@ -90,19 +98,6 @@ class RunDriver:
             RunState.STARTING: FailureReason.START_ERROR,
         }
         hand.fail(reasons.get(hand.run.state, FailureReason.LOST), why)
-
-    def _hold_again(self, held: ExitStack) -> None:
-        """Hold the variant and the GPU of a run that another worker prepared: its own holds ended with it."""
-        hand = self._hand
-        if hand.run.state is RunState.PREPARING or not hand.keeper.readable():
-            return
-        if hand.run.variant and (key := variant_key(hand.saved())) is not None:
-            held.enter_context(self._context.variants.hold_made(key))
-        leased = hand.executor.capabilities.gpu is GpuGiver.WORKER
-        if leased and hand.run.state in (RunState.STARTING, RunState.RUNNING):
-            gpu = hand.saved().get("gpu")
-            if gpu is not None:
-                held.enter_context(hold_gpu(hand, [Gpu(**gpu)]))
 
     def _start(self) -> None:
         hand = self._hand

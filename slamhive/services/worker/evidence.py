@@ -76,6 +76,11 @@ def gather_evidence(
     cause = saved.get(STOPPED_BECAUSE)
     said = read_tail(folder.log)
     rule = saved.get(STOP_RULE, {})
+    # Images go on without a recording, and end as if nothing had happened.
+    unplayed = (read_untrusted_json(folder.playback, MAX_ABOUT_BYTES) or {}).get("error")
+    player_error = None
+    if isinstance(unplayed, str) and unplayed:
+        player_error = f"the recording was not played: {printable(unplayed)}"
     return Evidence(
         exit_code=status.exit_code if isinstance(status, Exited) else None,
         out_of_memory=isinstance(status, Exited) and status.out_of_memory,
@@ -96,14 +101,9 @@ def gather_evidence(
         gone_because=_gone_because(status, saved, taken_along=taken_along),
         trajectory=_trajectory(saved[LEFT]["trajectory"]),
         error_line=last_error_line(said),
-        player_error=_player_error(folder),  # images go on without a recording, and end as if nothing had happened
+        player_error=player_error,
         denied_to=RunUser(saved["spec"].get("user", "worker")).in_words if DENIED in said else None,
     )
-
-
-def _player_error(folder: RunFolder) -> str | None:
-    problem = (read_untrusted_json(folder.playback, MAX_ABOUT_BYTES) or {}).get("error")
-    return f"the recording was not played: {printable(problem)}" if isinstance(problem, str) and problem else None
 
 
 def look_at(folder: RunFolder, found: Survey) -> dict[str, Any]:

@@ -221,8 +221,12 @@ class Worker:
                 if said != str(error):
                     said = str(error)
                     logger.warning("run %d waits: %s", run.id, said)
-                if isinstance(error, EngineUnavailable) and (queued := self._put_back(run, said)):
-                    return queued
+                # A run that was not started waits in the queue for its engine, without blocking the slot. One that has
+                # started keeps the slot: it may still be running, and another would disturb its measurement.
+                hand = RunInHand(self._context, run, None)
+                if isinstance(error, EngineUnavailable) and hand.put_back(f"waits: {said}"):
+                    self._absent.note(run.executor)
+                    return hand.run
                 self._stopping.wait(TROUBLE_PAUSE_S)
                 if self._stopping.is_set():
                     raise WorkerStopping(f"run {run.id} waits for the next worker") from None
@@ -234,18 +238,6 @@ class Worker:
             run = self._reloaded(run)
             if run.state.ended:
                 return run
-
-    def _put_back(self, run: RunRecord, why: str) -> RunRecord | None:
-        """Queue a run that was not started again, so that it waits for its engine without blocking the slot.
-
-        A run that has started keeps the slot (None): it may still be running, and another would disturb its
-        measurement.
-        """
-        hand = RunInHand(self._context, run, None)
-        if not hand.put_back(f"waits: {why}"):
-            return None
-        self._absent.note(run.executor)
-        return hand.run
 
     def _reloaded(self, run: RunRecord) -> RunRecord:
         """Read the run again and renew its lease; raises LeaseLost if another worker has taken it."""
