@@ -128,18 +128,14 @@ def _problem(value: object, not_text: re.Pattern[str], levels: int) -> tuple[tup
         if levels == 0:
             return (), "is nested too deeply"
         for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            found = _key_problem(key, not_text) or _problem(item, not_text, levels - 1)
+            broken = _scalar_problem(key, not_text)
+            found = _problem(item, not_text, levels - 1) if broken is None else ((), f"the key {broken}")
             if found is not None:
                 path, problem = found
                 return (_named(key), *path), problem
         return None
     broken = _scalar_problem(value, not_text)
     return None if broken is None else ((), broken)
-
-
-def _key_problem(key: object, not_text: re.Pattern[str]) -> tuple[tuple[str, ...], str] | None:
-    problem = _scalar_problem(key, not_text)
-    return None if problem is None else ((), f"the key {problem}")
 
 
 def _scalar_problem(value: object, not_text: re.Pattern[str]) -> str | None:

@@ -9,7 +9,7 @@ import socket
 import threading
 import weakref
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
@@ -242,7 +242,10 @@ class _Server(TcpWSGIServer):  # type: ignore[misc]
         rivals = [channel for channel in channels if channel.client == client]
         if limits.exempt in {"*", addr[0]} or len(rivals) < limits.per_client:
             rivals = channels if len(channels) >= limits.connections else []
-        leaving = _least_missed(rivals)
+        # The one that has waited longest, of the client with most that wait, is missed least. None can go if all work.
+        waiting = [channel for channel in rivals if channel.can_go]
+        count = Counter(channel.client for channel in waiting)
+        leaving = min(waiting, key=lambda channel: (-count[channel.client], channel.waits_since_s), default=None)
         if leaving is not None:
             leaving.handle_close()
         crowded = bool(rivals) and leaving is None
@@ -287,13 +290,6 @@ def client_of(address: str) -> IPv4Address | IPv6Network:
     if isinstance(found, IPv4Address):
         return found
     return found.ipv4_mapped or IPv6Network((found, 128 if found.is_loopback else 64), strict=False)
-
-
-def _least_missed(channels: Sequence[_Channel]) -> _Channel | None:
-    """The connection that has waited longest, of the client with most that wait; None if all are at work."""
-    waiting = [channel for channel in channels if channel.can_go]
-    count = Counter(channel.client for channel in waiting)
-    return min(waiting, key=lambda channel: (-count[channel.client], channel.waits_since_s), default=None)
 
 
 class HttpServer:

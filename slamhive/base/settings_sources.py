@@ -179,12 +179,20 @@ def _given(
     project_root: Path, environment: Mapping[str, str] | None, options: Mapping[str, Any] | None, further: Declared
 ) -> dict[str, tuple[Any, str]]:
     """The settings that are not left at their defaults: value and source. Later sources win."""
-    variables = _variables(os.environ if environment is None else environment)
+    prefix = ENVIRONMENT_PREFIX.lower()
+    variables = {
+        name.lower().removeprefix(prefix): value
+        for name, value in (os.environ if environment is None else environment).items()
+        if value and name.lower().startswith(prefix)
+    }
     given: dict[str, tuple[Any, str]] = {}
     for name, raw in _configuration_values(project_root / CONFIGURATION_FILE, further).items():
         given[name] = raw, CONFIGURATION_FILE
     own = {name: raw for name, raw in variables.items() if name in SETTINGS}
-    for name, raw in (own | _declared_in(variables, further)).items():
+    # Plug-ins are asked for the settings that they declare only where something may be one.
+    strange = {name: raw for name, raw in variables.items() if name not in {_ROOT, *SETTINGS}}
+    declared = {entry.name for entry in further()} if strange else set()
+    for name, raw in (own | {name: raw for name, raw in strange.items() if name in declared}).items():
         given[name] = raw, f"environment variable {_variable(name)}"
     for name, raw in (options or {}).items():
         if raw is not None:
@@ -194,22 +202,6 @@ def _given(
 
 def _variable(name: str) -> str:
     return ENVIRONMENT_PREFIX + name.upper()
-
-
-def _variables(environment: Mapping[str, str]) -> dict[str, str]:
-    """The variables with the prefix that are not empty: by the rest of their names, in lower case."""
-    prefix = ENVIRONMENT_PREFIX.lower()
-    return {
-        name.lower().removeprefix(prefix): value
-        for name, value in environment.items()
-        if value and name.lower().startswith(prefix)
-    }
-
-
-def _declared_in(variables: Mapping[str, str], further: Declared) -> dict[str, str]:
-    """The values of declared settings among ``variables``."""
-    strange = {name: value for name, value in variables.items() if name not in {_ROOT, *SETTINGS}}
-    return {entry.name: strange[entry.name] for entry in further() if entry.name in strange} if strange else {}
 
 
 def _configuration_values(path: Path, further: Declared) -> dict[str, Any]:

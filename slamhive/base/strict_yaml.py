@@ -220,16 +220,15 @@ def dump(content: dict[str, Any]) -> str:
     yaml.allow_unicode = True
     yaml.width = 110
     stream = io.StringIO()
-    yaml.emit(_document_events(content), stream)
+    document: list[events.Event] = [
+        events.StreamStartEvent(),
+        events.DocumentStartEvent(explicit=False),
+        *_events(content),
+        events.DocumentEndEvent(explicit=False),
+        events.StreamEndEvent(),
+    ]
+    yaml.emit(document, stream)
     return re.sub(r" +$", "", stream.getvalue(), flags=re.MULTILINE)  # the emitter leaves them where it breaks lists
-
-
-def _document_events(content: dict[str, Any]) -> Iterator[events.Event]:
-    yield events.StreamStartEvent()
-    yield events.DocumentStartEvent(explicit=False)
-    yield from _events(content)
-    yield events.DocumentEndEvent(explicit=False)
-    yield events.StreamEndEvent()
 
 
 def _events(value: Any, *, in_one_line: bool = False) -> Iterator[events.Event]:
@@ -252,7 +251,12 @@ def _events(value: Any, *, in_one_line: bool = False) -> Iterator[events.Event]:
         bare = not (sign or _NEEDS_QUOTES.fullmatch(value))
         yield events.ScalarEvent(None, _text_tag(), (bare, True, True), value, style=style)
     else:
-        yield events.ScalarEvent(None, None, (True, False, True), _scalar(value))
+        text = "null" if value is None else repr(value)
+        if isinstance(value, bool):
+            text = text.lower()
+        elif "." not in text:
+            text = text.replace("e", ".0e")  # YAML 1.1 takes 1e-9 for text
+        yield events.ScalarEvent(None, None, (True, False, True), text)
 
 
 _YAML_1_1 = r"""
@@ -271,10 +275,3 @@ def _text_tag() -> Any:
     from ruamel.yaml.tag import Tag  # noqa: PLC0415
 
     return Tag(suffix="tag:yaml.org,2002:str")
-
-
-def _scalar(value: bool | float | None) -> str:
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    text = repr(value)
-    return text if "." in text else text.replace("e", ".0e")  # YAML 1.1 takes 1e-9 for text

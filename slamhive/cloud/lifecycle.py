@@ -241,38 +241,31 @@ class Rising:
         self._store(prepared=True)
 
     def _start(self, roles: Sequence[str], found: Sequence[Resource]) -> None:
-        firewall, image = in_role(found, FIREWALL), in_role(found, IMAGE)
+        record, firewall, image = self._record, in_role(found, FIREWALL), in_role(found, IMAGE)
         if firewall is None:
             return
-        if image is None and self._record.prepared:
-            raise Unavailable(
-                f"the prepared machine of cluster {self._record.name} has ended", _DOWN.format(self._record.name)
-            )
+        if image is None and record.prepared:
+            raise Unavailable(f"the prepared machine of cluster {record.name} has ended", _DOWN.format(record.name))
         for role in roles:
-            launch = self._launch(role, firewall, None if image is None else image.id)
+            node = NodeOrders(
+                cluster=record.name,
+                number=int(role.rpartition("-")[2]),
+                join=self._hands.join,
+                public_key=self._hands.public_key,
+                waits=self._order.prepare is not None and image is None,
+                made_at=record.made_at,
+                ends_at=record.ends_at,
+            )
+            launch = Launch(
+                name=node.name,
+                image=self._order.image if image is None else image.id,
+                firewall=firewall.id,
+                user_data=user_data(self._order, node),
+                token=f"{record.uid}-{role}",
+                ends_at=record.ends_at,
+                tags=self._tags(role),
+            )
             self._hands.provider.start(self._order, launch)
-
-    def _launch(self, role: str, firewall: Resource, image: str | None) -> Launch:
-        record, number = self._record, int(role.rpartition("-")[2])
-        waits = self._order.prepare is not None and image is None
-        node = NodeOrders(
-            cluster=record.name,
-            number=number,
-            join=self._hands.join,
-            public_key=self._hands.public_key,
-            waits=waits,
-            made_at=record.made_at,
-            ends_at=record.ends_at,
-        )
-        return Launch(
-            name=node.name,
-            image=image or self._order.image,
-            firewall=firewall.id,
-            user_data=user_data(self._order, node),
-            token=f"{record.uid}-{role}",
-            ends_at=record.ends_at,
-            tags=self._tags(role),
-        )
 
     def _name(self) -> str:
         return cloud_name(self._record)

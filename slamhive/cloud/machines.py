@@ -48,17 +48,30 @@ class NodeOrders:
 
 def user_data(order: CloudFile, node: NodeOrders) -> str:
     """The cloud-config of a machine; raises InvalidInput if the join command is too long."""
+    conditions = f"ConditionPathExists={PREPARED}\nConditionPathExists=!{PREPARED}.joined\n"
+    head = f"[Unit]\nAfter=network-online.target cloud-config.service\nWants=network-online.target\n{conditions}"
+    join_unit = f"{head}{_unit({'ExecStart': JOIN})}[Install]\nWantedBy=multi-user.target\n"
+    # Ends the machine at a date, also after a restart; and a lifetime after its boot if its clock is wrong.
+    # The text depends on the cluster alone, because a repeated order has to be the same one.
+    ends_at = node.ends_at - END_MARGIN
+    lifetime_min = max(1, int((ends_at - node.made_at).total_seconds() // 60))
+    when = f"OnCalendar={ends_at:%Y-%m-%d %H:%M:%S} UTC\nOnBootSec={lifetime_min}min\nPersistent=true\n"
+    timer = f"[Timer]\n{when}[Install]\nWantedBy=timers.target\n"
     files = [
         _file(f"{UNITS}/slamhive-end.service", _unit({"ExecStart": "/usr/bin/systemctl poweroff --force"})),
-        _file(f"{UNITS}/slamhive-end.timer", _timer(node)),
+        _file(f"{UNITS}/slamhive-end.timer", timer),
         _file(JOIN, _script(node), "0700"),
-        _file(f"{UNITS}/slamhive-join.service", _join_unit()),
+        _file(f"{UNITS}/slamhive-join.service", join_unit),
     ]
     if not node.waits:
         files.append(_file(PREPARED, ""))
+    users: dict[str, object] = {}
+    if node.public_key is not None and order.prepare is not None:
+        login = {"name": order.prepare.user, "sudo": "ALL=(ALL) NOPASSWD:ALL", "shell": "/bin/bash"}
+        users = {"users": ["default", {**login, "ssh_authorized_keys": [node.public_key]}]}
     config = {
         "write_files": files,
-        **({} if node.public_key is None or order.prepare is None else {"users": _users(order.prepare.user, node)}),
+        **users,
         "runcmd": [
             ["systemctl", "daemon-reload"],
             ["systemctl", "enable", "--now", "slamhive-end.timer"],
@@ -75,11 +88,6 @@ def user_data(order: CloudFile, node: NodeOrders) -> str:
     return text
 
 
-def _users(user: str, node: NodeOrders) -> list[object]:
-    login = {"name": user, "sudo": "ALL=(ALL) NOPASSWD:ALL", "shell": "/bin/bash"}
-    return ["default", {**login, "ssh_authorized_keys": [node.public_key]}]
-
-
 def _file(path: str, content: str, permissions: str = "0644") -> dict[str, str]:
     return {"path": path, "content": content, "permissions": permissions}
 
@@ -89,27 +97,10 @@ def _unit(service: Mapping[str, str]) -> str:
     return f"[Service]\nType=oneshot\n{lines}"
 
 
-def _timer(node: NodeOrders) -> str:
-    """Ends the machine at a date, also after a restart; and a lifetime after its boot if its clock is wrong.
-
-    The text depends on the cluster alone, because a repeated order has to be the same one.
-    """
-    ends_at = node.ends_at - END_MARGIN
-    lifetime_min = max(1, int((ends_at - node.made_at).total_seconds() // 60))
-    when = f"OnCalendar={ends_at:%Y-%m-%d %H:%M:%S} UTC\nOnBootSec={lifetime_min}min\nPersistent=true\n"
-    return f"[Timer]\n{when}[Install]\nWantedBy=timers.target\n"
-
-
 def _script(node: NodeOrders) -> str:
     variables = {"SLAMHIVE_NODE": node.name, "SLAMHIVE_CLUSTER": node.cluster}
     exports = "".join(f"export {name}={shlex.quote(text)}\n" for name, text in variables.items())
     return f"#!/bin/sh\nset -eu\n{exports}{node.join}\ntouch {PREPARED}.joined\n"
-
-
-def _join_unit() -> str:
-    conditions = f"ConditionPathExists={PREPARED}\nConditionPathExists=!{PREPARED}.joined\n"
-    head = f"[Unit]\nAfter=network-online.target cloud-config.service\nWants=network-online.target\n{conditions}"
-    return f"{head}{_unit({'ExecStart': JOIN})}[Install]\nWantedBy=multi-user.target\n"
 
 
 ATTEMPTS = 60
@@ -143,7 +134,10 @@ class Preparer:
         login = self._login(record, prepare, address)
         self._wait(login, address)
         if prepare.datasets:
-            self._copy_datasets(login, prepare.datasets)
+            target = shlex.quote(prepare.datasets)
+            unpack = _as_root(f"mkdir -p {target} && tar -C {target} -x")
+            for path in self._datasets:
+                self._pipe(["tar", "-C", str(path.parent), "-c", path.name], [*login, unpack])
         if prepare.images is not None:
             source = [*shlex.split(prepare.images.save), *prepare.images.names]
             self._pipe(source, [*login, _as_root(prepare.images.load)])
@@ -174,12 +168,6 @@ class Preparer:
                 raise Unavailable(f"cloud-init failed on {address}: {_last(done)}", "look at its log on the machine")
             self._clock.sleep(ATTEMPT_S)
         raise Unavailable(f"SSH does not answer at {address}: {_last(done)}", "check firewall, user and key")
-
-    def _copy_datasets(self, login: Sequence[str], folder: str) -> None:
-        target = shlex.quote(folder)
-        unpack = _as_root(f"mkdir -p {target} && tar -C {target} -x")
-        for path in self._datasets:
-            self._pipe(["tar", "-C", str(path.parent), "-c", path.name], [*login, unpack])
 
     def _pipe(self, source: Sequence[str], target: Sequence[str]) -> None:
         """Run ``source | target``; raises Unavailable if one of them fails."""

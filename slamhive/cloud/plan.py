@@ -235,7 +235,7 @@ def planned_roles(nodes: int, *, image: bool) -> tuple[str, ...]:
 def make_plan(order: CloudFile, work: Work, now: datetime) -> CloudPlan:
     """Compute the plan; raises InvalidInput for prices that are old or missing, and if budget or time is too short."""
     hour_price = _hour_price(order, now)
-    prepare_h = _prepare_h(order, work)
+    prepare_h = work.data_bytes * 8e-6 / order.prepare.upload_mbit_s / 3600 if order.prepare is not None else 0.0
     nodes = order.nodes or _nodes(order, work, prepare_h)
     needs_image = order.prepare is not None and nodes > 1
     run_h = work.hours / min(nodes * order.runs_per_node, work.runs or math.inf)
@@ -245,7 +245,21 @@ def make_plan(order: CloudFile, work: Work, now: datetime) -> CloudPlan:
     image_day = order.prices.image_gb_month * order.disk_gb * 24 / HOURS_OF_MONTH if needs_image else 0.0
     expected = hour_price * (total_h + (nodes - 1) * (BOOT_H + run_h)) + image_day / 24 * total_h
     hourly = hour_price * nodes + image_day / 24
-    lifetime_h = _lifetime_h(order, hourly, total_h)
+    # Machines end themselves at the deadline, or when the budget is spent.
+    affordable_h = order.budget / hourly if hourly > 0 else math.inf
+    needed_h = max(total_h, LEAST_LIFETIME_H)
+    if affordable_h < needed_h:
+        raise InvalidInput(
+            f"budget {order.budget:g} {order.prices.currency} is too low: all machines for {needed_h:.1f} h cost "
+            f"{hourly * needed_h:.2f} {order.prices.currency}",
+            "raise the budget, or choose fewer or cheaper machines",
+        )
+    if order.deadline_h < needed_h:
+        raise InvalidInput(
+            f"deadline_h {order.deadline_h:g} is too short: the work takes about {needed_h:.1f} h",
+            "raise the deadline, or rent more machines",
+        )
+    lifetime_h = min(order.deadline_h, affordable_h)
     return CloudPlan(
         name=order.name,
         provider=order.provider.value,
@@ -290,10 +304,6 @@ def _hour_price(order: CloudFile, now: datetime) -> float:
     return prices.per_hour[order.instance_type] + prices.disk_gb_month * order.disk_gb / HOURS_OF_MONTH + address
 
 
-def _prepare_h(order: CloudFile, work: Work) -> float:
-    return work.data_bytes * 8e-6 / order.prepare.upload_mbit_s / 3600 if order.prepare is not None else 0.0
-
-
 def _nodes(order: CloudFile, work: Work, prepare_h: float) -> int:
     """Number of machines that finish the work in ``finish_within_h``."""
     within_h = order.finish_within_h or math.inf
@@ -308,21 +318,3 @@ def _nodes(order: CloudFile, work: Work, prepare_h: float) -> int:
             f"at most {MOST_NODES} machines are allowed, and preparing them takes time: allow more hours",
         )
     return max(1, int(nodes))
-
-
-def _lifetime_h(order: CloudFile, hourly: float, total_h: float) -> float:
-    """Time when machines end themselves: the deadline, or the end of the budget. Raises InvalidInput if too early."""
-    affordable_h = order.budget / hourly if hourly > 0 else math.inf
-    needed_h = max(total_h, LEAST_LIFETIME_H)
-    if affordable_h < needed_h:
-        raise InvalidInput(
-            f"budget {order.budget:g} {order.prices.currency} is too low: all machines for {needed_h:.1f} h cost "
-            f"{hourly * needed_h:.2f} {order.prices.currency}",
-            "raise the budget, or choose fewer or cheaper machines",
-        )
-    if order.deadline_h < needed_h:
-        raise InvalidInput(
-            f"deadline_h {order.deadline_h:g} is too short: the work takes about {needed_h:.1f} h",
-            "raise the deadline, or rent more machines",
-        )
-    return min(order.deadline_h, affordable_h)

@@ -190,7 +190,10 @@ def _judge(evidence: Evidence) -> Outcome:
     exit_counts = evidence.gone_because is None and not evidence.lingered
     if exit_counts and evidence.exit_code != 0:
         if evidence.refused_processes:
-            return _failed(FailureReason.PROCESS_LIMIT, _refused_text(evidence), trajectory)
+            ending = _exit_text(evidence.exit_code, evidence.error_line)
+            limit = _process_limit(evidence.most_processes)
+            detail = f"{ending}, after it was refused processes beyond its {limit}; raise RUN_PIDS"
+            return _failed(FailureReason.PROCESS_LIMIT, detail, trajectory)
         detail = _exit_text(evidence.exit_code, evidence.error_line) + _denied_text(evidence)
         return _failed(FailureReason.NONZERO_EXIT, detail, trajectory)
     if trajectory.problem is not None:
@@ -203,9 +206,19 @@ def _judge(evidence: Evidence) -> Outcome:
 def _ended_from_outside(evidence: Evidence) -> Outcome | None:
     """Rules 1 to 6: something else ended the run, so that its exit code and its files do not tell."""
     trajectory = evidence.trajectory
-    limit_exceeded = _limit_exceeded(evidence)
-    if limit_exceeded is not None:
-        return _failed(*limit_exceeded, trajectory)
+    if evidence.out_of_memory:
+        held = evidence.memory_limit_bytes
+        limit = "its memory limit" if held is None else f"its memory limit of {held / 1e6:.0f} MB"
+        detail = f"killed at {limit}; raise it with --memory, or give the algorithm less to keep"
+        return _failed(FailureReason.OUT_OF_MEMORY, detail, trajectory)
+    if evidence.disk_exceeded is not None:
+        detail = f"wrote {evidence.disk_exceeded}; {_DISK_REMEDY}"
+        return _failed(FailureReason.DISK_LIMIT, detail, trajectory)
+    if evidence.process_limit:
+        remedy = "raise RUN_PIDS if the algorithm needs more, or let it start fewer threads"
+        limit = _process_limit(evidence.most_processes)
+        detail = f"killed because it kept starting processes beyond its {limit}; {remedy}"
+        return _failed(FailureReason.PROCESS_LIMIT, detail, trajectory)
     if evidence.timed_out:
         limit = "" if evidence.timeout_s is None else f" of {evidence.timeout_s:.0f} s"
         return _failed(FailureReason.TIMEOUT, f"still running at the time limit{limit}", trajectory)
@@ -213,17 +226,6 @@ def _ended_from_outside(evidence: Evidence) -> Outcome | None:
         return _failed(evidence.ended_early.reason, evidence.ended_early.detail, trajectory)
     if evidence.gone_because is not None and not (evidence.finished and trajectory.problem is None):
         return _failed(FailureReason.LOST, evidence.gone_because, trajectory)
-    return None
-
-
-def _limit_exceeded(evidence: Evidence) -> tuple[FailureReason, str] | None:
-    """Rules 1 to 3: the limit of what a run may use that ended it, in words."""
-    if evidence.out_of_memory:
-        return FailureReason.OUT_OF_MEMORY, _memory_text(evidence.memory_limit_bytes)
-    if evidence.disk_exceeded is not None:
-        return FailureReason.DISK_LIMIT, f"wrote {evidence.disk_exceeded}; {_DISK_REMEDY}"
-    if evidence.process_limit:
-        return FailureReason.PROCESS_LIMIT, _processes_text(evidence.most_processes)
     return None
 
 
@@ -281,23 +283,6 @@ def is_finished(path: Path) -> bool:
 
 def _failed(reason: FailureReason, detail: str, trajectory: TrajectoryCheck) -> Outcome:
     return Outcome(RunState.FAILED, reason, detail, trajectory.poses)
-
-
-def _memory_text(limit_bytes: int | None) -> str:
-    limit = "its memory limit" if limit_bytes is None else f"its memory limit of {limit_bytes / 1e6:.0f} MB"
-    return f"killed at {limit}; raise it with --memory, or give the algorithm less to keep"
-
-
-def _processes_text(limit: int | None) -> str:
-    remedy = "raise RUN_PIDS if the algorithm needs more, or let it start fewer threads"
-    return f"killed because it kept starting processes beyond its {_process_limit(limit)}; {remedy}"
-
-
-def _refused_text(evidence: Evidence) -> str:
-    ending = _exit_text(evidence.exit_code, evidence.error_line)
-    return (
-        f"{ending}, after it was refused processes beyond its {_process_limit(evidence.most_processes)}; raise RUN_PIDS"
-    )
 
 
 def _process_limit(limit: int | None) -> str:

@@ -249,7 +249,11 @@ def _thin(pieces: Iterable[FloatArray], sample: FloatArray, most: int) -> tuple[
     Voxels grow whenever more than ``most`` are occupied. So memory holds ``most`` rows and a piece.
     """
     middle_m = np.median(sample[:, :3], axis=0)
-    voxel_m = _first_voxel_m(sample, middle_m, most)
+    # Surely small enough to begin with: all points occupy at least as many as a sample of them.
+    near_m, far_m = np.percentile(sample[:, :3], (2, 98), axis=0)
+    voxel_m = max(float((far_m - near_m).max()) / _FIRST_VOXELS, 1e-6)
+    while len(np.unique(_keys(sample, middle_m, voxel_m))) > _FIRST_SHARE * most:
+        voxel_m *= _COARSER
     rows, keys = sample[:0], np.empty(0, dtype=np.int64)
     for piece in pieces:
         points = finite(piece)
@@ -258,15 +262,6 @@ def _thin(pieces: Iterable[FloatArray], sample: FloatArray, most: int) -> tuple[
             voxel_m *= _COARSER
             rows, keys = _merged(rows[:0], keys[:0], rows, _keys(rows, middle_m, voxel_m))
     return rows, voxel_m
-
-
-def _first_voxel_m(sample: FloatArray, middle_m: FloatArray, most: int) -> float:
-    """Voxels that are surely small enough: all points occupy at least as many as a sample of them."""
-    near_m, far_m = np.percentile(sample[:, :3], (2, 98), axis=0)
-    voxel_m = max(float((far_m - near_m).max()) / _FIRST_VOXELS, 1e-6)
-    while len(np.unique(_keys(sample, middle_m, voxel_m))) > _FIRST_SHARE * most:
-        voxel_m *= _COARSER
-    return voxel_m
 
 
 def _merged(rows: FloatArray, keys: _Keys, more: FloatArray, found: _Keys) -> tuple[FloatArray, _Keys]:

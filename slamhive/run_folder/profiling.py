@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -46,12 +45,18 @@ def read_host_load(path: Path) -> HostLoad:
     cores = columns["cores"][np.isfinite(columns["cores"])]
     throttles = columns["throttles"][np.isfinite(columns["throttles"])]
     frequencies_hz = columns["frequency"][np.isfinite(columns["frequency"])]
+    data = read_untrusted_lines(path, _MAX_BYTES)
+    not_measured: tuple[str, ...] = ("the machine was not watched",)
+    if data is not None:
+        lines = data.decode("utf-8", errors="replace").splitlines()
+        told = (line.removeprefix(NOT_MEASURED).strip() for line in lines if line.startswith(NOT_MEASURED))
+        not_measured = tuple(dict.fromkeys(told))
     return HostLoad(
         cores=int(cores[-1]) if len(cores) else 0,
         intervals=intervals,
         throttle_events=max(0, int(throttles[-1] - throttles[0])) if len(throttles) else None,
         frequency_hz=float(frequencies_hz.mean()) if len(frequencies_hz) else None,
-        not_measured=_not_measured(path),
+        not_measured=not_measured,
     )
 
 
@@ -87,15 +92,6 @@ def _interval(before: FloatArray, after: FloatArray) -> HostInterval | None:
 def _grown(difference: float) -> float | None:
     """By how much a counter has grown, at least 0: two of them are not read at the same instant."""
     return max(0.0, float(difference)) if np.isfinite(difference) else None
-
-
-def _not_measured(path: Path) -> tuple[str, ...]:
-    data = read_untrusted_lines(path, _MAX_BYTES)
-    if data is None:
-        return ("the machine was not watched",)
-    lines = data.decode("utf-8", errors="replace").splitlines()
-    told = (line.removeprefix(NOT_MEASURED).strip() for line in lines if line.startswith(NOT_MEASURED))
-    return tuple(dict.fromkeys(told))
 
 
 _MAX_CSV_BYTES = 200_000_000
@@ -163,7 +159,13 @@ def measure_run(
     if evidence.trajectory.poses is not None:
         metrics["poses"] = float(evidence.trajectory.poses)
     profile = read_profile(folder.profiling)
-    metrics.update(_usage_metrics(profile))
+    if len(profile) > 0:
+        weights_s = profile.weights_s
+        metrics["cpu.mean"] = float(np.average(profile.cpu_cores, weights=weights_s))
+        metrics["cpu.p95"] = weighted_percentile(profile.cpu_cores, weights_s, 95)
+        metrics["cpu.max"] = float(profile.cpu_cores.max())
+        metrics["ram.mean"] = float(np.average(profile.memory_bytes, weights=weights_s))
+        metrics["ram.max"] = float(profile.memory_bytes.max())
     metrics.update(kernel_totals)
     metrics.update(_frame_metrics(folder.frames, profile))
     metrics.update(_energy_metrics(folder.energy, duration_s))
@@ -205,18 +207,6 @@ def plots_are_missing(folder: RunFolder) -> bool:
     """Return whether there is something to plot that :func:`write_plots` has not plotted."""
     plots = (folder.profiling_cpu_plot, folder.profiling_ram_plot)
     return folder.profiling.is_file() and not all(plot.exists() for plot in plots)
-
-
-def _usage_metrics(profile: Profile) -> dict[str, float]:
-    metrics: dict[str, float] = {}
-    if len(profile) > 0:
-        weights_s = profile.weights_s
-        metrics["cpu.mean"] = float(np.average(profile.cpu_cores, weights=weights_s))
-        metrics["cpu.p95"] = weighted_percentile(profile.cpu_cores, weights_s, 95)
-        metrics["cpu.max"] = float(profile.cpu_cores.max())
-        metrics["ram.mean"] = float(np.average(profile.memory_bytes, weights=weights_s))
-        metrics["ram.max"] = float(profile.memory_bytes.max())
-    return metrics
 
 
 def _frame_metrics(path: Path, profile: Profile) -> dict[str, float]:
@@ -295,19 +285,14 @@ def _playback_metrics(path: Path, started_at: datetime, run_duration_s: float) -
     began_at_s = measured_number(content.get("began_at_s"))
     if began_at_s is not None and 0 <= began_at_s - started_at.timestamp() <= run_duration_s:
         metrics["startup"] = began_at_s - started_at.timestamp()
-    dropped = _dropped_in_queues(content.get("queues"))
-    if dropped is not None:
-        metrics["queues.dropped"] = dropped
+    # The sum over all queues is not known if one of them says no number.
+    queues = content.get("queues")
+    if isinstance(queues, list) and queues:
+        counts = [measured_number(queue.get("dropped")) if isinstance(queue, dict) else None for queue in queues]
+        known = [count for count in counts if count is not None]
+        if len(known) == len(counts):
+            metrics["queues.dropped"] = sum(known)
     return metrics
-
-
-def _dropped_in_queues(queues: Any) -> float | None:
-    """The sum over all queues; None if a queue says no number, or if there are none."""
-    if not isinstance(queues, list) or not queues:
-        return None
-    counts = [measured_number(queue.get("dropped")) if isinstance(queue, dict) else None for queue in queues]
-    known = [count for count in counts if count is not None]
-    return sum(known) if len(known) == len(counts) else None
 
 
 def _localisation_metrics(path: Path) -> dict[str, float]:

@@ -220,7 +220,14 @@ def settle(folder: RunFolder, found: Survey, limits: DiskLimits) -> list[str]:
     scratch space, which takes no time whatever its size. Raises OSError.
     """
     if found.exceeded is not None:
-        _set_aside(folder, limits)
+        # A new folder takes the place of the old one. It can be done again if it was cut off.
+        fresh = folder.work / "kept"
+        fresh.mkdir(parents=True, exist_ok=True)
+        for name in _kept(folder, limits):
+            (folder.result / name).rename(fresh / name)
+        if folder.result.exists():
+            folder.result.rename(Path(tempfile.mkdtemp(dir=folder.work)) / folder.result.name)
+        fresh.rename(folder.result)
     problems: list[str] = []
     owner = _owner(folder.result)
     for entry in walk(folder.result):
@@ -238,36 +245,20 @@ def removed_in_words(removed: Mapping[str, int]) -> str:
     return f"removed from its result: {parts}" if parts else ""
 
 
-def _set_aside(folder: RunFolder, limits: DiskLimits) -> None:
-    """Put a new result folder with what stays in the place of the old one; can be done again if it was cut off."""
-    fresh = folder.work / "kept"
-    fresh.mkdir(parents=True, exist_ok=True)
-    for name in _kept(folder, limits):
-        (folder.result / name).rename(fresh / name)
-    if folder.result.exists():
-        folder.result.rename(Path(tempfile.mkdtemp(dir=folder.work)) / folder.result.name)
-    fresh.rename(folder.result)
-
-
 def _kept(folder: RunFolder, limits: DiskLimits) -> set[str]:
     """The names of the contract's files that fit into the limit together, the most wanted first."""
     room_bytes = math.inf if limits.size_bytes is None else limits.size_bytes
     kept = set()
     for path in folder.contract_files:
-        size_bytes = _plain_size_bytes(path)
-        if size_bytes is not None and size_bytes <= room_bytes:
+        try:
+            status = path.lstat()
+        except OSError:
+            continue
+        size_bytes = _size_bytes(status)
+        if stat.S_ISREG(status.st_mode) and size_bytes <= room_bytes:
             kept.add(path.name)
             room_bytes -= size_bytes
     return kept
-
-
-def _plain_size_bytes(path: Path) -> int | None:
-    """The room that a plain file takes; None if it is none."""
-    try:
-        status = path.lstat()
-    except OSError:
-        return None
-    return _size_bytes(status) if stat.S_ISREG(status.st_mode) else None
 
 
 def _size_bytes(status: os.stat_result) -> int:

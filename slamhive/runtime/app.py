@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Protocol
 
 from slamhive.base.files import write_aside
@@ -52,22 +51,17 @@ def _run(make: MakeAlgorithm, paths: RunPaths) -> None:
     with Player(player_options(config, find_recording(paths.dataset))) as player:
         algorithm = make(config)
         write_aside(paths.result / "about.json", json_text(algorithm.about()))
-        processed = _process_all(algorithm, player, paths.result)
+        processed: list[FrameTimes] = []
+        progress = Progress(paths.result / "progress.json", player.frames_total)
+        for frame in player.frames():
+            tracked = algorithm.process(frame)
+            done_s = time.monotonic() - player.start_s
+            processed.append(FrameTimes(frame.number, frame.stamp_s, frame.received_s, done_s))
+            progress.update(frame.number + 1, frame.stamp_s, frame.fraction, player.dropped, tracked)
+        progress.end(len(processed))
     write_aside(paths.result / "playback.json", json_text(player.summary))
     write_frames_csv(paths.result / "frames.csv", processed + player.dropped_frames)
     # Without a pose the file is empty: that the algorithm found none is a result, unlike an exit code.
     poses = write_trajectories(paths.result, algorithm.finish())
     say(f"done: {len(poses.stamps_s)} poses from {len(processed)} frames, {len(player.dropped_frames)} dropped")
     write_aside(paths.result / "finished", "")
-
-
-def _process_all(algorithm: Algorithm, player: Player, result: Path) -> list[FrameTimes]:
-    processed: list[FrameTimes] = []
-    progress = Progress(result / "progress.json", player.frames_total)
-    for frame in player.frames():
-        tracked = algorithm.process(frame)
-        done_s = time.monotonic() - player.start_s
-        processed.append(FrameTimes(frame.number, frame.stamp_s, frame.received_s, done_s))
-        progress.update(frame.number + 1, frame.stamp_s, frame.fraction, player.dropped, tracked)
-    progress.end(len(processed))
-    return processed

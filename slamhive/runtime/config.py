@@ -95,26 +95,21 @@ def from_yaml(text: str, source: str = "config.yaml") -> RunConfig:
         if not isinstance(content.get(key), str):
             raise InvalidInput(f"{source}: {key} is missing")
     try:
+        own = content.get("slam-hive") or {}
+        playback = own.get("playback") or {}
         return RunConfig(
             algorithm=content["slam-hive-algorithm"],
             dataset=content["slam-hive-dataset"],
             **sections,
             algorithm_attribute=content.get("algorithm-attribute"),
             dataset_attribute=content.get("dataset-attribute"),
-            **_own_part(content.get("slam-hive") or {}),
+            run_id=own.get("run"),
+            seed=int(own.get("seed") or 0),
+            playback_mode=str(playback.get("mode") or "realtime"),
+            playback_rate=float(playback.get("rate") or 1.0),
         )
     except (AttributeError, TypeError, ValueError, OverflowError) as error:
         raise InvalidInput(f"{source}: slam-hive does not hold what the controller writes there: {error}") from None
-
-
-def _own_part(own: Mapping[str, Any]) -> dict[str, Any]:
-    playback = own.get("playback") or {}
-    return {
-        "run_id": own.get("run"),
-        "seed": int(own.get("seed") or 0),
-        "playback_mode": str(playback.get("mode") or "realtime"),
-        "playback_rate": float(playback.get("rate") or 1.0),
-    }
 
 
 def load(path: Path) -> RunConfig:

@@ -47,7 +47,19 @@ def _count_words(path: Path, content: bytes) -> int:
     is a word, the bytes of its descriptor and its weight. Nodes are numbered from 1 in their order; 0 is the root.
     """
     lines = content.rstrip().splitlines()
-    _check_header(path, content, lines)
+    # Files of other kinds get a reason of their own.
+    if content.startswith(_GZIP):
+        raise _unfit(path, "it is compressed", "unpack it")
+    if b"\0" in content[:4096]:
+        raise _unfit(path, "it is binary", "give the text file, as ORB-SLAM ships it")
+    numbers = lines[0].split() if lines else []
+    if len(numbers) != _HEADER_FIELDS or not all(number.isdigit() for number in numbers) or len(lines) == 1:
+        raise _unfit(
+            path, "its first line is not branching, depth, scoring and weighting", "give ORBvoc.txt or its like"
+        )
+    bytes_each = len(lines[1].split()) - _FIELDS + _DESCRIPTOR_BYTES
+    if bytes_each > 0 and bytes_each != _DESCRIPTOR_BYTES:
+        raise _unfit(path, f"its descriptors have {bytes_each} bytes", f"descriptors of ORB have {_DESCRIPTOR_BYTES}")
     parents, inner, words = {0}, {0}, 0
     for number, line in enumerate(lines[1:], start=1):
         fields = line.rstrip().count(b" ") + 1
@@ -64,22 +76,6 @@ def _count_words(path: Path, content: bytes) -> int:
     if not words or parents != inner:
         raise _unfit(path, f"{len(inner - parents)} of its nodes have no words below them", "the file is incomplete")
     return words
-
-
-def _check_header(path: Path, content: bytes, lines: list[bytes]) -> None:
-    """Raise InvalidInput for files of other kinds."""
-    if content.startswith(_GZIP):
-        raise _unfit(path, "it is compressed", "unpack it")
-    if b"\0" in content[:4096]:
-        raise _unfit(path, "it is binary", "give the text file, as ORB-SLAM ships it")
-    numbers = lines[0].split() if lines else []
-    if len(numbers) != _HEADER_FIELDS or not all(number.isdigit() for number in numbers) or len(lines) == 1:
-        raise _unfit(
-            path, "its first line is not branching, depth, scoring and weighting", "give ORBvoc.txt or its like"
-        )
-    bytes_each = len(lines[1].split()) - _FIELDS + _DESCRIPTOR_BYTES
-    if bytes_each > 0 and bytes_each != _DESCRIPTOR_BYTES:
-        raise _unfit(path, f"its descriptors have {bytes_each} bytes", f"descriptors of ORB have {_DESCRIPTOR_BYTES}")
 
 
 def _unfit(path: Path, problem: str, remedy: str) -> InvalidInput:

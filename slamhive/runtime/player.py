@@ -13,7 +13,6 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -113,9 +112,28 @@ class _Playback:
         self._connection.send(("start", self._start_s))
         source = self._recording.messages()
         if self._options.realtime:
-            self._play_realtime(source)
+            for incoming in source:
+                due_s = (incoming.recorded_ns - self._recording.start_ns) * 1e-9 / self._options.rate
+                self._serve_until(self._start_s + due_s)
+                group = self._take(incoming, self._since_start_s())
+                if group is not None:
+                    self._counts.lags_s.append(max(0.0, group.received_s - due_s))
+                    self._queue.append(group)
+                    if len(self._queue) > self._options.queue_size:
+                        # As a queue of ROS: the oldest frame is lost, but not the samples that came with it.
+                        lost = self._queue.popleft()
+                        self._queue[0].imu = lost.imu + self._queue[0].imu
+                        self._queue[0].odometry = lost.odometry + self._queue[0].odometry
+                        self._counts.dropped.append(FrameTimes(lost.number, self._stamp_s(lost), lost.received_s, None))
+                self._serve()
         else:
-            self._play_sequentially(source)
+            for incoming in source:
+                group = self._take(incoming, self._since_start_s())
+                if group is not None:
+                    self._wait_until_asked()
+                    group.received_s = self._since_start_s()
+                    self._queue.append(group)
+                    self._send_oldest()
         self._synchroniser.end()
         while self._queue:
             self._wait_until_asked()
@@ -123,25 +141,6 @@ class _Playback:
         self._wait_until_asked()
         forget_pages(Path(self._options.recording))
         self._connection.send(("end", self._summary(), self._counts.dropped))
-
-    def _play_realtime(self, source: Iterator[Incoming]) -> None:
-        for incoming in source:
-            due_s = (incoming.recorded_ns - self._recording.start_ns) * 1e-9 / self._options.rate
-            self._serve_until(self._start_s + due_s)
-            group = self._take(incoming, self._since_start_s())
-            if group is not None:
-                self._counts.lags_s.append(max(0.0, group.received_s - due_s))
-                self._enqueue(group)
-            self._serve()
-
-    def _play_sequentially(self, source: Iterator[Incoming]) -> None:
-        for incoming in source:
-            group = self._take(incoming, self._since_start_s())
-            if group is not None:
-                self._wait_until_asked()
-                group.received_s = self._since_start_s()
-                self._queue.append(group)
-                self._send_oldest()
 
     def _take(self, incoming: Incoming, received_s: float) -> _Group | None:
         if incoming.kind == IMU:
@@ -161,15 +160,6 @@ class _Playback:
         self._imu, self._odometry = [], []
         self._counts.frames += 1
         return group
-
-    def _enqueue(self, group: _Group) -> None:
-        self._queue.append(group)
-        if len(self._queue) <= self._options.queue_size:
-            return
-        lost = self._queue.popleft()
-        self._queue[0].imu = lost.imu + self._queue[0].imu
-        self._queue[0].odometry = lost.odometry + self._queue[0].odometry
-        self._counts.dropped.append(FrameTimes(lost.number, self._stamp_s(lost), lost.received_s, None))
 
     def _serve_until(self, moment_s: float) -> None:
         """Answer requests until ``moment_s`` of the monotonic clock."""

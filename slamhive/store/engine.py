@@ -109,24 +109,20 @@ def _checked(database_url: str) -> URL:
     if url.drivername in {"mysql", "mariadb", "mysql+pymysql", "mariadb+pymysql"}:
         if not url.database:
             raise InvalidInput("DATABASE_URL names no database on the server", _EXAMPLES)
-        _check_server(url)
+        # These would raise only when a connection is opened, and no error of the database then.
+        try:
+            (url.host or "").encode("idna")
+        except UnicodeError:
+            raise InvalidInput(f"DATABASE_URL: {url.host!r} is not the name of a machine", _EXAMPLES) from None
+        if url.port is not None and not 0 < url.port <= 65535:
+            raise InvalidInput(f"DATABASE_URL: {url.port} is not a port", "use one from 1 to 65535, or leave it out")
+        try:
+            (url.password or "").encode("latin1")
+        except UnicodeError:
+            remedy = "give the account a password of Latin-1 letters"
+            raise InvalidInput("DATABASE_URL: the password has letters that are not in Latin-1", remedy) from None
         return url.set(drivername="mysql+pymysql")
     raise InvalidInput(f"DATABASE_URL: {url.drivername!r} is not supported", _EXAMPLES)
-
-
-def _check_server(url: URL) -> None:
-    """Refuse what would raise only when a connection is opened, and no error of the database then."""
-    try:
-        (url.host or "").encode("idna")
-    except UnicodeError:
-        raise InvalidInput(f"DATABASE_URL: {url.host!r} is not the name of a machine", _EXAMPLES) from None
-    if url.port is not None and not 0 < url.port <= 65535:
-        raise InvalidInput(f"DATABASE_URL: {url.port} is not a port", "use one from 1 to 65535, or leave it out")
-    try:
-        (url.password or "").encode("latin1")
-    except UnicodeError:
-        remedy = "give the account a password of Latin-1 letters"
-        raise InvalidInput("DATABASE_URL: the password has letters that are not in Latin-1", remedy) from None
 
 
 def _check_options(url: URL) -> None:
@@ -144,7 +140,14 @@ def _check_options(url: URL) -> None:
         together = {"ssl_cert", "ssl_key", "ssl_key_password"} if name.startswith("ssl_") else {name}
         alone = {key: url.query[key] for key in known if key in url.query and key in {name, *together}}
         try:
-            _try_options(url.set(query=alone))
+            tried = url.set(query=alone)
+            _, options = tried.get_dialect()().create_connect_args(tried)
+            if url.get_backend_name() == "sqlite":
+                sqlite3.connect(":memory:", **options).close()
+            else:
+                import pymysql  # noqa: PLC0415 - SQLite needs none
+
+                pymysql.Connection(defer_connect=True, **options)
         except (
             TypeError,
             ValueError,
@@ -158,17 +161,6 @@ def _check_options(url: URL) -> None:
             why = str(error.strerror if isinstance(error, OSError) and error.strerror else error).splitlines()
             said = f": {why[0]}" if why else ""
             raise InvalidInput(f"DATABASE_URL: the option {shown} cannot be used{said}", "correct it") from None
-
-
-def _try_options(url: URL) -> None:
-    dialect = url.get_dialect()()
-    _, options = dialect.create_connect_args(url)
-    if url.get_backend_name() == "sqlite":
-        sqlite3.connect(":memory:", **options).close()
-        return
-    import pymysql  # noqa: PLC0415 - SQLite needs none
-
-    pymysql.Connection(defer_connect=True, **options)
 
 
 def _check_file(path: Path) -> None:

@@ -92,7 +92,20 @@ class FiledRunRepository(Repository):
         events = [event_row(run.snapshot.id, event) for run in runs for event in run.snapshot.events]
         if events:
             self._connection.execute(insert(_EVENTS), events)
-        self._add_evaluations(runs, here, numbers)
+        # Those that are not stored yet: one for each run, protocol and state.
+        columns = (_EVALUATIONS.c.run_id, _EVALUATIONS.c.protocol_id, _EVALUATIONS.c.state)
+        query = select(*columns).where(_EVALUATIONS.c.run_id.in_(here))
+        there = {tuple(row) for row in self._connection.execute(query)} if here else set()
+        rows = []
+        for run in runs:
+            for entry in run.evaluations:
+                keys = (run.snapshot.id, numbers[entry.protocol.fingerprint], entry.state)
+                if keys not in there:
+                    values = {name: getattr(entry, name) for name in AS_FILED}
+                    values |= {"reason": cut(entry.reason, REASON_LENGTH), "engine": cut(entry.engine, _ENGINE_LENGTH)}
+                    rows.append({"run_id": keys[0], "protocol_id": keys[1], "open": None, **values})
+        if rows:
+            self._connection.execute(insert(_EVALUATIONS), rows)
         self._put_figures(runs, here, numbers)
         NoteRepository(self._connection).put({run.snapshot.id: run.notes for run in runs})
         VerdictRepository(self._connection).renew(run.snapshot.id for run in runs)
@@ -152,22 +165,6 @@ class FiledRunRepository(Repository):
             for number, original in repeats.items()
             if original is not None and original not in here and not (original in repeats and original < number)
         }
-
-    def _add_evaluations(self, runs: Sequence[FiledRun], here: Collection[int], protocols: Mapping[str, int]) -> None:
-        """Add the evaluations that are not stored yet: one for each run, protocol and state."""
-        columns = (_EVALUATIONS.c.run_id, _EVALUATIONS.c.protocol_id, _EVALUATIONS.c.state)
-        query = select(*columns).where(_EVALUATIONS.c.run_id.in_(here))
-        there = {tuple(row) for row in self._connection.execute(query)} if here else set()
-        rows = []
-        for run in runs:
-            for entry in run.evaluations:
-                keys = (run.snapshot.id, protocols[entry.protocol.fingerprint], entry.state)
-                if keys not in there:
-                    values = {name: getattr(entry, name) for name in AS_FILED}
-                    values |= {"reason": cut(entry.reason, REASON_LENGTH), "engine": cut(entry.engine, _ENGINE_LENGTH)}
-                    rows.append({"run_id": keys[0], "protocol_id": keys[1], "open": None, **values})
-        if rows:
-            self._connection.execute(insert(_EVALUATIONS), rows)
 
     def _put_figures(self, runs: Sequence[FiledRun], here: set[int], protocols: Mapping[str, int]) -> None:
         keys = {key for run in runs for values in (run.measured, *run.figures.values()) for key in values}

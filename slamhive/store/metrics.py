@@ -221,23 +221,20 @@ class VerdictRepository(Repository):
                 places[protocol].add(configuration)
         for protocol, configurations in places.items():
             for chosen in chunks(sorted(configurations), _CONFIGURATIONS_AT_ONCE):
-                self._renew(protocol, chosen)
+                # In the order of their ids, so that two processes never wait for each other.
+                table = ConfigurationRow.__table__
+                locked = select(table.c.id).where(table.c.id.in_(chosen)).order_by(table.c.id).with_for_update()
+                self._connection.execute(locked).all()
+                groups = self._read(protocol, chosen)
+                for runs in groups.values():
+                    self._write(protocol, runs, _derived(runs))
+                without = [run for runs in groups.values() for run, found in runs.items() if not found.succeeded]
+                MetricRepository(self._connection).follow_protocols(without)
 
     def renew_all(self) -> None:
         """Renew the verdicts of all evaluated runs."""
         evaluated = select(_EVALUATIONS.c.run_id).where(_EVALUATIONS.c.open.is_(None)).distinct()
         self.renew(self._connection.execute(evaluated).scalars().all())
-
-    def _renew(self, protocol_id: int, configurations: Sequence[int]) -> None:
-        # In the order of their ids, so that two processes never wait for each other.
-        table = ConfigurationRow.__table__
-        locked = select(table.c.id).where(table.c.id.in_(configurations)).order_by(table.c.id).with_for_update()
-        self._connection.execute(locked).all()
-        groups = self._read(protocol_id, configurations)
-        for runs in groups.values():
-            self._write(protocol_id, runs, _derived(runs))
-        without = [run for runs in groups.values() for run, found in runs.items() if not found.succeeded]
-        MetricRepository(self._connection).follow_protocols(without)
 
     def _write(self, protocol_id: int, runs: Mapping[int, _Judged], derived: Mapping[int, Mapping[str, float]]) -> None:
         """Store what differs from what is stored."""

@@ -437,7 +437,13 @@ class Sql:
             found: ColumnElement[bool] = column.in_(values)
             return not_(found) if leaf.sign is Sign.NOT_IN else found
         if leaf.sign in {Sign.LIKE, Sign.UNLIKE}:
-            found = self._like(column, str(values[0]))
+            pattern = str(values[0])
+            if self._names.glob:
+                found = column.bool_op("GLOB")(pattern.replace("[", "[[]"))
+            else:
+                # MySQL has no GLOB. LIKE distinguishes case under the binary collation of the tables.
+                escaped = "".join(f"|{c}" if c in "|%_" else {"*": "%", "?": "_"}.get(c, c) for c in pattern)
+                found = column.like(escaped, escape="|")
             return not_(found) if leaf.sign is Sign.UNLIKE else found
         if leaf.sign is Sign.BETWEEN:
             return and_(column >= values[0], column <= values[1])
@@ -445,15 +451,6 @@ class Sql:
             inside = and_(column >= values[0], column < values[1])
             return inside if leaf.sign is Sign.EQUAL else not_(inside)
         return _COMPARE[leaf.sign](column, values[0])
-
-    def _like(self, column: Any, pattern: str) -> ColumnElement[bool]:
-        if self._names.glob:
-            found: ColumnElement[bool] = column.bool_op("GLOB")(pattern.replace("[", "[[]"))
-            return found
-        # MySQL has no GLOB. LIKE distinguishes case under the binary collation of the tables.
-        escaped = "".join(f"|{c}" if c in "|%_" else {"*": "%", "?": "_"}.get(c, c) for c in pattern)
-        like: ColumnElement[bool] = column.like(escaped, escape="|")
-        return like
 
 
 def _disturbed_by(column: ColumnElement[Any], leaf: Condition) -> ColumnElement[bool]:
@@ -560,20 +557,17 @@ def starts(tree: Bound | None) -> Iterator[Start]:
             yield Start(tree)
     elif tree is not None and tree.word == "and":
         for place, part in enumerate(tree.parts):
-            yield from _starts_of_part(part, [*tree.parts[:place], *tree.parts[place + 1 :]])
+            others = [*tree.parts[:place], *tree.parts[place + 1 :]]
+            # What the other parts leave is tested on each row of the list.
+            shared = [other for other in others if _of_configuration(other)] if _of_configuration(part) else []
+            rest = [other for other in others if other not in shared]
+            for start in starts(part):
+                yield Start(start.part, _all_of([start.rest, *rest]), _all_of([start.also, *shared]))
     elif tree is not None and tree.word == "or":
         firsts = [next(starts(part), None) for part in tree.parts]
         if None not in firsts:
             exact = all(start is not None and start.rest is None for start in firsts)
             yield Start(tree, rest=None if exact else tree)
-
-
-def _starts_of_part(part: Bound, others: Sequence[Bound]) -> Iterator[Start]:
-    """The lists that one part of an ``and`` yields, with what the ``others`` leave to be tested."""
-    shared = [other for other in others if _of_configuration(other)] if _of_configuration(part) else []
-    rest = [other for other in others if other not in shared]
-    for start in starts(part):
-        yield Start(start.part, _all_of([start.rest, *rest]), _all_of([start.also, *shared]))
 
 
 def _of_configuration(part: Bound) -> bool:

@@ -221,9 +221,7 @@ class Supervisor:
         look = self._containment.look(self._tree)
         limit_bytes = self._spec.memory_bytes
         if look.out_of_memory or (
-            limit_bytes is not None
-            and not self._containment.holds_memory
-            and self._tree.resident_bytes() > limit_bytes
+            limit_bytes is not None and not self._containment.holds_memory and self._tree.resident_bytes() > limit_bytes
         ):
             self._out_of_memory = True
             self._kill_at("the memory limit" + ("" if limit_bytes is None else f" of {limit_bytes / 1e6:.0f} MB"))

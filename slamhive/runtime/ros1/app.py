@@ -57,13 +57,9 @@ def _run(make: MakeSystem, paths: RunPaths) -> None:
     with Session(system, config, recording, paths) as session:
         session.start()
         played = session.play()
-    _write_results(system, config, played, paths.result)
-
-
-def _write_results(system: Ros1System, config: RunConfig, played: Played, result: Path) -> None:
     every = system.every_frame or bool(system.processed)
     lines = frame_times(played.frames, played.arrivals, played.clock, config.playback_rate, every=every)
-    write_frames_csv(result / "frames.csv", lines)
+    write_frames_csv(paths.result / "frames.csv", lines)
     summary = {
         "cpu_s": played.player_cpu_s,
         "lag_max_s": max(0.0, played.clock.lag_max_s(config.playback_rate)),
@@ -71,19 +67,19 @@ def _write_results(system: Ros1System, config: RunConfig, played: Played, result
         "dropped_by_nodes": played.dropped_by_nodes,
         "queues": queue_drops(played.statistics),
     }
-    write_aside(result / "playback.json", json_text(summary))
-    filed = _filed_results(system, played, result)
+    write_aside(paths.result / "playback.json", json_text(summary))
+    filed = _filed_results(system, played, paths.result)
     if filed.map_points_m is not None and config.general_parameter.get("save_map"):
-        write_pcd(result / "Map.pcd", filed.map_points_m)
+        write_pcd(paths.result / "Map.pcd", filed.map_points_m)
     if filed.keyframes is not None and len(filed.keyframes.stamps_s):
-        write_trajectory(result / "keyframe.txt", filed.keyframes)
-    write_trajectory(result / "traj.txt", filed.poses)
+        write_trajectory(paths.result / "keyframe.txt", filed.keyframes)
+    write_trajectory(paths.result / "traj.txt", filed.poses)
     in_queues = sum(queue["dropped"] for queue in summary["queues"])  # type: ignore[attr-defined]
     say(
         f"done: {len(filed.poses.stamps_s)} poses from {len(lines)} frames; dropped in queues: {in_queues}, "
         f"reported by nodes: {played.dropped_by_nodes}"
     )
-    write_aside(result / "finished", "")
+    write_aside(paths.result / "finished", "")
 
 
 def _filed_results(system: Ros1System, played: Played, result: Path) -> FiledResults:

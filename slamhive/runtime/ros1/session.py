@@ -82,20 +82,44 @@ class Session:
 
     def start(self) -> None:
         """Start roscore and the nodes; returns when all are there and listen. Raises SystemFailed."""
-        names = self._node_names()
+        command = launch_command(self._system, self._config.algorithm_remap, only_names=True)
+        listed = subprocess.run(command, capture_output=True, text=True, check=False)
+        if listed.returncode != 0:
+            words = (listed.stderr or listed.stdout).strip().splitlines() or ["no output"]
+            raise InvalidInput(f"{self._system.launch} cannot be launched: {words[-1]}")
+        names = listed.stdout.split()
         self._run("roscore", ["roscore"], lambda _line: None)
         master = rosgraph.Master("/slamhive")
         self._wait("roscore", master.is_online)
         self._recorder = Recorder(self._system, self._system.parameters)
         launch = launch_command(self._system, self._config.algorithm_remap)
         self._run("roslaunch", launch, self._nodes.take)
-        self._wait_for_nodes(names)
+        topics = list(self._config.algorithm_remap.values())
+        until_s = time.monotonic() + START_PATIENCE_S
+        graph, since_s = self._recorder.graph(), time.monotonic()
+        while True:
+            self._check(*self._programs)
+            missing = self._recorder.missing(names, topics)
+            if (now := self._recorder.graph()) != graph:
+                graph, since_s = now, time.monotonic()
+            if not missing and time.monotonic() - since_s > SETTLED_S:
+                say(f"{len(names)} nodes are ready")
+                return
+            if time.monotonic() > until_s:
+                what = missing[0] if missing else "an unchanging graph"
+                raise SystemFailed(f"after {START_PATIENCE_S:g} s there is no {what.removeprefix('a ')}")
+            time.sleep(_STEP_S)
 
     def play(self) -> Played:
         """Play the recording to its end, and wait for the last poses. Raises SystemFailed."""
         # What has ended until now is not part of the player's time.
         cpu_before_s = children_cpu_s()
-        player = self._run("rosbag play", self._play_command(), _say_unless_running)
+        script = self._paths.dataset / "rosbag_play.py"
+        if not script.is_file():
+            raise InvalidInput(f"dataset {self._config.dataset} has no rosbag_play.py", "import it again")
+        topics = [self._config.topic_in_bag(role) for role in self._config.algorithm_remap]
+        command = [sys.executable, str(script), "--quiet", "--wait-for-subscribers", "--topics", *topics]
+        player = self._run("rosbag play", command, _say_unless_running)
         while player.exit_code is None:
             self._check(*self._programs[:-1])
             self._report()
@@ -105,7 +129,17 @@ class Session:
         player_cpu_s = children_cpu_s() - cpu_before_s
         if self._recorder.bag_time_s is None:
             raise SystemFailed(f"rosbag play played nothing: {player.last_line or 'no output'}")
-        self._drain()
+        # Until no pose has come for a while: slow systems still work on what they have.
+        ticking = self._recorder.run_clock_on(self._config.playback_rate)
+        seen, since_s = -1, time.monotonic()
+        until_s = since_s + DRAIN_PATIENCE_S
+        while time.monotonic() - since_s < self._patience_s() and time.monotonic() < until_s:
+            self._check(*self._programs[:-1])
+            ticking.tick()
+            arrived = len(self._recorder.arrivals)
+            if arrived != seen:
+                seen, since_s = arrived, time.monotonic()
+            time.sleep(_STEP_S / 5)
         self._progress.end(len(self._frames))
         clock, map_points_m = self._recorder.clock, self._recorder.map_points_m()
         self._recorder.close()
@@ -126,44 +160,12 @@ class Session:
         self._programs.append(program)
         return program
 
-    def _node_names(self) -> list[str]:
-        command = launch_command(self._system, self._config.algorithm_remap, only_names=True)
-        listed = subprocess.run(command, capture_output=True, text=True, check=False)
-        if listed.returncode != 0:
-            words = (listed.stderr or listed.stdout).strip().splitlines() or ["no output"]
-            raise InvalidInput(f"{self._system.launch} cannot be launched: {words[-1]}")
-        return listed.stdout.split()
-
-    def _play_command(self) -> list[str]:
-        script = self._paths.dataset / "rosbag_play.py"
-        if not script.is_file():
-            raise InvalidInput(f"dataset {self._config.dataset} has no rosbag_play.py", "import it again")
-        topics = [self._config.topic_in_bag(role) for role in self._config.algorithm_remap]
-        return [sys.executable, str(script), "--quiet", "--wait-for-subscribers", "--topics", *topics]
-
     def _wait(self, name: str, ready: Callable[[], bool]) -> None:
         until_s = time.monotonic() + START_PATIENCE_S
         while not ready():
             self._check(*self._programs)
             if time.monotonic() > until_s:
                 raise SystemFailed(f"{name} did not start within {START_PATIENCE_S:g} s")
-            time.sleep(_STEP_S)
-
-    def _wait_for_nodes(self, names: Sequence[str]) -> None:
-        topics = list(self._config.algorithm_remap.values())
-        until_s = time.monotonic() + START_PATIENCE_S
-        graph, since_s = self._recorder.graph(), time.monotonic()
-        while True:
-            self._check(*self._programs)
-            missing = self._recorder.missing(names, topics)
-            if (now := self._recorder.graph()) != graph:
-                graph, since_s = now, time.monotonic()
-            if not missing and time.monotonic() - since_s > SETTLED_S:
-                say(f"{len(names)} nodes are ready")
-                return
-            if time.monotonic() > until_s:
-                what = missing[0] if missing else "an unchanging graph"
-                raise SystemFailed(f"after {START_PATIENCE_S:g} s there is no {what.removeprefix('a ')}")
             time.sleep(_STEP_S)
 
     def _check(self, *programs: Program) -> None:
@@ -181,19 +183,6 @@ class Session:
         poses = len(self._recorder.poses.arrivals)
         self._progress.update(over, now_s, fraction, self._nodes.dropped, poses > self._seen)
         self._seen = poses
-
-    def _drain(self) -> None:
-        """Until no pose has come for a while: slow systems still work on what they have."""
-        clock = self._recorder.run_clock_on(self._config.playback_rate)
-        seen, since_s = -1, time.monotonic()
-        until_s = since_s + DRAIN_PATIENCE_S
-        while time.monotonic() - since_s < self._patience_s() and time.monotonic() < until_s:
-            self._check(*self._programs[:-1])
-            clock.tick()
-            arrived = len(self._recorder.arrivals)
-            if arrived != seen:
-                seen, since_s = arrived, time.monotonic()
-            time.sleep(_STEP_S / 5)
 
     def _patience_s(self) -> float:
         """Time to wait for the next pose after the end of the recording."""

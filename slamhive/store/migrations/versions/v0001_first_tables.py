@@ -42,47 +42,6 @@ TABLES = (
 
 def upgrade() -> None:
     """Create everything, and the protocol row that measured metrics are filed under."""
-    _create_catalogue()
-    _create_configurations()
-    _create_runs()
-    _create_evaluations()
-    _create_metrics()
-    protocols = sa.table("protocols", *(sa.column(name) for name in ("id", "fingerprint", "label", "definition")))
-    op.bulk_insert(
-        protocols, [{"id": 1, "fingerprint": "measured", "label": "measured while running", "definition": "{}"}]
-    )
-
-
-def downgrade() -> None:
-    """Remove everything."""
-    for name in reversed(TABLES):
-        op.drop_table(name)
-
-
-def _table(name: str, *content: sa.schema.SchemaItem, **options: Any) -> None:
-    """A table with the naming rules and MySQL options that all of ours have."""
-    op.create_table(
-        name, *content, mysql_engine="InnoDB", mysql_charset="utf8mb4", mysql_collate="utf8mb4_bin", **options
-    )
-
-
-def _id(table: str) -> tuple[sa.Column[Any], sa.PrimaryKeyConstraint]:
-    return sa.Column("id", sa.Integer(), nullable=False), sa.PrimaryKeyConstraint("id", name=f"pk_{table}")
-
-
-def _column(name: str, kind: Any, *, null: bool = False) -> sa.Column[Any]:
-    return sa.Column(name, kind, nullable=null)
-
-
-def _unique(table: str, *columns: str) -> sa.UniqueConstraint:
-    return sa.UniqueConstraint(*columns, name=f"uq_{table}_{'_'.join(columns)}")
-
-
-def _refers(table: str, column: str, target: str) -> sa.ForeignKeyConstraint:
-    return sa.ForeignKeyConstraint([column], [f"{target}.id"], name=f"fk_{table}_{column}")
-
-
-def _create_catalogue() -> None:
     _table(
         "algorithms",
         *_id("algorithms"),
@@ -125,9 +84,6 @@ def _create_catalogue() -> None:
         _column("os", LABEL),
         _unique("hosts", "fingerprint"),
     )
-
-
-def _create_configurations() -> None:
     _table(
         "parameters",
         *_id("parameters"),
@@ -169,9 +125,6 @@ def _create_configurations() -> None:
     )
     op.create_index(f"ix_{table}_number", table, ["parameter_id", "number_value", "configuration_id"])
     op.create_index(f"ix_{table}_text", table, ["parameter_id", "text_value", "configuration_id"])
-
-
-def _create_runs() -> None:
     _table(
         "protocols",
         *_id("protocols"),
@@ -242,9 +195,6 @@ def _create_runs() -> None:
         _refers("run_events", "run_id", "runs"),
     )
     op.create_index("ix_run_events_run_id", "run_events", ["run_id"])
-
-
-def _create_evaluations() -> None:
     _table(
         "evaluations",
         *_id("evaluations"),
@@ -266,9 +216,6 @@ def _create_evaluations() -> None:
         _unique("evaluations", "run_id", "protocol_id", "open"),
     )
     op.create_index("ix_evaluations_queue", "evaluations", ["state", "id"])
-
-
-def _create_metrics() -> None:
     _table("metrics", *_id("metrics"), _column("key", NAME), _unique("metrics", "key"))
     _table(
         "metric_values",
@@ -283,3 +230,36 @@ def _create_metrics() -> None:
         sqlite_with_rowid=False,
     )
     op.create_index("ix_metric_values_search", "metric_values", ["metric_id", "protocol_id", "value", "run_id"])
+    protocols = sa.table("protocols", *(sa.column(name) for name in ("id", "fingerprint", "label", "definition")))
+    op.bulk_insert(
+        protocols, [{"id": 1, "fingerprint": "measured", "label": "measured while running", "definition": "{}"}]
+    )
+
+
+def downgrade() -> None:
+    """Remove everything."""
+    for name in reversed(TABLES):
+        op.drop_table(name)
+
+
+def _table(name: str, *content: sa.schema.SchemaItem, **options: Any) -> None:
+    """A table with the naming rules and MySQL options that all of ours have."""
+    op.create_table(
+        name, *content, mysql_engine="InnoDB", mysql_charset="utf8mb4", mysql_collate="utf8mb4_bin", **options
+    )
+
+
+def _id(table: str) -> tuple[sa.Column[Any], sa.PrimaryKeyConstraint]:
+    return sa.Column("id", sa.Integer(), nullable=False), sa.PrimaryKeyConstraint("id", name=f"pk_{table}")
+
+
+def _column(name: str, kind: Any, *, null: bool = False) -> sa.Column[Any]:
+    return sa.Column(name, kind, nullable=null)
+
+
+def _unique(table: str, *columns: str) -> sa.UniqueConstraint:
+    return sa.UniqueConstraint(*columns, name=f"uq_{table}_{'_'.join(columns)}")
+
+
+def _refers(table: str, column: str, target: str) -> sa.ForeignKeyConstraint:
+    return sa.ForeignKeyConstraint([column], [f"{target}.id"], name=f"fk_{table}_{column}")

@@ -71,7 +71,14 @@ def upgrade() -> None:
     op.add_column("runs", sa.Column("held", sa.Boolean(), nullable=False, server_default=sa.text("0")))
     op.add_column("runs", sa.Column("affinity", sa.String(32), nullable=False, server_default=sa.text("''")))
     op.add_column("runs", sa.Column("stop_when", LONG_TEXT, nullable=True))
-    _refer_to_experiments()
+    if op.get_bind().dialect.name == "sqlite":
+        # SQLite can add no reference to a table that exists, unless it is written with the column.
+        op.execute(
+            f"ALTER TABLE runs ADD COLUMN experiment_id INTEGER CONSTRAINT {REFERENCE} REFERENCES experiments (id)"
+        )
+    else:
+        op.add_column("runs", sa.Column("experiment_id", sa.Integer(), nullable=True))
+        op.create_foreign_key(REFERENCE, "runs", "experiments", ["experiment_id"], ["id"])
     op.create_index(EXPERIMENT, "runs", ["experiment_id", "cell", "state", "reason"])
     op.drop_index(QUEUE, "runs")
     op.create_index(QUEUE, "runs", ["state", "held", "priority", "id"])
@@ -95,14 +102,3 @@ def downgrade() -> None:
         op.drop_column("runs", name)
     op.drop_table("experiment_cells")
     op.drop_table("experiments")
-
-
-def _refer_to_experiments() -> None:
-    """The reference is written with the column on SQLite, which can add none to a table that exists."""
-    if op.get_bind().dialect.name == "sqlite":
-        op.execute(
-            f"ALTER TABLE runs ADD COLUMN experiment_id INTEGER CONSTRAINT {REFERENCE} REFERENCES experiments (id)"
-        )
-        return
-    op.add_column("runs", sa.Column("experiment_id", sa.Integer(), nullable=True))
-    op.create_foreign_key(REFERENCE, "runs", "experiments", ["experiment_id"], ["id"])

@@ -71,7 +71,31 @@ def upgrade() -> None:
     for column in RUN_INDEXES:
         op.create_index(f"ix_runs_{column}", "runs", [column])
     op.create_index(EVALUATED, "runs", ["current_protocol_id", "state"])
-    _file_options()
+    # One row for each option of each kind of step, and for each sensor beside it.
+    configurations = sa.table("configurations", sa.column("id"), sa.column("variant"))
+    options = sa.table(
+        VARIANTS, *(sa.column(name) for name in ("configuration_id", "name", "number_value", "text_value"))
+    )
+    bind = op.get_bind()
+    query = sa.select(configurations).where(configurations.c.variant.is_not(None))
+    for configuration_id, variant in bind.execute(query).all():
+        found: dict[str, list[Any]] = {}
+        for step in json.loads(variant):
+            for option, value in step["options"].items():
+                for name in (f"{step['kind']}.{option}", *(f"{step['kind']}.{option}@{s}" for s in step["sensors"])):
+                    found.setdefault(name, []).append(value)
+        rows = [
+            {
+                "configuration_id": configuration_id,
+                "name": name,
+                "number_value": None if isinstance(values[0], str) else float(values[0]),
+                "text_value": values[0][:190] if isinstance(values[0], str) else None,
+            }
+            for name, values in found.items()
+            if all(value == values[0] for value in values)
+        ]
+        if rows:
+            bind.execute(options.insert(), rows)
 
 
 def downgrade() -> None:
@@ -120,31 +144,3 @@ def _rebuild_figures(key: tuple[str, ...], references: tuple[str, ...], copied: 
     )
     op.execute(f"INSERT INTO {FIGURES} {copied.replace(f'{FIGURES} v', f'{FIGURES}_old v')}")
     op.drop_table(f"{FIGURES}_old")
-
-
-def _file_options() -> None:
-    """One row for each option of each kind of step, and for each sensor beside it."""
-    configurations = sa.table("configurations", sa.column("id"), sa.column("variant"))
-    options = sa.table(
-        VARIANTS, *(sa.column(name) for name in ("configuration_id", "name", "number_value", "text_value"))
-    )
-    bind = op.get_bind()
-    query = sa.select(configurations).where(configurations.c.variant.is_not(None))
-    for configuration_id, variant in bind.execute(query).all():
-        found: dict[str, list[Any]] = {}
-        for step in json.loads(variant):
-            for option, value in step["options"].items():
-                for name in (f"{step['kind']}.{option}", *(f"{step['kind']}.{option}@{s}" for s in step["sensors"])):
-                    found.setdefault(name, []).append(value)
-        rows = [
-            {
-                "configuration_id": configuration_id,
-                "name": name,
-                "number_value": None if isinstance(values[0], str) else float(values[0]),
-                "text_value": values[0][:190] if isinstance(values[0], str) else None,
-            }
-            for name, values in found.items()
-            if all(value == values[0] for value in values)
-        ]
-        if rows:
-            bind.execute(options.insert(), rows)

@@ -37,7 +37,23 @@ def upgrade() -> None:
         sa.Column("removed_at", MOMENT, nullable=True),
     ):
         op.add_column(TABLE, column)
-    _number_versions(op.get_bind())
+    connection = op.get_bind()
+    first_run = sa.select(sa.func.min(RUNS.c.id)).where(RUNS.c.algorithm_version_id == VERSIONS.c.id)
+    query = sa.select(VERSIONS, ALGORITHMS.c.package.label("owner"), first_run.scalar_subquery().label("first_run"))
+    rows = connection.execute(query.join(ALGORITHMS, ALGORITHMS.c.id == VERSIONS.c.algorithm_id)).all()
+    kept: dict[tuple[str, str, str], int] = {}
+    last: dict[str, int] = {}
+    for row in sorted(rows, key=lambda row: (row.first_run is None, row.first_run or 0, row.created_at, row.id)):
+        content = row.owner, row.identity, row.package_hash
+        if content in kept:
+            same = RUNS.c.algorithm_version_id == row.id
+            connection.execute(sa.update(RUNS).where(same).values(algorithm_version_id=kept[content]))
+            connection.execute(sa.delete(VERSIONS).where(VERSIONS.c.id == row.id))
+            continue
+        kept[content] = row.id
+        last[row.owner] = last.get(row.owner, 0) + 1
+        values = {"package": row.owner, "number": last[row.owner]}
+        connection.execute(sa.update(VERSIONS).where(VERSIONS.c.id == row.id).values(values))
     with op.batch_alter_table(TABLE) as table:
         table.drop_constraint(OWNER, type_="foreignkey")
         table.drop_constraint(FORMER, type_="unique")
@@ -72,22 +88,3 @@ def _replace_index(old: str, new: str) -> None:
         op.create_index(new, "runs", ["algorithm_version_id"])
     if old in {index["name"] for index in sa.inspect(connection).get_indexes("runs")}:
         op.drop_index(old, "runs")
-
-
-def _number_versions(connection: sa.Connection) -> None:
-    first_run = sa.select(sa.func.min(RUNS.c.id)).where(RUNS.c.algorithm_version_id == VERSIONS.c.id)
-    query = sa.select(VERSIONS, ALGORITHMS.c.package.label("owner"), first_run.scalar_subquery().label("first_run"))
-    rows = connection.execute(query.join(ALGORITHMS, ALGORITHMS.c.id == VERSIONS.c.algorithm_id)).all()
-    kept: dict[tuple[str, str, str], int] = {}
-    last: dict[str, int] = {}
-    for row in sorted(rows, key=lambda row: (row.first_run is None, row.first_run or 0, row.created_at, row.id)):
-        content = row.owner, row.identity, row.package_hash
-        if content in kept:
-            same = RUNS.c.algorithm_version_id == row.id
-            connection.execute(sa.update(RUNS).where(same).values(algorithm_version_id=kept[content]))
-            connection.execute(sa.delete(VERSIONS).where(VERSIONS.c.id == row.id))
-            continue
-        kept[content] = row.id
-        last[row.owner] = last.get(row.owner, 0) + 1
-        values = {"package": row.owner, "number": last[row.owner]}
-        connection.execute(sa.update(VERSIONS).where(VERSIONS.c.id == row.id).values(values))
