@@ -22,13 +22,13 @@ from slamhive.documents.model import dump
 from slamhive.documents.run import RunDocument
 from slamhive.domain.metrics import described
 from slamhive.domain.names import plural
-from slamhive.domain.protocol import Alignment, Duplicates, ProtocolRequest
+from slamhive.domain.protocol import Alignment, Duplicates, FrameFit, ProtocolRequest
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import Hint
 from slamhive.evaluation.job import Artefacts
 from slamhive.filters.syntax import join
 from slamhive.filters.words import matching
-from slamhive.services.evaluations import preset_documents, presets, protocols_document
+from slamhive.services.evaluations import SENSOR_FRAME, preset_documents, presets, protocols_document
 from slamhive.services.hive import Hive
 from slamhive.store import EvaluationRecord
 
@@ -42,6 +42,8 @@ _NAMED_RUNS = 20
 @click.option("--protocol", metavar="NAME|FILE", help="See `slamhive protocol list`; default: chosen from the sensors.")
 @click.option("--align", type=choice(Alignment), help="Alignment; other fields of the protocol keep their defaults.")
 @click.option("--duplicates", type=choice(Duplicates), help="Which poses count where a timestamp occurs twice.")
+@click.option("--sensor-frame", metavar="SENSOR", help="Sensor of the dataset whose frame the trajectory describes.")
+@click.option("--fit-frame", type=choice(FrameFit), help="Fit and report a constant transform between the frames.")
 @click.option("--current", is_flag=True, help="Show the metrics of this protocol in lists and pages from now on.")
 @click.option("--plots", is_flag=True, help="Also draw plots (trajectory, xyz, rpy, raw errors, error map).")
 @json_option
@@ -59,7 +61,19 @@ def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **opti
         )
     hive = cli.hive()
     hive.check_writable()
-    asked = _asked(hive, options["protocol"], options["align"], options["duplicates"])
+    asked = _asked(hive, options["protocol"], options["align"])
+    changed = {
+        name: options[option]
+        for name, option in (
+            ("duplicates", "duplicates"),
+            (SENSOR_FRAME, "sensor_frame"),
+            ("frame_fit", "fit_frame"),
+        )
+        if options[option] is not None
+    }
+    if changed:
+        asked = asked or ProtocolRequest()
+        asked = ProtocolRequest({**asked.values, **changed}, asked.name)
     service = hive.evaluations
     waiting: list[int] = []
     if options["all_unevaluated"]:
@@ -86,15 +100,11 @@ def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **opti
         raise click.exceptions.Exit(1)
 
 
-def _asked(hive: Hive, protocol: str | None, align: str | None, duplicates: str | None) -> ProtocolRequest | None:
+def _asked(hive: Hive, protocol: str | None, align: str | None) -> ProtocolRequest | None:
     if protocol is not None and align is not None:
         raise InvalidInput("--protocol and --align exclude each other", "write the alignment into the protocol")
     name = protocol if align is None else align
-    asked = None if name is None else hive.protocols.find(name)
-    if duplicates is None:
-        return asked
-    asked = asked or ProtocolRequest()
-    return ProtocolRequest({**asked.values, "duplicates": duplicates}, asked.name)
+    return None if name is None else hive.protocols.find(name)
 
 
 def _report(hive: Hive, ended: list[EvaluationRecord], *, as_json: bool) -> None:

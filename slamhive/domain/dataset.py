@@ -20,6 +20,10 @@ class GroundTruth:
     ``gravity_aligned`` says that the world's z axis points up, which yaw + position alignment needs. ``kitti_poses`` is
     the file of the same poses as KITTI publishes them, where they come from one: matrices of seven digits, which the
     KITTI protocol takes as they are. ``source`` says what measured it: ``motion capture (Vicon)``.
+
+    ``lever_arm_m`` is the point in the body frame that positions are of, where they alone are known: an antenna or a
+    prism. ``uncertainty_m`` is the standard deviation of a position along each axis; ``uncertainties`` is a file of
+    them for each pose, ``timestamp sigma_x sigma_y sigma_z`` in s and m, which outweighs the constant.
     """
 
     file: str
@@ -27,6 +31,9 @@ class GroundTruth:
     positions_only: bool = False
     kitti_poses: str | None = None
     source: str = ""
+    lever_arm_m: tuple[float, ...] | None = None
+    uncertainty_m: float | None = None
+    uncertainties: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
 from enum import StrEnum
 from typing import Any
@@ -43,8 +44,9 @@ class Association(StrEnum):
     ``nearest``: each pose of the shorter list takes the nearest of the other, which may be taken twice (as evo does).
     ``one_to_one``: the closest pairs first, each pose once (as TUM does). ``sweep``: each pose of the estimate in turn
     takes the nearest pose of the ground truth after the last one taken (as OpenVINS does). ``interpolate``: the ground
-    truth is interpolated at the timestamps of the estimate. ``hold``: the estimate is compared at the timestamps of the
-    ground truth. Its last pose is held in gaps and after its end, so that lost tracking counts (as ETH3D does).
+    truth is interpolated at the timestamps of the estimate. ``interpolate_estimate``: the estimate is interpolated at
+    the timestamps of the ground truth, for a truth that is sparse. ``hold``: the estimate is compared at the timestamps
+    of the ground truth. Its last pose is held in gaps and after its end, so that lost tracking counts (as ETH3D does).
     ``index``: by place in the files, without timestamps (as KITTI does).
     """
 
@@ -52,6 +54,7 @@ class Association(StrEnum):
     ONE_TO_ONE = "one_to_one"
     SWEEP = "sweep"
     INTERPOLATE = "interpolate"
+    INTERPOLATE_ESTIMATE = "interpolate_estimate"
     HOLD = "hold"
     INDEX = "index"
 
@@ -80,6 +83,18 @@ class SegmentRule(StrEnum):
     MATCHED = "matched"
     RPG = "rpg"
     ETH3D = "eth3d"
+
+
+class FrameFit(StrEnum):
+    """Constant transform between the frames of estimate and ground truth that is fitted before errors are taken.
+
+    ``rotation``: the orientation of the one in the other. ``lever_arm``: the position. ``pose``: both. What is fitted
+    no longer counts as an error, so it is reported with every evaluation.
+    """
+
+    ROTATION = "rotation"
+    LEVER_ARM = "lever_arm"
+    POSE = "pose"
 
 
 class Duplicates(StrEnum):
@@ -136,7 +151,7 @@ class Protocol:
         Association.NEAREST, "Which pose of the ground truth is matched with which of the estimate; default nearest."
     )
     interpolation_interval_s: float = option(
-        0.1, "Longest interval of the ground truth that is interpolated (s)", 1e-6, _LARGEST_S
+        0.1, "Longest interval that is interpolated, of the ground truth or of the estimate (s)", 1e-6, _LARGEST_S
     )
     time_offset_s: float = option(0.0, "Added to the timestamps of the estimate (s)", -1e10, 1e10)
     offset_search_s: float = option(0.0, "Search the offset within this of time_offset_s; 0: no search (s)", 0.0, 60.0)
@@ -173,6 +188,18 @@ class Protocol:
         None, "Which trajectory of a run is judged; left out: traj.txt, whatever kind the algorithm says it is."
     )
 
+    frame_fit: FrameFit | None = option(
+        None, "Constant transform between the frames of estimate and ground truth that is fitted; left out: none."
+    )
+    lever_arm_m: tuple[float, ...] | None = option(
+        None,
+        "Point in the body frame that a ground truth of positions measures, x y z, such as an antenna or a prism; "
+        "instead of what the dataset says (m)",
+    )
+    leave_out_s: tuple[float, ...] = option(
+        (), "Stretches of the ground truth that do not count: first and last timestamp of each, growing (s)"
+    )
+
     def __post_init__(self) -> None:
         for entry in fields(self):
             self._check_number(entry)
@@ -191,6 +218,17 @@ class Protocol:
             raise InvalidInput(
                 f"T_body_sensor moves by more than {LONGEST_LEVER_ARM_M:g} m", "write its translation in metres"
             )
+
+        if self.lever_arm_m is not None:
+            check_lever_arm(self.lever_arm_m, "lever_arm_m")
+        stretches = list(self.leave_out_s)
+        if len(stretches) % 2 or stretches != sorted(stretches) or not all(map(math.isfinite, stretches)):
+            raise InvalidInput(
+                f"leave_out_s {stretches} must hold two timestamps for each stretch, growing",
+                "write for instance [12.5, 20, 61, 64]",
+            )
+        if len(stretches) > 2 * MOST_STRETCHES:
+            raise InvalidInput(f"leave_out_s has {len(stretches) // 2} stretches", f"give {MOST_STRETCHES} at most")
 
     def _check_number(self, entry: Field[Any]) -> None:
         if "minimum" not in entry.metadata:
@@ -233,6 +271,16 @@ class Protocol:
         return ", ".join(_words(self))
 
 
+def check_lever_arm(arm_m: Sequence[float], name: str) -> None:
+    """Raise InvalidInput, calling it ``name``, unless it is three numbers of metres that a vehicle may have."""
+    if len(arm_m) != 3 or not all(map(math.isfinite, arm_m)):
+        raise InvalidInput(f"{name} {list(arm_m)} must be three numbers x y z", "write the position in the body frame")
+    if max(map(abs, arm_m)) > LONGEST_LEVER_ARM_M:
+        raise InvalidInput(f"{name} is longer than {LONGEST_LEVER_ARM_M:g} m", "write it in metres")
+
+
+MOST_STRETCHES = 100
+"""A ground truth with more stretches to leave out is none."""
 LONGEST_LEVER_ARM_M = 1000.0
 """A vehicle is shorter; larger numbers are not metres."""
 MOST_SEGMENT_LENGTHS = 100
@@ -251,10 +299,10 @@ def protocol_from_content(content: Mapping[str, Any]) -> Protocol:
     if "alignment" not in values:
         raise InvalidInput("a protocol needs an alignment", f"use one of {', '.join(Alignment)}")
     for name, kind in _ENUMS.items():
-        if name in values and (name != "trajectory" or values[name] is not None):
+        if name in values and (name not in _OPTIONAL_ENUMS or values[name] is not None):
             values[name] = _member(kind, name, values[name])
     try:
-        for name in ("T_body_sensor", "segment_lengths_m"):
+        for name in ("T_body_sensor", "segment_lengths_m", "lever_arm_m", "leave_out_s"):
             if values.get(name) is not None:
                 values[name] = tuple(float(number) for number in values[name])
         if not isinstance(values.get("reference"), str | None):
@@ -271,7 +319,9 @@ _ENUMS: dict[str, type[StrEnum]] = {
     "duplicates": Duplicates,
     "segment_rule": SegmentRule,
     "trajectory": TrajectoryKind,
+    "frame_fit": FrameFit,
 }
+_OPTIONAL_ENUMS = {"trajectory", "frame_fit"}
 
 
 def _member(kind: type[StrEnum], name: str, value: str) -> StrEnum:
@@ -323,6 +373,13 @@ def _words(protocol: Protocol) -> list[str]:
 
 def _compared_words(protocol: Protocol) -> list[str]:
     words = [] if protocol.T_body_sensor is None else ["own T_body_sensor"]
+    if protocol.lever_arm_m is not None:
+        words.append("own lever arm")
+    if protocol.frame_fit is not None:
+        words.append(f"{protocol.frame_fit.replace('_', ' ')} of the frame fitted")
+    if protocol.leave_out_s:
+        pairs = zip(protocol.leave_out_s[::2], protocol.leave_out_s[1::2], strict=True)
+        words.append(f"without {' and '.join(f'{begin:.3f} to {end:.3f} s' for begin, end in pairs)}")
     if protocol.trajectory is not None:
         words.append(f"{protocol.trajectory.adjective} trajectory")
     if protocol.reference is not None:
@@ -344,6 +401,8 @@ def _segment_words(protocol: Protocol) -> list[str]:
 def _association_words(protocol: Protocol) -> str:
     if protocol.association is Association.INTERPOLATE:
         return f"ground truth interpolated over up to {protocol.interpolation_interval_s:g} s"
+    if protocol.association is Association.INTERPOLATE_ESTIMATE:
+        return f"estimate interpolated over up to {protocol.interpolation_interval_s:g} s"
     if protocol.association is Association.HOLD:
         if protocol.hold_interval_s is not None:
             within = f"with a next one within {protocol.hold_interval_s:g} s"

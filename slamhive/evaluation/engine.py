@@ -119,7 +119,7 @@ def evaluate(task: EvaluationTask, references: References) -> Evaluated | Evalua
             keys = [key for _, evaluator in EVALUATORS for key in evaluator.keys]
             found = _finite(evaluate_without_truth(estimate, task.protocol, task.T_body_sensor, task.files, keys))
         else:
-            paired = pair(reference, estimate, task.protocol, task.files)
+            paired = pair(reference, estimate, task.protocol, task.files, uncertainty_m=task.uncertainty_m)
             matched_poses = len(paired.aligned)
             found = all_metrics(paired)
         _check_essential(found, ESSENTIAL_WITHOUT_TRUTH if paired is None else ESSENTIAL)

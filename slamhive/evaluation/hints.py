@@ -7,20 +7,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from slamhive.base.errors import InvalidInput
-from slamhive.domain.protocol import Alignment, Association
+from slamhive.domain.protocol import Alignment, Association, FrameFit
 from slamhive.domain.verdict import Hint
 from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.pairing import shifted
 from slamhive.trajectory.alignment import Similarity, align, align_umeyama
-from slamhive.trajectory.association import associate, orientation_spread_deg
+from slamhive.trajectory.association import associate, orientation_spread_deg, sparse_truth
 from slamhive.trajectory.evidence import misread_unit
 from slamhive.trajectory.model import FloatArray, Poses
+from slamhive.trajectory.mounting import FrameOffset, fit_offset
 from slamhive.trajectory.offset import COARSE_STEP_S, coarse_offset, position_misfit, search_offset, turning_misfit
+from slamhive.trajectory.orientation import lacking
 from slamhive.trajectory.transforms import inverse_quats, rotations_from_quats
 
 # Poses that were written in another convention than they are read in. Each mistake is undone to see if it was made.
@@ -291,12 +293,32 @@ def find_hints(paired: Paired, values: Mapping[str, float]) -> tuple[Hint, ...]:
     if fit is None:
         return ()
     convention = mistaken_convention(fit)
+    # A wrong clock also shows as a lever arm along the motion, so it comes first.
+    mistaken = convention or _gravity(paired, fit, ate_m) or _time_offset(paired, fit, ate_m)
+    scale = _scale(paired, fit)
     found = [
-        convention or _gravity(paired, fit, ate_m) or _time_offset(paired, fit, ate_m),
-        _scale(paired, fit),
+        mistaken or (None if scale else _frame_offset(paired, fit)),
+        _fitted_frame(paired),
+        _truth_floor(ate_m, values.get("ate.truth_floor")),
+        scale,
         _straight(paired, fit, ate_m),
+        _sparse(paired),
     ]
     return tuple(hint for hint in found if hint is not None)
+
+
+def _sparse(paired: Paired) -> Hint | None:
+    """A ground truth of few poses, most of which no pose of the estimate is near enough to."""
+    matched = len(np.unique(paired.matched_reference.stamps_s))
+    remedy = sparse_truth(paired.reference, paired.estimate, paired.protocol, matched)
+    if remedy is None:
+        return None
+    return Hint(
+        "sparse_truth",
+        f"Only {matched} of {len(paired.reference)} poses of the ground truth have one of the estimate within "
+        f"{paired.protocol.association_tolerance_s:g} s.",
+        remedy,
+    )
 
 
 def _time_unit(paired: Paired) -> Hint | None:
@@ -409,6 +431,112 @@ def _ate_with_offset_m(paired: Paired, offset_s: float) -> float | None:
     if 2 * len(reference) < len(paired.matched_reference):
         return None
     return rms_m(transform.points(estimate.positions_m) - reference.positions_m)
+
+
+LEAST_TURN_DEG, TURN_SPREAD = 4.0, 0.3
+"""A constant rotation is reported above this angle if the orientations stray by at most this share of it."""
+ARM_COLLAPSE, ARM_SIGMAS = 1 / 3, 5.0
+"""A lever arm is reported if at most this share of the position error is left with it, and it is that certain."""
+
+
+def _frame_offset(paired: Paired, fit: Fit) -> Hint | None:
+    """A constant transform between the frames of estimate and ground truth: another sensor, an antenna, a prism."""
+    if paired.fitted is not None or lacking(fit.estimate.quats_xyzw, fit.estimate.positions_m):
+        return None
+    oriented, scaled = paired.rotations_known, paired.protocol.alignment in _SCALING
+    if scaled and not oriented:
+        return None
+    offset = fit_offset(fit.reference, fit.estimate, oriented=oriented, scaled=scaled)
+    along_m, aside_m = _extents_m(fit.reference.positions_m)[:2]
+    turned = (
+        offset.spread_deg is not None
+        and aside_m > STRAIGHT * along_m  # else alignment turns the estimate about the line as it likes
+        and offset.angle_deg >= LEAST_TURN_DEG
+        and offset.spread_deg <= TURN_SPREAD * offset.angle_deg
+    )
+    shifted_away = (
+        offset.after_m <= ARM_COLLAPSE * offset.before_m
+        and offset.arm_length_m >= ARM_SIGMAS * offset.arm_length_sigma_m
+    )
+    if not turned and not shifted_away:
+        return None
+    words = []
+    if turned:
+        words.append(
+            f"The orientations of the estimate differ from the ground truth by a constant rotation of "
+            f"{offset.angle_deg:.1f} +- {offset.rotation_sigma_deg:.2g} deg, from which they stray by "
+            f"{offset.spread_deg:.1f} deg only."
+        )
+    if shifted_away:
+        words.append(
+            f"With a constant lever arm of {_numbers(offset.arm_m)} +- {_numbers(offset.arm_sigma_m)} m the position "
+            f"error falls from {offset.before_m:.3g} m to {offset.after_m:.3g} m."
+        )
+    fitted = FrameFit.POSE if turned and shifted_away else FrameFit.ROTATION if turned else FrameFit.LEVER_ARM
+    return Hint("frame_offset", " ".join(words), _frame_remedy(paired, offset, fitted))
+
+
+def _frame_remedy(paired: Paired, offset: FrameOffset, fit: FrameFit) -> str:
+    """Words that state what the fit means for protocol and dataset."""
+    T = np.eye(4)
+    if fit is not FrameFit.LEVER_ARM:
+        T[:3, :3] = offset.rotation
+    if fit is not FrameFit.ROTATION:
+        T[:3, 3] = offset.arm_m
+    T = paired.T_body_estimate @ T
+    if not paired.rotations_known:
+        stated = (
+            f"write lever_arm_m: [{_numbers(T[:3, 3], ', ')}] of the antenna or prism into dataset.yaml or a protocol"
+        )
+    else:
+        numbers = ", ".join(f"{value:.6g}" for value in (np.round(T, 9) + 0.0).ravel())
+        stated = (
+            "name the sensor that the estimate describes (slamhive evaluate --sensor-frame), or evaluate under a "
+            f"protocol with T_body_sensor: [{numbers}]"
+        )
+    return f"{stated}; frame_fit: {fit} fits and reports it each time"
+
+
+def _numbers(values: FloatArray, between: str = " ") -> str:
+    return between.join("open" if not np.isfinite(value) else f"{value:.3f}" for value in values)
+
+
+def _fitted_frame(paired: Paired) -> Hint | None:
+    """What the protocol has fitted between the frames: it is no longer part of the errors."""
+    offset, fit = paired.fitted, paired.protocol.frame_fit
+    if offset is None or fit is None:
+        return None
+    words = []
+    if fit is not FrameFit.LEVER_ARM:
+        words.append(f"a rotation of {offset.angle_deg:.2f} +- {offset.rotation_sigma_deg:.2g} deg")
+    if fit is not FrameFit.ROTATION:
+        words.append(
+            f"a lever arm of {_numbers(offset.arm_m)} +- {_numbers(offset.arm_sigma_m)} m, which changed the position "
+            f"error from {offset.before_m:.3g} m to {offset.after_m:.3g} m"
+        )
+    # The transform is part of T_body_estimate here already.
+    nothing = replace(offset, rotation=np.eye(3), arm_m=np.zeros(3))
+    return Hint(
+        "frame_fitted",
+        f"The protocol fitted {' and '.join(words)}, so neither counts as an error.",
+        _frame_remedy(paired, nothing, FrameFit.POSE).split(";")[0],
+    )
+
+
+FLOOR_TIMES = 2.0
+"""An error below this many times the floor says more about the ground truth than about the system."""
+
+
+def _truth_floor(ate_m: float, floor_m: float | None) -> Hint | None:
+    """An error that the uncertainty of the ground truth explains."""
+    if floor_m is None or ate_m > FLOOR_TIMES * floor_m:
+        return None
+    return Hint(
+        "truth_floor",
+        f"The position error of {ate_m:.3g} m is near the {floor_m:.3g} m that the uncertainty of the ground truth "
+        "gives alone.",
+        f"do not rank runs by differences below {floor_m:.3g} m",
+    )
 
 
 _FACTORS = {1000.0: "millimetres", 100.0: "centimetres", 0.001: "kilometres"}

@@ -47,6 +47,8 @@ class EvaluationTask:
             adds the plots of the published SLAM Hive.
         positions_only: The orientations of the ground truth mean nothing.
         files: Other files of the run by name; see :class:`~slamhive.evaluation.evaluators.base.Paired`.
+        lever_arm_m: Point in the body frame that a ground truth of positions measures.
+        uncertainty_m: Standard deviation of a position of the ground truth along each axis; None if it is not known.
     """
 
     id: str
@@ -58,6 +60,8 @@ class EvaluationTask:
     artefacts: Artefacts = Artefacts.FILES
     positions_only: bool = False
     files: Mapping[str, Path] = field(default_factory=dict)
+    lever_arm_m: tuple[float, ...] | None = None
+    uncertainty_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +166,8 @@ def _task_to_json(task: EvaluationTask) -> dict[str, Any]:
         "artefacts": task.artefacts.value,
         "positions_only": task.positions_only,
         "files": {name: str(path) for name, path in task.files.items()},
+        "lever_arm_m": None if task.lever_arm_m is None else list(task.lever_arm_m),
+        "uncertainty_m": task.uncertainty_m,
     }
 
 
@@ -176,4 +182,6 @@ def _task_from_json(entry: dict[str, Any]) -> EvaluationTask:
         artefacts=Artefacts(entry["artefacts"]),
         positions_only=entry["positions_only"],
         files={name: Path(path) for name, path in entry["files"].items()},
+        lever_arm_m=None if entry["lever_arm_m"] is None else tuple(entry["lever_arm_m"]),
+        uncertainty_m=entry["uncertainty_m"],
     )

@@ -9,32 +9,49 @@ from pathlib import Path
 import numpy as np
 
 from slamhive.base.errors import InvalidInput
-from slamhive.domain.protocol import Protocol
+from slamhive.domain.protocol import Alignment, Association, FrameFit, Protocol
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Paired
 from slamhive.evaluation.references import TruthReference
 from slamhive.trajectory.alignment import align
-from slamhive.trajectory.association import associate
+from slamhive.trajectory.association import associate, sparse_truth
 from slamhive.trajectory.evidence import misread_unit
-from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.model import FloatArray, Poses, Trajectory
+from slamhive.trajectory.mounting import FrameOffset, fit_offset
 from slamhive.trajectory.offset import position_misfit, search_offset, turning_misfit
 from slamhive.trajectory.orientation import lacking
+from slamhive.trajectory.transforms import move_sensor
 
 MINIMUM_MATCHED_POSES = 3
 """With fewer poses the alignment is arbitrary, and so is every metric."""
 
+FITTED_POSES = 2000
+"""The transform between frames is fitted to at most this many matched poses, evenly spread."""
 SEARCHED_POSES = 1000
 """The search for an offset by position uses at most this many poses of the estimate, evenly spread."""
 
 
 def pair(
-    reference: TruthReference, estimate: Trajectory, protocol: Protocol, files: Mapping[str, Path] | None = None
+    reference: TruthReference,
+    estimate: Trajectory,
+    protocol: Protocol,
+    files: Mapping[str, Path] | None = None,
+    *,
+    uncertainty_m: float | None = None,
 ) -> Paired:
     """Bring ``estimate`` to the clock of the ground truth, match the poses, align them.
 
-    Raises InvalidInput that says which step is not possible, and why.
+    Args:
+        reference: The ground truth in the frame of the estimate.
+        estimate: The trajectory of the algorithm.
+        protocol: How.
+        files: Other files of run and dataset.
+        uncertainty_m: Standard deviation of a true position along each axis.
+
+    Raises:
+        InvalidInput: Says which step is not possible, and why.
     """
     reference.check(protocol)
-    truth = reference.trajectory
+    truth = without_stretches(reference.trajectory, protocol)
     estimate = reference.placed(estimate)
     if len(truth) < 2:
         raise InvalidInput("the ground truth has one pose, which spans no time", "use a ground truth of several poses")
@@ -48,11 +65,26 @@ def pair(
         raise InvalidInput(
             f"only {len(matched_reference)} of {len(estimate)} estimated poses match the ground truth in time, "
             f"at least {MINIMUM_MATCHED_POSES} are needed" + ("" if misread is None else f": {misread.sentence}"),
-            "the run tracked too little, or the association tolerance is too small"
+            (
+                sparse_truth(truth, estimate, protocol, len(matched_reference))
+                or "the run tracked too little, or the association tolerance is too small"
+            )
             if misread is None
             else misread.remedy,
         )
     without = lacking(estimate.quats_xyzw, estimate.positions_m)
+    T_body_estimate, fitted = reference.T_body_estimate, None
+    if protocol.frame_fit is not None:
+        if without:
+            raise InvalidInput(f"a frame is fitted by orientations of the estimate: {without}", "leave out frame_fit")
+        fitted = _fitted(reference, matched_reference, matched_estimate, protocol)
+        T_fitted = _pose_of(fitted, protocol.frame_fit)
+        T_body_estimate = T_body_estimate @ T_fitted
+        if reference.rotations_known:
+            truth = move_sensor(truth, T_fitted)
+        else:
+            estimate = move_sensor(estimate, T_fitted)
+        matched_reference, matched_estimate = associate(truth, estimate, protocol)
     transform = align(protocol.alignment, matched_estimate, matched_reference, protocol.align_poses)
     return Paired(
         protocol=protocol,
@@ -65,10 +97,56 @@ def pair(
         aligned_estimate=transform.poses(estimate),
         transform=transform,
         time_offset_s=offset_s,
-        T_body_estimate=reference.T_body_estimate,
+        T_body_estimate=T_body_estimate,
         files=dict(files or {}),
         rotations_unknown=f"of the estimate, {without}" if without and reference.rotations_known else ROTATIONS_UNKNOWN,
+        uncertainty_m=uncertainty_m,
+        fitted=fitted,
     )
+
+
+def without_stretches(truth: Trajectory, protocol: Protocol) -> Trajectory:
+    """The ground truth without the stretches that the protocol leaves out; raises InvalidInput if nothing is left."""
+    if not protocol.leave_out_s:
+        return truth
+    if protocol.association is Association.INDEX:
+        raise InvalidInput(
+            "poses are matched by index, so no stretch of the ground truth can be left out",
+            "choose an association by time",
+        )
+    limits_s = np.array(protocol.leave_out_s)
+    inside = (np.searchsorted(limits_s, truth.stamps_s, side="right") % 2 == 1) | np.isin(truth.stamps_s, limits_s)
+    if inside.all():
+        raise InvalidInput("leave_out_s leaves out the whole ground truth", "name shorter stretches")
+    kept = truth.take(np.flatnonzero(~inside))
+    return Trajectory(kept.stamps_s, kept.positions_m, kept.quats_xyzw)
+
+
+def _fitted(reference: TruthReference, truth: Poses, estimate: Poses, protocol: Protocol) -> FrameOffset:
+    """The constant transform between the frames; raises InvalidInput where the protocol's fit is not possible."""
+    fit = protocol.frame_fit
+    if not reference.rotations_known and fit is not FrameFit.LEVER_ARM:
+        raise InvalidInput(
+            f"frame_fit {fit} needs orientations, and the ground truth holds positions only", "use lever_arm"
+        )
+    chosen = np.unique(np.linspace(0, len(truth) - 1, FITTED_POSES).astype(np.intp))
+    return fit_offset(
+        truth.take(chosen),
+        estimate.take(chosen),
+        oriented=reference.rotations_known,
+        scaled=protocol.alignment in (Alignment.SIM3, Alignment.SCALE),
+        arm=fit is not FrameFit.ROTATION,
+    )
+
+
+def _pose_of(fitted: FrameOffset, fit: FrameFit) -> FloatArray:
+    """The part of the transform that is fitted, shape (4, 4)."""
+    T = np.eye(4)
+    if fit is not FrameFit.LEVER_ARM:
+        T[:3, :3] = fitted.rotation
+    if fit is not FrameFit.ROTATION:
+        T[:3, 3] = fitted.arm_m
+    return T
 
 
 def find_offset(reference: TruthReference, estimate: Trajectory, protocol: Protocol) -> float:

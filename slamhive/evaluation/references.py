@@ -31,7 +31,8 @@ class TruthReference:
     Attributes:
         trajectory: Its poses, in the frame of the estimate; in the body frame if only positions are known.
         rotations_known: False if only positions are known.
-        T_sensor_body: Moves the estimate to the body. Set if only positions are known and there is a lever arm.
+        T_sensor_body: Moves the estimate to the body, or to the point of it that is measured. Set if only positions are
+            known and there is a lever arm.
         T_body_estimate: Pose, in the body frame, of the frame of the estimate after :meth:`placed`.
     """
 
@@ -66,7 +67,7 @@ class References:
 
     def __init__(self) -> None:
         self._bodies: dict[_File, TruthReference | InvalidInput] = {}
-        self._moved: dict[tuple[_File, Matrix4], TruthReference] = {}
+        self._moved: dict[tuple[_File, Matrix4, tuple[float, ...] | None], TruthReference] = {}
 
     def preload(self, tasks: Iterable[EvaluationTask]) -> None:
         """Read all that ``tasks`` need. A malformed ground truth raises when its task asks for it."""
@@ -80,12 +81,13 @@ class References:
             raise InvalidInput(NO_TRUTH)
         T_body_sensor = task.protocol.T_body_sensor or task.T_body_sensor
         file = _File(task.reference, task.positions_only, task.protocol.duplicates)
-        key = (file, T_body_sensor)
+        arm_m = task.protocol.lever_arm_m or task.lever_arm_m
+        key = (file, T_body_sensor, arm_m)
         if key not in self._moved:
             body = self._body(file)
             if isinstance(body, InvalidInput):
                 raise body
-            self._moved[key] = _moved(body, rigid_transform(T_body_sensor, "T_body_sensor"))
+            self._moved[key] = _moved(body, rigid_transform(T_body_sensor, "T_body_sensor"), arm_m)
         return self._moved[key]
 
     def _body(self, file: _File) -> TruthReference | InvalidInput:
@@ -115,12 +117,20 @@ def _read(file: _File) -> TruthReference:
     return TruthReference(trajectory, rotations_known=not (file.positions_only or without))
 
 
-def _moved(body: TruthReference, T_body_sensor: FloatArray) -> TruthReference:
+def _moved(body: TruthReference, T_body_sensor: FloatArray, arm_m: tuple[float, ...] | None) -> TruthReference:
+    """The ground truth in the frame of the estimate; ``arm_m`` is the point of the body that positions are of."""
     if not body.rotations_known:
-        if not T_body_sensor[:3, 3].any():
+        T_body_point = np.eye(4)
+        T_body_point[:3, 3] = (0.0, 0.0, 0.0) if arm_m is None else arm_m
+        T_sensor_point: FloatArray = np.asarray(np.linalg.inv(T_body_sensor) @ T_body_point, dtype=np.float64)
+        if not T_sensor_point[:3, 3].any():
             return TruthReference(body.trajectory, False, T_body_estimate=T_body_sensor)
-        T_sensor_body: FloatArray = np.asarray(np.linalg.inv(T_body_sensor), dtype=np.float64)
-        return TruthReference(body.trajectory, False, T_sensor_body)
+        return TruthReference(body.trajectory, False, T_sensor_point, T_body_estimate=np.asarray(T_body_point))
+    if arm_m is not None:
+        raise InvalidInput(
+            "a lever arm is for a ground truth of positions; this one has orientations",
+            "use T_body_sensor, which says which frame the estimate describes",
+        )
     if np.array_equal(T_body_sensor, np.eye(4)):
         return body
     return TruthReference(move_sensor(body.trajectory, T_body_sensor), T_body_estimate=T_body_sensor)

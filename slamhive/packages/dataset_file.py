@@ -14,6 +14,7 @@ from slamhive.base.errors import InvalidInput
 from slamhive.documents.validation import check_name_in, first_problem
 from slamhive.domain.calibration import camera_model
 from slamhive.domain.dataset import Dataset, GroundTruth
+from slamhive.domain.protocol import check_lever_arm
 from slamhive.domain.sensors import IDENTITY4, CalibrationValue, Sensor, SensorKind, is_rigid
 
 DATASET_FILE = "dataset.yaml"
@@ -59,6 +60,9 @@ class _GroundTruthModel(BaseModel):
     positions_only: bool = False
     kitti_poses: str | None = None
     source: str = ""
+    lever_arm_m: list[float] | None = None
+    uncertainty_m: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False)
+    uncertainties: str | None = None
 
 
 class _DatasetModel(BaseModel):
@@ -112,6 +116,7 @@ def load_dataset(folder: Path) -> Dataset:
     files = {
         "ground truth": None if model.groundtruth is None else model.groundtruth.file,
         "KITTI poses": None if model.groundtruth is None else model.groundtruth.kitti_poses,
+        "uncertainties": None if model.groundtruth is None else model.groundtruth.uncertainties,
         "reference map": model.reference_map,
         "relations": model.relations,
     }
@@ -127,7 +132,7 @@ def load_dataset(folder: Path) -> Dataset:
         bag=model.bag or "",
         duration_s=model.duration_s,
         sensors=tuple(_sensor(sensor) for sensor in model.sensors),
-        groundtruth=None if model.groundtruth is None else GroundTruth(**model.groundtruth.model_dump()),
+        groundtruth=None if model.groundtruth is None else _truth(path, model.groundtruth),
         checksum=model.checksum,
         title=model.title,
         description=model.description,
@@ -138,6 +143,18 @@ def load_dataset(folder: Path) -> Dataset:
         reference_map=model.reference_map,
         relations=model.relations,
     )
+
+
+def _truth(path: Path, model: _GroundTruthModel) -> GroundTruth:
+    arm_m = None if model.lever_arm_m is None else tuple(model.lever_arm_m)
+    if arm_m is not None:
+        check_lever_arm(arm_m, f"{path}: groundtruth.lever_arm_m")
+        if not model.positions_only:
+            raise InvalidInput(
+                f"{path}: groundtruth.lever_arm_m is for positions; this ground truth has orientations",
+                "move its poses to the body frame, or write positions_only: true",
+            )
+    return GroundTruth(**{**model.model_dump(), "lever_arm_m": arm_m})
 
 
 def _read(path: Path) -> _DatasetModel:
@@ -179,7 +196,9 @@ def dataset_to_yaml(dataset: Dataset) -> str:
     if dataset.groundtruth is not None:
         truth = asdict(dataset.groundtruth)
         content["groundtruth"] = {
-            key: value for key, value in truth.items() if value or key not in {"kitti_poses", "source"}
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in truth.items()
+            if value or key in {"file", "gravity_aligned", "positions_only"}
         }
     for key in ("reference_map", "relations"):
         if getattr(dataset, key) is not None:

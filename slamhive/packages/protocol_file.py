@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
 from slamhive.documents.validation import first_problem_at
-from slamhive.domain.protocol import MOST_SEGMENT_LENGTHS, Protocol, ProtocolRequest
+from slamhive.domain.protocol import MOST_SEGMENT_LENGTHS, MOST_STRETCHES, Protocol, ProtocolRequest
 from slamhive.domain.sensors import is_rigid
 
 
@@ -35,7 +35,19 @@ def _must_grow(value: list[float]) -> list[float]:
     return value
 
 
+def _must_pair(value: list[float]) -> list[float]:
+    if len(value) % 2 or value != sorted(value):
+        raise ValueError("must hold the first and the last timestamp of each stretch, growing")
+    return value
+
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+
 _SPECIAL: dict[str, Any] = {
+    "lever_arm_m": Annotated[list[_Finite], Field(min_length=3, max_length=3)],
+    "leave_out_s": Annotated[
+        list[_Finite], Field(min_length=2, max_length=2 * MOST_STRETCHES), AfterValidator(_must_pair)
+    ],
     "reference": Annotated[str, Field(max_length=200), AfterValidator(_is_a_plain_name)],
     "T_body_sensor": Annotated[list[float], Field(min_length=16, max_length=16), AfterValidator(_must_be_rigid)],
 }

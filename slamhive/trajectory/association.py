@@ -37,7 +37,9 @@ def associate(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
     if how is Association.INDEX:
         return _by_index(reference, estimate)
     if how is Association.INTERPOLATE:
-        pair = _interpolated(reference, estimate, protocol.interpolation_interval_s)
+        pair = interpolated(reference, estimate, protocol.interpolation_interval_s)
+    elif how is Association.INTERPOLATE_ESTIMATE:
+        pair = interpolated(estimate, reference, protocol.interpolation_interval_s)[::-1]
     elif how is Association.HOLD:
         pair = _held(reference, estimate, protocol.hold_interval_s)
     else:
@@ -166,18 +168,63 @@ def _by_index(reference: Trajectory, estimate: Trajectory) -> tuple[Poses, Poses
     return reference, estimate
 
 
-def _interpolated(reference: Trajectory, estimate: Trajectory, interval_s: float) -> tuple[Poses, Poses]:
-    """The ground truth at those timestamps of the estimate whose neighbours are no further apart than the interval."""
-    stamps_s = estimate.stamps_s
-    after = np.searchsorted(reference.stamps_s, stamps_s, side="left")
+def interpolated(trajectory: Trajectory, other: Trajectory, interval_s: float) -> tuple[Poses, Poses]:
+    """One trajectory at those timestamps of the other that its own poses enclose, never beyond its ends.
+
+    Args:
+        trajectory: What is interpolated.
+        other: What gives the timestamps.
+        interval_s: The enclosing poses are no further apart than this; a pose with the timestamp itself needs no other.
+
+    Returns:
+        The interpolated poses, and those of the other at the same timestamps.
+    """
+    stamps_s = other.stamps_s
+    after = np.searchsorted(trajectory.stamps_s, stamps_s, side="left")
     exact = np.zeros(len(stamps_s), bool)
-    inside = after < len(reference)
-    exact[inside] = reference.stamps_s[after[inside]] == stamps_s[inside]
+    inside = after < len(trajectory)
+    exact[inside] = trajectory.stamps_s[after[inside]] == stamps_s[inside]
     between = inside & (after > 0)
     close = np.zeros(len(stamps_s), bool)
-    close[between] = reference.stamps_s[after[between]] - reference.stamps_s[after[between] - 1] <= interval_s
+    close[between] = trajectory.stamps_s[after[between]] - trajectory.stamps_s[after[between] - 1] <= interval_s
     kept = np.flatnonzero(exact | close)
-    return interpolate(reference, stamps_s[kept]), estimate.take(kept)
+    return interpolate(trajectory, stamps_s[kept]), other.take(kept)
+
+
+SPARSE_GAIN = 2
+"""Interpolation of the estimate is recommended if it matches at least this many times as many poses."""
+
+
+def sparse_truth(reference: Trajectory, estimate: Trajectory, protocol: Protocol, matched: int) -> str | None:
+    """Advice to interpolate the estimate, where the rule of the protocol passes by most poses of a sparse truth.
+
+    Args:
+        reference: The ground truth.
+        estimate: The estimate, on the same clock.
+        protocol: Its association takes poses within a tolerance, else there is no advice.
+        matched: Number of poses that it has matched.
+    """
+    if protocol.association in _NOT_BY_TOLERANCE or len(reference) < 2 or len(estimate) < len(reference):
+        return None
+    # Of a live trajectory nearly all intervals are equal; those of keyframes differ, and long ones are not bridged.
+    interval_s = 2.0 * float(np.median(np.diff(estimate.stamps_s)))
+    could = len(interpolated(estimate, reference, max(interval_s, protocol.interpolation_interval_s))[1])
+    if could < max(SPARSE_GAIN * matched, 3):
+        return None
+    every_s = float(np.median(np.diff(reference.stamps_s)))
+    more = "" if interval_s <= protocol.interpolation_interval_s else f" and interpolation_interval_s: {interval_s:.2g}"
+    return (
+        f"evaluate under a protocol with association: interpolate_estimate{more}, which matches {could} of the "
+        f"{len(reference)} poses of this ground truth, one every {every_s:.3g} s"
+    )
+
+
+_NOT_BY_TOLERANCE = {
+    Association.INDEX,
+    Association.HOLD,
+    Association.INTERPOLATE,
+    Association.INTERPOLATE_ESTIMATE,
+}
 
 
 def _held(reference: Trajectory, estimate: Trajectory, interval_s: float | None) -> tuple[Poses, Poses]:
@@ -213,6 +260,12 @@ def _no_match(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
             f"no two poses of the ground truth are within {protocol.hold_interval_s:g} s, the hold interval",
             "raise hold_interval_s, or use a denser ground truth",
         )
+    if protocol.association is Association.INTERPOLATE_ESTIMATE:
+        interval_s = protocol.interpolation_interval_s
+        return InvalidInput(
+            f"no ground-truth pose lies between estimated poses at most {interval_s:g} s apart: {spans}",
+            "raise interpolation_interval_s, or use an estimate with more poses",
+        )
     if protocol.association is Association.INTERPOLATE:
         interval_s = protocol.interpolation_interval_s
         return InvalidInput(
@@ -221,7 +274,8 @@ def _no_match(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
         )
     return InvalidInput(
         f"no estimated pose is within {protocol.association_tolerance_s:g} s of a ground-truth pose: {spans}",
-        "raise the association tolerance, or use a denser ground truth",
+        sparse_truth(reference, estimate, protocol, 0)
+        or "raise the association tolerance, or use a denser ground truth",
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.protocol import Alignment, Protocol, RpePairs
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask
 from slamhive.evaluation.presets import PRESETS
 from slamhive.evaluation.runner import EvaluationRunner, ProcessStarter
@@ -166,3 +166,28 @@ def test_artefacts_open_with_evo_and_figures_are_drawn(tmp_path: Path, command_l
         str(tmp_path / "again.zip"),
     )
     assert statistics(tmp_path / "again.zip")["rmse"] == pytest.approx(result.metrics["ate.rmse"], abs=1e-8)
+
+
+def test_errors_of_distances_are_evos_point_distance(tmp_path: Path, command_line: Callable[..., None]) -> None:
+    """The ground truth is declared positions only; evo gets its orientations, which do not count there."""
+    reference, estimate = RUNS / "MH_01" / "groundtruth.txt", RUNS / "vio_mono" / "MH_01" / "0.txt"
+    for rule, options in (("consecutive", []), ("all", ["--all_pairs"])):
+        protocol = Protocol(Alignment.SE3, rpe_pairs=RpePairs(rule), rpe_delta_m=2.0, rpe_delta_frames=10)
+        folder = tmp_path / rule
+        output = folder / "out"
+        output.mkdir(parents=True)
+        task = EvaluationTask("1", estimate, reference, output, protocol, positions_only=True)
+        (folder / "scratch").mkdir()
+        (result,) = EvaluationRunner(ProcessStarter(ROOT)).run([task], folder / "scratch", lambda _result: None)
+        assert "rpe.rmse" in result.missing
+        for key, delta, unit in (("rpe_point", "2", "m"), ("rpe_point.frames", "10", "f")):
+            archive = folder / f"{key}.zip"
+            given = ["-a", "-r", "point_distance", "-d", delta, "-u", unit, *options]
+            command_line("evo_rpe", "tum", str(reference), str(estimate), *given, "--save_results", str(archive))
+            for name in ("rmse", "mean", "median", "max"):
+                expected = statistics(archive)[name]
+                assert result.metrics[f"{key}.{name}"] == pytest.approx(expected, rel=1e-9), (rule, key, name)
+            with zipfile.ZipFile(archive) as opened:
+                errors = np.load(io.BytesIO(opened.read("error_array.npy")))
+            assert result.metrics[f"{key}.pairs"] == len(errors)
+        assert 0.1 < result.metrics["segment_point.error"] < 3

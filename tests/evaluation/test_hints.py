@@ -4,22 +4,25 @@ import functools
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from slamhive.base.errors import InvalidInput
 from slamhive.base.project import project_root
-from slamhive.domain.protocol import Alignment, Association, Protocol
+from slamhive.domain.protocol import Alignment, Association, FrameFit, Protocol
 from slamhive.domain.verdict import Hint
-from slamhive.evaluation.evaluators.base import Paired
+from slamhive.evaluation.evaluators.base import UNCERTAINTIES, Paired
+from slamhive.evaluation.evaluators.completeness import AppliedAlignment, TruthFloor
+from slamhive.evaluation.evaluators.evo_errors import RotationError
 from slamhive.evaluation.hints import find_hints, rms_m
 from slamhive.evaluation.pairing import pair
 from slamhive.evaluation.references import TruthReference
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.layout import read_tum as read_tum_file
 from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.transforms import inverse_quats, multiply_quats, rotations_from_quats
+from slamhive.trajectory.transforms import interpolate, inverse_quats, move_sensor, multiply_quats, rotations_from_quats
 
 DATA = project_root().parent / "shared" / "data"
 RUNS, EVO, ROAD = DATA / "euroc_vio_runs", DATA / "evo_trajectories", DATA / "kitti06_stereo_51"
@@ -63,7 +66,9 @@ def test_clean_flights_are_told_nothing(trial: int) -> None:
     """All 122 runs of four systems, the diverging ones too."""
     for name, truth, estimate in flights(str(trial)):
         for protocol in (YAW, SE3, SIM3):
-            assert hints(truth, estimate, protocol) == {}, (name, protocol.label)
+            found = hints(truth, estimate, protocol)
+            # The orientations of this ground truth are known to be off by 5 degrees; two of the systems show it.
+            assert {*found} <= ({"frame_offset"} if "V1_01" in name else set()), (name, protocol.label)
         assert hints(truth, estimate, SE3, rotations=False) == {}, name
 
 
@@ -186,7 +191,7 @@ def test_a_z_axis_that_does_not_point_up_is_told_where_gravity_counts(quat: tupl
         shown_deg = re.search(r"tilted by (\d+) deg", found["gravity"].sentence)
         assert shown_deg is not None
         assert int(shown_deg[1]) == pytest.approx(tilt_deg, abs=8), name
-        assert hints(truth, turned, SE3) == {}, name
+        assert set(hints(truth, turned, SE3)) <= ({"frame_offset"} if "V1_01" in name else set()), name
 
 
 def test_planar_runs_tell_by_their_orientations() -> None:
@@ -284,3 +289,109 @@ def test_a_unit_that_makes_times_overlap_a_little_is_told() -> None:
     found = hints(truth, Trajectory(t * 1e3, positions_m, quats), replace(SE3, association_tolerance_s=0.1))
     assert set(found) == {"time_unit"}
     assert "look like ms, not seconds" in found["time_unit"].sentence
+
+
+# -- frames ------------------------------------------------------------------------------------------------------------
+
+ANTENNA_M = np.array([0.6, -0.3, 1.2])
+
+
+def mounted(R_xyzw: tuple[float, ...], arm_m: np.ndarray) -> Change:
+    """The trajectory of another frame on the same body."""
+    T = np.eye(4)
+    T[:3, :3] = rotations_from_quats(np.array([R_xyzw]) / np.linalg.norm(R_xyzw))[0]
+    T[:3, 3] = arm_m
+    return lambda t: move_sensor(t, T)
+
+
+def flight_of(name: str) -> tuple[Trajectory, Trajectory]:
+    return read_tum(RUNS / "V2_02" / "groundtruth.txt"), read_tum(RUNS / name / "V2_02" / "0.txt")
+
+
+@pytest.mark.parametrize("system", ["vio_mono", "vio_stereo", "vislam_ba", "vislam_rp"])
+@pytest.mark.parametrize("protocol", [SE3, YAW])
+def test_the_frame_of_another_sensor_is_told_with_its_transform(system: str, protocol: Protocol) -> None:
+    truth, estimate = flight_of(system)
+    camera = mounted((0.5, -0.5, 0.5, -0.5), ANTENNA_M)
+    found = hints(truth, camera(estimate), protocol)
+    assert set(found) == {"frame_offset"}
+    hint = found["frame_offset"]
+    assert re.search(r"constant rotation of 1(19|20)\.\d \+- 0\.\d+ deg", hint.sentence)
+    numbers = [float(text) for text in re.search(r"T_body_sensor: \[(.*?)\]", hint.remedy)[1].split(", ")]  # type: ignore[index]
+    corrected = replace(protocol, T_body_sensor=tuple(numbers))
+    reference = TruthReference(move_sensor(truth, np.reshape(numbers, (4, 4))))
+    paired = pair(reference, camera(estimate), corrected)
+    assert find_hints(paired, {"ate.rmse": error_m(paired)}) == ()
+    assert np.array(numbers).reshape(4, 4)[:3, 3] == pytest.approx(ANTENNA_M, abs=0.12)
+
+
+def test_a_turned_frame_alone_is_told_though_the_position_error_is_small() -> None:
+    truth, estimate = flight_of("vislam_ba")
+    found = hints(truth, mounted((0, 0, 1, 0.01), np.zeros(3))(estimate), SE3)
+    assert re.search(r"17[89]\.\d \+- 0\.\d+ deg, from which they stray by 0\.\d deg", found["frame_offset"].sentence)
+
+
+@pytest.mark.parametrize("system", ["vio_mono", "vio_stereo", "vislam_ba", "vislam_rp"])
+def test_an_antenna_is_told_where_the_truth_has_positions_only(system: str) -> None:
+    truth, estimate = flight_of(system)
+    antenna = mounted((0, 0, 0, 1), ANTENNA_M)(truth)
+    found = hints(antenna, estimate, SE3, rotations=False)["frame_offset"]
+    arm_m = [float(text) for text in re.search(r"lever_arm_m: \[(.*?)\]", found.remedy)[1].split(", ")]  # type: ignore[index]
+    assert arm_m == pytest.approx(ANTENNA_M, abs=0.12)
+    said = re.search(r"falls from ([\d.]+) m to ([\d.]+) m", found.sentence)
+    assert said is not None
+    if system == "vislam_ba":
+        assert float(said[1]) > 10 * float(said[2])
+
+
+@pytest.mark.parametrize("fit", list(FrameFit))
+def test_a_fitted_frame_is_reported_and_no_longer_an_error(fit: FrameFit) -> None:
+    truth, estimate = flight_of("vislam_ba")
+    camera = mounted((0.5, -0.5, 0.5, -0.5), ANTENNA_M)(estimate)
+    protocol = replace(SE3, frame_fit=fit)
+    paired = pair(TruthReference(truth), camera, protocol)
+    metrics = {**AppliedAlignment().evaluate(paired).values, **RotationError().evaluate(paired).values}
+    said = {hint.key: hint for hint in find_hints(paired, {"ate.rmse": error_m(paired)})}
+    assert "frame_fitted" in said
+    if fit is not FrameFit.LEVER_ARM:
+        # Without the arm the worlds are aligned less well, and so is what is left between the frames.
+        assert metrics["alignment.frame_rotation"] == pytest.approx(120, abs=0.7 if fit is FrameFit.POSE else 5)
+        assert 0 < metrics["alignment.frame_rotation_sigma"] < 1
+        assert metrics["ate_rot.rmse"] < 3
+    if fit is not FrameFit.ROTATION:
+        length_m = float(np.linalg.norm(ANTENNA_M))
+        sigma_m = metrics["alignment.lever_arm_sigma"]
+        assert metrics["alignment.lever_arm"] == pytest.approx(length_m, abs=max(3 * sigma_m, 0.05))
+        assert error_m(paired) < 0.06
+    assert protocol.label.count("fitted") == 1
+
+
+def test_a_sparse_truth_is_told_with_the_rule_that_fits() -> None:
+    truth, estimate = flight_of("vio_stereo")
+    between_s = 0.5 * (estimate.stamps_s[5:-5:20] + estimate.stamps_s[6:-4:20])
+    rare = interpolate(truth, between_s[(between_s > truth.stamps_s[0]) & (between_s < truth.stamps_s[-1])])
+    sparse = Trajectory(rare.stamps_s, rare.positions_m, rare.quats_xyzw)
+    with pytest.raises(InvalidInput, match=r"association: interpolate_estimate.* matches \d+ of the \d+ poses"):
+        pair(TruthReference(sparse), estimate, replace(SE3, association_tolerance_s=0.002))
+    by_estimate = pair(TruthReference(sparse), estimate, replace(SE3, association=Association.INTERPOLATE_ESTIMATE))
+    assert len(by_estimate.matched_reference) >= 0.9 * len(sparse)
+    moved_s = np.where(np.arange(len(sparse)) % 3 == 0, sparse.stamps_s + 0.024, sparse.stamps_s)
+    third = interpolate(truth, moved_s)
+    few = pair(TruthReference(Trajectory(moved_s, third.positions_m, third.quats_xyzw)), estimate, SE3)
+    assert {hint.key for hint in find_hints(few, {"ate.rmse": 0.1})} == {"sparse_truth"}
+
+
+def test_an_error_near_the_uncertainty_of_the_truth_is_told(tmp_path: Path) -> None:
+    truth, estimate = flight_of("vislam_ba")
+    paired = pair(TruthReference(truth), estimate, SE3, uncertainty_m=0.03)
+    floor = TruthFloor().evaluate(paired).values
+    assert floor == {"ate.truth_floor": pytest.approx(0.03 * np.sqrt(3))}
+    found = {hint.key for hint in find_hints(paired, {"ate.rmse": error_m(paired), **floor})}
+    assert found == {"truth_floor"}
+    rows = np.column_stack([truth.stamps_s, np.full((len(truth), 3), [0.01, 0.02, 0.02])])
+    np.savetxt(tmp_path / "sigmas.txt", rows, fmt="%.9f")
+    of_poses = pair(TruthReference(truth), estimate, SE3, {UNCERTAINTIES: tmp_path / "sigmas.txt"}, uncertainty_m=1.0)
+    assert TruthFloor().evaluate(of_poses).values == {"ate.truth_floor": pytest.approx(0.03)}
+    np.savetxt(tmp_path / "sigmas.txt", rows[:100], fmt="%.9f")
+    with pytest.raises(InvalidInput, match=r"sigmas\.txt does not cover the ground truth"):
+        TruthFloor().evaluate(of_poses)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slamhive.base.errors import InvalidInput
-from slamhive.domain.protocol import Alignment, Association, Protocol
+from slamhive.domain.protocol import Alignment, Association, FrameFit, Protocol
 from slamhive.domain.sensors import IDENTITY4
 from slamhive.evaluation.engine import all_metrics
 from slamhive.evaluation.evaluators.base import Paired
@@ -308,3 +308,52 @@ def test_a_line_is_evaluated_where_no_rotation_is_sought(folder: Path) -> None:
 def test_positions_alone_have_no_first_pose(folder: Path, protocol: Protocol) -> None:
     result = task(folder, protocol, positions_only=True)
     assert (result.reason or "").startswith("alignment of the first pose needs orientations")
+
+
+def test_a_stretch_of_the_truth_is_left_out_and_said() -> None:
+    wrong = flight(TRUTH_S)
+    positions_m = wrong.positions_m.copy()
+    positions_m[(TRUTH_S >= 10) & (TRUTH_S <= 12)] += [0.0, 0.0, 0.5]
+    truth = TruthReference(Trajectory(TRUTH_S, positions_m, wrong.quats_xyzw))
+    protocol = replace(SE3, leave_out_s=(10.0, 12.0, 30.0, 30.5))
+    assert figures(pair(truth, ESTIMATE, SE3))["ate.rmse"] > 0.05
+    found = pair(truth, ESTIMATE, protocol)
+    assert figures(found)["ate.rmse"] == pytest.approx(0, abs=2e-3)
+    assert figures(pair(truth, ESTIMATE, replace(SE3, leave_out_s=(12.0, 14.0))))["ate.rmse"] > 0.05
+    stamps_s = found.matched_reference.stamps_s
+    assert not np.any((stamps_s >= 10) & (stamps_s <= 12))
+    assert "without 10.000 to 12.000 s and 30.000 to 30.500 s" in protocol.label
+    with pytest.raises(InvalidInput, match="leaves out the whole ground truth"):
+        pair(truth, ESTIMATE, replace(SE3, leave_out_s=(-1.0, 50.0)))
+    with pytest.raises(InvalidInput, match="two timestamps for each stretch"):
+        replace(SE3, leave_out_s=(1.0, 2.0, 1.5, 3.0))
+
+
+def test_a_prism_is_where_the_dataset_says(tmp_path: Path) -> None:
+    arm_m = (0.3, -0.2, 0.8)
+    T = np.eye(4)
+    T[:3, 3] = arm_m
+    prism = move_sensor(flight(TRUTH_S), T)
+    np.savetxt(tmp_path / "prism.txt", np.column_stack([prism.stamps_s, prism.positions_m]), fmt="%.9f")
+    camera = move_sensor(ESTIMATE, LEVER_ARM)
+    write_tum(tmp_path / "estimate.txt", camera.stamps_s, camera.positions_m, camera.quats_xyzw)
+    task = EvaluationTask(
+        "1",
+        tmp_path / "estimate.txt",
+        tmp_path / "prism.txt",
+        tmp_path,
+        SE3,
+        T_body_sensor=tuple(LEVER_ARM.ravel()),
+        lever_arm_m=arm_m,
+    )
+    assert run_task(task, References()).metrics["ate.rmse"] < 1e-6
+    assert run_task(replace(task, lever_arm_m=None), References()).metrics["ate.rmse"] > 0.05
+    stated = replace(task, lever_arm_m=None, protocol=replace(SE3, lever_arm_m=arm_m))
+    assert run_task(stated, References()).metrics["ate.rmse"] < 1e-6
+    fitted = run_task(
+        replace(task, lever_arm_m=None, protocol=replace(SE3, frame_fit=FrameFit.LEVER_ARM)), References()
+    )
+    assert fitted.metrics["ate.rmse"] < 1e-6
+    assert fitted.metrics["alignment.lever_arm"] == pytest.approx(float(np.linalg.norm(arm_m)), abs=1e-5)
+    (hint,) = (hint for hint in fitted.hints if hint.key == "frame_fitted")
+    assert "lever_arm_m: [0.300, -0.200, 0.800]" in hint.remedy

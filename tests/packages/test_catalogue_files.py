@@ -44,6 +44,29 @@ def test_a_reference_map_and_relations_come_back(tmp_path):
     assert load_dataset(dataset.folder) == dataset
 
 
+def test_the_prism_and_the_uncertainty_of_a_ground_truth_come_back(tmp_path):
+    truth = GroundTruth(
+        "groundtruth.txt",
+        gravity_aligned=True,
+        positions_only=True,
+        lever_arm_m=(0.1, 0.0, 1.2),
+        uncertainty_m=0.02,
+        uncertainties="sigmas.txt",
+    )
+    dataset = replace(make_dataset(tmp_path), groundtruth=truth)
+    text = dataset_to_yaml(dataset)
+    (dataset.folder / "dataset.yaml").write_text(text)
+    assert load_dataset(dataset.folder) == dataset
+    for old, new, message in (
+        ("positions_only: true", "positions_only: false", "lever_arm_m is for positions"),
+        ("0.0, 1.2]", "0.0, 1200.5]", "lever_arm_m is longer than 1000 m"),
+        ("sigmas.txt", "../sigmas.txt", "must be a plain file name"),
+    ):
+        (dataset.folder / "dataset.yaml").write_text(text.replace(old, new))
+        with pytest.raises(InvalidInput, match=message):
+            load_dataset(dataset.folder)
+
+
 @pytest.mark.parametrize("key", ["reference_map", "relations"])
 def test_a_reference_map_and_relations_lie_in_the_folder(tmp_path, key):
     outside: dict[str, Any] = {key: "../secret"}

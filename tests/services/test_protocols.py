@@ -16,6 +16,7 @@ from slamhive.domain.run import RunState
 from slamhive.evaluation.presets import PRESETS
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited
+from slamhive.services.evaluations import SENSOR_FRAME
 from slamhive.services.hive import Hive
 from slamhive.services.reindex import reindex
 from tests.services.fake_executor import FakeExecutor
@@ -170,3 +171,12 @@ def test_the_settings_take_part_unless_a_preset_says_otherwise(hive: Hive, run_i
     assert of(run, hive.protocols.named("sim3")).association_tolerance_s == 0.5
     assert of(run, hive.protocols.named("evo")).association_tolerance_s == 0.01
     assert json.loads(json.dumps(of(run).content))["association_tolerance_s"] == 0.5
+
+
+def test_the_frame_of_a_sensor_is_taken_from_the_dataset(hive: Hive, run_id: int) -> None:
+    run, dataset = hive.runs.get(run_id), hive.catalogue.dataset("track")
+    sensor = dataset.sensors[0]
+    protocol = hive.evaluations.protocol_of(run, ProtocolRequest({SENSOR_FRAME: sensor.name}))
+    assert protocol.T_body_sensor == sensor.T_body_sensor
+    with pytest.raises(NotFound, match="dataset track has no sensor 'cam9'"):
+        hive.evaluations.protocol_of(run, ProtocolRequest({SENSOR_FRAME: "cam9"}))

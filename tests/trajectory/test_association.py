@@ -145,3 +145,19 @@ def test_a_turn_takes_the_shorter_way() -> None:
     turned = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 3)), np.array([[0, 0, 0, 1], [0, 0, -HALF, -HALF]]))
     (quat,) = interpolate(turned, np.array([0.5])).quats_xyzw
     np.testing.assert_allclose(np.abs(quat), [0, 0, np.sin(np.pi / 8), np.cos(np.pi / 8)], atol=1e-12)
+
+
+def test_the_estimate_is_interpolated_at_a_sparse_truth_within_its_gaps() -> None:
+    estimate = straight(np.concatenate([np.arange(0.0, 4.0, 0.1), np.arange(6.0, 10.0, 0.1)]))
+    truth = straight(np.arange(-0.55, 12.0, 1.0))
+    reference, matched = associate(truth, estimate, protocol(Association.INTERPOLATE_ESTIMATE))
+    # Nothing before its start, in its gap of 2 s, or after its end.
+    assert reference.stamps_s == pytest.approx([0.45, 1.45, 2.45, 3.45, 6.45, 7.45, 8.45, 9.45])
+    assert matched.stamps_s == pytest.approx(reference.stamps_s)
+    assert matched.positions_m == pytest.approx(reference.positions_m, abs=1e-12)
+    bridged, _ = associate(truth, estimate, protocol(Association.INTERPOLATE_ESTIMATE, interpolation_interval_s=2.2))
+    assert 5.45 in bridged.stamps_s.round(6)
+    with pytest.raises(
+        InvalidInput, match=r"interpolate_estimate and interpolation_interval_s: 0\.2, which matches 8 of"
+    ):
+        associate(truth, estimate, protocol(Association.NEAREST))

@@ -103,7 +103,40 @@ def _segments() -> list[Metric]:
         metrics += family.one_length(length_name(length_m), f"{length_m:g} m", which, _ETH3D)
     for length_m in LONG_LENGTHS_M:
         metrics += _spread(length_m)
-    return metrics
+    return [*metrics, *_segments_of_distances()]
+
+
+def _segments_of_distances() -> list[Metric]:
+    """Errors of the distance between the ends of a segment, for which no orientations are needed."""
+    how = (
+        "Mean difference between the estimated and the true distance from the start of a segment to its end, over the "
+        "segment's length along the path. It needs no orientations, and is blind to a wrong direction. Segments"
+    )
+    endings = [
+        ("", "", "as for Segment translation"),
+        *((f".{p}pct", f" {p} %", f"of {p} % of the path") for p in SEGMENT_PERCENTS),
+    ]
+    return [
+        metric
+        for ending, length, which in endings
+        for metric in (
+            replace(
+                _segment(
+                    f"segment_point.error{ending}", f"Segment distance{length}", "%", f"{how} {which}.", "SLAM Hive"
+                ),
+                counted_by=f"segment_point.count{ending}",
+            ),
+            neutral(
+                _segment(
+                    f"segment_point.count{ending}",
+                    f"Segment distance count{length}",
+                    "",
+                    f"Number of segments that Segment distance{length} is a mean of.",
+                    "SLAM Hive",
+                )
+            ),
+        )
+    ]
 
 
 def _spread(length_m: float) -> list[Metric]:
@@ -200,6 +233,17 @@ def _relative_size() -> list[Metric]:
         ),
         neutral(
             _one(
+                "ate.truth_floor",
+                "ATE floor of the ground truth",
+                "m",
+                Group.ABSOLUTE,
+                "Root of the mean squared standard deviation of the matched true positions, over all three axes, where "
+                "the dataset states it. It is the ATE RMSE that the uncertainty of the ground truth gives alone, so "
+                "smaller differences between runs mean nothing.",
+            )
+        ),
+        neutral(
+            _one(
                 "ate.over_repeats",
                 "ATE over repeats",
                 "",
@@ -238,7 +282,24 @@ def _relative() -> list[Metric]:
     metrics = _both_parts("", "RPE", metres, (_ALL, _MAIN))
     for unit, delta in chosen.items():
         metrics += _both_parts(f".{unit}", f"RPE by {unit}", delta, (_MAIN, _MAIN))
+    metrics += _of_distances("", "Distance RPE", metres)
+    for unit in ("frames", "seconds"):
+        metrics += _of_distances(f".{unit}", f"Distance RPE by {unit}", chosen[unit])
     return metrics
+
+
+def _of_distances(suffix: str, label: str, delta: str) -> list[Metric]:
+    """Errors of the distance between the two positions of a pair, for which no orientations are needed."""
+    pairs = f"The poses of a pair are the protocol's RPE delta apart, {delta}"
+    what = (
+        "the difference between the estimated and the true distance from one position of a pair to the other. It needs "
+        f"no orientations, and is blind to a wrong direction. {pairs}"
+    )
+    source = f"{_EVO}, point_distance; {_PAIRS[suffix]}"
+    count = f"rpe_point{suffix}.pairs"
+    errors = statistics(_one(f"rpe_point{suffix}", label, "m", Group.RELATIVE, what, source), _MAIN)
+    number = _one(count, f"{label} pairs", "", Group.RELATIVE, f"Number of pairs. {pairs}.", source)
+    return [*(replace(metric, counted_by=count) for metric in errors), neutral(number)]
 
 
 def _both_parts(suffix: str, label: str, delta: str, names: tuple[tuple[str, ...], tuple[str, ...]]) -> list[Metric]:
@@ -332,7 +393,25 @@ def _drift_and_scale() -> list[Metric]:
                 "Umeyama, PAMI 1991, eq. (42)",
             )
         ),
+        *_fitted_frame(),
     ]
+
+
+def _fitted_frame() -> list[Metric]:
+    where = "between the frames of estimate and ground truth, if the protocol fits one (frame_fit)"
+    error = "Standard error, with neighbouring errors that are alike counted as one, of the fitted"
+    parts = (
+        ("frame_rotation", "Fitted rotation", "deg", f"Angle of the constant rotation {where}."),
+        ("frame_rotation_sigma", "Fitted rotation, standard error", "deg", f"{error} rotation."),
+        ("lever_arm", "Fitted lever arm", "m", f"Length of the constant translation {where}."),
+        (
+            "lever_arm_sigma",
+            "Fitted lever arm, standard error",
+            "m",
+            f"{error} lever arm along the axes that are known.",
+        ),
+    )
+    return [neutral(_one(f"alignment.{key}", label, unit, Group.DRIFT, text)) for key, label, unit, text in parts]
 
 
 def _completeness() -> list[Metric]:

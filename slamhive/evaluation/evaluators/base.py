@@ -13,6 +13,7 @@ import numpy as np
 from slamhive.domain.protocol import Protocol
 from slamhive.trajectory.alignment import Similarity
 from slamhive.trajectory.model import FloatArray, Poses, Trajectory
+from slamhive.trajectory.mounting import FrameOffset
 
 if TYPE_CHECKING:
     from evo.core.result import Result
@@ -22,6 +23,7 @@ COVARIANCES = "covariances"
 MAP = "map"
 RELATIONS = "relations"
 REFERENCE_MAP = "reference_map"
+UNCERTAINTIES = "uncertainties"
 KITTI_ESTIMATE = "kitti_estimate"
 KITTI_REFERENCE = "kitti_reference"
 
@@ -47,7 +49,10 @@ class Paired:
         time_offset_s: The offset that was added to the timestamps of the estimate.
         T_body_estimate: Pose, in the body frame, of the frame whose poses the estimate holds, shape (4, 4).
         files: Other files of run and dataset that exist, by name: :data:`COVARIANCES`, :data:`MAP`,
-            :data:`RELATIONS`, :data:`REFERENCE_MAP`, :data:`KITTI_ESTIMATE`, :data:`KITTI_REFERENCE`.
+            :data:`RELATIONS`, :data:`REFERENCE_MAP`, :data:`KITTI_ESTIMATE`, :data:`KITTI_REFERENCE`,
+            :data:`UNCERTAINTIES`.
+        uncertainty_m: Standard deviation of a true position along each axis; None if it is not known.
+        fitted: The constant transform between the frames that the protocol has fitted; None without.
     """
 
     protocol: Protocol
@@ -63,6 +68,8 @@ class Paired:
     T_body_estimate: FloatArray = field(default_factory=lambda: np.eye(4))
     files: Mapping[str, Path] = field(default_factory=dict)
     rotations_unknown: str = ROTATIONS_UNKNOWN
+    uncertainty_m: float | None = None
+    fitted: FrameOffset | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,13 +21,14 @@ from slamhive.evaluation.evaluators.completeness import (
     ScaleErrors,
     StartEndDrift,
     TrackingCoverage,
+    TruthFloor,
 )
 from slamhive.evaluation.evaluators.consistency import Consistency
 from slamhive.evaluation.evaluators.evo_errors import AbsoluteError, RelativeError, RelativeSize, RotationError
 from slamhive.evaluation.evaluators.map_quality import MapQuality
 from slamhive.evaluation.evaluators.relations import RelationErrors
-from slamhive.evaluation.evaluators.relative import RelativeErrors
-from slamhive.evaluation.evaluators.segments import KittiProtocol, SegmentErrors
+from slamhive.evaluation.evaluators.relative import DistanceErrors, RelativeErrors
+from slamhive.evaluation.evaluators.segments import KittiProtocol, SegmentDistances, SegmentErrors
 
 # An evaluator of another package, kept from harming the others.
 
@@ -82,14 +83,17 @@ EVALUATORS.register("ate_size", RelativeSize())
 EVALUATORS.register("ate_rot", RotationError())
 EVALUATORS.register("rpe", RelativeError())
 EVALUATORS.register("rpe_by", RelativeErrors())
+EVALUATORS.register("rpe_point", DistanceErrors())
 EVALUATORS.register("kitti", KittiProtocol())
 EVALUATORS.register("segment", SegmentErrors())
+EVALUATORS.register("segment_point", SegmentDistances())
 EVALUATORS.register("hilti", HiltiScore())
 EVALUATORS.register("drift", StartEndDrift())
 EVALUATORS.register("scale", ScaleErrors())
 EVALUATORS.register("coverage", TrackingCoverage())
 EVALUATORS.register("robustness", Robustness())
 EVALUATORS.register("alignment", AppliedAlignment())
+EVALUATORS.register("truth_floor", TruthFloor())
 EVALUATORS.register("nees", Consistency())
 EVALUATORS.register("relations", RelationErrors())
 EVALUATORS.register("map", MapQuality())

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics.trajectories import SCORE_LIMIT_M
-from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol
-from slamhive.evaluation.evaluators.base import MetricValues, Paired, absent
+from slamhive.domain.protocol import Alignment, Association, Duplicates, FrameFit, Protocol
+from slamhive.evaluation.evaluators.base import UNCERTAINTIES, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.relative import path_m
 from slamhive.trajectory.alignment import Similarity, align, align_umeyama
 from slamhive.trajectory.completeness import covers, measure_completeness, measure_own_coverage
 from slamhive.trajectory.model import FloatArray, Poses
+from slamhive.trajectory.table import parse_table, read_bounded
 from slamhive.trajectory.transforms import quats_from_rotations, rotation_angles_rad
+
+_FRAME_KEYS = (
+    "alignment.frame_rotation",
+    "alignment.frame_rotation_sigma",
+    "alignment.lever_arm",
+    "alignment.lever_arm_sigma",
+)
 
 
 class TrackingCoverage:
@@ -166,11 +176,51 @@ class ScaleErrors:
 class AppliedAlignment:
     """Reports the alignment as metrics."""
 
-    keys = ("alignment.scale", "alignment.time_offset")
+    keys = ("alignment.scale", "alignment.time_offset", *_FRAME_KEYS)
 
     def evaluate(self, paired: Paired) -> MetricValues:
-        """Both are always known."""
-        return MetricValues({"alignment.scale": paired.transform.scale, "alignment.time_offset": paired.time_offset_s})
+        """Scale and offset are always known. The transform between frames is there only if the protocol fits one."""
+        values = {"alignment.scale": paired.transform.scale, "alignment.time_offset": paired.time_offset_s}
+        fit, fitted = paired.protocol.frame_fit, paired.fitted
+        if fitted is not None and fit is not FrameFit.LEVER_ARM and fitted.rotation_sigma_deg is not None:
+            values |= dict(zip(_FRAME_KEYS[:2], (fitted.angle_deg, fitted.rotation_sigma_deg), strict=True))
+        if fitted is not None and fit is not FrameFit.ROTATION:
+            values |= dict(zip(_FRAME_KEYS[2:], (fitted.arm_length_m, fitted.arm_length_sigma_m), strict=True))
+        return MetricValues(values)
+
+
+class TruthFloor:
+    """The ATE that the uncertainty of the ground truth gives alone: sqrt(mean of sigma_x^2 + sigma_y^2 + sigma_z^2)."""
+
+    keys = ("ate.truth_floor",)
+
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """There is none where the dataset states no uncertainty; that of each pose outweighs the constant one."""
+        if UNCERTAINTIES in paired.files:
+            sigmas_m = read_uncertainties(paired.files[UNCERTAINTIES], paired.matched_reference.stamps_s)
+            return MetricValues({"ate.truth_floor": float(np.sqrt(np.mean((sigmas_m**2).sum(axis=1))))})
+        if paired.uncertainty_m is None:
+            return MetricValues({})
+        return MetricValues({"ate.truth_floor": float(np.sqrt(3.0)) * paired.uncertainty_m})
+
+
+def read_uncertainties(path: Path, stamps_s: FloatArray) -> FloatArray:
+    """Standard deviations of true positions along x, y, z at ``stamps_s`` (n,), shape (n, 3), from rows of a file.
+
+    They are interpolated linearly. Raises InvalidInput for a damaged file, one that ends before the ground truth, and
+    standard deviations that are none.
+    """
+    rows = parse_table(read_bounded(path), path.name, 4, "timestamp sigma_x sigma_y sigma_z").values
+    steps_s = np.diff(rows[:, 0])
+    if not np.isfinite(rows).all() or (rows[:, 1:] < 0).any() or (steps_s <= 0).any():
+        raise InvalidInput(
+            f"{path.name} must hold growing timestamps and standard deviations of 0 or more",
+            "write timestamp sigma_x sigma_y sigma_z, in s and m",
+        )
+    step_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    if stamps_s[0] < rows[0, 0] - step_s or stamps_s[-1] > rows[-1, 0] + step_s:
+        raise InvalidInput(f"{path.name} does not cover the ground truth", "write a row for each of its poses")
+    return np.column_stack([np.interp(stamps_s, rows[:, 0], rows[:, axis]) for axis in (1, 2, 3)])
 
 
 def local_scales(reference: Poses, estimate: Poses, delta_m: float) -> FloatArray:

@@ -47,6 +47,19 @@ def relative_errors(reference: Poses, estimate: Poses, pairs: Pairs) -> tuple[Fl
     return np.linalg.norm(differences_m, axis=1), rotation_angles_rad(*turns)
 
 
+def distance_errors_m(reference: Poses, estimate: Poses, pairs: Pairs) -> FloatArray:
+    """Differences between the estimated and the true distances of the positions of each pair, in m, shape (m,).
+
+    The ``point_distance`` of evo (https://github.com/MichaelGrupp/evo, ``evo.core.metrics.RPE``), the absolute value of
+    |q_j - q_i| - |p_j - p_i|. Arguments as those of :func:`relative_errors`; orientations are not used.
+    """
+    i, j = pairs
+    true_m, estimated_m = (
+        np.linalg.norm(poses.positions_m[j] - poses.positions_m[i], axis=1) for poses in (reference, estimate)
+    )
+    return np.asarray(np.abs(true_m - estimated_m))
+
+
 def path_m(poses: Poses) -> FloatArray:
     """Path length from the first pose to each, shape (n,)."""
     return _accumulated(np.linalg.norm(np.diff(poses.positions_m, axis=0), axis=1))
@@ -154,6 +167,30 @@ class RelativeErrors:
             if suffix:
                 values |= {**statistics(f"rpe{suffix}", errors_m, _NAMES), f"rpe{suffix}.pairs": float(len(errors_m))}
             values |= statistics(f"rpe_rot{suffix}", np.rad2deg(errors_rad), _NAMES)
+        return MetricValues(values, missing)
+
+
+class DistanceErrors:
+    """RPE of distances between positions, over pairs that are metres of path, frames or seconds apart."""
+
+    keys = tuple(f"rpe_point{suffix}.{name}" for suffix in ("", ".frames", ".seconds") for name in (*_NAMES, "pairs"))
+
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Needs no orientations. The metrics of a delta that no pair has are missing."""
+        values: dict[str, float] = {}
+        missing: dict[str, str] = {}
+        compared = compare(paired)
+        for suffix in ("", ".frames", ".seconds"):
+            pairs, delta = compared.pairs(suffix)
+            if len(pairs[0]) == 0:
+                absent_keys = (f"rpe_point{suffix}.{name}" for name in (*_NAMES, "pairs"))
+                missing |= dict.fromkeys(absent_keys, f"no pair of poses is {delta} apart")
+                continue
+            errors_m = distance_errors_m(compared.reference, compared.estimate, pairs)
+            values |= {
+                **statistics(f"rpe_point{suffix}", errors_m, _NAMES),
+                f"rpe_point{suffix}.pairs": float(len(errors_m)),
+            }
         return MetricValues(values, missing)
 
 

@@ -28,13 +28,22 @@ from slamhive.domain.metrics.trajectories import (
 )
 from slamhive.domain.protocol import Alignment, Association, Protocol, SegmentRule
 from slamhive.evaluation.evaluators.base import KITTI_ESTIMATE, KITTI_REFERENCE, MetricValues, Paired, absent
-from slamhive.evaluation.evaluators.relative import IndexArray, Pairs, all_pairs, path_m, relative_errors
+from slamhive.evaluation.evaluators.relative import (
+    IndexArray,
+    Pairs,
+    all_pairs,
+    distance_errors_m,
+    path_m,
+    relative_errors,
+)
 from slamhive.trajectory.kitti import read_kitti_matrices
 from slamhive.trajectory.model import FloatArray, Poses
 from slamhive.trajectory.transforms import rotations_from_quats
 
 _TOLERANCE = 0.2
 """How far a segment's length may be off, as a share of it, unless the protocol gives metres."""
+SHORTEST_M = 0.01
+"""A shorter segment is none."""
 _SPREAD_PARTS = ("metres", "degrees")
 
 
@@ -108,6 +117,39 @@ class SegmentErrors:
                 values |= _metrics(length, segments)
             missing |= {key: f"no segment is as long as {length.words}" for key in length.keys if key not in values}
         return MetricValues(values, missing)
+
+
+class SegmentDistances:
+    """Errors of the distance between the ends of segments, in percent of the segments' length along the path.
+
+    The segments are as long as shares of the path, also where the protocol gives lengths for the other segment errors.
+    """
+
+    keys = tuple(
+        f"segment_point.{name}{ending}"
+        for ending in ("", *(f".{percent}pct" for percent in SEGMENT_PERCENTS))
+        for name in ("error", "count")
+    )
+
+    def evaluate(self, paired: Paired) -> MetricValues:
+        """Needs no orientations. The metrics of a length that no segment has are missing."""
+        reference, whole_m = paired.matched_reference, paired.matched_reference.path_length_m
+        path = path_m(reference)
+        found: dict[str, FloatArray] = {}
+        for percent in SEGMENT_PERCENTS:
+            length_m = percent / 100 * whole_m
+            if length_m >= SHORTEST_M:
+                pairs = all_pairs(path, length_m, _TOLERANCE * length_m)
+                found[f".{percent}pct"] = 100.0 * distance_errors_m(reference, paired.aligned, pairs) / length_m
+        found[""] = np.concatenate([np.empty(0), *found.values()])
+        values = {
+            f"segment_point.{name}{ending}": value
+            for ending, errors in found.items()
+            if len(errors)
+            for name, value in (("error", float(errors.mean())), ("count", float(len(errors))))
+        }
+        reason = f"the path of {whole_m:.4g} m has no such segment of a centimetre or more"
+        return MetricValues(values, {key: reason for key in self.keys if key not in values})
 
 
 def _whole_m(paired: Paired) -> float:

@@ -9,6 +9,7 @@ from slamhive.base.lazy import lazy_names
 if TYPE_CHECKING:
     from slamhive.services.evaluations.current import NOT_EVALUATED, Comparisons, CurrentProtocols, ToolFigures
     from slamhive.services.evaluations.protocols import (
+        SENSOR_FRAME,
         ProtocolService,
         UsedProtocol,
         fitting_protocol,

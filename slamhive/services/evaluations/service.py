@@ -29,6 +29,7 @@ from slamhive.evaluation.evaluators.base import (
     MAP,
     REFERENCE_MAP,
     RELATIONS,
+    UNCERTAINTIES,
 )
 from slamhive.evaluation.job import (
     RESULT_FILE,
@@ -55,6 +56,7 @@ def evaluation_files(folder: RunFolder, dataset: Dataset) -> dict[str, Path]:
     named = {
         COVARIANCES: folder.covariances,
         MAP: folder.map,
+        UNCERTAINTIES: None if truth is None or truth.uncertainties is None else dataset.folder / truth.uncertainties,
         RELATIONS: None if dataset.relations is None else dataset.folder / dataset.relations,
         REFERENCE_MAP: None if dataset.reference_map is None else dataset.folder / dataset.reference_map,
         KITTI_ESTIMATE: folder.kitti_poses,
@@ -376,6 +378,8 @@ class Evaluations:
             artefacts=entry.artefacts,
             positions_only=dataset.groundtruth is not None and dataset.groundtruth.positions_only,
             files=evaluation_files(folder, dataset),
+            lever_arm_m=None if dataset.groundtruth is None else dataset.groundtruth.lever_arm_m,
+            uncertainty_m=None if dataset.groundtruth is None else dataset.groundtruth.uncertainty_m,
         )
 
     def _folder(self, run_id: int) -> RunFolder:

@@ -21,14 +21,24 @@ from slamhive.evaluation.evaluators.completeness import (
     score_seconds,
 )
 from slamhive.evaluation.evaluators.evo_errors import RotationError
-from slamhive.evaluation.evaluators.relative import RelativeErrors, all_pairs, consecutive_pairs
-from slamhive.evaluation.evaluators.segments import KittiProtocol, SegmentErrors, kitti_segments
+from slamhive.evaluation.evaluators.relative import DistanceErrors, RelativeErrors, all_pairs, consecutive_pairs
+from slamhive.evaluation.evaluators.segments import KittiProtocol, SegmentDistances, SegmentErrors, kitti_segments
 from slamhive.trajectory.model import Trajectory
 from tests.evaluation.evaluators.curves import SE3, kept, loop, moved, noisy, paired, road, rotation_z, scaled
 
 OF_A_GIVEN_LENGTH = re.compile(r"segment\.(\w+)\.\d+c?m(\.\w+)?")
 """MetricValues of segments that only a protocol which gives lengths has."""
-ALL = (RotationError, RelativeErrors, KittiProtocol, SegmentErrors, ScaleErrors, StartEndDrift, Robustness)
+ALL = (
+    RotationError,
+    RelativeErrors,
+    DistanceErrors,
+    KittiProtocol,
+    SegmentErrors,
+    SegmentDistances,
+    ScaleErrors,
+    StartEndDrift,
+    Robustness,
+)
 
 
 @pytest.mark.parametrize("make", ALL)
@@ -42,7 +52,7 @@ def test_every_key_is_in_the_catalogue_and_accounted_for(make):
     assert all(reason and "\n" not in reason for reason in figures.missing.values())
 
 
-@pytest.mark.parametrize("make", [RotationError, RelativeErrors, KittiProtocol, SegmentErrors, ScaleErrors])
+@pytest.mark.parametrize("make", [m for m in ALL if m not in (StartEndDrift, Robustness)])
 @pytest.mark.parametrize("pairs", list(RpePairs))
 def test_a_rigid_move_gives_zero_everywhere(make, pairs):
     figures = make().evaluate(paired(road(), moved(road()), Protocol(Alignment.SE3, rpe_pairs=pairs)))
@@ -103,6 +113,7 @@ def test_a_scale_of_two_percent():
     pair = paired(road(), scaled(road(), 1.02))
     assert KittiProtocol().evaluate(pair).values["kitti.translation"] == pytest.approx(2.0, abs=0.05)
     assert SegmentErrors().evaluate(pair).values["segment.translation"] == pytest.approx(2.0, abs=0.05)
+    assert SegmentDistances().evaluate(pair).values["segment_point.error"] == pytest.approx(2.0, abs=0.1)
     scales = ScaleErrors().evaluate(pair).values
     assert scales["scale.error"] == pytest.approx(2.0)
     assert scales["scale.drift"] == pytest.approx(0.0, abs=1e-9)
