@@ -502,7 +502,7 @@ def _numbers(values: FloatArray, between: str = " ") -> str:
 
 
 def _fitted_frame(paired: Paired) -> Hint | None:
-    """What the protocol has fitted between the frames: it is no longer part of the errors."""
+    """The transform that the protocol has fitted: it is no longer part of the errors."""
     offset, fit = paired.fitted, paired.protocol.frame_fit
     if offset is None or fit is None:
         return None

@@ -25,7 +25,7 @@ from slamhive.trajectory.transforms import (
 _ITERATIONS = 20
 _CONVERGED = 1e-10
 _SINGULAR = 1e-9
-"""Directions of the lever arm with less information than this share of the most stay 0: nothing tells them."""
+"""Directions of the lever arm with less information than this share of the most stay 0: they are open."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,8 +75,8 @@ class FrameOffset:
 def fit_offset(reference: Poses, estimate: Poses, *, oriented: bool, scaled: bool, arm: bool = True) -> FrameOffset:
     """The transform between the frames of matched poses, by least squares together with the alignment of the worlds.
 
-    With orientations of the ground truth Q = (R, q), the arm l minimises the sum of |q_i + R_i l - (s W p_i + t)|^2,
-    over the world's alignment (s, W, t) too, by Gauss-Newton. Without, it is added to the estimate instead, |q_i - W
+    With orientations of the ground truth Q = (R, q), the arm l minimises the sum of |q_i + R_i l - (s W p_i + t)|^2.
+    The world's alignment (s, W, t) is free as well; the method is Gauss-Newton. Without, it is added to the estimate instead, |q_i - W
     (p_i + R_i l) - t|^2, with the orientations R_i of the estimate. The rotation is the mean (Markley et al., JGCD
     2007) of R_i^T W times the estimated orientation. Standard errors are those of the residuals, times the square root
     of their correlation time: neighbouring errors of odometry are alike, and count as one.
@@ -129,7 +129,7 @@ def _fit_arm(
         if scaled:
             by_world[:, :, 6] = world.translation_m - moved
         A, B = by_world.reshape(len(reference) * 3, -1), by_arm.reshape(-1, 3)
-        # The world is eliminated: what is left tells how much the arm alone is known.
+        # The world is eliminated: what is left is the information about the arm alone.
         basis, _ = np.linalg.qr(A)
         left = B - basis @ (basis.T @ B)
         information = left.T @ left

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.base.errors import InvalidInput
-from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol, RpePairs, SegmentRule
+from slamhive.domain.protocol import Alignment, Association, Duplicates, FrameFit, Protocol, RpePairs, SegmentRule
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.packages.protocol_file import load_protocol, parse_protocol, protocol_schema
 
@@ -33,6 +33,9 @@ duplicates: mean
 segment_rule: rpg
 hold_interval_s: 0.1
 trajectory: live
+frame_fit: pose
+lever_arm_m: [0.1, 0, 1.2]
+leave_out_s: [12.5, 20, 61, 64]
 """
 
 
@@ -62,6 +65,9 @@ def test_every_field_is_read(tmp_path: Path) -> None:
         segment_rule=SegmentRule.RPG,
         hold_interval_s=0.1,
         trajectory=TrajectoryKind.LIVE,
+        frame_fit=FrameFit.POSE,
+        lever_arm_m=(0.1, 0.0, 1.2),
+        leave_out_s=(12.5, 20.0, 61.0, 64.0),
     )
     fields = {line.partition(":")[0] for line in WHOLE.splitlines() if not line.startswith("#")}
     assert set(json.loads(protocol_schema())["properties"]) == fields
