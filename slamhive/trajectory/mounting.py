@@ -76,10 +76,11 @@ def fit_offset(reference: Poses, estimate: Poses, *, oriented: bool, scaled: boo
     """The transform between the frames of matched poses, by least squares together with the alignment of the worlds.
 
     With orientations of the ground truth Q = (R, q), the arm l minimises the sum of |q_i + R_i l - (s W p_i + t)|^2.
-    The world's alignment (s, W, t) is free as well; the method is Gauss-Newton. Without orientations, the arm is added
-    to the estimate instead: |q_i - W (p_i + R_i l) - t|^2, with the orientations R_i of the estimate. The rotation is the mean (Markley et al., JGCD
-    2007) of R_i^T W times the estimated orientation. Standard errors are those of the residuals, times the square root
-    of their correlation time: neighbouring errors of odometry are alike, and count as one.
+    The world's alignment (s, W, t) is free as well; the method is Gauss-Newton. Without orientations, the arm is
+    added to the estimate instead: |q_i - W (p_i + R_i l) - t|^2, with the orientations R_i of the estimate. The
+    rotation is the mean (Markley et al., JGCD 2007) of R_i^T W times the estimated orientation. Standard errors are
+    those of the residuals, times the square root of their correlation time: neighbouring errors of odometry are
+    alike, and count as one.
 
     Args:
         reference: Matched poses of the ground truth, n of them.
