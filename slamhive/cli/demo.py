@@ -18,12 +18,13 @@ from slamhive.base.machine import slowness
 from slamhive.cli.experiments import print_report
 from slamhive.cli.output import progress_bar, tell
 from slamhive.cli.waiting import experiment_to_end
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.placement import Remaining
 from slamhive.domain.sensors import SensorKind
 from slamhive.executors.base import ImageMissing
 from slamhive.experiments.file import parse_experiment
 from slamhive.recordings.room import RoomOptions
-from slamhive.services.experiments import ConfigurationStanding, ExperimentSource, Phase, varying
+from slamhive.services.experiments import ConfigurationStanding, ExperimentSource, varying
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 
@@ -212,7 +213,7 @@ def run_demo(hive: Hive, seconds: float) -> None:
     status = hive.experiments.status(status.name)
     print_report(status, list(hive.experiments.report(status.name)), varying(hive.experiments.axes(status.name)))
     tell(f"demo done in {monotonic_s() - began:.0f} s; data in {hive.settings.data}")
-    if not status.counts[Phase.GOOD]:
+    if not status.counts[Outcome.GOOD]:
         raise click.exceptions.Exit(1)
 
 

@@ -21,6 +21,7 @@ from slamhive.cli.waiting import experiment_to_end
 from slamhive.documents import experiment as schema
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.names import plural
+from slamhive.domain.outcome import Outcome, failure_words
 from slamhive.domain.parameters import Value
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.experiments.file import parse_experiment
@@ -35,10 +36,8 @@ from slamhive.services.experiments import (
     ExperimentStatus,
     MetricSpread,
     NodesPlan,
-    Phase,
     Progress,
     csv_text,
-    failure_words,
     failures_text,
     varying,
 )
@@ -133,7 +132,15 @@ def print_status(status: ExperimentStatus) -> None:
 
 def print_statuses(found: Sequence[ExperimentStatus]) -> None:
     """Print one line for each experiment."""
-    columns = ("no.", "name", "state", "configurations", "runs", *(phase.label for phase in Phase), "created (UTC)")
+    columns = (
+        "no.",
+        "name",
+        "state",
+        "configurations",
+        "runs",
+        *(outcome.label for outcome in Outcome),
+        "created (UTC)",
+    )
     rows = [
         (
             status.id,
@@ -141,12 +148,12 @@ def print_statuses(found: Sequence[ExperimentStatus]) -> None:
             status.standing.value,
             status.cells,
             status.runs,
-            *(status.counts[phase] or None for phase in Phase),
+            *(status.counts[outcome] or None for outcome in Outcome),
             f"{status.created_at:%Y-%m-%d %H:%M}",
         )
         for status in found
     ]
-    print_table(columns, rows, right=("no.", "configurations", "runs", *(phase.label for phase in Phase)))
+    print_table(columns, rows, right=("no.", "configurations", "runs", *(outcome.label for outcome in Outcome)))
 
 
 def print_report(status: ExperimentStatus, cells: Sequence[Cell], axes: Sequence[str]) -> None:
@@ -171,7 +178,7 @@ def _report_row(cell: Cell, figures: CellFigures, axes: Sequence[str]) -> tuple[
         cell.number,
         *(_value(cell.values, axis) for axis in axes),
         len(cell.runs),
-        cell.counts[Phase.GOOD],
+        cell.counts[Outcome.GOOD],
         sum(cell.failures.values()) or None,
         failures_text(cell),
         figures.disturbed or None,
@@ -284,10 +291,10 @@ def start(cli: CliContext, /, file: Path, wait: bool, as_json: bool, **options: 
     if wait:
         experiment_to_end(hive, status.name)
         status = hive.experiments.status(status.name)
-    elif not hive.worker_alive() and status.counts[Phase.QUEUED]:
+    elif not hive.worker_alive() and status.counts[Outcome.QUEUED]:
         tell("no worker is running here; start one with `slamhive worker` or `slamhive serve`")
     _show_status(status, as_json)
-    if wait and status.counts[Phase.GOOD] + status.counts[Phase.UNJUDGED] < status.runs:
+    if wait and status.counts[Outcome.GOOD] + status.counts[Outcome.UNJUDGED] < status.runs:
         raise click.exceptions.Exit(1)
 
 

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import SlamHiveError
 from slamhive.cli.output import counting_bar, tell
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import RunState
-from slamhive.services.experiments import ConfigurationStanding, Phase
+from slamhive.services.experiments import ConfigurationStanding
 from slamhive.services.hive import Hive
 from slamhive.store import EvaluationState, RunRecord
 
@@ -97,12 +98,12 @@ def experiment_to_end(
                             on_end(hive.runs.get(run_id))
                     waiting = left
                     status = hive.experiments.status(name)
-                    if status.standing is ConfigurationStanding.PAUSED and not status.counts[Phase.RUNNING]:
+                    if status.standing is ConfigurationStanding.PAUSED and not status.counts[Outcome.RUNNING]:
                         tell(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
                         return
                     phase = f" ({status.phase})" if status.phase else ""
                     time_left = "" if status.left is None or not waiting else f", {status.left.words()}{phase}"
-                    show(max(0, total - len(waiting)), f"{status.counts[Phase.FAILED]} failed{time_left}")
+                    show(max(0, total - len(waiting)), f"{status.counts[Outcome.FAILED]} failed{time_left}")
                     if waiting:
                         # Looking at a large experiment takes a while: most of the time is left to what is looked at.
                         time.sleep(max(PAUSE_S, 5 * (monotonic_s() - began)))

@@ -13,6 +13,7 @@ from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import InputMap, Playback, Variant
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.trust import TrustLevel
@@ -134,6 +135,7 @@ class RunDocument(Document):
     tags: Annotated[tuple[str, ...], described("Tags that somebody gave the run.")] = ()
     trust: TrustDocument | None = None
     protocol: ProtocolName | None
+    outcome: Annotated[Outcome, described("Good, failed, lost and so on: the state together with the verdict.")]
     verdict: VerdictDocument | None
     metrics: Metrics
 

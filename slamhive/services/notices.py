@@ -26,8 +26,9 @@ from slamhive.base.settings import MailSecurity, Settings
 from slamhive.documents.experiment import Notice, NoticeEvent
 from slamhive.documents.model import Document, Moment, described
 from slamhive.domain.names import plural
+from slamhive.domain.outcome import Outcome
 from slamhive.recordings.variants.cache import Busy, exclusive
-from slamhive.services.experiments import ConfigurationStanding, ExperimentStatus, Phase, is_failing, status_of
+from slamhive.services.experiments import ConfigurationStanding, ExperimentStatus, is_failing, status_of
 from slamhive.store import Store, Transaction
 from slamhive.store.records import ExperimentRecord
 
@@ -317,8 +318,10 @@ def _status(t: Transaction, record: ExperimentRecord) -> ExperimentStatus:
 
 
 def _words(status: ExperimentStatus, event: NoticeEvent) -> str:
-    failed, good = status.counts[Phase.FAILED], status.counts[Phase.GOOD]
+    good, failed, lost = (status.counts[entry] for entry in (Outcome.GOOD, Outcome.FAILED, Outcome.LOST))
     runs = plural(status.runs, "run")
     if event is NoticeEvent.FAILING:
-        return f"experiment {status.name} is failing: {failed:,} of {runs} failed, the latest in a row"
-    return f"experiment {status.name} has finished: {good:,} of {runs} good, {failed:,} failed"
+        return f"experiment {status.name} is failing: {failed + lost:,} of {runs} failed, the latest in a row"
+    return f"experiment {status.name} has finished: {good:,} of {runs} good, {failed:,} failed" + (
+        f", {lost:,} lost" if lost else ""
+    )

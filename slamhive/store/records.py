@@ -13,6 +13,7 @@ from slamhive.documents.limits import RunOptions
 from slamhive.domain.accounts import TEAM_SEES, Sharing, Visibility, visibility_of
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode, Variant
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.packages import version_label
 from slamhive.domain.parameters import Parameter, Value
 from slamhive.domain.protocol import Protocol
@@ -230,6 +231,11 @@ class RunRecord(RunOptions):
         """The version that ran, such as ``aloam@2``; None if the run never started."""
         number = None if self.version is None else self.version.number
         return None if number is None else version_label(self.package, number)
+
+    @property
+    def outcome(self) -> Outcome:
+        """The outcome, from the state and the stored verdict; without metrics, a good run counts as not evaluated."""
+        return Outcome.of(self)
 
     @property
     def verdict(self) -> Verdict | None:

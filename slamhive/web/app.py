@@ -18,6 +18,7 @@ from slamhive.base.clock import utc_now
 from slamhive.base.settings import Mode, Settings
 from slamhive.base.shown_paths import relative_paths
 from slamhive.domain.accounts import VISIBILITY_LABELS, Action, Role
+from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import RunState
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
@@ -225,6 +226,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         exact_time=formatting.exact_time,
         iso_time=formatting.iso_time,
         on_dark=on_dark,
+        outcome_words=outcome_words,
         markdown=lambda text: Markup(markdown_html(text)),  # noqa: S704 - markdown_html escapes HTML
         plural=formatting.plural,
         significant=formatting.significant,

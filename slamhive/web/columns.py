@@ -15,6 +15,7 @@ from slamhive.base.bounds import whole_number
 from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE, Metric
+from slamhive.domain.outcome import outcome_words
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.filters.fields import PARAMETER_PREFIX, FieldKind, Vocabulary
 from slamhive.store.records import RunRecord, SavedSearchRecord
@@ -30,6 +31,7 @@ class ColumnKind(StrEnum):
     ALGORITHM = "algorithm"
     DATASET = "dataset"
     STATE = "state"
+    OUTCOME = "outcome"
     TIME = "time"
     PARAMETERS = "parameters"
     EXPERIMENT = "experiment"
@@ -61,8 +63,7 @@ DEFAULT_COLUMNS = (
     "dataset",
     "variant",
     "parameters",
-    "state",
-    "verdict",
+    "outcome",
     "created_at",
     "ate.rmse",
     "rpe.rmse",
@@ -126,6 +127,14 @@ def all_columns() -> Mapping[str, ListColumn]:
         ),
         ListColumn("playback", "Playback", ColumnKind.TEXT, _playback),
         ListColumn("seed", "Seed", ColumnKind.NUMBER, lambda run: TableCell(str(run.seed)), sort="seed"),
+        ListColumn(
+            "outcome",
+            "Outcome",
+            ColumnKind.OUTCOME,
+            lambda run: TableCell(outcome_words(run)),
+            sort="state",
+            help="good, or why not; not evaluated, running, queued, cancelled or lost",
+        ),
         ListColumn("state", "State", ColumnKind.STATE, lambda run: TableCell(run.state.value), sort="state"),
         ListColumn("reason", "Reason", ColumnKind.TEXT, _reason, sort="reason", help="why the run failed"),
         ListColumn("verdict", "Verdict", ColumnKind.VERDICT, _verdict, help=DEFAULT_RULE.words),

@@ -14,12 +14,12 @@ import pytest
 
 from slamhive.base.clock import Clock
 from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.placement import Remaining
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import VerdictKind
 from slamhive.services.experiments.context import GUESSED_START_S, Expected
 from slamhive.services.experiments.progress import KEPT_S, MANY_RUNS, AxisTable, Left, TimeLeft
-from slamhive.services.experiments.views import Phase
 from slamhive.services.hive import Hive
 from slamhive.store.durations import ActiveRun, Measured, Pairing, Unfinished
 from slamhive.store.records import CellRecord, StateCount
@@ -51,9 +51,9 @@ def test_the_grid_counts_failures_by_reason() -> None:
     assert [cell.configurations for cell in grid.cells.values()] == [(11, 13), (12,)]
     diverged = {VerdictKind.DIVERGED_FAR: 2}
     assert [dict(cell.failures) for cell in grid.cells.values()] == [{crashed: 3, timeout: 1}, diverged]
-    assert [cell.counts[Phase.FAILED] for cell in grid.cells.values()] == [4, 2]
-    assert [cell.counts[Phase.GOOD] for cell in grid.cells.values()] == [0, 4]
-    assert [cell.counts[Phase.UNJUDGED] for cell in grid.cells.values()] == [0, 1]
+    assert [cell.counts[Outcome.FAILED] for cell in grid.cells.values()] == [4, 2]
+    assert [cell.counts[Outcome.GOOD] for cell in grid.cells.values()] == [0, 4]
+    assert [cell.counts[Outcome.UNJUDGED] for cell in grid.cells.values()] == [0, 1]
 
 
 class Durations:

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource, Phase
+from slamhive.domain.outcome import Outcome
+from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 
@@ -88,13 +89,13 @@ def test_a_lost_database_is_rebuilt_with_what_waited(hive: Hive) -> None:
         assert (report.runs, report.experiments, report.queued, report.skipped) == (1, 1, 3, [])
         status = again.experiments.status("some")
         assert status.standing is ConfigurationStanding.PAUSED
-        assert (status.counts[Phase.GOOD], status.counts[Phase.QUEUED]) == (1, 3)
+        assert (status.counts[Outcome.GOOD], status.counts[Outcome.QUEUED]) == (1, 3)
         after = list(again.experiments.report("some"))
         assert [(cell.name, cell.values, cell.counts) for cell in after] == [
             (cell.name, cell.values, cell.counts) for cell in before
         ]
         again.worker().run(until_idle=True)
-        assert again.experiments.status("some").counts[Phase.QUEUED] == 3, "paused as before"
+        assert again.experiments.status("some").counts[Outcome.QUEUED] == 3, "paused as before"
         again.experiments.resume("some")
         again.worker().run(until_idle=True)
         assert again.experiments.status("some").standing is ConfigurationStanding.FINISHED
@@ -125,6 +126,6 @@ def test_an_algorithm_that_is_gone_is_told_and_results_stay(hive: Hive) -> None:
         assert folder.name == "some"
         assert "some line 2: algorithm 'tiny'" in reason
         assert "slamhive algorithm import" in reason
-        assert again.experiments.status("some").counts[Phase.GOOD] == 1
+        assert again.experiments.status("some").counts[Outcome.GOOD] == 1
     finally:
         again.close()

@@ -15,6 +15,7 @@ from slamhive.base.files import size_bytes
 from slamhive.base.settings import Mode
 from slamhive.cli.demo import DemoPhase as BuildPhase
 from slamhive.cli.demo import Phases, buildable
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import RunState
 from slamhive.services.experiments import previewing
 from slamhive.services.experiments.context import (
@@ -24,7 +25,7 @@ from slamhive.services.experiments.context import (
     GUESSED_START_S,
 )
 from slamhive.services.experiments.previewing import NODE_BYTES_PER_S
-from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource, Phase
+from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.store import Lease, RunRecord
 from tests.services.conftest import opened_hive
@@ -161,7 +162,7 @@ def test_it_runs_and_tells_every_cell(finished: Hive) -> None:
     assert [cell.number for cell in cells] == [1, 2, 3, 4, 5, 6]
     for cell in cells:
         good = cell.values["behaviour"] == "good"
-        assert cell.counts[Phase.GOOD if good else Phase.FAILED] == 1
+        assert cell.counts[Outcome.GOOD if good else Outcome.FAILED] == 1
         assert bool(cell.figures) == good
         if good:
             (figures,) = cell.figures
@@ -191,7 +192,7 @@ def test_pages_of_cells_and_the_grid(finished: Hive) -> None:
     assert ([cell.number for cell in rest.cells], rest.next_number) == ([5, 6], None)
     grid = finished.experiments.grid("six", "behaviour", "seconds")
     assert (grid.rows, grid.columns) == (("good", "crash"), (0.0, 0.01, 0.02))
-    assert {place: cell.counts[Phase.GOOD] for place, cell in grid.cells.items()} == {
+    assert {place: cell.counts[Outcome.GOOD] for place, cell in grid.cells.items()} == {
         (row, column): int(row == 0) for row in range(2) for column in range(3)
     }
     with pytest.raises(NotFound, match=r"unknown axis of experiment six 'second'.*seconds"):
@@ -374,7 +375,7 @@ def test_an_algorithm_that_is_gone_keeps_its_results_and_gets_no_more_runs(finis
     package = finished.catalogue.project_root / "algorithms" / "tiny"
     package.rename(tmp_path / "tiny")
     try:
-        assert finished.experiments.status("six").counts[Phase.GOOD] == 3
+        assert finished.experiments.status("six").counts[Outcome.GOOD] == 3
         assert len(list(finished.experiments.report("six"))) == 6
         with pytest.raises(NotFound, match="experiment six line 2: unknown algorithm 'tiny'"):
             finished.experiments.add_repeats("six", 1)

@@ -11,11 +11,11 @@ import pytest
 
 from slamhive.analysis.table import FAILED
 from slamhive.documents.run import RunDocument
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import DEFAULT_RULE, VerdictKind
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.services.analysis.table import TableRequest, load_table
-from slamhive.services.experiments.views import Phase
 from slamhive.services.hive import Hive
 from slamhive.store import Lease, RunSort
 from slamhive.store.records import ExperimentState, NewCell
@@ -82,9 +82,9 @@ def test_list_groups_experiment_analysis_and_json_agree(hive: Hive, runs: list[i
 
     status = hive.experiments.status("e")
     assert {phase: count for phase, count in status.counts.items() if count} == {
-        Phase.GOOD: 4,
-        Phase.FAILED: 5,
-        Phase.UNJUDGED: 1,
+        Outcome.GOOD: 4,
+        Outcome.FAILED: 5,
+        Outcome.UNJUDGED: 1,
     }
     why = {OUTLIER: 2, LOST: 1, VerdictKind.NOT_EVALUABLE: 1, FailureReason.TIMEOUT: 1}
     assert (status.failures, status.ended, status.ended_badly) == (why, 10, 1)

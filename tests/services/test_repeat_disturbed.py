@@ -11,10 +11,11 @@ import pytest
 
 from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.documents import experiment as schema
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import RunState
 from slamhive.experiments.file import parse_experiment
 from slamhive.services.experiments.progress import counted_runs
-from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource, Phase
+from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.services.runs.service import repeat_if_disturbed
@@ -54,7 +55,7 @@ def test_a_disturbed_run_is_repeated_until_one_is_not(hive: Hive) -> None:
     assert disturbed(hive) == [True, False]
     assert (second.retry_of, second.seed, second.cell, second.repeat_disturbed) == (first.id, first.seed, first.cell, 1)
     status = hive.experiments.status("one")
-    assert (status.counts[Phase.UNJUDGED], status.retried, status.disturbed) == (1, 1, 0)
+    assert (status.counts[Outcome.UNJUDGED], status.retried, status.disturbed) == (1, 1, 0)
     assert (status.runs, status.standing) == (1, ConfigurationStanding.FINISHED)
     (cell,) = hive.experiments.report("one")
     (figures,) = cell.figures
@@ -72,7 +73,7 @@ def test_it_is_repeated_so_often_at_most_and_the_last_counts_marked(hive: Hive) 
     assert disturbed(hive) == [True, True, True]
     assert [run.repeat_disturbed for run in runs_of(hive)] == [2, 1, 0]
     status = hive.experiments.status("one")
-    assert (status.counts[Phase.UNJUDGED], status.retried, status.disturbed) == (1, 2, 1)
+    assert (status.counts[Outcome.UNJUDGED], status.retried, status.disturbed) == (1, 2, 1)
     assert schema.ExperimentStatusDocument.of(status).content["disturbed"] == 1
     (cell,) = hive.experiments.report("one")
     (figures,) = cell.figures
@@ -96,7 +97,7 @@ def test_a_disturbed_failure_is_repeated_and_stays_among_the_failures_of_its_cel
     hive.worker(only=only).run(until_idle=True)
     work(hive, beside(*QUIET))
     assert [run.state for run in runs_of(hive)] == [RunState.FAILED, RunState.SUCCEEDED]
-    assert hive.experiments.status("one").counts[Phase.FAILED] == 0
+    assert hive.experiments.status("one").counts[Outcome.FAILED] == 0
     (cell,) = hive.experiments.report("one")
     assert sum(cell.failures.values()) == 1
 
@@ -148,12 +149,12 @@ def test_a_cancelled_repetition_leaves_the_disturbed_run_in_its_place(hive: Hive
     hive.executors.opened["process"] = beside(*BUSY)
     hive.worker(only=hive.experiments.run_ids("one")).run(until_idle=True)
     status = hive.experiments.status("one")
-    assert (status.counts[Phase.QUEUED], status.counts[Phase.UNJUDGED], status.retried) == (1, 0, 1)
+    assert (status.counts[Outcome.QUEUED], status.counts[Outcome.UNJUDGED], status.retried) == (1, 0, 1)
     (cell,) = hive.experiments.report("one")
     assert cell.figures[0].runs == 1, "it counts until the repetition has ended"
     hive.runs.cancel(runs_of(hive)[1].id)
     status = hive.experiments.status("one")
-    assert (status.counts[Phase.CANCELLED], status.counts[Phase.UNJUDGED], status.disturbed) == (1, 1, 1)
+    assert (status.counts[Outcome.CANCELLED], status.counts[Outcome.UNJUDGED], status.disturbed) == (1, 1, 1)
 
 
 @pytest.mark.integration

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from slamhive.services.experiments.service import ExperimentService
     from slamhive.services.experiments.starting import Restored
     from slamhive.services.experiments.views import (
-        ENDED,
         Cell,
         CellFigures,
         ConfigurationStanding,
@@ -30,12 +29,9 @@ if TYPE_CHECKING:
         ExperimentPreview,
         ExperimentSource,
         ExperimentStatus,
-        Failure,
         GridCell,
         MetricSpread,
         NodesPlan,
-        Phase,
-        failure_words,
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from slamhive.base.clock import SYSTEM_CLOCK, Clock
 from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.names import plural
+from slamhive.domain.outcome import Failure, Outcome, failure_of
 from slamhive.domain.parameters import Value
 from slamhive.domain.placement import Remaining
 from slamhive.domain.run import RunState
@@ -27,11 +28,8 @@ from slamhive.services.experiments.views import (
     ConfigurationStanding,
     ExperimentGrid,
     ExperimentStatus,
-    Failure,
     GridCell,
     MetricSpread,
-    Phase,
-    failure_of,
 )
 from slamhive.store import Transaction
 from slamhive.store.durations import ActiveRun
@@ -213,14 +211,14 @@ def status_of(
     record: ExperimentRecord, found: Sequence[StateCount], disturbed: int = 0, left: Left | None = None
 ) -> ExperimentStatus:
     """The status of an experiment with these counts of runs."""
-    counts: Counter[Phase] = Counter()
+    counts: Counter[Outcome] = Counter()
     failures: Counter[Failure] = Counter()
     retried = 0
     for entry in found:
         if entry.retried:
             retried += entry.count
             continue
-        counts[Phase.of(entry.state, entry.judged)] += entry.count
+        counts[Outcome.of(entry)] += entry.count
         failure = failure_of(entry)
         if failure is not None:
             failures[failure] += entry.count
@@ -236,7 +234,7 @@ def status_of(
         cells=record.cells,
         runs=record.runs,
         missing=0 if record.complete else max(0, record.runs - sum(counts.values())),
-        counts={phase: counts[phase] for phase in Phase},
+        counts={outcome: counts[outcome] for outcome in Outcome},
         retried=retried,
         failures=dict(failures),
         disturbed=disturbed,
@@ -249,13 +247,13 @@ def status_of(
     )
 
 
-def standing_of(record: ExperimentRecord, counts: Mapping[Phase, int]) -> ConfigurationStanding:
+def standing_of(record: ExperimentRecord, counts: Mapping[Outcome, int]) -> ConfigurationStanding:
     """The state of an experiment with these runs."""
     if record.state is ExperimentState.CANCELLED:
         return ConfigurationStanding.CANCELLED
     if not record.complete:
         return ConfigurationStanding.STORING
-    if not counts.get(Phase.QUEUED) and not counts.get(Phase.RUNNING):
+    if not counts.get(Outcome.QUEUED) and not counts.get(Outcome.RUNNING):
         return ConfigurationStanding.FINISHED
     return _STANDINGS[record.state]
 
@@ -264,7 +262,7 @@ def is_failing(t: Transaction, found: ExperimentStatus, wanted: int) -> bool:
     """Tell if the last ``wanted`` runs of an experiment that goes on have all failed; never if that is 0."""
     if (
         not wanted
-        or found.counts[Phase.FAILED] < wanted
+        or found.counts[Outcome.FAILED] + found.counts[Outcome.LOST] < wanted
         or found.standing in (ConfigurationStanding.FINISHED, ConfigurationStanding.CANCELLED)
     ):
         return False
@@ -297,7 +295,7 @@ def all_cells(context: ExperimentContext, name: str) -> Iterator[Cell]:
 
 
 def _cell(cell: CellRecord, runs: Sequence[CellRun]) -> Cell:
-    counts = Counter(Phase.of(run.state, run.judged) for run in runs if not run.retried)
+    counts = Counter(Outcome.of(run) for run in runs if not run.retried)
     failures = Counter(failure for run in runs if (failure := failure_of(run)) is not None)
     return Cell(
         number=cell.number,
@@ -305,7 +303,7 @@ def _cell(cell: CellRecord, runs: Sequence[CellRun]) -> Cell:
         configuration_id=cell.configuration_id,
         values=cell.values,
         runs=tuple(runs),
-        counts={phase: counts[phase] for phase in Phase},
+        counts={outcome: counts[outcome] for outcome in Outcome},
         failures=dict(failures),
         figures=tuple(_figures(runs)),
     )
@@ -315,7 +313,7 @@ def _figures(runs: Sequence[CellRun]) -> Iterator[CellFigures]:
     """The metrics of successful runs, by protocol."""
     groups: dict[str | None, list[CellRun]] = defaultdict(list)
     for run in counted_runs(runs):
-        if Phase.of(run.state, run.judged) in (Phase.GOOD, Phase.UNJUDGED):
+        if Outcome.of(run) in (Outcome.GOOD, Outcome.UNJUDGED):
             groups[run.protocol].append(run)
     for protocol in sorted(groups, key=str):
         values: dict[str, list[float]] = defaultdict(list)
@@ -400,7 +398,7 @@ class AxisTable:
         return {axis: tuple(value for value in values if value is not None) for axis, values in self.values.items()}
 
     def grid(self, axes: tuple[str, str], counts: CellCounts, name: str) -> ExperimentGrid:
-        """Runs by phase over two axes.
+        """Runs by outcome over two axes.
 
         Args:
             axes: The axis of the rows and that of the columns.
@@ -408,17 +406,17 @@ class AxisTable:
             name: The name of the experiment, for messages.
         """
         rows, columns = (self._axis(axis, name) for axis in axes)
-        phases = list(Phase)
+        outcomes = list(Outcome)
         shape = (len(self.values[axes[0]]), len(self.values[axes[1]]))
         place = rows.astype(np.int64) * shape[1] + columns
         used, first, members = np.unique(place, return_index=True, return_counts=True)
         together = np.split(self.configurations[np.argsort(place, kind="stable")], np.cumsum(members)[:-1])
         entries = [(cell, entry) for cell, found in counts.items() for entry in found if not entry.retried]
-        index = [phases.index(Phase.of(entry.state, entry.judged)) for _, entry in entries]
-        numbers = [(cell, phase, entry.count) for (cell, entry), phase in zip(entries, index, strict=True)]
+        index = [outcomes.index(Outcome.of(entry)) for _, entry in entries]
+        numbers = [(cell, outcome, entry.count) for (cell, entry), outcome in zip(entries, index, strict=True)]
         table = np.array(numbers, dtype=np.int64).reshape(-1, 3)
         of_cell = place[np.searchsorted(self.numbers, table[:, 0])]
-        sums = np.zeros((shape[0] * shape[1], len(phases)), dtype=np.int64)
+        sums = np.zeros((shape[0] * shape[1], len(outcomes)), dtype=np.int64)
         np.add.at(sums, (of_cell, table[:, 1]), table[:, 2])
         failures: dict[int, Counter[Failure]] = defaultdict(Counter)
         for at, (_, entry) in zip(of_cell, entries, strict=True):
@@ -434,7 +432,7 @@ class AxisTable:
                     int(number),
                     int(self.numbers[start]),
                     tuple(map(int, configurations)) if number <= MOST_LISTED else (),
-                    dict(zip(phases, map(int, sums[at]), strict=True)),
+                    dict(zip(outcomes, map(int, sums[at]), strict=True)),
                     dict(failures.get(int(at), {})),
                 )
                 for at, start, number, configurations in zip(used, first, members, together, strict=True)

@@ -9,9 +9,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.parameters import Value
 from slamhive.services.experiments.progress import METRICS, AxisTable, CellCounts
-from slamhive.services.experiments.views import Cell, CellFigures, Phase
+from slamhive.services.experiments.views import Cell, CellFigures
 from slamhive.store import RunRecord, Transaction
 from slamhive.store.experiments import CellSample
 from slamhive.store.records import CellRecord, ExperimentRecord, ProtocolLabel
@@ -111,11 +112,18 @@ def _entries(numbers: Sequence[int], samples: Mapping[int, Sequence[CellSample]]
     entries = []
     for number in numbers:
         good = next((sample for sample in samples.get(number, ()) if sample.protocol == protocol), None)
-        phases: Counter[Phase] = Counter()
+        phases: Counter[Outcome] = Counter()
         for entry in counts.get(number, ()):
             if not entry.retried:
-                phases[Phase.of(entry.state, entry.judged)] += entry.count
-        entries.append(_Entry(number, good, phases[Phase.FAILED] + phases[Phase.CANCELLED], phases.total()))
+                phases[Outcome.of(entry)] += entry.count
+        entries.append(
+            _Entry(
+                number,
+                good,
+                phases[Outcome.FAILED] + phases[Outcome.LOST] + phases[Outcome.CANCELLED],
+                phases.total(),
+            )
+        )
     ended = sorted((entry for entry in entries if entry.good is not None or entry.lost), key=lambda entry: entry.key)
     others = weights.total() - (weights[protocol] if protocol else 0)
     return _Entries(protocol, others, ended, len(entries) - len(ended))
@@ -195,7 +203,7 @@ def csv_rows(cell: Cell, axes: Sequence[str]) -> Iterator[list[Any]]:
     """One row for each protocol under which runs of the cell were evaluated."""
     for figures in cell.figures or (NO_FIGURES,):
         row: list[Any] = [cell.number, cell.name, *(_text(cell.values.get(axis)) for axis in axes)]
-        row += [len(cell.runs), cell.counts[Phase.GOOD], sum(cell.failures.values()), failures_text(cell)]
+        row += [len(cell.runs), cell.counts[Outcome.GOOD], sum(cell.failures.values()), failures_text(cell)]
         row += [figures.protocol, figures.runs, figures.disturbed]
         for key in METRICS:
             found = figures.metrics.get(key)

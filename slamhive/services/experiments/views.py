@@ -7,15 +7,14 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol
 
 from slamhive.base import strict_yaml
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import Variant
+from slamhive.domain.outcome import Failure, Outcome
 from slamhive.domain.parameters import Value
 from slamhive.domain.placement import Remaining
-from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.verdict import VerdictKind
+from slamhive.domain.run import FailureReason
 from slamhive.store.records import CellRun
 
 MOST_LISTED = 200
@@ -33,63 +32,6 @@ class ExperimentSource:
     def read(cls, path: Path) -> ExperimentSource:
         """The file at ``path``; raises InvalidInput."""
         return cls(strict_yaml.read_text(path), str(path))
-
-
-class Phase(StrEnum):
-    """Groups of run states that progress displays show."""
-
-    QUEUED = "queued"
-    RUNNING = "running"
-    GOOD = "good"
-    UNJUDGED = "unjudged"
-    FAILED = "failed"
-    CANCELLED = "cancelled"
-
-    @property
-    def label(self) -> str:
-        """The phase in words."""
-        return "not evaluated" if self is Phase.UNJUDGED else self.value
-
-    @classmethod
-    def of(cls, state: RunState, judged: VerdictKind | None) -> Phase:
-        """The phase of a run with this state and stored verdict."""
-        if state is RunState.SUCCEEDED and judged is not None:
-            return cls.FAILED if judged.failed else cls.GOOD
-        ends = {RunState.SUCCEEDED: cls.UNJUDGED, RunState.FAILED: cls.FAILED, RunState.CANCELLED: cls.CANCELLED}
-        if state is RunState.QUEUED:
-            return cls.QUEUED
-        return ends.get(state, cls.RUNNING)
-
-
-ENDED = (Phase.GOOD, Phase.UNJUDGED, Phase.FAILED, Phase.CANCELLED)
-"""The phases of runs that have ended."""
-
-Failure = FailureReason | VerdictKind
-"""Why a run counts as failed: its failure reason or its verdict."""
-
-
-class _Ended(Protocol):
-    """Runs, or a group of runs, with the same end."""
-
-    @property
-    def state(self) -> RunState: ...
-    @property
-    def reason(self) -> FailureReason | None: ...
-    @property
-    def judged(self) -> VerdictKind | None: ...
-
-
-def failure_of(run: _Ended) -> Failure | None:
-    """Why runs with this end count as failed; None if they do not."""
-    if run.state is RunState.FAILED:
-        return run.reason or VerdictKind.ENDED_BADLY
-    judged = run.judged if run.state is RunState.SUCCEEDED else None
-    return judged if judged is not None and judged.failed else None
-
-
-def failure_words(failure: Failure) -> str:
-    """The failure as part of a sentence."""
-    return failure.label if isinstance(failure, VerdictKind) else failure.value.replace("_", " ")
 
 
 class ConfigurationStanding(StrEnum):
@@ -210,7 +152,7 @@ class ExperimentStatus:
     cells: int
     runs: int
     missing: int
-    counts: Mapping[Phase, int]
+    counts: Mapping[Outcome, int]
     retried: int
     failures: Mapping[Failure, int]
     disturbed: int
@@ -239,7 +181,7 @@ class ExperimentStatus:
     @property
     def ended(self) -> int:
         """The number of runs that have ended."""
-        return sum(self.counts[phase] for phase in ENDED)
+        return sum(self.counts[outcome] for outcome in Outcome if outcome.ended)
 
     @property
     def ended_badly(self) -> int:
@@ -283,7 +225,7 @@ class Cell:
     configuration_id: int
     values: Mapping[str, Value]
     runs: tuple[CellRun, ...]
-    counts: Mapping[Phase, int]
+    counts: Mapping[Outcome, int]
     failures: Mapping[Failure, int]
     figures: tuple[CellFigures, ...]
 
@@ -308,7 +250,7 @@ class GridCell:
     cells: int
     first: int
     configurations: tuple[int, ...]
-    counts: Mapping[Phase, int]
+    counts: Mapping[Outcome, int]
     failures: Mapping[Failure, int]
 
 

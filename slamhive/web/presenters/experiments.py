@@ -7,22 +7,19 @@ from dataclasses import dataclass
 from typing import Any
 
 from slamhive.domain.metrics import Metric
+from slamhive.domain.outcome import Failure, Outcome, failure_words
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import RunState
 from slamhive.filters.words import matching
 from slamhive.services.experiments import (
-    ENDED,
     NO_FIGURES,
     Cell,
     CellFigures,
     ExperimentGrid,
     ExperimentPreview,
     ExperimentStatus,
-    Failure,
     GridCell,
     MetricSpread,
-    Phase,
-    failure_words,
 )
 from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import MOST_RUNS
@@ -48,14 +45,14 @@ MOST_ROWS, MOST_COLUMNS = 50, 25
 
 Search = Callable[[Mapping[str, Value | None], Sequence[int]], dict[str, str] | None]
 """Arguments of the runs page for a place in the grid, from its axis values and configuration numbers."""
-_DRAWN = (Phase.GOOD, Phase.UNJUDGED, Phase.FAILED, Phase.CANCELLED, Phase.RUNNING, Phase.QUEUED)
+_DRAWN = (*(outcome for outcome in Outcome if outcome.ended), Outcome.RUNNING, Outcome.QUEUED)
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
     """A segment of a progress bar that is 100 wide."""
 
-    phase: Phase
+    phase: Outcome
     start: float
     width: float
 
@@ -106,7 +103,7 @@ class CellLine:
     figures: tuple[TableCell, ...]
 
 
-def segments(counts: Mapping[Phase, int]) -> tuple[Segment, ...]:
+def segments(counts: Mapping[Outcome, int]) -> tuple[Segment, ...]:
     """The segments of a bar: finished runs first, waiting runs last."""
     total = sum(counts.values())
     found: list[Segment] = []
@@ -119,7 +116,7 @@ def segments(counts: Mapping[Phase, int]) -> tuple[Segment, ...]:
     return tuple(found)
 
 
-def counts_in_words(counts: Mapping[Phase, int]) -> str:
+def counts_in_words(counts: Mapping[Outcome, int]) -> str:
     """``3 good, 1 failed, 2 queued``."""
     return ", ".join(f"{thousands(counts[phase])} {phase.label}" for phase in _DRAWN if counts.get(phase)) or "no runs"
 
@@ -249,7 +246,7 @@ def unit_of(metric: Metric) -> str:
 
 def phase_count(status: ExperimentStatus, phase: str) -> int:
     """Number of runs in one phase."""
-    return status.counts.get(Phase(phase), 0)
+    return status.counts.get(Outcome(phase), 0)
 
 
 def _disturbed(cell: Cell) -> str:
@@ -293,8 +290,8 @@ def _variants(preview: ExperimentPreview) -> str:
 def _entry(found: GridCell | None, values: Mapping[str, Value | None], search: Search) -> GridEntry | None:
     if found is None:
         return None
-    ended = sum(found.counts.get(phase, 0) for phase in ENDED)
-    told = (Phase.FAILED, Phase.RUNNING, Phase.CANCELLED)
+    ended = sum(count for outcome, count in found.counts.items() if outcome.ended)
+    told = (Outcome.FAILED, Outcome.LOST, Outcome.RUNNING, Outcome.CANCELLED)
     where = ", ".join(f"{axis} {axis_text(value)}" for axis, value in values.items())
     several = f" in {plural(found.cells, 'configuration')}" if found.cells > 1 else ""
     why = f"; failures: {failures_in_words(found.failures)}" if found.failures else ""
