@@ -22,6 +22,7 @@ from slamhive.domain.accounts import Visibility
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.metrics import described
 from slamhive.domain.names import plural
+from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import FailureReason, NotesChange, RunNotes, RunState
 from slamhive.services.exports import disturbed_text, trust_text
 from slamhive.store import RunRecord, RunSort
@@ -29,14 +30,12 @@ from slamhive.store import RunRecord, RunSort
 if TYPE_CHECKING:
     from slamhive.services.hive import Hive
 
-SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "reason", "disturbed", "trust")
+SPARE = ("time s", "RAM MB", "CPU cores", "tracked", "poses", "dataset", "disturbed", "trust")
 COLUMNS = (
     "id",
     "algorithm",
     "dataset",
-    "state",
-    "reason",
-    "verdict",
+    "outcome",
     "trust",
     "disturbed",
     "poses",
@@ -243,7 +242,7 @@ def _summary(entry: RunRecord, folder: str) -> list[str]:
     steps = ", ".join(step.brief for step in entry.variant) or "unchanged"
     played = "" if entry.executor == IMPORTED else f", played in {entry.playback.mode} mode"
     lines = [
-        f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {entry.state}",
+        f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {outcome_words(entry)}",
         f"{entry.reason or 'note'}: {entry.detail}" if entry.detail else "",
         f"verdict: {entry.verdict.kind.label}. {entry.verdict.words}" if entry.verdict is not None else "",
         f"configuration: {entry.configuration_id}, {entry.package}{f'@{number}' if number else ''}{parameters}",
@@ -326,9 +325,7 @@ def run_row(entry: RunRecord) -> tuple[Any, ...]:
         entry.id,
         entry.algorithm,
         entry.dataset,
-        entry.state.value,
-        None if entry.reason is None else entry.reason.value,
-        None if entry.verdict is None else entry.verdict.kind.value,
+        outcome_words(entry),
         trust_text(entry.trust),
         disturbed_text(entry.disturbance),
         entry.poses,

@@ -52,7 +52,7 @@ _DRAWN = (*(outcome for outcome in Outcome if outcome.ended), Outcome.RUNNING, O
 class Segment:
     """A segment of a progress bar that is 100 wide."""
 
-    phase: Outcome
+    outcome: Outcome
     start: float
     width: float
 
@@ -108,17 +108,17 @@ def segments(counts: Mapping[Outcome, int]) -> tuple[Segment, ...]:
     total = sum(counts.values())
     found: list[Segment] = []
     start = 0.0
-    for phase in _DRAWN:
-        if count := counts.get(phase, 0):
+    for outcome in _DRAWN:
+        if count := counts.get(outcome, 0):
             width = 100 * count / total
-            found.append(Segment(phase, round(start, 3), round(width, 3)))
+            found.append(Segment(outcome, round(start, 3), round(width, 3)))
             start += width
     return tuple(found)
 
 
 def counts_in_words(counts: Mapping[Outcome, int]) -> str:
     """``3 good, 1 failed, 2 queued``."""
-    return ", ".join(f"{thousands(counts[phase])} {phase.label}" for phase in _DRAWN if counts.get(phase)) or "no runs"
+    return ", ".join(f"{thousands(counts[entry])} {entry.label}" for entry in _DRAWN if counts.get(entry)) or "no runs"
 
 
 def failures_in_words(failures: Mapping[Failure, int]) -> str:
@@ -244,9 +244,9 @@ def unit_of(metric: Metric) -> str:
     return display_unit(metric).unit
 
 
-def phase_count(status: ExperimentStatus, phase: str) -> int:
-    """Number of runs in one phase."""
-    return status.counts.get(Outcome(phase), 0)
+def outcome_count(status: ExperimentStatus, outcome: str) -> int:
+    """Number of runs with one outcome."""
+    return status.counts.get(Outcome(outcome), 0)
 
 
 def _disturbed(cell: Cell) -> str:
@@ -299,7 +299,7 @@ def _entry(found: GridCell | None, values: Mapping[str, Value | None], search: S
         total=sum(found.counts.values()),
         ended=ended,
         segments=segments(found.counts),
-        notes=tuple(f"{thousands(found.counts[phase])} {phase.value}" for phase in told if found.counts.get(phase)),
+        notes=tuple(f"{thousands(found.counts[entry])} {entry.label}" for entry in told if found.counts.get(entry)),
         explanation=f"{where}: {counts_in_words(found.counts)}{several}{why}",
         number=found.first if found.cells == 1 else None,
         search=None if found.cells == 1 else search(values, found.configurations),

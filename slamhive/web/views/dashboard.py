@@ -23,7 +23,7 @@ RESULT_COLUMNS = (
     "dataset",
     "variant",
     "parameters",
-    "state",
+    "outcome",
     "ended_at",
     "ate.rmse",
     "tracked_fraction",
