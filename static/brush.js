@@ -28,7 +28,7 @@
 
   function axesOf(trace) {
     return trace.dimensions.map((entry) => ({
-      label: plain(entry.label), values: window.slamhiveNumbers(entry.values), words: entry.ticktext?.map(plain), ranges: ranges(entry),
+      label: plain(entry.label), values: slamhivePlots.list(entry.values), words: entry.ticktext?.map(plain), ranges: ranges(entry),
     }));
   }
 
@@ -56,7 +56,7 @@
 
   function fill(part, chart) {
     const [trace] = chart.data;
-    const runs = window.slamhiveNumbers(trace.customdata);
+    const runs = slamhivePlots.list(trace.customdata);
     const axes = axesOf(trace);
     const shown = within(axes, runs.length);
     const more = shown.length > MOST_ROWS ? `, the first ${MOST_ROWS} in the table` : "";

@@ -1,25 +1,33 @@
-// Draws the plots of a page from the JSON at data-figures, in the light or dark colours defined in report.js.
+// Draws the plots of a page from the JSON at data-figures, and keeps them at one moment: a click in any of them chooses
+// it, it stands in the address as ?t=, and each plot over the time of the recording shows it.
 "use strict";
 (() => {
   const WHILE_ACTIVE_MS = 5000;
-  const VIEWS = { xy: "path_xy", xz: "path_xz", yz: "path_yz", "3d": "path_3d" };
+  const PLANES = ["xy", "xz", "yz"];
+  const { clear: clearCurves, draw: drawCurves } = slamhiveCurves;
+  const { clear: clearPlane, draw: drawPlane, draws: isPlane } = slamhivePlanes;
   let content = null;
-  let view = null;
+  let plane = null;
+  let chosen = null;
 
-  const MARGIN = { l: 58, r: 12, t: 28, b: 44 };
+  const places = () => document.querySelectorAll("[data-figure]");
+  const nameOf = (key) => (key === "path" ? `path_${plane}` : key);
+  const timeline = () => content?.timeline ?? null;
+  const announce = (timestamp) => document.dispatchEvent(new CustomEvent("moment", { detail: timestamp }));
 
   function say(place, text) {
-    Plotly.purge(place);
+    clearCurves(place);
+    clearPlane(place);
     if (place.nextElementSibling?.matches("details.plot-table")) place.nextElementSibling.remove();
-    const line = document.createElement("p");
-    line.className = "quiet";
-    line.textContent = text;
-    place.replaceChildren(line);
+    place.replaceChildren(slamhivePlots.element("p", text, { class: "quiet" }));
   }
+
+  /** Whether the axis of a plot is the time of the recording, so that its clicks are moments. */
+  const isTimed = (key) => Boolean(timeline() && (key in timeline().origins || key.startsWith("path")));
 
   function draw(place) {
     const key = place.dataset.figure;
-    const figure = content.figures[key === "path" ? VIEWS[view] : key];
+    const figure = content.figures[nameOf(key)];
     const panel = place.closest("[data-shown-with-data]");
     if (panel) panel.hidden = !figure;
     if (!figure) {
@@ -28,54 +36,21 @@
       return;
     }
     place.classList.remove("without");
-    if (!place.classList.contains("js-plotly-plot")) place.replaceChildren();
-    const name = `${document.title.split(" – ")[0]} ${key}`.replace(/\W+/g, "-").toLowerCase();
-    slamhiveShow(place, figure, MARGIN, {
-      toImageButtonOptions: { format: "svg", filename: name },
-      showTips: false,
-    });
-    if ("time" in place.dataset) linkTime(place);
-    if (key in origins()) pickTime(place, key);
+    const pick = isTimed(key) ? (x) => announce(timeline().origin_s + x) : undefined;
+    if (isPlane(figure)) drawPlane(place, figure, { pick });
+    else drawCurves(place, figure, { pick });
     place.setAttribute("role", "group");
     place.setAttribute("aria-label", document.querySelector(`[data-caption="${key}"]`)?.textContent || key);
   }
 
-  /** Zooming into a time in one plot shows the same time in the others with the same axis. */
-  function linkTime(place) {
-    if (place.dataset.linked) return;
-    place.dataset.linked = "1";
-    place.on("plotly_relayout", (change) => {
-      if (!("xaxis.range[0]" in change)) return;
-      const range = [change["xaxis.range[0]"], change["xaxis.range[1]"]];
-      const axis = place.layout.xaxis.title.text;
-      for (const other of document.querySelectorAll("[data-time].js-plotly-plot")) {
-        const shown = other.layout.xaxis;
-        const same = shown.title.text === axis && shown.range[0] === range[0] && shown.range[1] === range[1];
-        if (other !== place && shown.title.text === axis && !same) Plotly.relayout(other, { "xaxis.range": [...range] });
-      }
-    });
-  }
-
-  /** {plot: timestamp at which its time axis is 0}, for plots over the time of a recording. */
-  const origins = () => content.timeline?.origins ?? {};
-
-  /** A click on a plot announces its moment; moment.js shows what the sensors saw then. */
-  function pickTime(place, key) {
-    if (place.dataset.picks) return;
-    place.dataset.picks = "1";
-    place.on("plotly_click", ({ points }) => {
-      document.dispatchEvent(new CustomEvent("moment", { detail: origins()[key] + Number(points[0].x) }));
-    });
-  }
-
-  /** A line at a moment in every plot over the time of the recording. */
-  function mark(timestamp) {
-    for (const [key, origin] of Object.entries(origins())) {
-      const place = document.querySelector(`[data-figure="${key}"].js-plotly-plot`);
-      const x = timestamp - origin;
-      const line = { type: "line", x0: x, x1: x, yref: "paper", y0: 0, y1: 1, line: { dash: "dot", width: 1.5, color: "#8a929a" } };
-      const areas = (content.figures[key].layout.shapes ?? []);
-      if (place) Plotly.relayout(place, { shapes: [line, ...areas] });
+  /** A line, or a place on the path, at the chosen moment. */
+  function mark() {
+    if (!timeline() || chosen === null) return;
+    const x = chosen - timeline().origin_s;
+    for (const place of places()) {
+      if (!isTimed(place.dataset.figure)) continue;
+      slamhiveCurves.mark(place, x);
+      slamhivePlanes.mark(place, x);
     }
   }
 
@@ -98,18 +73,35 @@
     for (const place of document.querySelectorAll("[data-caption]")) {
       place.textContent = content.captions[place.dataset.caption] || "";
     }
-    document.querySelectorAll("[data-figure]").forEach(draw);
+    places().forEach(draw);
     sayWhatIsMissing();
     const pattern = document.querySelector("[data-data]")?.dataset.data;
     for (const link of document.querySelectorAll("[data-csv]")) {
       const key = link.dataset.csv;
-      link.hidden = !content.figures[key === "path" ? "path_xy" : key];
+      link.hidden = !content.figures[nameOf(key)];
       link.href = pattern.replace("FIGURE", key);
     }
     for (const button of document.querySelectorAll("[data-view]")) {
-      button.setAttribute("aria-pressed", button.dataset.view === view);
+      button.setAttribute("aria-pressed", button.dataset.view === plane);
       button.disabled = !content.figures.path_xy;
     }
+    for (const button of document.querySelectorAll("[data-worst]")) button.hidden = (timeline()?.worst_s ?? null) === null;
+    mark();
+  }
+
+  /** The address with one more argument, which a reload or a colleague opens at the same place. */
+  function keepInAddress(name, value) {
+    const address = new URL(location.href);
+    address.searchParams.set(name, value);
+    history.replaceState(history.state, "", address);
+  }
+
+  function firstMoment() {
+    const { origin_s: origin, from_s: from, worst_s: worst } = timeline();
+    const asked = Number.parseFloat(new URLSearchParams(location.search).get("t"));
+    if (Number.isFinite(asked)) return announce(origin + asked);
+    chosen = worst ?? from;
+    return document.dispatchEvent(new CustomEvent("moment", { detail: chosen }));
   }
 
   async function load() {
@@ -122,30 +114,41 @@
       content = body;
     } catch (error) {
       for (const panel of document.querySelectorAll("[data-shown-with-data]")) panel.hidden = false;
-      document.querySelectorAll("[data-figure]").forEach((place) => say(place, `The plot could not be drawn: ${error.message}`));
+      places().forEach((place) => say(place, `The plot could not be drawn: ${error.message}`));
       return;
     }
-    view ??= new URLSearchParams(location.hash.slice(1)).get("view") || content.best_plane;
-    if (!(view in VIEWS)) view = content.best_plane;
+    plane ??= new URLSearchParams(location.search).get("plane");
+    if (!PLANES.includes(plane)) plane = content.best_plane;
     drawAll();
-    if (content.timeline) document.dispatchEvent(new CustomEvent("timeline", { detail: content.timeline }));
+    if (!timeline()) return;
+    document.dispatchEvent(new CustomEvent("timeline", { detail: timeline() }));
+    if (chosen === null) firstMoment();
   }
 
   document.addEventListener("DOMContentLoaded", () => {
     for (const button of document.querySelectorAll("[data-view]")) {
       button.addEventListener("click", () => {
         if (!content) return;
-        view = button.dataset.view;
-        history.replaceState(null, "", `#view=${view}`);
-        const place = document.querySelector('[data-figure="path"]');
-        Plotly.purge(place);
+        plane = button.dataset.view;
+        keepInAddress("plane", plane);
         drawAll();
       });
     }
+    for (const button of document.querySelectorAll("[data-worst]")) button.addEventListener("click", () => announce(timeline().worst_s));
     load();
     setInterval(() => { if (document.querySelector("[data-active]")) load(); }, WHILE_ACTIVE_MS);
   });
-  document.addEventListener("moment", ({ detail }) => { if (content) mark(detail); });
-  document.addEventListener("themechange", drawAll);
+  document.addEventListener("moment", ({ detail }) => {
+    if (!timeline()) return;
+    if (chosen !== detail) keepInAddress("t", String(Number((detail - timeline().origin_s).toFixed(3))));
+    chosen = detail;
+    mark();
+  });
+  document.addEventListener("hideruns", ({ detail }) => {
+    for (const place of places()) {
+      slamhiveCurves.hide(place, detail);
+      slamhivePlanes.hide(place, detail);
+    }
+  });
   document.addEventListener("pageswap", load);
 })();

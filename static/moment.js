@@ -58,7 +58,8 @@
   }
 
   document.addEventListener("timeline", ({ detail }) => {
-    from = detail.from_s;
+    from = detail.origin_s;
+    slider.min = detail.from_s - from;
     slider.max = detail.until_s - from;
     panel.hidden = false;
   });

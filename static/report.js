@@ -1,16 +1,10 @@
-// Draws the plots of a report from the JSON in the page, in light or dark colours. A click on a point opens its run.
-// figures.js, which draws the plots of runs and datasets, takes its colours from here.
+// Draws plots with Plotly: those of a report, from the JSON in the page, and those of a static site. A click on a point
+// opens its run.
 "use strict";
 (() => {
   const PAPER_PX = 680;
   const MOST_COLOURS = 1000;
-  const MOST_ROWS = 200;
-  const preferred = window.matchMedia("(prefers-color-scheme: dark)");
-  let onPaper = false;
-  const dark = () => !onPaper && (document.documentElement.dataset.bsTheme || (preferred.matches ? "dark" : "light")) === "dark";
-  const inks = () => dark()
-    ? { text: "#d7dbe0", grid: "#3a4047", truth: "#c3c9d0", modebar: "#7b838c" }
-    : { text: "#2b3035", grid: "#e3e6ea", truth: "#3d4247", modebar: "#9aa1a8" };
+  const { dark, inks, numbers, offersLog, plotly, preferred, whenPrinting, withTable } = slamhivePlots;
   const axis = (spec, ink) => ({ color: ink.text, gridcolor: ink.grid, zerolinecolor: ink.grid, linecolor: ink.grid, ...spec });
 
   function inked({ line, marker }, color) {
@@ -78,104 +72,7 @@
     });
   }
 
-  const ARRAYS = { f4: Float32Array, i4: Int32Array };
-  const numbers = ({ dtype, bdata }) => new ARRAYS[dtype](Uint8Array.from(atob(bdata), (letter) => letter.charCodeAt(0)).buffer);
-  const list = (values) => values?.bdata ? [...numbers(values)] : Array.isArray(values) ? values.flat() : [];
-  window.slamhiveNumbers = list;
-  const plain = (text) => String(text ?? "").replace(/<br>/g, " ").replace(/<[^>]*>/g, "");
-  const figureOf = (value) => typeof value === "number" ? (Number.isFinite(value) ? String(Number(value.toPrecision(5))) : "–") : plain(value ?? "–");
-
-  /** The series of a plot: [{name, axes: [[title, values]]}]; a matrix names the row and the column of each value. */
-  function seriesOf({ data, layout }) {
-    const scene = layout.scene || {};
-    const title = (axis) => plain((scene[axis] || layout[axis])?.title?.text || axis[0]);
-    return data.map((trace) => {
-      const name = plain(trace.name);
-      if (trace.dimensions) return { name, axes: trace.dimensions.map(({ label, values }) => [plain(label), list(values)]) };
-      let [x, y, z] = [trace.x, trace.y, trace.z].map(list);
-      if (z.length && x.length * y.length === z.length && !trace.type.startsWith("scatter")) {
-        [x, y] = [z.map((_, place) => x[place % x.length]), z.map((_, place) => y[Math.floor(place / x.length)])];
-      }
-      const axes = [[title("xaxis"), x], [title("yaxis"), y], [scene.zaxis ? title("zaxis") : "value", z]];
-      return { name, axes: axes.filter(([, values]) => values.length) };
-    }).filter(({ axes }) => axes.length);
-  }
-
-  /** {head, rows} of a plot: every value of a small one, otherwise how many values each series has and their range. */
-  function tableOf(figure) {
-    const series = seriesOf(figure);
-    const titles = [...new Set(series.flatMap(({ axes }) => axes.map(([title]) => title)))];
-    const valuesOf = ({ axes }, title) => axes.find(([other]) => other === title)?.[1] || [];
-    const count = ({ axes }) => Math.max(...axes.map(([, values]) => values.length));
-    if (series.reduce((sum, entry) => sum + count(entry), 0) <= MOST_ROWS) {
-      const rows = series.flatMap((entry) => Array.from({ length: count(entry) }, (_, place) =>
-        [entry.name, ...titles.map((title) => figureOf(valuesOf(entry, title)[place]))]));
-      return { head: ["Series", ...titles], rows };
-    }
-    const range = (values) => {
-      const known = values.filter(Number.isFinite);
-      return known.length ? [known.reduce((a, b) => Math.min(a, b)), known.reduce((a, b) => Math.max(a, b))].map(figureOf) : ["–", "–"];
-    };
-    const known = (entry) => entry.axes[0][1].filter((value) => value !== null && !Number.isNaN(value)).length;
-    return {
-      head: ["Series", "Points", ...titles.flatMap((title) => [`lowest ${title}`, `highest ${title}`])],
-      rows: series.map((entry) => [entry.name, String(known(entry)), ...titles.flatMap((title) => range(valuesOf(entry, title)))]),
-    };
-  }
-
-  function element(tag, text, attributes = {}) {
-    const made = document.createElement(tag);
-    made.textContent = text;
-    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-    return made;
-  }
-
-  function fill(details, figure) {
-    const { head, rows } = tableOf(figure);
-    const table = element("table", "");
-    table.createTHead().insertRow().append(...head.map((text) => element("th", text, { scope: "col" })));
-    const body = table.createTBody();
-    for (const [name, ...cells] of rows) {
-      body.insertRow().append(element("th", name, { scope: "row" }), ...cells.map((text) => element("td", text, { class: "number" })));
-    }
-    const frame = element("div", "", { class: "table-wrap table-frame", tabindex: "0", role: "region", "aria-label": `Table: ${figure.label}` });
-    frame.append(table);
-    details.replaceChildren(details.firstElementChild, frame);
-  }
-
-  /** Below a plot, the table that says the same; it is made when somebody opens it. */
-  function withTable(place, figure) {
-    let details = place.nextElementSibling;
-    if (!details?.matches("details.plot-table")) {
-      details = element("details", "", { class: "plot-table" });
-      details.append(element("summary", "Data as a table"));
-      details.addEventListener("toggle", () => { if (details.open) fill(details, details.figure); });
-      place.after(details);
-    }
-    details.figure = { ...figure, label: place.ariaLabel || place.dataset.figure };
-    if (details.open) fill(details, details.figure);
-  }
-
   const LOG_ICON = { width: 24, height: 24, path: "M2 2h2.5v17.5H22V22H2zM7 15h15v2H7zM7 11.5h15v1.5H7zM7 6h15v1.5H7z" };
-  const MOST_ZEROS = 0.05;
-
-  /** Whether the heights of a plot can be shown on a logarithmic axis: numbers above zero, but for a few. */
-  function canBeLog({ data, layout }) {
-    const { scaleanchor, type } = layout.yaxis || {};
-    if (layout.scene || layout.yaxis2 || scaleanchor || type === "category" || type === "date") return false;
-    if (!data.length || data.some((trace) => !["scatter", "scattergl", undefined].includes(trace.type))) return false;
-    const values = data.flatMap(({ y }) => list(y)).filter((value) => value !== null && !Number.isNaN(value));
-    if (!values.length || !values.every((value) => typeof value === "number" && value >= 0)) return false;
-    return values.filter((value) => value === 0).length <= MOST_ZEROS * values.length;
-  }
-
-  const checked = new WeakMap();
-
-  /** As canBeLog, which reads all values of a figure once. */
-  function offersLog(figure) {
-    if (!checked.has(figure)) checked.set(figure, canBeLog(figure));
-    return checked.get(figure);
-  }
 
   /** The figure with its heights on the axis that somebody has chosen for this place. */
   function scaled(place, figure) {
@@ -200,10 +97,15 @@
 
   const shown = new Map();
 
-  /** Draws a figure anew; its bar of buttons does not offer Plotly's own, to upload the chart to a server. */
+  /** Draws a figure anew, at once where Plotly is there: a page that is printed does not wait. */
   function show(place, figure, margin, options) {
     shown.set(place, [figure, margin, options]);
     withTable(place, figure);
+    return window.Plotly ? react(place, figure, margin, options) : plotly().then(() => react(place, figure, margin, options));
+  }
+
+  /** The bar of buttons does not offer Plotly's own, to upload the chart to a server. */
+  function react(place, figure, margin, options) {
     const { data, layout } = themed(scaled(place, figure), margin);
     const drawn = Plotly.react(place, data, layout, {
       responsive: true,
@@ -219,7 +121,6 @@
 
   /** All plots in light colours and as wide as a sheet of paper; a plot that needs more is made smaller. */
   function toPaper(printing) {
-    onPaper = printing;
     for (const [place, drawn] of shown) {
       if (!place.isConnected || !place.classList.contains("js-plotly-plot")) {
         shown.delete(place);
@@ -231,10 +132,9 @@
       show(place, ...drawn);
     }
   }
-  window.addEventListener("afterprint", () => toPaper(false));
-  window.addEventListener("beforeprint", () => {
-    places().forEach(draw);
-    toPaper(true);
+  whenPrinting((printing) => {
+    if (printing) places().forEach(draw);
+    toPaper(printing);
   });
 
   const source = document.getElementById("figures");
@@ -280,7 +180,10 @@
     show(place, figure, MARGIN, {
       displayModeBar: place.clientWidth < NARROW_PX ? false : "hover",
       toImageButtonOptions: { format: "svg" },
-    });
+    }).then(() => listen(place, figure), (error) => { place.textContent = `The plot could not be drawn: ${error.message}.`; });
+  }
+
+  function listen(place, figure) {
     if (place.dataset.listens) return;
     place.dataset.listens = "1";
     place.dispatchEvent(new Event("chartdrawn", { bubbles: true }));

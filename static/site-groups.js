@@ -61,7 +61,7 @@
   /** Several lines as one: the mean, the smallest and the largest value at the times that all of them cover. */
   function fold(traces) {
     const lines = traces.map((trace) => {
-      const [x, y] = [trace.x, trace.y].map(window.slamhiveNumbers);
+      const [x, y] = [trace.x, trace.y].map(slamhivePlots.list);
       const known = x.map((_, place) => place).filter((place) => Number.isFinite(y[place]) && Number.isFinite(x[place]));
       return { x: known.map((place) => x[place]), y: known.map((place) => y[place]) };
     }).filter(({ x }) => x.length);

@@ -1,26 +1,34 @@
-"""The interactive plots of runs and datasets, as Plotly JSON. ``report.js`` fills in light or dark colours."""
+"""The interactive plots of runs and datasets, as the JSON that Plotly reads.
+
+Pages draw curves and planes of it with ``curves.js`` and ``planes.js``, and only static sites with Plotly. Scripts fill
+in light or dark colours. Traces may carry what only our scripts read: ``times_s``, ``errors_m`` and ``run``.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from slamhive.analysis.plotly_chart import THEMED, numbers, with_dark_colours
+from slamhive.analysis.plotly_chart import THEMED, numbers, translucent, with_dark_colours
 from slamhive.base.errors import NotFound
 from slamhive.recordings.views import SweepView
 from slamhive.services.runs import Array, PathSeries, Places, RunSeries, Samples, samples_of
 from slamhive.trajectory.transforms import Motion
-from slamhive.web.formatting import plural, significant
+from slamhive.web.formatting import plural, significant, thousands
 
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 AXES = "xyz"
 Figure = dict[str, Any]
 Values = Array | list[float]
+MOST_INTERVALS = 300
+"""Of dropped frames over time."""
+_RECORDING_TIME = "recording time [s]"
 
 
 def best_plane(track: PathSeries) -> str:
@@ -30,12 +38,54 @@ def best_plane(track: PathSeries) -> str:
     return {2: "xy", 1: "xz", 0: "yz"}[dropped]
 
 
-def run_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
-    """All plots that the run has data for: ``path_xy``, ``path_xz``, ``path_yz``, ``path_3d``, ``error`` ..."""
+@dataclass(frozen=True, slots=True)
+class ShownEstimate:
+    """An estimated path with its name and colour.
+
+    ``errors_m`` (n,) are the position errors of its poses, None if they are not known. ``origin_s`` is the header
+    timestamp from which pages count time.
+    """
+
+    name: str
+    path: PathSeries
+    colour: str
+    errors_m: Array | None = None
+    origin_s: float | None = None
+
+    @property
+    def beside(self) -> Figure:
+        """Arrays that a trace of the path carries beside its positions, with a gap where the path has one."""
+        if self.origin_s is None:
+            return {}
+        known = {"times_s": self.path.times_s - self.origin_s}
+        known |= {} if self.errors_m is None else {"errors_m": self.errors_m}
+        return {key: numbers(_broken(values[:, None], self.path.pieces)[:, 0]) for key, values in known.items()}
+
+
+def shown_estimate(series: RunSeries, name: str, colour: str) -> ShownEstimate | None:
+    """The estimate of a run as it is drawn; None without one."""
+    if series.estimate is None:
+        return None
+    return ShownEstimate(name, series.estimate, colour, series.estimate_errors_m, series.start_s)
+
+
+def run_figures(series: RunSeries, name: str, colour: str, *, in_space: bool = False) -> dict[str, Figure]:
+    """All plots that the run has data for: ``path_xy``, ``path_xz``, ``path_yz``, ``error``, ``latency`` ...
+
+    ``in_space`` draws the path once, as ``path``, instead of its planes.
+    """
     figures: dict[str, Figure] = {}
-    estimate = None if series.estimate is None else (name, series.estimate, colour)
+    estimate = shown_estimate(series, name, colour)
     if estimate is not None or series.groundtruth is not None:
-        figures |= path_figures(series.groundtruth, estimate)
+        draw = space_figures if in_space else plane_figures
+        figures |= draw(series.groundtruth, estimate)
+    figures |= curve_figures(series, name, colour)
+    return _with_one_time_axis(figures, [series])
+
+
+def curve_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
+    """The plots of a run over time that it has data for: ``error``, ``latency``, ``dropped``, ``cpu``, ``memory``."""
+    figures: dict[str, Figure] = {}
     if series.error is not None:
         figures["error"] = _over_time(series.error, name, colour, _time_of(series.error), "position error [m]")
     if series.cpu is not None:
@@ -47,11 +97,32 @@ def run_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure]:
         in_ms = replace(series.latency, values=series.latency.values * 1e3)
         figure = _over_time(in_ms, name, colour, _time_of(in_ms), "latency per frame [ms]", dots=True)
         figures["latency"] = _with_dropped(figure, series.dropped_s)
-    return _with_one_time_axis(figures, series)
+    if series.dropped_s is not None and len(series.dropped_s):
+        figures["dropped"] = _dropped_over_time(series, name, colour)
+    return figures
+
+
+def _dropped_over_time(series: RunSeries, name: str, colour: str) -> Figure:
+    """Steps: how many frames were dropped in each interval of the recording, most often of a second."""
+    last_s = max(float(series.dropped_s.max()), 0.0 if series.played_s is None else series.played_s[1])
+    width_s = max(1.0, math.ceil(last_s / MOST_INTERVALS))
+    edges_s = np.arange(0.0, last_s + 2 * width_s, width_s)
+    counts = np.histogram(series.dropped_s, edges_s)[0].astype(np.float64)
+    interval = "1 s" if width_s == 1 else f"{width_s:g} s"
+    line = {"color": colour, "width": 1.5, "shape": "hv"}
+    trace = _trace(
+        edges_s[:-1], counts, name=name, mode="lines", line=line, fill="tozeroy", fillcolor=translucent(colour, 0.25)
+    )
+    layout = {
+        "xaxis": {"title": {"text": _RECORDING_TIME}},
+        "yaxis": {"title": {"text": f"frames dropped per {interval}"}, "rangemode": "tozero"},
+        "showlegend": False,
+    }
+    return _figure([trace], layout)
 
 
 def _time_of(samples: Samples) -> str:
-    return "time since the start of the run [s]" if samples.origin_s is None else "recording time [s]"
+    return "time since the start of the run [s]" if samples.origin_s is None else _RECORDING_TIME
 
 
 def _over_recording(series: RunSeries) -> dict[str, Samples]:
@@ -60,30 +131,37 @@ def _over_recording(series: RunSeries) -> dict[str, Samples]:
     return {key: samples for key, samples in plots.items() if samples is not None and samples.origin_s is not None}
 
 
-def _with_one_time_axis(figures: dict[str, Figure], series: RunSeries) -> dict[str, Figure]:
-    """The same range for all plots over the time of the recording, in which it is grey where nothing was played."""
-    over_time = _over_recording(series)
-    if not over_time:
+def _with_one_time_axis(figures: dict[str, Figure], runs: Sequence[RunSeries]) -> dict[str, Figure]:
+    """The same range for all plots over the time of the recording.
+
+    Of a single run, it is grey where nothing was played.
+    """
+    known = [samples for series in runs for samples in _over_recording(series).values()]
+    if not known:
         return figures
-    low = min(float(samples.times_s.min()) for samples in over_time.values())
-    high = max(float(samples.times_s.max()) for samples in over_time.values())
-    for key in over_time:
-        figures[key]["layout"]["xaxis"]["range"] = [low, high]
-        if series.played_s is not None:
-            first, last = series.played_s
-            look = {"type": "rect", "layer": "below", "fillcolor": "rgba(128,128,128,0.15)", "line": {"width": 0}}
-            height = {"xref": "x", "yref": "paper", "y0": 0, "y1": 1}
-            idle = [(start, end) for start, end in ((low, first), (last, high)) if start < end]
-            shapes = [{**look, **height, "x0": start, "x1": end} for start, end in idle]
-            figures[key]["layout"]["shapes"] = shapes
+    low = min(float(samples.times_s.min()) for samples in known)
+    high = max(float(samples.times_s.max()) for samples in known)
+    played_s = runs[0].played_s if len(runs) == 1 else None
+    shapes: list[Figure] = []
+    if played_s is not None:
+        first, last = played_s
+        look = {"type": "rect", "layer": "below", "fillcolor": "rgba(128,128,128,0.15)", "line": {"width": 0}}
+        height = {"xref": "x", "yref": "paper", "y0": 0, "y1": 1}
+        idle = [(start, end) for start, end in ((low, first), (last, high)) if start < end]
+        shapes = [{**look, **height, "x0": start, "x1": end} for start, end in idle]
+    for figure in figures.values():
+        if figure["layout"].get("xaxis", {}).get("title", {}).get("text") == _RECORDING_TIME:
+            figure["layout"]["xaxis"]["range"] = [low, high]
+            if shapes:
+                figure["layout"]["shapes"] = shapes
     return figures
 
 
 def timeline(series: RunSeries) -> dict[str, Any] | None:
     """The plots over the time of the recording, None without any.
 
-    ``origins`` is {plot: timestamp in s at which its time axis is 0}; ``from_s`` and ``until_s`` are the first and the
-    last timestamp of all of them.
+    ``origin_s`` is the timestamp at which their time axis is 0, ``origins`` the same for each plot. ``from_s`` and
+    ``until_s`` are the first and the last timestamp of all of them, ``worst_s`` is that of the largest error or None.
     """
     over_time = _over_recording(series)
     if not over_time:
@@ -92,19 +170,26 @@ def timeline(series: RunSeries) -> dict[str, Any] | None:
     known = {key: samples for key, samples in over_time.items() if key in {"error", "latency"}} or over_time
     from_s = min(origins[key] + max(0.0, float(samples.times_s.min())) for key, samples in known.items())
     until_s = max(origins[key] + float(samples.times_s.max()) for key, samples in known.items())
-    return {"origins": origins, "from_s": from_s, "until_s": until_s}
+    origin_s = next(iter(origins.values()))
+    if len(series.dropped_s):
+        origins["dropped"] = origin_s
+    span = {"origin_s": origin_s, "from_s": from_s, "until_s": until_s}
+    return {"origins": origins, **span, "worst_s": series.worst_s}
 
 
-def path_figures(groundtruth: PathSeries | None, estimate: tuple[str, PathSeries, str] | None) -> dict[str, Figure]:
-    """The path in its three planes and in 3D, ground truth dashed, equal aspect, start and end marked.
+def plane_figures(groundtruth: PathSeries | None, estimate: ShownEstimate | None) -> dict[str, Figure]:
+    """The path in its three planes, ground truth dashed, equal aspect, start and end marked.
 
     Args:
         groundtruth: The reference, None if there is none.
-        estimate: Name, path and colour of the estimate, None to show the ground truth alone.
+        estimate: None to show the ground truth alone.
     """
-    figures = {f"path_{plane}": _plane_figure(plane, groundtruth, estimate) for plane in PLANES}
-    figures["path_3d"] = _space_figure(groundtruth, estimate)
-    return figures
+    return {f"path_{plane}": _plane_figure(plane, groundtruth, estimate) for plane in PLANES}
+
+
+def space_figures(groundtruth: PathSeries | None, estimate: ShownEstimate | None) -> dict[str, Figure]:
+    """The same path in 3D as ``path``, of which a static site makes the planes."""
+    return {"path": _space_figure(groundtruth, estimate)}
 
 
 def motion_figures(motion: Motion, colour: str, *, positions_only: bool) -> dict[str, Figure]:
@@ -121,19 +206,18 @@ def motion_figures(motion: Motion, colour: str, *, positions_only: bool) -> dict
     }
 
 
-def sweep_figure(sweep: SweepView) -> Figure:
-    """A LiDAR sweep in 3D, coloured by height."""
-    x, y, z = _short(sweep.positions_m).T
-    marker = {
-        "size": 1.5,
-        "color": numbers(z),
-        "colorscale": "Viridis",
-        "colorbar": {"title": {"text": "z [m]"}, "thickness": 12},
+SWEEP_POINTS = 6_000
+"""A sweep on a page has no more points: more of them weigh as much as the page and look the same."""
+
+
+def sweep_json(sweep: SweepView, sensor: str) -> dict[str, Any]:
+    """The points of a LiDAR sweep, x, y, z of one after the other in m, and a caption."""
+    kept = np.linspace(0, len(sweep.positions_m) - 1, min(len(sweep.positions_m), SWEEP_POINTS)).astype(np.int64)
+    shown = "" if sweep.points == len(kept) else f", {thousands(len(kept))} of them shown"
+    return {
+        "points_m": numbers(sweep.positions_m[kept].reshape(-1)),
+        "caption": f"{sensor} at {sweep.time_s:.3f} s: {plural(sweep.points, 'point')}{shown}, in the sensor's frame.",
     }
-    hover = "x %{x:.4g} m<br>y %{y:.4g} m<br>z %{z:.4g} m<extra></extra>"
-    points = _trace(x, y, z, mode="markers", marker=marker, hovertemplate=hover, showlegend=False)
-    sensor = _trace([0], [0], [0], name="sensor", mode="markers", marker={"size": 5}, meta=THEMED)
-    return _figure([points, sensor], {"scene": _equal_scene([sweep]), "showlegend": False})
 
 
 def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
@@ -157,6 +241,8 @@ def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
         idle = "" if series.played_s is None else " Grey: no frame is played yet, or none any more."
         texts["cpu"] = f"n = {plural(series.cpu.count, 'sample')}, cores summed, player included.{idle}"
         texts["memory"] = f"n = {plural(series.cpu.count, 'sample')}, player included.{idle}"
+    if len(series.dropped_s):
+        texts["dropped"] = f"{plural(len(series.dropped_s), 'frame')} that the algorithm was too slow to take."
     if series.latency is not None:
         texts["latency"] = (
             f"From arrival to result, n = {plural(series.latency.count, 'frame')}; dropped frames have none"
@@ -203,13 +289,14 @@ def figure_table(series: RunSeries, figure: str) -> tuple[list[str], list[Sequen
     return ["time_s", unit], pairs
 
 
-def _plane_figure(plane: str, groundtruth: PathSeries | None, estimate: tuple[str, PathSeries, str] | None) -> Figure:
+def _plane_figure(plane: str, groundtruth: PathSeries | None, estimate: ShownEstimate | None) -> Figure:
     first, second = PLANES[plane]
     traces: list[Figure] = []
     if estimate is not None:
-        name, track, colour = estimate
+        track, colour = estimate.path, estimate.colour
         line = {"color": colour, "width": 2.5}
-        traces.append(_plane_line(plane, _broken(track.positions_m, track.pieces), name=name, line=line))
+        points = _broken(track.positions_m, track.pieces)
+        traces.append(_plane_line(plane, points, name=estimate.name, line=line, **estimate.beside))
         bridges = _bridges(track.positions_m, track.pieces)
         if len(bridges):
             traces.append(_plane_line(plane, bridges, name=_LOST, line=_bridge_line(colour, 1.2)))
@@ -231,9 +318,7 @@ def _plane_line(plane: str, points: np.ndarray[Any, Any], **look: Any) -> Figure
     return _trace(x, y, mode="lines", hovertemplate=_plane_hover(plane), **look)
 
 
-def _plane_ends(
-    plane: str, groundtruth: PathSeries | None, estimate: tuple[str, PathSeries, str] | None
-) -> list[Figure]:
+def _plane_ends(plane: str, groundtruth: PathSeries | None, estimate: ShownEstimate | None) -> list[Figure]:
     """Markers for start (circle) and end (square) of the estimate, or of the ground truth without an estimate."""
     first, second = PLANES[plane]
     track, colour = _marked(groundtruth, estimate)
@@ -252,12 +337,12 @@ def _plane_ends(
     ]
 
 
-def _space_figure(groundtruth: PathSeries | None, estimate: tuple[str, PathSeries, str] | None) -> Figure:
+def _space_figure(groundtruth: PathSeries | None, estimate: ShownEstimate | None) -> Figure:
     traces: list[Figure] = []
     hover = "x %{x:.4g} m<br>y %{y:.4g} m<br>z %{z:.4g} m"
     if estimate is not None:
-        name, track, colour = estimate
-        parts = ((name, _broken, {"color": colour, "width": 5}), (_LOST, _bridges, _bridge_line(colour, 2)))
+        track, colour = estimate.path, estimate.colour
+        parts = ((estimate.name, _broken, {"color": colour, "width": 5}), (_LOST, _bridges, _bridge_line(colour, 2)))
         for label, points_of, line in parts:
             points = points_of(track.positions_m, track.pieces)
             if len(points):
@@ -273,11 +358,11 @@ def _space_figure(groundtruth: PathSeries | None, estimate: tuple[str, PathSerie
         marker = {"symbol": symbol, "size": 5} | ({"color": end_colour} if end_colour else {})
         meta = None if end_colour else THEMED
         traces.append(_trace(x, y, z, name=label, mode="markers", marker=marker, meta=meta))
-    tracks = [entry for entry in (groundtruth, None if estimate is None else estimate[1]) if entry is not None]
+    tracks = [entry for entry in (groundtruth, None if estimate is None else estimate.path) if entry is not None]
     return _figure(traces, {"scene": _equal_scene(tracks), "legend": _LEGEND})
 
 
-def _equal_scene(tracks: Sequence[PathSeries | SweepView]) -> dict[str, Any]:
+def _equal_scene(tracks: Sequence[PathSeries]) -> dict[str, Any]:
     """Equal-scale axes with a box that always fits the view. Plotly's own equal aspect clips long, flat paths."""
     positions_m = np.concatenate([track.positions_m for track in tracks])
     low, high = positions_m.min(axis=0), positions_m.max(axis=0)
@@ -297,11 +382,9 @@ def _equal_scene(tracks: Sequence[PathSeries | SweepView]) -> dict[str, Any]:
     return scene | {"aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": eye}}
 
 
-def _marked(
-    groundtruth: PathSeries | None, estimate: tuple[str, PathSeries, str] | None
-) -> tuple[PathSeries, str | None]:
+def _marked(groundtruth: PathSeries | None, estimate: ShownEstimate | None) -> tuple[PathSeries, str | None]:
     if estimate is not None:
-        return estimate[1], estimate[2]
+        return estimate.path, estimate.colour
     if groundtruth is None:
         raise ValueError("a plot of a path needs a path")
     return groundtruth, None

@@ -20,7 +20,7 @@ from slamhive.services.hive import Hive
 from slamhive.web.formatting import display_unit, significant
 from slamhive.web.presenters import catalogue, rankings
 from slamhive.web.presenters.catalogue import ground_truth_figures
-from slamhive.web.site_runs import SiteScenes, path_once, scene_name
+from slamhive.web.site_runs import SiteScenes, scene_name
 
 FOLDERS = {"experiment": "experiments", "algorithm": "algorithms", "dataset": "datasets"}
 """Where the pages lie, by the column of the list that names them."""
@@ -76,12 +76,11 @@ class CataloguePages:
         dataset = None
         with suppress(SlamHiveError):  # runs of an archive may have none
             dataset = self._hive.catalogue.dataset(name)
-        found = None if dataset is None else ground_truth_figures(dataset, most_points=_POINTS)
+        found = None if dataset is None else ground_truth_figures(dataset, most_points=_POINTS, in_space=True)
         drawn = None
         if found is not None:
             # The path is stored once, in 3D; the page makes its planes.
-            kept = path_once(found["figures"])
-            drawn = {"figures": kept, "plane": found["best_plane"], "reasons": found["reasons"]}
+            drawn = {"figures": found["figures"], "plane": found["best_plane"], "reasons": found["reasons"]}
             script = f"window.slamhiveDraw({script_json(drawn)});\n"
             place.with_name(f"{place.name}.js").write_text(script, encoding="utf-8")
         scene = scene_name(name) if dataset is not None and self._scenes.write_dataset(place.parent, dataset) else None

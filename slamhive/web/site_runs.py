@@ -31,7 +31,7 @@ from slamhive.services.run_comparison import RunColumn, settings_of
 from slamhive.services.runs import RunScene, RunSeries, path_of
 from slamhive.store.records import RunRecord
 from slamhive.trajectory.alignment import IDENTITY, Similarity
-from slamhive.web.figures import PLANES, best_plane, captions, run_figures
+from slamhive.web.figures import best_plane, captions, run_figures
 from slamhive.web.formatting import display_unit
 from slamhive.web.presenters.runs import metric_rows
 from slamhive.web.presenters.scenes import (
@@ -75,22 +75,17 @@ def thinned(series: RunSeries) -> RunSeries:
 
 def drawing(run: RunRecord, series: RunSeries, colour: str) -> dict[str, Any]:
     """The plots of a run, their captions, and why others are missing; planes of the path are made from that in 3D."""
-    figures = run_figures(series, run.algorithm, colour)
+    figures = run_figures(series, run.algorithm, colour, in_space=True)
     shown = series.groundtruth or series.estimate
     texts = captions(series, None if run.protocol is None else run.protocol.label)
     reasons = {"path" if key == "estimate" else key: text for key, text in series.reasons.items()}
-    kept = path_once(figures)
+    kept = {key: figures[key] for key, _ in FIGURES if key in figures}
     return {
         "figures": kept,
         "plane": None if shown is None else best_plane(shown),
         "captions": texts,
         "reasons": {key: reasons.get(key, "No data for this plot.") for key, _ in FIGURES if key not in kept},
     }
-
-
-def path_once(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """The plots with one of the path, that in 3D: pages make its planes."""
-    return {"path" if key == "path_3d" else key: figure for key, figure in figures.items() if key not in _FLAT}
 
 
 def run_script(run: RunRecord, record: Mapping[str, Any], drawn: Mapping[str, Any], *, scene: bool) -> str:
@@ -175,9 +170,6 @@ def table_script(rows: Sequence[Mapping[str, Any]]) -> str:
     ]
     content = {"columns": columns, "rows": [[row.get(column["key"]) for column in columns] for row in rows]}
     return f"window.slamhiveRuns = {script_json(content)};\n"
-
-
-_FLAT = frozenset(f"path_{plane}" for plane in PLANES)
 
 
 # -- the 3D views of a static site: scenes, maps and the modules that show them, as scripts ----------------------------

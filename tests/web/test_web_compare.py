@@ -42,11 +42,11 @@ def test_the_better_value_is_marked_and_differing_parameters_come_first(compared
 def test_all_plots_come_with_the_figures(compared: Web):
     found = compared.client.get("/compare/figures.json?runs=1,6").json
     assert found is not None
-    assert set(found["figures"]) == {"path_2d", "path_3d", "error", "cpu", "memory", "latency"}
+    assert set(found["figures"]) == {"path_2d", "error", "cpu", "memory", "latency"}
     assert found["reasons"] == {}
     ranges = [found["figures"][name]["layout"]["xaxis"]["range"] for name in ("error", "cpu", "memory", "latency")]
     assert all(span == ranges[0] for span in ranges)
-    names = [trace["name"] for trace in found["figures"]["path_3d"]["data"] if trace["mode"] == "lines"]
+    names = [trace["name"] for trace in found["figures"]["path_2d"]["data"] if trace["mode"] == "lines"]
     assert names == ["run 1, eye-slam-stereo", "run 6, eye-slam-stereo", "ground truth"]
 
 

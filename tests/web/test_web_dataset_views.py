@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import threading
 from dataclasses import replace
@@ -118,8 +119,10 @@ def test_depth_is_coloured_and_black_where_unknown(recorded: Web):
 
 def test_a_sweep_is_thinned_and_says_so(recorded: Web):
     content = json.loads(recorded.client.get("/datasets/room/sweeps/lidar0.json?time=3").text)
-    assert content["caption"].startswith("lidar0 at 3.000 s: 20,000 points, 12000 of them shown")
-    assert {trace["type"] for trace in content["figure"]["data"]} == {"scatter3d"}
+    assert content["caption"].startswith("lidar0 at 3.000 s: 20,000 points, 6,000 of them shown")
+    points = np.frombuffer(base64.b64decode(content["points_m"]["bdata"]), "<f4").reshape(-1, 3)
+    assert points[-1].tolist() == [19_999.0, 0.0, 0.0]
+    assert len(points) == 6000
 
 
 @pytest.mark.parametrize(
@@ -156,7 +159,7 @@ def test_the_page_shows_motion_frames_and_works_without_scripts(recorded: Web):
     assert "m/s on average" in page
     assert "There are no runs on this dataset yet." not in page
     figures = json.loads(recorded.client.get("/datasets/room/figures.json").text)["figures"]
-    assert {"speed", "angular_rate", "path_3d"} <= set(figures)
+    assert {"speed", "angular_rate", "path_xz"} <= set(figures)
 
 
 def test_many_visitors_read_two_recordings_at_once(recorded: Web, monkeypatch: pytest.MonkeyPatch):

@@ -15,7 +15,7 @@ from slamhive.base.project import project_root
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.evaluation.job import EvaluationTask
 from slamhive.services.runs.series import MAX_POINTS, PathSeries, read_track, run_series, thin_keeping_extremes
-from slamhive.web.figures import best_plane, path_figures, run_figures, timeline
+from slamhive.web.figures import ShownEstimate, best_plane, plane_figures, run_figures, space_figures, timeline
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
@@ -48,12 +48,16 @@ def test_lost_tracking_is_drawn_apart_from_the_path():
     stamps_s = np.array([0.0, 1.0, 5.0, 6.0])
     pieces = np.array([0, 0, 1, 1])
     track = PathSeries(stamps_s, np.column_stack([stamps_s, stamps_s, stamps_s]), 4, pieces)
-    figures = path_figures(None, ("estimate", track, "#123456"))
-    line, lost = figures["path_xy"]["data"][:2]
+    errors_m = np.array([0.1, 0.2, 0.3, 0.4])
+    estimate = ShownEstimate("estimate", track, "#123456", errors_m, origin_s=0.0)
+    line, lost = plane_figures(None, estimate)["path_xy"]["data"][:2]
     assert _numbers(line["x"]) == [0.0, 1.0, None, 5.0, 6.0]
     assert lost["name"] == "tracking lost"
     assert _numbers(lost["x"]) == [1.0, 5.0, None]
-    assert [trace["name"] for trace in figures["path_3d"]["data"]][:2] == ["estimate", "tracking lost"]
+    assert _numbers(line["times_s"]) == [0.0, 1.0, None, 5.0, 6.0]
+    assert _numbers(line["errors_m"]) == pytest.approx([0.1, 0.2, None, 0.3, 0.4])
+    in_space = space_figures(None, estimate)["path"]["data"]
+    assert [trace["name"] for trace in in_space][:2] == ["estimate", "tracking lost"]
 
 
 def _numbers(values: Any) -> list[float | None]:
@@ -84,8 +88,26 @@ def test_one_pose_is_a_path(tmp_path: Path):
 def test_a_single_pose_can_be_drawn(web: Web):
     folder = web.hive.runs.folder(web.runs["bare"])
     folder.trajectory.write_text("1 2 3 4 0 0 0 1\n")
-    figure = web.client.get(f"/runs/{web.runs['bare']}/figures.json").get_json()["figures"]["path_3d"]
-    assert all(math.isfinite(value) for value in figure["layout"]["scene"]["aspectratio"].values())
+    figures = web.client.get(f"/runs/{web.runs['bare']}/figures.json").get_json()["figures"]
+    assert _numbers(figures["path_xy"]["data"][0]["x"]) == [2.0]
+    track = read_track(folder.trajectory)
+    assert track is not None
+    scene = space_figures(track, None)["path"]["layout"]["scene"]
+    assert all(math.isfinite(value) for value in scene["aspectratio"].values())
+
+
+def test_dropped_frames_are_counted_over_the_recording(web: Web):
+    run = web.hive.runs.get(web.runs["bare"])
+    folder = web.hive.runs.folder(run.id)
+    dropped = "".join(f"{1000 + at},{at},,1\n" for at in (2.0, 2.5, 4.25))
+    folder.frames.write_text(f"timestamp,received,done,dropped\n1000.0,0,0.1,0\n{dropped}1006.0,6,6.1,0\n")
+    series = run_series(run, folder)
+    trace = run_figures(series, "eye-slam", "#123456")["dropped"]["data"][0]
+    steps = dict(zip(_numbers(trace["x"]), _numbers(trace["y"]), strict=True))
+    assert {at: count for at, count in steps.items() if count} == {2.0: 2.0, 4.0: 1.0}
+    known = timeline(series)
+    assert known is not None
+    assert known["origins"]["dropped"] == known["origin_s"] == 1000.0
 
 
 FRAMES = "timestamp,received,done,dropped\n1000.0,0.0,0.03,0\n"

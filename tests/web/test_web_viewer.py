@@ -123,7 +123,7 @@ def test_colours_follow_what_is_chosen(opened: Callable[..., Page]) -> None:
 
 def test_time_moves_the_marks_and_the_plots(opened: Callable[..., Page]) -> None:
     page = opened(f"/runs/{DONE}")
-    page.wait_for_selector("[data-figure=error].js-plotly-plot", timeout=60_000)
+    page.wait_for_selector("[data-figure=error][data-drawn]", timeout=60_000)
     panel = page.locator("[data-viewer]")
     panel.get_by_label("Map by").select_option("none")
     before, first_at = pixels(page), panel.get_attribute("data-at")
@@ -131,7 +131,7 @@ def test_time_moves_the_marks_and_the_plots(opened: Callable[..., Page]) -> None
     slider.fill("12")
     assert panel.get_attribute("data-at") != first_at
     assert np.abs(pixels(page) - before).max() > 0.2
-    marked = "document.querySelector('[data-figure=error]').layout.shapes?.[0]?.x0 ?? -1"
+    marked = "Number(document.querySelector('[data-figure=error]').dataset.moment ?? -1)"
     eventually(lambda: abs(page.evaluate(marked) - 12) < 0.1, "the line in the plot of the error")
     page.evaluate("document.dispatchEvent(new CustomEvent('moment', { detail: 1005.0 }))")
     assert float(slider.input_value()) == pytest.approx(5.0, abs=0.02)
@@ -184,7 +184,7 @@ def test_three_js_comes_only_when_it_is_asked_for(chromium: Browser, server: str
         asked: list[str] = []
         page.on("request", lambda request: asked.append(request.url))
         page.goto(f"/runs/{DONE}", wait_until="load")
-        page.wait_for_selector("[data-figure=path].js-plotly-plot", timeout=60_000)
+        page.wait_for_selector("[data-figure=path][data-drawn]", timeout=60_000)
         assert not [url for url in asked if "three" in url or "/viewer/" in url or "scene.json" in url]
         page.get_by_role("button", name="Open 3D view").click()
         page.wait_for_selector("[data-viewer][data-ready]", timeout=60_000)
@@ -195,7 +195,7 @@ def test_without_webgl_a_line_says_why(chromium: Browser, server: str) -> None:
     with faultless(chromium, server) as page:
         page.context.add_init_script(NO_WEBGL)
         page.goto(f"/runs/{DONE}", wait_until="load")
-        page.wait_for_selector("[data-figure=path].js-plotly-plot", timeout=60_000)
+        page.wait_for_selector("[data-figure=path][data-drawn]", timeout=60_000)
         page.get_by_role("button", name="Open 3D view").click()
         assert "no WebGL 2" in page.locator("[data-says]").inner_text()
         assert not page.get_by_role("button", name="Open 3D view").is_visible()

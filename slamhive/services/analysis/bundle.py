@@ -121,6 +121,8 @@ PAGE = "report.html"
 BIBLIOGRAPHY = "references.bib"
 STYLES = ("report.css", "print.css")
 """Style sheets of pages that are files."""
+DRAWING = ("plots.js", "report.js")
+"""Scripts of pages that are files, in this order."""
 
 Progress = Callable[[float, str], None]
 
@@ -223,7 +225,7 @@ def report_page(report: Report, project_root: Path) -> str:
     return template.render(
         **report_content(report),
         plotly_js=Markup(PLOTLY_FILE.read_text(encoding="utf-8")),  # noqa: S704 - out of the installed package
-        draw_js=Markup(_static(project_root, "report.js")),  # noqa: S704 - ours
+        draw_js=Markup("".join(_static(project_root, name) for name in DRAWING)),  # noqa: S704 - ours
         style=Markup("".join(_static(project_root, name) for name in STYLES)),  # noqa: S704 - ours
     )
 

@@ -20,9 +20,11 @@ from slamhive.services.kept_answers import KeptViews
 from slamhive.services.runs.series import (
     LIMIT_BYTES,
     MAX_POINTS,
+    SAME_TIME_S,
     Array,
     PathSeries,
     gap_of,
+    nearest_values,
     read_errors,
     read_whole_track,
 )
@@ -34,7 +36,6 @@ from slamhive.trajectory.transforms import motion_of
 TIME_OFFSET = "alignment.time_offset"
 _ALIGNED = "traj.tum"
 _MOST_FRAMES = 1000
-_SAME_TIME_S = 1e-3
 _FAR_S = 1.0
 """The speed at a pose that is further from any known speed is not known."""
 _LARGEST_RESIDUAL = 0.02
@@ -212,26 +213,13 @@ def _moved(track: PathSeries, to_scene: Similarity, offset_s: float) -> PathSeri
 
 def _path(kind: str, whole: PathSeries, errors: Array | None = None) -> ScenePath:
     track = whole.thinned(MAX_POINTS)
-    errors_m = None if errors is None else _near(errors[:, 0], errors[:, 1], track.times_s, _SAME_TIME_S)
+    errors_m = None if errors is None else nearest_values(errors[:, 0], errors[:, 1], track.times_s, SAME_TIME_S)
     # The speed comes from all poses, also of those that are not drawn.
     order = np.argsort(whole.times_s, kind="stable")
     no_turns = np.tile((0.0, 0.0, 0.0, 1.0), (len(order), 1))
     motion = motion_of(Poses(whole.times_s[order], whole.positions_m[order], no_turns))
-    speeds_mps = _near(motion.times_s, motion.speeds_mps, track.times_s, _FAR_S)
+    speeds_mps = nearest_values(motion.times_s, motion.speeds_mps, track.times_s, _FAR_S)
     return ScenePath(kind, track, speeds_mps, errors_m)
-
-
-def _near(known_at_s: Array, values: Array, times_s: Array, most_s: float) -> Array:
-    """The value that is nearest to each time; NaN if none is within ``most_s``."""
-    if len(known_at_s) == 0:
-        return np.full(len(times_s), np.nan)
-    order = np.argsort(known_at_s, kind="stable")
-    stamps_s, ordered = known_at_s[order], values[order]
-    after = np.clip(np.searchsorted(stamps_s, times_s), 0, len(stamps_s) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(times_s - stamps_s[before] < stamps_s[after] - times_s, before, after)
-    found: Array = np.where(np.abs(stamps_s[nearest] - times_s) <= most_s, ordered[nearest], np.nan)
-    return found
 
 
 # One moment of a run: the error there, and what happened to the frame.

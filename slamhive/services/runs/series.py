@@ -27,6 +27,8 @@ Places = NDArray[np.int64]
 MAX_POINTS = 3000
 """A plot has no more points than this; a screen has no more columns."""
 LIMIT_BYTES = 64_000_000
+SAME_TIME_S = 1e-3
+"""Timestamps that differ by less are of one pose: files round them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +97,31 @@ class RunSeries:
     dropped_s: Array
     played_s: tuple[float, float] | None
     reasons: dict[str, str]
+    estimate_errors_m: Array | None = None
+    """The position error of each pose of ``estimate``, (n,), NaN where none was matched; None if not evaluated."""
+
+    @property
+    def worst_s(self) -> float | None:
+        """The header timestamp of the largest position error; None without errors."""
+        if self.error is None or self.error.origin_s is None:
+            return None
+        return self.error.origin_s + float(self.error.times_s[int(self.error.values.argmax())])
+
+    @property
+    def start_s(self) -> float | None:
+        """The header timestamp at which the time of the recording is 0; None if nothing is known over that time."""
+        known = (self.error, self.latency, self.cpu, self.memory)
+        return next((entry.origin_s for entry in known if entry is not None and entry.origin_s is not None), None)
 
 
-def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
-    """Read the plot data of ``run`` and of its current evaluation."""
+def run_series(run: RunRecord, folder: RunFolder, fingerprint: str | None = None) -> RunSeries:
+    """Read the plot data of ``run`` and of an evaluation: the current one, or that with this fingerprint."""
     estimate = groundtruth = errors = None
     gap_s = math.inf
-    if run.protocol is not None:
-        evaluation = folder.evaluation(run.protocol.fingerprint)
+    if fingerprint is None and run.protocol is not None:
+        fingerprint = run.protocol.fingerprint
+    if fingerprint is not None:
+        evaluation = folder.evaluation(fingerprint)
         gap_s = gap_of(evaluation)
         estimate = read_track(evaluation / "traj.tum", gap_s)
         groundtruth = read_track(evaluation / "groundtruth.tum")
@@ -134,8 +153,12 @@ def run_series(run: RunRecord, folder: RunFolder) -> RunSeries:
         kept = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), MAX_POINTS)).astype(np.int64))
         dropped_s = times_s[kept]
     explanations = _explanations(run)
+    pose_errors_m = None
+    if estimate is not None and errors is not None:
+        pose_errors_m = nearest_values(errors[:, 0], errors[:, 1], estimate.times_s, SAME_TIME_S)
     return RunSeries(
         **found,
+        estimate_errors_m=pose_errors_m,
         aligned=aligned,
         gap_s=gap_s,
         dropped_s=dropped_s,
@@ -242,6 +265,19 @@ def thin_keeping_extremes(values: Array, most: int = MAX_POINTS) -> Places:
         stretch = values[start:end]
         chosen.extend(sorted({start + int(stretch.argmin()), start + int(stretch.argmax())}))
     return np.asarray(chosen)
+
+
+def nearest_values(known_at_s: Array, values: Array, times_s: Array, most_s: float) -> Array:
+    """The value that is nearest to each time; NaN if none is within ``most_s``."""
+    if len(known_at_s) == 0:
+        return np.full(len(times_s), np.nan)
+    order = np.argsort(known_at_s, kind="stable")
+    stamps_s, ordered = known_at_s[order], values[order]
+    after = np.clip(np.searchsorted(stamps_s, times_s), 0, len(stamps_s) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(times_s - stamps_s[before] < stamps_s[after] - times_s, before, after)
+    found: Array = np.where(np.abs(stamps_s[nearest] - times_s) <= most_s, ordered[nearest], np.nan)
+    return found
 
 
 def samples_of(times_s: Array, values: Array, gap_s: float = math.inf) -> Samples:

@@ -200,9 +200,12 @@ class RunService(StoredRuns):
         record = self.record(run_id) if run.state.active else {}
         return run_progress(run, self.folder(run_id), utc_now(), record.get("dataset", {}).get("duration_s"))
 
-    def series(self, run_id: int) -> RunSeries:
-        """Trajectory, errors, resources and latencies of a run over time."""
-        return run_series(self.get(run_id), self.folder(run_id))
+    def series(self, run_id: int, fingerprint: str | None = None) -> RunSeries:
+        """Trajectory, errors, resources and latencies of a run over time.
+
+        Under its current protocol, or the one with this fingerprint.
+        """
+        return run_series(self.get(run_id), self.folder(run_id), fingerprint)
 
     def error_over_time(self, run_id: int) -> Samples | None:
         """The position error of a run under its current protocol; None if there is none. Reads nothing else."""

@@ -18,7 +18,7 @@ from slamhive.services.datasets import ground_truth_motion
 from slamhive.services.hive import Hive
 from slamhive.services.runs import read_dataset_path
 from slamhive.trajectory.transforms import WINDOW_S
-from slamhive.web.figures import best_plane, motion_figures, path_figures
+from slamhive.web.figures import best_plane, motion_figures, plane_figures, space_figures
 from slamhive.web.formatting import DASH, plural, value_text
 
 
@@ -127,8 +127,10 @@ def match_of_configuration(services: Hive, configuration_id: int) -> MatchDocume
 _COLOUR = OKABE_ITO[0]
 
 
-def ground_truth_figures(dataset: Dataset, most_points: int | None = None) -> dict[str, Any] | None:
-    """The path in all planes and in 3D, speed and angular rate, with captions and the reasons for missing plots.
+def ground_truth_figures(
+    dataset: Dataset, most_points: int | None = None, *, in_space: bool = False
+) -> dict[str, Any] | None:
+    """The path in all planes, or once ``in_space``, speed and angular rate, with captions and why plots are missing.
 
     ``most_points`` thins the path. None for a dataset without a ground truth that can be read.
     """
@@ -139,7 +141,8 @@ def ground_truth_figures(dataset: Dataset, most_points: int | None = None) -> di
     unknown = "The ground truth has no orientations." if positions_only else "The poses are too far apart in time."
     path = track if most_points is None else track.thinned(most_points)
     return {
-        "figures": path_figures(path, None) | motion_figures(motion, _COLOUR, positions_only=positions_only),
+        "figures": (space_figures if in_space else plane_figures)(path, None)
+        | motion_figures(motion, _COLOUR, positions_only=positions_only),
         "captions": {
             "path": f"Ground truth, {plural(track.poses, 'pose')}.",
             "speed": f"Mean over {WINDOW_S:g} s.",

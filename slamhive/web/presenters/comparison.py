@@ -20,7 +20,6 @@ _PLACES = {
     "trajectories_xy": "path_2d",
     "trajectories_xz": "path_2d",
     "trajectories_yz": "path_2d",
-    "trajectories_3d": "path_3d",
     "trajectory_error": "error",
     "usage_cpu": "cpu",
     "usage_memory": "memory",
@@ -29,7 +28,7 @@ _PLACES = {
 """{key of a plot: its place on the page}; other plots of the analysis are not shown."""
 _OVER_TIME = ("error", "cpu", "memory", "latency")
 _PLACES_OF_FORM = {
-    "trajectories": ("path_2d", "path_3d", "error"),
+    "trajectories": ("path_2d", "error"),
     "usage": ("cpu", "memory"),
     "latency": ("latency",),
 }

@@ -16,8 +16,7 @@ from slamhive.recordings.views import FrameView
 from slamhive.services.datasets import strip_times_s
 from slamhive.store.records import RunSort
 from slamhive.web.context import dataset_checker, hive, variant_maker
-from slamhive.web.figures import sweep_figure
-from slamhive.web.formatting import plural
+from slamhive.web.figures import sweep_json
 from slamhive.web.presenters.catalogue import ground_truth_figures, lacking, step_kinds
 from slamhive.web.presenters.scripts import dataset_scripts
 from slamhive.web.run_form import read_steps
@@ -114,7 +113,7 @@ def drop_variant(name: str, key: str) -> Response:
 
 @blueprint.get("/<name>/figures.json")
 def figures(name: str) -> Response:
-    """The ground truth: its path in all planes and in 3D, speed and angular rate."""
+    """The ground truth: its path in all planes, speed and angular rate."""
     dataset = hive().catalogue.dataset(name)
     found = ground_truth_figures(dataset)
     if found is None:
@@ -147,17 +146,11 @@ def _jpeg(view: FrameView) -> Response:
 
 @blueprint.get("/<name>/sweeps/<sensor>.json")
 def sweep(name: str, sensor: str) -> Response:
-    """The sweep of a LiDAR at ``time`` in s from the start, as a plot."""
+    """The sweep of a LiDAR at ``time`` in s from the start: its points, and a caption."""
     services = hive()
     dataset = services.catalogue.dataset(name)
     view = services.dataset_views.sweep(dataset, sensor, asked_time_s(dataset))
-    shown = "" if view.points == len(view.positions_m) else f", {len(view.positions_m)} of them shown"
-    return make_response(
-        jsonify(
-            figure=sweep_figure(view),
-            caption=f"{sensor} at {view.time_s:.3f} s: {plural(view.points, 'point')}{shown}, in the sensor's frame.",
-        )
-    )
+    return make_response(jsonify(sweep_json(view, sensor)))
 
 
 def asked_time_s(dataset: Dataset) -> float:
