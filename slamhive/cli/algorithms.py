@@ -20,7 +20,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.names import plural
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.sensors import SensorSetup
-from slamhive.services.bounds import BoundTest, bound_tests
+from slamhive.services.bounds import bound_tests
 from slamhive.services.hive import Hive
 from slamhive.services.weights import WeightsStore
 
@@ -264,7 +264,20 @@ def test(
     if bool(names) == all_:
         raise InvalidInput("name the algorithms to test, or give --all", "slamhive algorithm list shows them")
     hive = cli.hive()
-    tests = _tests_here(hive, _chosen(hive, names), datasets)
+    algorithms = _chosen(hive, names)
+    stated = bound_tests(algorithms, datasets)
+    if not stated:
+        asked = ", ".join(entry.name for entry in algorithms)
+        where = f" on {', '.join(datasets)}" if datasets else ""
+        raise InvalidInput(f"no bounds are stated for {asked}{where}", "add bounds to algorithm.yaml")
+    here = {entry.name for entry in hive.catalogue.datasets()}
+    missing = sorted({entry.bound.dataset for entry in stated} - here)
+    if missing and not here.intersection(entry.bound.dataset for entry in stated):
+        raise NotFound(f"no dataset of the bounds is here: {', '.join(missing)}", "make one: slamhive dataset room")
+    for name in missing:
+        left_out = ", ".join(entry.algorithm.name for entry in stated if entry.bound.dataset == name)
+        tell(f"not tested on {name}, which is not here: {left_out}", style="yellow")
+    tests = [entry for entry in stated if entry.bound.dataset in here]
     run_ids = [hive.runs.submit(entry.submission(executor))[0].id for entry in tests]
     run_to_end(hive, run_ids, evaluate=True)
     results = [entry.result(hive.runs.get(run_id)) for entry, run_id in zip(tests, run_ids, strict=True)]
@@ -283,23 +296,6 @@ def _chosen(hive: Hive, names: Sequence[str]) -> list[Algorithm]:
         if all(name not in {entry.name, entry.package.name} for entry in known):
             hive.catalogue.algorithm(name)  # explains what is wrong with the name
     return [entry for entry in known if not names or entry.name in names or entry.package.name in names]
-
-
-def _tests_here(hive: Hive, algorithms: Sequence[Algorithm], datasets: Sequence[str]) -> list[BoundTest]:
-    """The tests whose datasets are here; says which cannot be done. Raises if there is none."""
-    tests = bound_tests(algorithms, datasets)
-    if not tests:
-        names = ", ".join(entry.name for entry in algorithms)
-        where = f" on {', '.join(datasets)}" if datasets else ""
-        raise InvalidInput(f"no bounds are stated for {names}{where}", "add bounds to algorithm.yaml")
-    here = {entry.name for entry in hive.catalogue.datasets()}
-    missing = sorted({entry.bound.dataset for entry in tests} - here)
-    if missing and not here.intersection(entry.bound.dataset for entry in tests):
-        raise NotFound(f"no dataset of the bounds is here: {', '.join(missing)}", "make one: slamhive dataset room")
-    for name in missing:
-        left_out = ", ".join(entry.algorithm.name for entry in tests if entry.bound.dataset == name)
-        tell(f"not tested on {name}, which is not here: {left_out}", style="yellow")
-    return [entry for entry in tests if entry.bound.dataset in here]
 
 
 def _print(results: Sequence[BoundResult]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from slamhive.documents.challenge import (
         Challenge,
         ChallengePhase,
-        ChallengeSubmission,
         RankedTeam,
     )
 
@@ -57,50 +55,33 @@ def submit(cli: CliContext, /, name: str, files: tuple[Path, ...], dry_run: bool
         raise click.UsageError("Give either FILES, or --image, or --package.")
     if options["algorithm"] is not None and files:
         raise click.UsageError("--algorithm belongs to --image or --package.")
-    if options["image"] is None and options["package"] is None:
-        made = _submit_files(cli, name, files, options, dry_run=dry_run)
+    from slamhive.services.challenges import Entrant, opened_files  # noqa: PLC0415 - loads numpy
+
+    hive, phase = cli.hive(), options["phase"]
+    entrant = Entrant(options["team"], algorithm=options["algorithm"])
+    if files:
+        with opened_files(files) as content:
+            if dry_run:
+                for line in hive.challenges.check(name, content, phase):
+                    say(line)
+                return
+            made = hive.challenges.submit(name, entrant, content, phase)
+    elif options["package"] is not None:
+        version = hive.versions.find(options["package"])
+        if dry_run:
+            say(f"package {version.label}")
+            return
+        made = hive.challenges.submit_version(name, entrant, version, phase)
     else:
-        made = _submit_image(cli, name, options, dry_run=dry_run)
-    if made is None:
-        return
+        if dry_run:
+            say(hive.challenges.check_image(name, options["image"], entrant.algorithm, phase))
+            return
+        made = hive.challenges.submit_image(name, entrant, options["image"], phase)
     if options["as_json"]:
         print_json(made.content)
     else:
         say(f"submission {made.id} of team {made.team} to phase {made.phase} is queued")
         tell("a worker evaluates it; `slamhive challenge evaluate` does so without one")
-
-
-def _submit_files(
-    cli: CliContext, name: str, files: tuple[Path, ...], options: Mapping[str, Any], *, dry_run: bool
-) -> ChallengeSubmission | None:
-    from slamhive.services.challenges import Entrant, opened_files  # noqa: PLC0415 - loads numpy
-
-    challenges = cli.hive().challenges
-    with opened_files(files) as content:
-        if not dry_run:
-            return challenges.submit(name, Entrant(options["team"]), content, options["phase"])
-        for line in challenges.check(name, content, options["phase"]):
-            say(line)
-    return None
-
-
-def _submit_image(
-    cli: CliContext, name: str, options: Mapping[str, Any], *, dry_run: bool
-) -> ChallengeSubmission | None:
-    from slamhive.services.challenges import Entrant  # noqa: PLC0415 - as above
-
-    hive = cli.hive()
-    entrant = Entrant(options["team"], algorithm=options["algorithm"])
-    if options["package"] is not None:
-        version = hive.versions.find(options["package"])
-        if not dry_run:
-            return hive.challenges.submit_version(name, entrant, version, options["phase"])
-        say(f"package {version.label}")
-    elif not dry_run:
-        return hive.challenges.submit_image(name, entrant, options["image"], options["phase"])
-    else:
-        say(hive.challenges.check_image(name, options["image"], entrant.algorithm, options["phase"]))
-    return None
 
 
 @click.command()

@@ -29,7 +29,6 @@ from slamhive.services.experiments import (
     GUESSED_START_S,
     NO_FIGURES,
     Cell,
-    CellFigures,
     ConfigurationStanding,
     ExperimentPreview,
     ExperimentSource,
@@ -161,32 +160,33 @@ def print_report(status: ExperimentStatus, cells: Sequence[Cell], axes: Sequence
     ate, *others = (heading for heading, *_ in FIGURES)
     headings = (ate, "median", *others)
     columns = ("cell", *axes, "runs", "good", "failed", "failures", "disturbed", *headings, "protocol")
-    rows = [_report_row(cell, figures, axes) for cell in cells for figures in cell.figures or (NO_FIGURES,)]
+    _, median_key, median_factor, median_form = FIGURES[0]
+    rows: list[tuple[Any, ...]] = []
+    for cell in cells:
+        for figures in cell.figures or (NO_FIGURES,):
+            first, *rest = (_spread(figures.metrics.get(key), factor, form) for _, key, factor, form in FIGURES)
+            median = figures.metrics.get(median_key)
+            rows.append(
+                (
+                    cell.number,
+                    *(_value(cell.values, axis) for axis in axes),
+                    len(cell.runs),
+                    cell.counts[Outcome.GOOD],
+                    sum(cell.failures.values()) or None,
+                    failures_text(cell),
+                    figures.disturbed or None,
+                    first,
+                    None if median is None else median_form.format(median.median * median_factor),
+                    *rest,
+                    figures.protocol[:8] if figures.protocol else None,
+                )
+            )
     numbers = ("cell", "runs", "good", "failed", "disturbed", *headings)
     print_table(columns, rows, right=numbers, spare=("failures", "time s", "disturbed", "median"))
     print_status(status)
     say("metrics: mean ± standard deviation of the runs that did not fail; failed ones are counted")
     say(DEFAULT_RULE.words)
     say("disturbed: how many of these were measured on a disturbed machine and are not replaced")
-
-
-def _report_row(cell: Cell, figures: CellFigures, axes: Sequence[str]) -> tuple[Any, ...]:
-    ate, *others = (_spread(figures.metrics.get(key), factor, form) for _, key, factor, form in FIGURES)
-    _, key, factor, form = FIGURES[0]
-    first = figures.metrics.get(key)
-    return (
-        cell.number,
-        *(_value(cell.values, axis) for axis in axes),
-        len(cell.runs),
-        cell.counts[Outcome.GOOD],
-        sum(cell.failures.values()) or None,
-        failures_text(cell),
-        figures.disturbed or None,
-        ate,
-        None if first is None else form.format(first.median * factor),
-        *others,
-        figures.protocol[:8] if figures.protocol else None,
-    )
 
 
 def _spread(found: MetricSpread | None, factor: float, form: str) -> str | None:

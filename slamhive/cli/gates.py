@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +20,6 @@ from slamhive.domain.names import plural
 
 if TYPE_CHECKING:
     from slamhive.documents.gate import Baseline, GateAnswer
-    from slamhive.services.gates import GateCheck
-    from slamhive.services.hive import Hive
 
 EXIT_CODES = {Answer.PASS: 0, Answer.WORSE: 1, Answer.UNDECIDED: 3}
 STYLES = {Answer.PASS: "green", Answer.WORSE: "red", Answer.UNDECIDED: "yellow"}
@@ -175,35 +173,27 @@ def check(cli: CliContext, /, baseline_name: str, as_json: bool, **options: Any)
         if path is not None and not path.parent.is_dir():
             raise InvalidInput(f"folder {path.parent} does not exist", "make it first")
     prepared = hive.gates.prepare(baseline_name, options["margins"], options["ignored"], partial=options["partial"])
-    answer = _of_new(hive, prepared, options) if options["algorithms"] else _of_existing(hive, prepared, options)
+    if options["algorithms"]:
+        from slamhive.cli.waiting import run_to_end  # noqa: PLC0415 - loads the worker
+        from slamhive.services.gates import Repeats, repeat_until_decided  # noqa: PLC0415
+
+        budget = None if options["budget"] is None else read_budget(options["budget"])
+        repeats = Repeats(options["repeats"], budget, options["executor"])
+        work = partial(run_to_end, hive, evaluate=True)
+        answer = repeat_until_decided(hive.gates, prepared, options["algorithms"], repeats, work)
+    else:
+        run_ids = hive.searches.find(options["where"])
+        if options["evaluate"]:
+            from slamhive.cli.waiting import evaluate_to_end  # noqa: PLC0415 - few checks evaluate
+            from slamhive.domain.protocol import exactly  # noqa: PLC0415
+
+            for protocol, lacking in hive.gates.lacking(prepared, run_ids).items():
+                queued = hive.evaluations.queue(lacking, exactly(protocol, protocol.fingerprint))
+                evaluate_to_end(hive.evaluations, queued)
+        answer = hive.gates.answer(prepared, run_ids)
     print_json(answer.content) if as_json else _print(answer)
     _write(answer, options["markdown"], options["junit"])
     raise click.exceptions.Exit(EXIT_CODES[answer.answer])
-
-
-def _of_existing(hive: Hive, prepared: GateCheck, options: dict[str, Any]) -> GateAnswer:
-    run_ids = hive.searches.find(options["where"])
-    if options["evaluate"]:
-        from slamhive.cli.waiting import evaluate_to_end  # noqa: PLC0415 - few checks evaluate
-        from slamhive.domain.protocol import exactly  # noqa: PLC0415
-
-        for protocol, lacking in hive.gates.lacking(prepared, run_ids).items():
-            queued = hive.evaluations.queue(lacking, exactly(protocol, protocol.fingerprint))
-            evaluate_to_end(hive.evaluations, queued)
-    return hive.gates.answer(prepared, run_ids)
-
-
-def _of_new(hive: Hive, prepared: GateCheck, options: dict[str, Any]) -> GateAnswer:
-    from slamhive.cli.waiting import run_to_end  # noqa: PLC0415 - loads the worker
-    from slamhive.services.gates import Repeats, repeat_until_decided  # noqa: PLC0415
-
-    budget = None if options["budget"] is None else read_budget(options["budget"])
-    repeats = Repeats(options["repeats"], budget, options["executor"])
-
-    def work(run_ids: Sequence[int]) -> None:
-        run_to_end(hive, run_ids, evaluate=True)
-
-    return repeat_until_decided(hive.gates, prepared, options["algorithms"], repeats, work)
 
 
 def _write(answer: GateAnswer, markdown: Path | None, junit: Path | None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -69,7 +69,15 @@ def print_table(
     width = Console().width if sys.stdout.isatty() else PIPED_WIDTH
     left_out = columns_to_leave_out(columns, rows, spare, width)
     kept = [index for index, column in enumerate(columns) if column not in left_out]
-    shortened = _shortened(_widths(columns, rows), cut, width)
+    # Widths with which the table fits, in characters: the first column in ``cut`` is cut first.
+    widths = _widths(columns, rows)
+    excess = sum(widths.values()) - COLUMN_GAP - width
+    shortened: dict[str, int] = {}
+    for column in cut:
+        full = widths[column] - COLUMN_GAP
+        taken = max(0, min(excess, full - max(len(column), _LEAST_CUT)))
+        shortened[column] = full - taken
+        excess -= taken
     table = Table(box=None, pad_edge=False, header_style="bold")
     for index in kept:
         align: Literal["left", "right"] = "right" if columns[index] in right else "left"
@@ -107,18 +115,6 @@ def _widths(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[str, 
         column: max([len(column), *(len(visible_line(str(row[index]))) for row in rows)]) + COLUMN_GAP
         for index, column in enumerate(columns)
     }
-
-
-def _shortened(widths: Mapping[str, int], cut: Sequence[str], width: int) -> dict[str, int]:
-    """The widths of the columns in ``cut``, the first cut first, with which the table fits, in characters."""
-    excess = sum(widths.values()) - COLUMN_GAP - width
-    found: dict[str, int] = {}
-    for column in cut:
-        full = widths[column] - COLUMN_GAP
-        taken = max(0, min(excess, full - max(len(column), _LEAST_CUT)))
-        found[column] = full - taken
-        excess -= taken
-    return found
 
 
 def _cell(value: Any) -> Text:

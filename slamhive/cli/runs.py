@@ -78,24 +78,19 @@ def runs(context: click.Context, cli: CliContext, /, as_json: bool, **options: A
     if sum(map(bool, (options["as_csv"], options["parquet"], as_json))) > 1:
         raise InvalidInput("--csv, --json and --parquet exclude each other", "choose one of them")
     hive = cli.hive()
-    list_runs(hive, _with_saved(hive, options), as_json=as_json)
-
-
-def _with_saved(hive: Hive, options: dict[str, Any]) -> dict[str, Any]:
-    """The options, with the rest from the saved search."""
-    if options["saved"] is None:
-        return {**options, "sort": options["sort"] or ("configuration" if options["group"] else "id")}
-    saved = hive.searches.saved_named(options["saved"])
-    if options["where"]:
-        raise InvalidInput("--where and --saved exclude each other", "give one of them")
-    return {
-        **options,
-        "where": saved.filter_text,
-        "columns": options["columns"] or ",".join(saved.columns),
-        "sort": options["sort"] or saved.sort.key,
-        "ascending": options["ascending"] if options["sort"] else not saved.sort.descending,
-        "group": options["group"] or ("configuration" if saved.grouped else None),
-    }
+    by_default = "configuration" if options["group"] else "id"
+    if options["saved"] is not None:
+        saved = hive.searches.saved_named(options["saved"])
+        if options["where"]:
+            raise InvalidInput("--where and --saved exclude each other", "give one of them")
+        by_default = saved.sort.key
+        options |= {
+            "where": saved.filter_text,
+            "columns": options["columns"] or ",".join(saved.columns),
+            "ascending": options["ascending"] if options["sort"] else not saved.sort.descending,
+            "group": options["group"] or ("configuration" if saved.grouped else None),
+        }
+    list_runs(hive, {**options, "sort": options["sort"] or by_default}, as_json=as_json)
 
 
 def list_runs(hive: Hive, options: dict[str, Any], *, as_json: bool) -> None:

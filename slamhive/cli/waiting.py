@@ -45,8 +45,13 @@ def run_to_end(
                 while waiting:
                     worker.check()
                     records = hive.store.read(lambda t: t.runs.get_many(waiting, with_metrics=True))
-                    complete = [record for record in records if _is_complete(hive, record, evaluate)]
-                    for record in complete:
+                    for record in records:
+                        if not record.state.ended:
+                            continue
+                        if evaluate and record.state is RunState.SUCCEEDED:
+                            states = {entry.state for entry in hive.evaluations.of_run(record.id)}
+                            if states & {EvaluationState.QUEUED, EvaluationState.RUNNING}:
+                                continue
                         waiting.remove(record.id)
                         if on_end is not None:
                             on_end(record)
@@ -110,15 +115,6 @@ def experiment_to_end(
         except KeyboardInterrupt:
             tell(f"interrupted: what is queued stays queued; `slamhive experiment cancel {name}` cancels it")
             raise
-
-
-def _is_complete(hive: Hive, record: RunRecord, evaluate: bool) -> bool:
-    if not record.state.ended:
-        return False
-    if not evaluate or record.state is not RunState.SUCCEEDED:
-        return True
-    open_states = {EvaluationState.QUEUED, EvaluationState.RUNNING}
-    return all(evaluation.state not in open_states for evaluation in hive.evaluations.of_run(record.id))
 
 
 # Run many evaluations, or wait until a worker has.

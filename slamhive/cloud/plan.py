@@ -234,7 +234,23 @@ def planned_roles(nodes: int, *, image: bool) -> tuple[str, ...]:
 
 def make_plan(order: CloudFile, work: Work, now: datetime) -> CloudPlan:
     """Compute the plan; raises InvalidInput for prices that are old or missing, and if budget or time is too short."""
-    hour_price = _hour_price(order, now)
+    # One hour of one machine, with disk and address.
+    prices = order.prices
+    age_days = (now.date() - prices.date).days
+    if not -1 <= age_days <= MOST_PRICE_AGE_DAYS:
+        when = f"{age_days} days old" if age_days > 0 else "of the future"
+        raise InvalidInput(
+            f"prices.date {prices.date} is {when}; at most {MOST_PRICE_AGE_DAYS} days are allowed",
+            f"look the prices of {order.provider} in {order.region} up and write down today's date",
+        )
+    if order.instance_type not in prices.per_hour:
+        near = nearest(order.instance_type, list(prices.per_hour))
+        raise InvalidInput(
+            f"prices.per_hour has no price of {order.instance_type}; {near}",
+            "look it up and add it",
+        )
+    address = prices.public_ip_hour if order.network.public_ip else 0.0
+    hour_price = prices.per_hour[order.instance_type] + prices.disk_gb_month * order.disk_gb / HOURS_OF_MONTH + address
     prepare_h = work.data_bytes * 8e-6 / order.prepare.upload_mbit_s / 3600 if order.prepare is not None else 0.0
     nodes = order.nodes or _nodes(order, work, prepare_h)
     needs_image = order.prepare is not None and nodes > 1
@@ -282,26 +298,6 @@ def make_plan(order: CloudFile, work: Work, now: datetime) -> CloudPlan:
         prices_date=order.prices.date.isoformat(),
         roles=planned_roles(nodes, image=needs_image),
     )
-
-
-def _hour_price(order: CloudFile, now: datetime) -> float:
-    """One hour of one machine with disk and address."""
-    prices = order.prices
-    age_days = (now.date() - prices.date).days
-    if not -1 <= age_days <= MOST_PRICE_AGE_DAYS:
-        when = f"{age_days} days old" if age_days > 0 else "of the future"
-        raise InvalidInput(
-            f"prices.date {prices.date} is {when}; at most {MOST_PRICE_AGE_DAYS} days are allowed",
-            f"look the prices of {order.provider} in {order.region} up and write down today's date",
-        )
-    if order.instance_type not in prices.per_hour:
-        near = nearest(order.instance_type, list(prices.per_hour))
-        raise InvalidInput(
-            f"prices.per_hour has no price of {order.instance_type}; {near}",
-            "look it up and add it",
-        )
-    address = prices.public_ip_hour if order.network.public_ip else 0.0
-    return prices.per_hour[order.instance_type] + prices.disk_gb_month * order.disk_gb / HOURS_OF_MONTH + address
 
 
 def _nodes(order: CloudFile, work: Work, prepare_h: float) -> int:

@@ -33,19 +33,9 @@ def about_vocabulary(path: Path, environment: Mapping[str, str] = os.environ) ->
     """Name, number of words and SHA-256 of a text vocabulary, for ``about.json``; InvalidInput if it is none of ORB."""
     content = path.read_bytes()
     small = not environment.get(ORB_VOCABULARY_VARIABLE)
-    return {
-        "name": "small, trained on rendered rooms" if small else path.name,
-        "words": _count_words(path, content),
-        "sha256": hashlib.sha256(content).hexdigest(),
-    }
-
-
-def _count_words(path: Path, content: bytes) -> int:
-    """The number of words, after a check that ORB-SLAM can read all of it; its own loader crashes or hangs otherwise.
-
-    A text vocabulary has a line with four numbers, then a line for each node of a tree. That has its parent, whether it
-    is a word, the bytes of its descriptor and its weight. Nodes are numbered from 1 in their order; 0 is the root.
-    """
+    # ORB-SLAM must be able to read all of it: its own loader crashes or hangs otherwise. A text vocabulary has a line
+    # with four numbers, then a line for each node of a tree: its parent, whether it is a word, the bytes of its
+    # descriptor and its weight. Nodes are numbered from 1 in their order; 0 is the root.
     lines = content.rstrip().splitlines()
     # Files of other kinds get a reason of their own.
     if content.startswith(_GZIP):
@@ -75,7 +65,11 @@ def _count_words(path: Path, content: bytes) -> int:
             inner.add(number)
     if not words or parents != inner:
         raise _unfit(path, f"{len(inner - parents)} of its nodes have no words below them", "the file is incomplete")
-    return words
+    return {
+        "name": "small, trained on rendered rooms" if small else path.name,
+        "words": words,
+        "sha256": hashlib.sha256(content).hexdigest(),
+    }
 
 
 def _unfit(path: Path, problem: str, remedy: str) -> InvalidInput:

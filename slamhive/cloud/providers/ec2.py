@@ -78,7 +78,17 @@ class Ec2:
     def open_firewall(self, firewall: str, rules: tuple[FirewallRule, ...]) -> None:
         """Let sources in, one rule a call, so that one that exists does not prevent another."""
         inside = {"IpPermissions.1.IpProtocol": "-1", "IpPermissions.1.Groups.1.GroupId": firewall}
-        permissions: list[Mapping[str, str | int]] = [inside, *map(_permission, rules)]
+        permissions: list[Mapping[str, str | int]] = [inside]
+        for rule in rules:
+            ranges, address = ("Ipv6Ranges", "CidrIpv6") if ":" in rule.source else ("IpRanges", "CidrIp")
+            permissions.append(
+                {
+                    "IpPermissions.1.IpProtocol": rule.protocol,
+                    "IpPermissions.1.FromPort": rule.port,
+                    "IpPermissions.1.ToPort": rule.port,
+                    f"IpPermissions.1.{ranges}.1.{address}": rule.source,
+                }
+            )
         for permission in permissions:
             self._wire.call_unless(
                 ("InvalidPermission.Duplicate",), "AuthorizeSecurityGroupIngress", {"GroupId": firewall, **permission}
@@ -182,16 +192,6 @@ def _tags(prefix: str, tags: Mapping[str, str]) -> dict[str, str]:
 def _tagged(kind: str, tags: Mapping[str, str], number: int = 1) -> dict[str, str]:
     prefix = f"TagSpecification.{number}"
     return {f"{prefix}.ResourceType": kind, **_tags(f"{prefix}.Tag", tags)}
-
-
-def _permission(rule: FirewallRule) -> dict[str, str | int]:
-    family = ("Ipv6Ranges", "CidrIpv6") if ":" in rule.source else ("IpRanges", "CidrIp")
-    return {
-        "IpPermissions.1.IpProtocol": rule.protocol,
-        "IpPermissions.1.FromPort": rule.port,
-        "IpPermissions.1.ToPort": rule.port,
-        f"IpPermissions.1.{family[0]}.1.{family[1]}": rule.source,
-    }
 
 
 def _run(order: CloudFile, launch: Launch, device: str) -> dict[str, str | int]:

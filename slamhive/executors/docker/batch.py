@@ -66,7 +66,26 @@ class DockerStarter:
             on_line(line)
 
         with contextlib.closing(connect()) as client:
-            container = self._create(client, self._image or self._ensure_image(client, logger.debug), batch)
+            image = self._image or self._ensure_image(client, logger.debug)
+            mounts = [
+                Mount(entry.target, str(entry.source.resolve()), type="bind", read_only=entry.read_only)
+                for entry in batch.mounts
+            ]
+            with engine_errors("making the evaluation container", Unavailable):
+                try:
+                    container: Any = client.containers.create(
+                        image,
+                        [batch.job],
+                        mounts=mounts,
+                        labels=labels_of_helper("evaluation", self._context.installation),
+                        environment={"HOME": "/tmp"},  # noqa: S108 - the container's own; evo writes settings there
+                        user=container_user(RunUser.WORKER, rootless=traits_of(client).rootless),
+                        pids_limit=_PIDS,
+                        cpuset_cpus=None if batch.cores is None else ",".join(map(str, batch.cores)),
+                        **HARDENING,
+                    )
+                except docker.errors.ImageNotFound:
+                    raise Unavailable(f"image {image} was removed from outside", "try again") from None
             try:
                 feed = LineFeed(_lines_of(_started(container)))
                 return feed.follow(batch.timeout_s, take, stopping) or _how_it_ended(container, last)
@@ -90,27 +109,6 @@ class DockerStarter:
             digest = build_image(client, name, context, content, root, progress)
         name_image(client, digest, name)
         return name
-
-    def _create(self, client: docker.DockerClient, image: str, batch: EvaluationBatch) -> Any:
-        mounts = [
-            Mount(entry.target, str(entry.source.resolve()), type="bind", read_only=entry.read_only)
-            for entry in batch.mounts
-        ]
-        with engine_errors("making the evaluation container", Unavailable):
-            try:
-                return client.containers.create(
-                    image,
-                    [batch.job],
-                    mounts=mounts,
-                    labels=labels_of_helper("evaluation", self._context.installation),
-                    environment={"HOME": "/tmp"},  # noqa: S108 - the container's own; evo writes settings there
-                    user=container_user(RunUser.WORKER, rootless=traits_of(client).rootless),
-                    pids_limit=_PIDS,
-                    cpuset_cpus=None if batch.cores is None else ",".join(map(str, batch.cores)),
-                    **HARDENING,
-                )
-            except docker.errors.ImageNotFound:
-                raise Unavailable(f"image {image} was removed from outside", "try again") from None
 
 
 def _started(container: Any) -> Any:

@@ -351,7 +351,22 @@ def make_image(
             check_mapping_script(client, digest, package.image, context.installation)
         return digest
     if dockerfile_of(package, project_root) is None:
-        return _pull(client, package, progress)
+        name, _, tag = package.image.rpartition(":")
+        remedy = f"load it with docker load, or add a Dockerfile to {package.folder}"
+        if package.origin is not None:
+            again = f"slamhive algorithm import {package.origin.source} --name {package.name} --replace"
+            remedy = f"import it again: {again}"
+        problem = "the registry does not have it"
+        try:
+            with engine_errors(f"pulling {package.image}", ImageMissing):
+                problem = follow_pull(client, name, tag, package.image, progress) or problem
+        except ImageMissing as error:
+            problem = error.message
+        # It may be here from an earlier time, and do without a registry.
+        image = get_image(client, package.image)
+        if image is None:
+            raise ImageMissing(f"{package.image} cannot be pulled: {problem}", remedy)
+        return str(image.id)
     content = context_hash(package, project_root)
     arguments = _make_base_images(client, images_of(package, project_root), context, progress)
     with temporary_folder() as folder:
@@ -397,23 +412,6 @@ def _make_base_images(
         name_image(client, digest, image.name)
         arguments[image.argument] = digest
     return arguments
-
-
-def _pull(client: docker.DockerClient, package: AlgorithmPackage, progress: ProgressCallback) -> str:
-    name, _, tag = package.image.rpartition(":")
-    remedy = f"load it with docker load, or add a Dockerfile to {package.folder}"
-    if package.origin is not None:
-        remedy = f"import it again: slamhive algorithm import {package.origin.source} --name {package.name} --replace"
-    problem = "the registry does not have it"
-    try:
-        with engine_errors(f"pulling {package.image}", ImageMissing):
-            problem = follow_pull(client, name, tag, package.image, progress) or problem
-    except ImageMissing as error:
-        problem = error.message
-    image = get_image(client, package.image)
-    if image is None:
-        raise ImageMissing(f"{package.image} cannot be pulled: {problem}", remedy)
-    return str(image.id)
 
 
 # Images of versions: named so that the engine keeps them, saved and loaded.

@@ -183,7 +183,11 @@ def _send_item(
         recorded = offered.item.size_bytes
         words = f"{offered.item.words} has {size_bytes} bytes on the controller, but {recorded} are recorded"
         raise NotTaken(HTTPStatus.CONFLICT, words)
-    begin = _begin_of_range(environ, sha256)
+    # At 0 unless the request has ``bytes=N-``, and its first part is of this item.
+    unit, _, asked = environ.get("HTTP_RANGE", "").partition("=")
+    text, dash, end = asked.partition("-")
+    same = environ.get("HTTP_IF_RANGE", f'"{sha256}"') == f'"{sha256}"'
+    begin = int(text) if unit.strip() == "bytes" and dash and not end and same and _is_number(text) else 0
     if begin > size_bytes or (begin == size_bytes and begin):
         stream.close()
         raise NotTaken(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, f"the item has {size_bytes} bytes")
@@ -199,16 +203,6 @@ def _send_item(
     start_response("206 Partial Content" if begin else "200 OK", headers)
     answer: Iterable[bytes] = environ["wsgi.file_wrapper"](stream, _PIECE_BYTES)
     return answer
-
-
-def _begin_of_range(environ: dict[str, Any], sha256: str) -> int:
-    """Where to begin: at 0 unless the request has ``bytes=N-``, and its first part is of this item."""
-    unit, _, asked = environ.get("HTTP_RANGE", "").partition("=")
-    begin, dash, end = asked.partition("-")
-    same = environ.get("HTTP_IF_RANGE", f'"{sha256}"') == f'"{sha256}"'
-    if unit.strip() != "bytes" or not dash or end or not same or not _is_number(begin):
-        return 0
-    return int(begin)
 
 
 def _body(environ: dict[str, Any]) -> bytes:

@@ -96,7 +96,15 @@ class RunOnNode:
             source = self._items.pop(item_name(RECORDING)) if order else None
             paths = hold_items(self._ticket, self._connection, self._items, held, self._arrived)
             if source is not None:
-                paths |= self._variant(order, source, held)
+                fetch = Fetcher(self._connection, progress=self._arrived)
+
+                def made(done: float) -> None:
+                    self._progress(FETCHING, f"{words_of(order)}: {100 * done:.0f} % is made")
+
+                held.append(hold_variant(self._ticket.open_cache(), order, source, fetch, sys.executable, made))
+                folder, known = held[-1].path, read_made(held[-1].path)
+                write_aside(self._spec.work / VARIANT_FILE, json.dumps(known))
+                paths |= {item_name(RECORDING): folder / known[BAG], item_name(DATASET_FILE): folder / DATASET_FILE}
             self._give_orders(paths)
             self._supervise()
             return self._deliver()
@@ -118,18 +126,6 @@ class RunOnNode:
             options=self._orders["options"],
         )
         give_container_orders(spec, image, spec.work, context)
-
-    def _variant(self, order: dict[str, Any], source: Item, held: list[Held]) -> dict[str, Path]:
-        """The inputs that are a variant."""
-        fetch = Fetcher(self._connection, progress=self._arrived)
-
-        def made(done: float) -> None:
-            self._progress(FETCHING, f"{words_of(order)}: {100 * done:.0f} % is made")
-
-        held.append(hold_variant(self._ticket.open_cache(), order, source, fetch, sys.executable, made))
-        folder, known = held[-1].path, read_made(held[-1].path)
-        write_aside(self._spec.work / VARIANT_FILE, json.dumps(known))
-        return {item_name(RECORDING): folder / known[BAG], item_name(DATASET_FILE): folder / DATASET_FILE}
 
     def _supervise(self) -> None:
         """Start the supervisor, and wait until it ends."""

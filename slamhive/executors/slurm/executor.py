@@ -129,7 +129,16 @@ class SlurmExecutor(ProcessExecutor):
         """Submit a job unless there is one, and wait a little. Raises EngineUnavailable while it waits for a node."""
         work = spec.work.resolve()
         if not _begun(work):
-            self._submit(spec, work)
+            # Unless Slurm has a job of the run: a second one would find the lock of the first and end.
+            if all(job.over for job in self._jobs(spec.key, 0.0)):
+                others = set(spec.placing.other_nodes)
+                if others and others.issuperset(node.name for node in command.list_nodes(self._options)):
+                    raise StartFailed(f"run {spec.run_id}: {spec.placing.nobody}", "same_cpu: false allows others")
+                commands = self._commands(replace(spec, limits=job_limits(spec.limits)), work)
+                installation = self._context.installation
+                request = job_request(spec, installation, self._options, self._gpu, commands, self._printed)
+                # For a node that shares no files, the script holds the ticket of the run.
+                self._queue.submit(request._replace(secret=not self.capabilities.shares_files))
             wait_until(lambda: _begun(work) or self._is_stuck(spec.key), START_WAIT_S)
         identity = read_json(work / IDENTITY_FILE)
         if identity is None:
@@ -232,19 +241,6 @@ class SlurmExecutor(ProcessExecutor):
     def gpu_use(self, handle: RunHandle, uuid: str | None) -> GpuUse:  # noqa: ARG002 - the node knows it
         """Return the job's measurements on its node."""
         return use_of(_measured(handle).get(GPU_KEY))
-
-    def _submit(self, spec: RunSpec, work: Path) -> None:
-        """Submit the job of the run unless Slurm has one. A second job would find the lock of the first and end."""
-        if any(not job.over for job in self._jobs(spec.key, 0.0)):
-            return
-        others = set(spec.placing.other_nodes)
-        if others and others.issuperset(node.name for node in command.list_nodes(self._options)):
-            raise StartFailed(f"run {spec.run_id}: {spec.placing.nobody}", "same_cpu: false allows others")
-        commands = self._commands(replace(spec, limits=job_limits(spec.limits)), work)
-        installation = self._context.installation
-        request = job_request(spec, installation, self._options, self._gpu, commands, self._printed)
-        # For a node that shares no files, the script holds the ticket of the run.
-        self._queue.submit(request._replace(secret=not self.capabilities.shares_files))
 
     def _commands(self, spec: RunSpec, work: Path) -> str:
         """Return the script of the job. It finds its orders in the work folder. Raises ImageMissing."""

@@ -82,7 +82,19 @@ def unpack_image(archive: tarfile.TarFile, image: ArchivedImage, root: Path) -> 
     for name in image.layers:
         stream = _member(archive, name)
         with tarfile.open(fileobj=stream, mode="r:*") as layer:
-            _apply(layer, root)
+            # A layer also says what of the layers below it is removed; what it holds itself stays.
+            made: set[Path] = set()
+            for member in layer:
+                place = _inside(root, member.name)
+                if place.name == _EMPTIED:
+                    there = place.parent.iterdir() if place.parent.is_dir() else ()
+                    for path in [path for path in there if path not in made]:
+                        _remove(path)
+                elif place.name.startswith(_REMOVED):
+                    _remove(place.with_name(place.name.removeprefix(_REMOVED)))
+                elif place != root:
+                    _place(layer, member, place, root)
+                    made.add(place)
     for folder in _FOLDERS:
         _inside(root, folder).mkdir(parents=True, exist_ok=True)
     for file in _FILES:
@@ -97,21 +109,6 @@ def make_mount_point(root: Path, name: str, *, is_folder: bool) -> None:
     elif not place.exists():
         place.parent.mkdir(parents=True, exist_ok=True)
         place.touch()
-
-
-def _apply(layer: tarfile.TarFile, root: Path) -> None:
-    made: set[Path] = set()
-    for member in layer:
-        place = _inside(root, member.name)
-        if place.name == _EMPTIED:
-            there = place.parent.iterdir() if place.parent.is_dir() else ()
-            for path in [path for path in there if path not in made]:
-                _remove(path)
-        elif place.name.startswith(_REMOVED):
-            _remove(place.with_name(place.name.removeprefix(_REMOVED)))
-        elif place != root:
-            _place(layer, member, place, root)
-            made.add(place)
 
 
 def _place(layer: tarfile.TarFile, member: tarfile.TarInfo, place: Path, root: Path) -> None:
