@@ -319,7 +319,22 @@ class Fetching:
         return self._settings.data / "downloads"
 
     def _make(self, plan: FetchPlan, progress: Progress) -> Dataset:
-        paths = self._download_all(plan, progress)
+        self._check_disk(plan)
+        paths: dict[str, Path] = {}
+        for number, file in enumerate(plan.files):
+            if file.name in plan.by_hand:
+                paths[file.name] = plan.by_hand[file.name]
+                check_file(paths[file.name], file)
+                continue
+            speed, target = Speed(), self._own_folder(plan) / file.name
+
+            def received(done: int, size: int | None, file: RemoteFile = file, number: int = number) -> None:
+                expected = size or file.estimate_bytes
+                share = (number + (done / expected if expected else 0.0)) / len(plan.files)
+                progress(_DOWNLOADED * min(share, 1.0), f"{file.name}: {speed.words(done, size)}")  # noqa: B023
+
+            download(file, target, self._pace, plan.token, received)
+            paths[file.name] = target
         with temporary_folder(root=self._own_folder(plan)) as folder:
             for number, part in enumerate(plan.parts):
                 done = _DOWNLOADED + (_UNPACKED - _DOWNLOADED) * number / len(plan.parts)
@@ -343,26 +358,6 @@ class Fetching:
                 replace(planned, plan=replace(planned.plan, text=text)),
                 lambda share, text: progress(_UNPACKED + (1 - _UNPACKED) * share, text),
             )
-
-    def _download_all(self, plan: FetchPlan, progress: Progress) -> dict[str, Path]:
-        """The files of a plan by name; those that were downloaded by hand stay where they are."""
-        self._check_disk(plan)
-        paths: dict[str, Path] = {}
-        for number, file in enumerate(plan.files):
-            if file.name in plan.by_hand:
-                paths[file.name] = plan.by_hand[file.name]
-                check_file(paths[file.name], file)
-                continue
-            speed, target = Speed(), self._own_folder(plan) / file.name
-
-            def received(done: int, size: int | None, file: RemoteFile = file, number: int = number) -> None:
-                expected = size or file.estimate_bytes
-                share = (number + (done / expected if expected else 0.0)) / len(plan.files)
-                progress(_DOWNLOADED * min(share, 1.0), f"{file.name}: {speed.words(done, size)}")  # noqa: B023
-
-            download(file, target, self._pace, plan.token, received)
-            paths[file.name] = target
-        return paths
 
     def _check_disk(self, plan: FetchPlan) -> None:
         """Room for the download, and twice for the share of this sequence: unpacked, and as a dataset."""

@@ -149,32 +149,29 @@ def channels_of(settings: Settings) -> tuple[Channel, ...]:
             raise InvalidInput("NOTIFY_WEBHOOK is not an address", "write it as https://chat.example.org/hooks/...")
         found.append(Webhook(settings.notify_webhook, settings.notify_webhook_secret))
     if settings.notify_mail_to:
-        found.append(_mail(settings))
+        recipients = tuple(part.strip() for part in settings.notify_mail_to.split(",") if part.strip())
+        sender = settings.notify_mail_from or settings.smtp_user
+        for text in (*recipients, sender):
+            if "@" not in text or not text.isprintable() or " " in text:
+                raise InvalidInput(
+                    f"{text[:80]!r} is not an e-mail address",
+                    "check NOTIFY_MAIL_TO and NOTIFY_MAIL_FROM",
+                )
+        if len(recipients) > _MOST_RECIPIENTS:
+            raise InvalidInput(f"NOTIFY_MAIL_TO has {len(recipients)} addresses", f"use at most {_MOST_RECIPIENTS}")
+        if not settings.smtp_host:
+            raise InvalidInput("NOTIFY_MAIL_TO is set, but not SMTP_HOST", "name the server that sends e-mail")
+        mail = Mail(
+            host=settings.smtp_host,
+            port=settings.smtp_port,
+            security=settings.smtp_security,
+            user=settings.smtp_user,
+            password=settings.smtp_password,
+            sender=sender,
+            recipients=recipients,
+        )
+        found.append(mail)
     return tuple(found)
-
-
-def _mail(settings: Settings) -> Mail:
-    recipients = tuple(part.strip() for part in settings.notify_mail_to.split(",") if part.strip())
-    sender = settings.notify_mail_from or settings.smtp_user
-    for text in (*recipients, sender):
-        if "@" not in text or not text.isprintable() or " " in text:
-            raise InvalidInput(
-                f"{text[:80]!r} is not an e-mail address",
-                "check NOTIFY_MAIL_TO and NOTIFY_MAIL_FROM",
-            )
-    if len(recipients) > _MOST_RECIPIENTS:
-        raise InvalidInput(f"NOTIFY_MAIL_TO has {len(recipients)} addresses", f"use at most {_MOST_RECIPIENTS}")
-    if not settings.smtp_host:
-        raise InvalidInput("NOTIFY_MAIL_TO is set, but not SMTP_HOST", "name the server that sends e-mail")
-    return Mail(
-        host=settings.smtp_host,
-        port=settings.smtp_port,
-        security=settings.smtp_security,
-        user=settings.smtp_user,
-        password=settings.smtp_password,
-        sender=sender,
-        recipients=recipients,
-    )
 
 
 # ``notices.json`` in the folder of the experiment holds what was sent. It is written after the sending: a worker that

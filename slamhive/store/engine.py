@@ -42,7 +42,41 @@ def make_engine(database_url: str) -> Engine:
     message contains the URL itself: it may hold a password.
     """
     url = _checked(database_url)
-    _check_options(url)
+    # Each option is tried alone, without a connection: its name may be wrong, or its value.
+    known = _SQLITE_OPTIONS if url.get_backend_name() == "sqlite" else _MYSQL_OPTIONS
+    for name, value in url.query.items():
+        if name not in known:
+            remedy = f"leave it out; the options are {', '.join(known)}"
+            raise InvalidInput(f"DATABASE_URL has the unknown option {name!r}", remedy)
+        if not isinstance(value, str):
+            raise InvalidInput(f"DATABASE_URL has the option {name!r} {len(value)} times", "leave out all but one")
+        if name == "charset":
+            continue  # replaced by the one that the tables have
+        # A certificate is of use with its key only.
+        together = {"ssl_cert", "ssl_key", "ssl_key_password"} if name.startswith("ssl_") else {name}
+        alone = {key: url.query[key] for key in known if key in url.query and key in {name, *together}}
+        try:
+            tried = url.set(query=alone)
+            _, options = tried.get_dialect()().create_connect_args(tried)
+            if url.get_backend_name() == "sqlite":
+                sqlite3.connect(":memory:", **options).close()
+            else:
+                import pymysql  # noqa: PLC0415 - SQLite needs none
+
+                pymysql.Connection(defer_connect=True, **options)
+        except (
+            TypeError,
+            ValueError,
+            LookupError,
+            ArithmeticError,
+            OSError,
+            ConfigurationError,
+            SQLAlchemyError,
+        ) as error:
+            shown = name if "password" in name else f"{name}={value}"
+            why = str(error.strerror if isinstance(error, OSError) and error.strerror else error).splitlines()
+            said = f": {why[0]}" if why else ""
+            raise InvalidInput(f"DATABASE_URL: the option {shown} cannot be used{said}", "correct it") from None
     if url.get_backend_name() == "sqlite":
         _check_file(sqlite_file(url))
         if "timeout" not in url.query:
@@ -123,44 +157,6 @@ def _checked(database_url: str) -> URL:
             raise InvalidInput("DATABASE_URL: the password has letters that are not in Latin-1", remedy) from None
         return url.set(drivername="mysql+pymysql")
     raise InvalidInput(f"DATABASE_URL: {url.drivername!r} is not supported", _EXAMPLES)
-
-
-def _check_options(url: URL) -> None:
-    """Refuse options that the driver does not know or cannot use. Each is tried alone, without a connection."""
-    known = _SQLITE_OPTIONS if url.get_backend_name() == "sqlite" else _MYSQL_OPTIONS
-    for name, value in url.query.items():
-        if name not in known:
-            remedy = f"leave it out; the options are {', '.join(known)}"
-            raise InvalidInput(f"DATABASE_URL has the unknown option {name!r}", remedy)
-        if not isinstance(value, str):
-            raise InvalidInput(f"DATABASE_URL has the option {name!r} {len(value)} times", "leave out all but one")
-        if name == "charset":
-            continue  # replaced by the one that the tables have
-        # A certificate is of use with its key only.
-        together = {"ssl_cert", "ssl_key", "ssl_key_password"} if name.startswith("ssl_") else {name}
-        alone = {key: url.query[key] for key in known if key in url.query and key in {name, *together}}
-        try:
-            tried = url.set(query=alone)
-            _, options = tried.get_dialect()().create_connect_args(tried)
-            if url.get_backend_name() == "sqlite":
-                sqlite3.connect(":memory:", **options).close()
-            else:
-                import pymysql  # noqa: PLC0415 - SQLite needs none
-
-                pymysql.Connection(defer_connect=True, **options)
-        except (
-            TypeError,
-            ValueError,
-            LookupError,
-            ArithmeticError,
-            OSError,
-            ConfigurationError,
-            SQLAlchemyError,
-        ) as error:
-            shown = name if "password" in name else f"{name}={value}"
-            why = str(error.strerror if isinstance(error, OSError) and error.strerror else error).splitlines()
-            said = f": {why[0]}" if why else ""
-            raise InvalidInput(f"DATABASE_URL: the option {shown} cannot be used{said}", "correct it") from None
 
 
 def _check_file(path: Path) -> None:

@@ -82,7 +82,21 @@ class FiledRunRepository(Repository):
         they repeated none.
         Raises Conflict, having written nothing, if a number or uid belongs to another run.
         """
-        here = self._rows_here([run.snapshot for run in runs])
+        snapshots = [run.snapshot for run in runs]
+        uids = {snapshot.id: snapshot.request.uid for snapshot in snapshots}
+        same = _RUNS.c.id.in_(uids) | _RUNS.c.uid.in_(uids.values())
+        found = {row.uid: row.id for row in self._connection.execute(select(_RUNS.c.uid, _RUNS.c.id).where(same))}
+        by_number = {number: uid for uid, number in found.items()}
+        claimed: set[str] = set()
+        for number, uid in uids.items():
+            other = by_number.get(number, uid), found.get(uid, number)
+            if other != (uid, number) or uid in claimed:
+                raise Conflict(
+                    f"run {number} (uid {uid}) clashes with run {other[1]} (uid {other[0]})",
+                    "two folders cannot hold the same run",
+                )
+            claimed.add(uid)
+        here = set(found.values())
         catalogue = CatalogueRepository(self._connection)
         protocols = {entry.protocol.fingerprint: entry.protocol for run in runs for entry in run.evaluations}
         numbers = {fingerprint: catalogue.put_protocol(protocol) for fingerprint, protocol in protocols.items()}
@@ -114,23 +128,6 @@ class FiledRunRepository(Repository):
         changes, filed = changes_of(self._connection), {run.snapshot.id for run in runs}
         changes.runs = [row for row in changes.runs if row.id not in filed]
         return left
-
-    def _rows_here(self, snapshots: Sequence[RunSnapshot]) -> set[int]:
-        """The numbers of those of these runs that have a row."""
-        uids = {snapshot.id: snapshot.request.uid for snapshot in snapshots}
-        same = _RUNS.c.id.in_(uids) | _RUNS.c.uid.in_(uids.values())
-        found = {row.uid: row.id for row in self._connection.execute(select(_RUNS.c.uid, _RUNS.c.id).where(same))}
-        by_number = {number: uid for uid, number in found.items()}
-        claimed: set[str] = set()
-        for number, uid in uids.items():
-            other = by_number.get(number, uid), found.get(uid, number)
-            if other != (uid, number) or uid in claimed:
-                raise Conflict(
-                    f"run {number} (uid {uid}) clashes with run {other[1]} (uid {other[0]})",
-                    "two folders cannot hold the same run",
-                )
-            claimed.add(uid)
-        return set(found.values())
 
     def _put_rows(self, runs: Sequence[FiledRun], here: set[int], protocols: Mapping[str, int]) -> dict[int, int]:
         rows, left = [], self._repeating_others(runs)

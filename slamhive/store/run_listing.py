@@ -144,7 +144,17 @@ class Order:
 
         Each reads along an index and stops after ``limit``, so it is fast where many runs match.
         """
-        missing = [] if self._own(tree) else [self._without_value(tree, after, limit)]
+        missing: list[Select[Any]] = []
+        if not self._own(tree):
+            runs = RUNS.alias()
+            columns = self.columns(runs)
+            rest = columns[1:]
+            conditions = [self.sql.test(tree, runs), columns[0].is_(None)]
+            if after is not None and after[0] is None and rest:
+                conditions.append(behind(rest, after[1:], descending=self.sort.descending))
+            query = select(*_labelled(columns)).where(*conditions)
+            query = query.order_by(*ordered(rest or columns, descending=self.sort.descending)).limit(limit)
+            missing.append(query)
         if after is not None and len(after) > 1 and after[0] is None:
             return missing
         if self.sort.key in CATALOGUE:
@@ -204,16 +214,6 @@ class Order:
             return [behind(columns, after, descending=self.sort.descending)]
         near = columns[0] <= after[0] if self.sort.descending else columns[0] >= after[0]
         return [near, behind(columns, after, descending=self.sort.descending)]
-
-    def _without_value(self, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
-        runs = RUNS.alias()
-        columns = self.columns(runs)
-        rest = columns[1:]
-        conditions = [self.sql.test(tree, runs), columns[0].is_(None)]
-        if after is not None and after[0] is None and rest:
-            conditions.append(behind(rest, after[1:], descending=self.sort.descending))
-        query = select(*_labelled(columns)).where(*conditions)
-        return query.order_by(*ordered(rest or columns, descending=self.sort.descending)).limit(limit)
 
     def _of_one_name(
         self, tree: Bound | None, number: int, name: str, after: list[Any] | None, limit: int

@@ -173,24 +173,19 @@ def report_files(
                 if ending != "parquet" or parquet_there():
                     yield f"tables/{file_name(plot.place, table.key, ending)}", table_file(table, ending)
     if set(PAPER_FORMATS) <= set(printing.formats):
-        yield "figures/figures.tex", _figures_latex(report).encode()
-
-
-def _figures_latex(report: Report) -> str:
-    """An environment of LaTeX for each plot; its caption says what the plot for a paper leaves out."""
-    parts = [r"% \usepackage{graphicx}"]
-    for plot in report.forms:
-        for chart in plot.charts:
-            name = file_name(plot.place, chart.key, PAPER_FORMATS[0])
-            parts += [
-                "",
-                r"\begin{figure}",
-                r"  \centering",
-                rf"  \includegraphics{{{name}}}",
-                rf"  \caption{{{latex(chart.title)}. {latex(chart.caption)}}}",
-                r"\end{figure}",
-            ]
-    return "\n".join([*parts, ""])
+        # An environment for each plot; its caption says what the plot for a paper leaves out.
+        parts = [r"% \usepackage{graphicx}"]
+        for plot in report.forms:
+            for chart in plot.charts:
+                parts += [
+                    "",
+                    r"\begin{figure}",
+                    r"  \centering",
+                    rf"  \includegraphics{{{file_name(plot.place, chart.key, PAPER_FORMATS[0])}}}",
+                    rf"  \caption{{{latex(chart.title)}. {latex(chart.caption)}}}",
+                    r"\end{figure}",
+                ]
+        yield "figures/figures.tex", "\n".join([*parts, ""]).encode()
 
 
 def write_folder(
@@ -255,10 +250,16 @@ def report_content(report: Report) -> dict[str, Any]:
 
 def shown_plot(plot: Plot, most_rows: int = SHOWN_ROWS) -> ShownPlot:
     """The part of a plot that a page shows: its plots, and its tables with their first rows."""
+    tables: list[ShownTable] = []
+    for table in plot.tables:
+        if not table.raw:
+            shown = replace(table, rows=table.rows[:most_rows])
+            numeric = tuple(column.key for place, column in enumerate(table.columns) if shown.is_number(place))
+            tables.append(ShownTable(table=shown, more=len(table.rows) - most_rows, numeric=numeric))
     return ShownPlot.of(
         plot,
         charts=plot.charts,
-        tables=tuple(_shown_table(table, most_rows) for table in plot.tables if not table.raw),
+        tables=tuple(tables),
         raw=tuple(
             RawData(key=table.key, title=table.title, rows=len(table.rows)) for table in plot.tables if table.raw
         ),
@@ -266,13 +267,6 @@ def shown_plot(plot: Plot, most_rows: int = SHOWN_ROWS) -> ShownPlot:
         runs=None if plot.result is None else plot.result.runs,
         failed=None if plot.result is None else plot.result.failed,
     )
-
-
-def _shown_table(table: ResultTable, most_rows: int) -> ShownTable:
-    rows = table.rows[:most_rows]
-    shown = replace(table, rows=rows)
-    numeric = tuple(column.key for place, column in enumerate(table.columns) if shown.is_number(place))
-    return ShownTable(table=shown, more=len(table.rows) - most_rows, numeric=numeric)
 
 
 def figures_json(report: Report) -> dict[str, Any]:

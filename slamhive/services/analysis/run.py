@@ -243,17 +243,14 @@ def run_analysis(
                 raise InvalidInput(f"the analysis takes longer than {limits.time_s:g} s", "select fewer runs")
             progress(0.1 + share * (place + fraction), request.plot_type.title)
 
-        outcomes.append(_build(request, PlotData(table, every, files, tell)))
+        try:
+            tell(0.0)
+            found = request.plot_type.build(PlotData(table, every, files, tell), request.options)
+            outcomes.append(PlotOutcome(request, found, None))
+        except SlamHiveError as error:
+            outcomes.append(PlotOutcome(request, None, f"{request.place}: {error}"))
     progress(1.0, "done")
     return AnalysisOutcome(analysis, table, tuple(outcomes))
-
-
-def _build(request: PlotRequest, data: PlotData) -> PlotOutcome:
-    try:
-        data.progress(0.0)
-        return PlotOutcome(request, request.plot_type.build(data, request.options), None)
-    except SlamHiveError as error:
-        return PlotOutcome(request, None, f"{request.place}: {error}")
 
 
 # Building the report, from which pages and files are made.

@@ -184,7 +184,11 @@ def load_table(
 
     facts, parameters, axes, figures, units = store.read(work)
     not_evaluated = len(set(request.run_ids)) - len(facts["run_id"])
-    facts["disturbed"] = [_disturbance_words(kinds) for kinds in facts.pop("disturbed_by")]
+    # The column for searches holds what disturbed a run; None if that is unknown.
+    facts["disturbed"] = [
+        None if kinds is None else ", ".join(DisturbanceKind(kind).label for kind in kinds.split()) or UNDISTURBED
+        for kinds in facts.pop("disturbed_by")
+    ]
     selected = len(facts["run_id"])
     if request.exclude_disturbed:
         kept = [words is None or words == UNDISTURBED for words in facts["disturbed"]]
@@ -213,13 +217,6 @@ def load_table(
     repeated = set(_variant_columns(variants)) if covered else set()
     left_out = selected - len(facts["run_id"]) if request.exclude_disturbed else None
     return replace(table.described(known, repeated), not_evaluated=not_evaluated, without_disturbed=left_out)
-
-
-def _disturbance_words(kinds: str | None) -> str | None:
-    """Say what disturbed a run, from the column for searches; None if unknown."""
-    if kinds is None:
-        return None
-    return ", ".join(DisturbanceKind(kind).label for kind in kinds.split()) or UNDISTURBED
 
 
 def _evaluated(source: Any, facts: Columns, errors_m: Mapping[int, float], protocol: str | None) -> Columns:

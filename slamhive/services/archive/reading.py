@@ -133,7 +133,16 @@ class ArchiveReader:
             progress: Called with bytes.
             place: Which members are unpacked meanwhile, and where to.
         """
-        self._check_tags()
+        if self._format.number == 1:
+            tags = {FIRST.checksums: str(self.manifest.checksums)}
+        else:
+            tags = self._listed(TAG_CHECKSUMS)
+            self._check_names(tags, self._format.tags - {TAG_CHECKSUMS}, TAG_CHECKSUMS)
+        for name, checksum in tags.items():
+            digest = hashlib.sha256()
+            for block in self._blocks(name):
+                digest.update(block)
+            self._compare(name, digest.hexdigest(), checksum)
         listed = self._listed(self._format.checksums)
         payload = [name for name in self._members if name not in self._format.tags]
         self._check_names(listed, map(self._format.listed_as, payload), self._format.checksums)
@@ -161,19 +170,6 @@ class ArchiveReader:
                 yield block
         at = timegm((*self._members[name].date_time, 0, 0, 0))
         os.utime(target, (at, at))
-
-    def _check_tags(self) -> None:
-        """Compare all members outside the payload with their checksums."""
-        if self._format.number == 1:
-            expected = {FIRST.checksums: str(self.manifest.checksums)}
-        else:
-            expected = self._listed(TAG_CHECKSUMS)
-            self._check_names(expected, self._format.tags - {TAG_CHECKSUMS}, TAG_CHECKSUMS)
-        for name, checksum in expected.items():
-            digest = hashlib.sha256()
-            for block in self._blocks(name):
-                digest.update(block)
-            self._compare(name, digest.hexdigest(), checksum)
 
     def _check_names(self, listed: Iterable[str], present: Iterable[str], source: str) -> None:
         present = set(present)

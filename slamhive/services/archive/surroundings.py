@@ -65,7 +65,29 @@ class Surroundings:
         """Everything that rows of runs refer to."""
         self._datasets(counts)
         self._algorithms()
-        self._import_configurations(counts)
+        algorithms = {record.name: record.id for record in self._store.read(lambda t: t.catalogue.algorithms())}
+        datasets = {record.name: record.id for record in self._store.read(lambda t: t.catalogue.datasets())}
+        aliases = {
+            (algorithm.name, parameter.key): parameter.general
+            for algorithm in self._catalogue.algorithms()
+            for parameter in algorithm.parameters
+        }
+        for part in _batched(self._configuration_lines()):
+            entries = [
+                NewConfiguration(
+                    line.configuration,
+                    line.configuration.content_hash,
+                    algorithms[line.configuration.algorithm],
+                    datasets[line.configuration.dataset],
+                    _definitions(line, aliases),
+                )
+                for line in part
+            ]
+            at = [line.created_at for line in part]
+            found = self._store.write(lambda t: t.archive.put_configurations(entries, at))  # noqa: B023
+            for line, (number, new) in zip(part, found, strict=True):
+                self._configurations[line.id] = number
+                counts["configurations"] += new
         for record in self._contents.experiments:
             self._experiment(record, counts)
         self._cells()
@@ -143,31 +165,6 @@ class Surroundings:
         self._store.write(work)
 
     # -- configurations --------------------------------------------------------------------------------------------
-
-    def _import_configurations(self, counts: Counter[str]) -> None:
-        algorithms = {record.name: record.id for record in self._store.read(lambda t: t.catalogue.algorithms())}
-        datasets = {record.name: record.id for record in self._store.read(lambda t: t.catalogue.datasets())}
-        aliases = {
-            (algorithm.name, parameter.key): parameter.general
-            for algorithm in self._catalogue.algorithms()
-            for parameter in algorithm.parameters
-        }
-        for part in _batched(self._configuration_lines()):
-            entries = [
-                NewConfiguration(
-                    line.configuration,
-                    line.configuration.content_hash,
-                    algorithms[line.configuration.algorithm],
-                    datasets[line.configuration.dataset],
-                    _definitions(line, aliases),
-                )
-                for line in part
-            ]
-            at = [line.created_at for line in part]
-            found = self._store.write(lambda t: t.archive.put_configurations(entries, at))  # noqa: B023
-            for line, (number, new) in zip(part, found, strict=True):
-                self._configurations[line.id] = number
-                counts["configurations"] += new
 
     def _configuration_lines(self) -> Iterator[ConfigurationLine]:
         for content in self._archive.lines(layout.CONFIGURATIONS):

@@ -13,7 +13,7 @@ import numpy as np
 from slamhive.base.budget import BudgetShare, Lent, unbounded
 from slamhive.base.errors import InvalidInput, NotFound, nearest
 from slamhive.base.files import temporary_folder
-from slamhive.documents.challenge import PhaseEntry, SequenceEntry, StoredFile, StoredRun
+from slamhive.documents.challenge import PhaseEntry, SequenceEntry, StoredFile
 from slamhive.domain.challenge import Format, RunFailure
 from slamhive.domain.collection import FileKind
 from slamhive.domain.names import plural
@@ -234,7 +234,21 @@ def estimates_of(folder: ChallengeFolder, found: SubmissionFolder) -> Estimates:
         assert ended is not None  # it is asked for only then
         runs = folder.installation(found.root.name) / "runs"
         for run in ended.runs:
-            _add_run(made, folder.full_definition, found.sent.id, runs, run)
+            if run.failure is not None or run.run is None:
+                made.fail(run.sequence, _known(run.failure))
+                continue
+            definition, path = folder.full_definition, RunFolder(runs / str(run.run)).trajectory
+            try:
+                checked = check_trajectory(
+                    definition, definition.sequences[run.sequence], path.name, read_bounded(path)
+                )
+            except (InvalidInput, NotFound):
+                made.fail(run.sequence, RunFailure.NO_TRAJECTORY)
+                continue
+            if checked.enough:
+                made.found.append(Estimate(f"{found.sent.id}/{run.sequence}/{run.run}", run.sequence, path))
+            else:
+                made.fail(run.sequence, RunFailure.TOO_LITTLE)
         return made
     kitti = folder.definition.preset.format is Format.KITTI
     for name, facts in found.sent.files.items():
@@ -244,22 +258,6 @@ def estimates_of(folder: ChallengeFolder, found: SubmissionFolder) -> Estimates:
         else:
             made.fail(name, RunFailure.TOO_LITTLE)
     return made
-
-
-def _add_run(made: Estimates, definition: Definition, submission_id: str, runs: Path, run: StoredRun) -> None:
-    if run.failure is not None or run.run is None:
-        made.fail(run.sequence, _known(run.failure))
-        return
-    path = RunFolder(runs / str(run.run)).trajectory
-    try:
-        enough = check_trajectory(definition, definition.sequences[run.sequence], path.name, read_bounded(path)).enough
-    except (InvalidInput, NotFound):
-        made.fail(run.sequence, RunFailure.NO_TRAJECTORY)
-        return
-    if enough:
-        made.found.append(Estimate(f"{submission_id}/{run.sequence}/{run.run}", run.sequence, path))
-    else:
-        made.fail(run.sequence, RunFailure.TOO_LITTLE)
 
 
 def _known(failure: str | None) -> RunFailure:

@@ -233,22 +233,20 @@ class ImageWork:
                 for submission_id in folder.submission_ids():
                     root = folder.installation(submission_id)
                     if root.is_dir() and folder.ended_runs(submission_id) is None:
-                        self._leave(folder, folder.submission(submission_id), root)
+                        # End what it still runs, and forget its image.
+                        found = folder.submission(submission_id)
+                        with closing(self._opened(root)) as installation:
+                            rules = folder.full_definition.file.images
+                            assert rules is not None  # it has an installation
+                            runs = ImageRunsOfPhase(folder, found, installation, rules)
+                            for run in runs.cancel():
+                                self._drive(runs, run, threading.Event(), None)
+                            forget_image(installation)
                 aside = folder.root.with_name(f".{name}")
                 folder.root.rename(aside)
                 remove_tree(aside)
         except OSError as error:
             raise Unavailable(f"{folder.root} cannot be removed: {error.strerror}", "remove it as its owner") from None
-
-    def _leave(self, folder: ChallengeFolder, found: SubmissionFolder, root: Path) -> None:
-        """End what a submission still runs, and forget its image."""
-        with closing(self._opened(root)) as installation:
-            rules = folder.full_definition.file.images
-            assert rules is not None  # it has an installation
-            runs = ImageRunsOfPhase(folder, found, installation, rules)
-            for run in runs.cancel():
-                self._drive(runs, run, threading.Event(), None)
-            forget_image(installation)
 
     def _work_on(self, folder: ChallengeFolder, stopping: threading.Event, cores: tuple[int, ...] | None) -> bool:
         try:

@@ -269,7 +269,13 @@ def _of_archive(
     name = f"challenge-{found.root.name}"
     try:
         if image.package is None:
-            return _drafted(installation, executor, identity, name)
+            # What docker save wrote gets a package. Its name is that of the submission, so it hides no other.
+            request = PackageImportRequest(name=name, executor=executor.name, replace=True, builds=False)
+            with installation.algorithms.planned(identity, request) as planned:
+                package = installation.algorithms.perform(planned, _say_nothing).algorithms[0].package
+            record = installation.versions.register(executor, package, identity)
+            executor.image_tools().remove(package.image)  # the version has a name of its own
+            return record
         return _exported(installation, executor, found, identity)
     except (InvalidInput, ImageMissing):
         executor.forget(name, identity, 1)
@@ -281,16 +287,6 @@ def _exported(installation: Installation, executor: Executor, found: SubmissionF
         if identity != packed.identity:
             raise InvalidInput(f"the archive holds image {identity[:19]}, not {packed.identity[:19]}")
         return installation.versions.register(executor, packed.package, identity)
-
-
-def _drafted(installation: Installation, executor: Executor, identity: str, name: str) -> VersionRecord:
-    """A package for an image that ``docker save`` wrote. Its name is that of the submission, so it hides no other."""
-    request = PackageImportRequest(name=name, executor=executor.name, replace=True, builds=False)
-    with installation.algorithms.planned(identity, request) as planned:
-        package = installation.algorithms.perform(planned, _say_nothing).algorithms[0].package
-    record = installation.versions.register(executor, package, identity)
-    executor.image_tools().remove(package.image)  # the version has a name of its own
-    return record
 
 
 def algorithm_of(

@@ -122,46 +122,42 @@ def _truths(definition: Definition, folder: Path) -> dict[str, bytes]:
             raise InvalidInput(f"sequence {entry.name} names no groundtruth", "give the file of its secret trajectory")
         path = folder / entry.groundtruth
         if definition.preset.format is Format.KITTI:
-            found |= _kitti_truth(entry, path)
-        else:
-            found[f"{entry.name}.tum"] = _tum_truth(entry, path, definition.protocol.hold_interval_s)
+            data = read_bounded(path)
+            matrices = parse_kitti_matrices(data, str(path))
+            if len(matrices) != entry.poses:
+                raise InvalidInput(
+                    f"{path} has {len(matrices)} poses, {entry.name} has {entry.poses}", "correct the one"
+                )
+            steps_m = np.linalg.norm(np.diff(matrices[:, :3, 3], axis=0), axis=1)
+            if steps_m.sum() <= 100.0:
+                raise InvalidInput(
+                    f"the path in {path} is {steps_m.sum():.4g} m long, the shortest segment of KITTI 100 m",
+                    "leave the sequence out, or use another preset",
+                )
+            found |= {f"{entry.name}.kitti": data, f"{entry.name}.tum": frame_trajectory(matrices)}
+            continue
+        stamps_s = read_tum(path).stamps_s
+        if entry.time_range_s is None:
+            raise InvalidInput(
+                f"sequence {entry.name} needs time_range_s",
+                "give it; the times of a secret recording are not published",
+            )
+        first_s, last_s = entry.time_range_s
+        if len(stamps_s) < 3 or stamps_s[0] < first_s or stamps_s[-1] > last_s:
+            raise InvalidInput(
+                f"{path} has {len(stamps_s)} poses from {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s; the time range of "
+                f"{entry.name} is {first_s:g} to {last_s:g} s",
+                "the range is that of the recording, within which the ground truth lies",
+            )
+        longest_step_s = definition.protocol.hold_interval_s
+        if longest_step_s is not None and np.median(np.diff(stamps_s)) > longest_step_s:
+            raise InvalidInput(
+                f"{path} has a pose every {np.median(np.diff(stamps_s)):.3g} s; this protocol counts steps of at most "
+                f"{longest_step_s:.3g} s",
+                "use a faster ground truth, or the preset mean with another protocol",
+            )
+        found[f"{entry.name}.tum"] = read_bounded(path)
     return found
-
-
-def _tum_truth(entry: SequenceEntry, path: Path, longest_step_s: float | None) -> bytes:
-    stamps_s = read_tum(path).stamps_s
-    if entry.time_range_s is None:
-        raise InvalidInput(
-            f"sequence {entry.name} needs time_range_s", "give it; the times of a secret recording are not published"
-        )
-    first_s, last_s = entry.time_range_s
-    if len(stamps_s) < 3 or stamps_s[0] < first_s or stamps_s[-1] > last_s:
-        raise InvalidInput(
-            f"{path} has {len(stamps_s)} poses from {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s; the time range of "
-            f"{entry.name} is {first_s:g} to {last_s:g} s",
-            "the range is that of the recording, within which the ground truth lies",
-        )
-    if longest_step_s is not None and np.median(np.diff(stamps_s)) > longest_step_s:
-        raise InvalidInput(
-            f"{path} has a pose every {np.median(np.diff(stamps_s)):.3g} s; this protocol counts steps of at most "
-            f"{longest_step_s:.3g} s",
-            "use a faster ground truth, or the preset mean with another protocol",
-        )
-    return read_bounded(path)
-
-
-def _kitti_truth(entry: SequenceEntry, path: Path) -> dict[str, bytes]:
-    data = read_bounded(path)
-    matrices = parse_kitti_matrices(data, str(path))
-    if len(matrices) != entry.poses:
-        raise InvalidInput(f"{path} has {len(matrices)} poses, {entry.name} has {entry.poses}", "correct the one")
-    steps_m = np.linalg.norm(np.diff(matrices[:, :3, 3], axis=0), axis=1)
-    if steps_m.sum() <= 100.0:
-        raise InvalidInput(
-            f"the path in {path} is {steps_m.sum():.4g} m long, the shortest segment of KITTI 100 m",
-            "leave the sequence out, or use another preset",
-        )
-    return {f"{entry.name}.kitti": data, f"{entry.name}.tum": frame_trajectory(matrices)}
 
 
 class ChallengeService:

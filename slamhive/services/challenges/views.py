@@ -18,7 +18,6 @@ from slamhive.documents.challenge import (
     PhaseEntry,
     RankedTeam,
     StoredFile,
-    StoredImage,
     StoredResult,
     StoredSubmission,
 )
@@ -86,24 +85,22 @@ def submission_of(definition: Definition, found: SubmissionFolder, now: datetime
     if result is not None and now < result.shown_at:
         result = None
     done = result is not None and result.failure is None and not cancelled
+    words = None
+    if sent.image is not None:
+        words = sent.image.algorithm or sent.image.package or "image"
+        if sent.image.package is not None and sent.image.version is not None:
+            words = version_label(words, sent.image.version)
     shown = done and scores_shown(definition.phase(sent.phase), now)
     return ChallengeSubmission.of(
         sent,
         state=SubmissionState.CANCELLED if cancelled else _state(result),
         reason=None if result is None or cancelled else result.failure,
-        image=None if sent.image is None else _image_words(sent.image),
+        image=words,
         log=tuple(_log(definition, found, result, shown=shown)),
         run_logs={} if result is None or cancelled else found.logs,
         values=dict(result.values) if result is not None and shown else None,
         score=score_of(definition, result) if result is not None and shown else None,
     )
-
-
-def _image_words(image: StoredImage) -> str:
-    if image.package is None:
-        return image.algorithm or "image"
-    name = image.algorithm or image.package
-    return name if image.version is None else version_label(name, image.version)
 
 
 def score_of(definition: Definition, result: StoredResult) -> float:
@@ -210,17 +207,19 @@ def _counted(definition: Definition, submissions: Iterable[SubmissionFolder], no
             continue
         scored = Scored(found.sent, result, score_of(definition, result))
         team = scored.sent.team.casefold()
-        if team not in chosen or _replaces(definition, scored, chosen[team]):
+        other = chosen.get(team)
+        if other is None:
+            chosen[team] = scored
+        elif definition.file.counted is Counted.LAST:
+            if scored.sent.at > other.sent.at:
+                chosen[team] = scored
+        elif scored.score == other.score:
+            # Who reached a score first keeps its date.
+            if scored.sent.at < other.sent.at:
+                chosen[team] = scored
+        elif definition.scoring.is_better(scored.score, other.score):
             chosen[team] = scored
     return [chosen[team] for team in sorted(chosen)]
-
-
-def _replaces(definition: Definition, scored: Scored, other: Scored) -> bool:
-    if definition.file.counted is Counted.LAST:
-        return scored.sent.at > other.sent.at
-    if scored.score == other.score:
-        return scored.sent.at < other.sent.at
-    return definition.scoring.is_better(scored.score, other.score)
 
 
 def _ranked(definition: Definition, counted: Sequence[Scored]) -> list[RankedTeam]:

@@ -73,14 +73,16 @@ class CurrentProtocols:
         entries = list(ended)
         runs = self._store.read(lambda t: t.runs.get_many([entry.run_id for entry in entries], with_metrics=True))
         by_id = {run.id: run for run in runs}
-        return [self._as_evaluated(by_id[entry.run_id], entry.protocol) for entry in entries]
-
-    def _as_evaluated(self, run: RunRecord, protocol: Protocol) -> RunRecord:
-        if run.protocol is None or run.protocol.fingerprint == protocol.fingerprint:
-            return run
-        found = self._store.read(lambda t: t.metrics.by_protocol(run.id))
-        label = ProtocolLabel(protocol.fingerprint, with_trajectory(protocol.label, run.trajectory))
-        return replace(run, protocol=label, metrics={**found.get(None, {}), **found.get(protocol.fingerprint, {})})
+        found: list[RunRecord] = []
+        for entry in entries:
+            run, protocol = by_id[entry.run_id], entry.protocol
+            if run.protocol is not None and run.protocol.fingerprint != protocol.fingerprint:
+                values = self._store.read(lambda t, run=run: t.metrics.by_protocol(run.id))  # type: ignore[misc]
+                label = ProtocolLabel(protocol.fingerprint, with_trajectory(protocol.label, run.trajectory))
+                own = {**values.get(None, {}), **values.get(protocol.fingerprint, {})}
+                run = replace(run, protocol=label, metrics=own)
+            found.append(run)
+        return found
 
     def shown_otherwise(self, ended: Iterable[EvaluationRecord]) -> list[int]:
         """The runs of these evaluations, without failed ones, whose current protocol is another one."""
@@ -167,7 +169,11 @@ class Comparisons:
             return ToolFigures(name, preset, protocol, {}, _state(latest.get(protocol.fingerprint)))
         figures = {key: found[key] for key in preset.metrics if key in found}
         absent = [key for key in preset.metrics if key not in found]
-        note = self._why_missing(run.id, protocol, absent) if absent else None
+        note = None
+        if absent:
+            # The evaluation wrote its reasons to the run folder.
+            missing = evaluation_notes(RunFolder(self._runs_folder / str(run.id)), protocol.fingerprint).missing
+            note = "; ".join(dict.fromkeys(missing.get(key, f"{key} is missing") for key in absent))
         samples = {key: words for key in figures if (words := described(key).sample(found))}
         return ToolFigures(name, preset, protocol, figures, note, samples)
 
@@ -176,12 +182,6 @@ class Comparisons:
             return self._evaluations.protocol_of(run, exactly(preset.protocol, name)), None
         except InvalidInput as error:
             return None, f"does not fit: {error.message}"
-
-    def _why_missing(self, run_id: int, protocol: Protocol, keys: list[str]) -> str:
-        """The reasons that the evaluation wrote to the run folder, joined."""
-        missing = evaluation_notes(RunFolder(self._runs_folder / str(run_id)), protocol.fingerprint).missing
-        reasons = dict.fromkeys(missing.get(key, f"{key} is missing") for key in keys)
-        return "; ".join(reasons)
 
 
 def _state(evaluation: EvaluationRecord | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import stat
@@ -19,7 +20,7 @@ from slamhive.base.settings import Settings
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.protocol import Protocol, ProtocolRequest
-from slamhive.domain.sensors import IDENTITY4, Matrix4
+from slamhive.domain.sensors import IDENTITY4
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.verdict import Hint
 from slamhive.evaluation.evaluators.base import (
@@ -62,15 +63,13 @@ def evaluation_files(folder: RunFolder, dataset: Dataset) -> dict[str, Path]:
         KITTI_ESTIMATE: folder.kitti_poses,
         KITTI_REFERENCE: None if truth is None or truth.kitti_poses is None else dataset.folder / truth.kitti_poses,
     }
-    return {name: path for name, path in named.items() if path is not None and _is_file(path)}
-
-
-def _is_file(path: Path) -> bool:
-    """Tell if it is a regular file: an algorithm may have replaced it with a link."""
-    try:
-        return stat.S_ISREG(path.lstat().st_mode)
-    except OSError:
-        return False
+    found: dict[str, Path] = {}
+    for name, path in named.items():
+        if path is not None:
+            with contextlib.suppress(OSError):
+                if stat.S_ISREG(path.lstat().st_mode):  # an algorithm may have replaced it with a link
+                    found[name] = path
+    return found
 
 
 def protocols_of_all(run: RunRecord, folder: RunFolder, protocol: Protocol) -> list[Protocol]:
@@ -82,7 +81,13 @@ def protocols_of_all(run: RunRecord, folder: RunFolder, protocol: Protocol) -> l
 
 def other_trajectories(run: RunRecord, folder: RunFolder) -> list[TrajectoryKind]:
     """The kinds that the run left besides ``traj.txt``."""
-    return [kind for kind in TrajectoryKind if kind is not run.trajectory and _has_poses(folder.trajectory_of(kind))]
+    found: list[TrajectoryKind] = []
+    for kind in TrajectoryKind:
+        if kind is not run.trajectory:
+            with contextlib.suppress(OSError):
+                if folder.trajectory_of(kind).stat().st_size > 0:
+                    found.append(kind)
+    return found
 
 
 def estimate_of(run: RunRecord, folder: RunFolder, protocol: Protocol) -> Path:
@@ -98,13 +103,6 @@ def estimate_of(run: RunRecord, folder: RunFolder, protocol: Protocol) -> Path:
             "evaluate under a protocol without 'trajectory'",
         )
     return folder.trajectory_of(kind)
-
-
-def _has_poses(path: Path) -> bool:
-    try:
-        return path.stat().st_size > 0
-    except OSError:
-        return False
 
 
 # Scratch folders of batches, removed even if a batch is killed.
@@ -179,8 +177,17 @@ class Evaluations:
         wanted = self.unevaluated() if run_ids is None else run_ids
         runs = self._store.read(lambda t: t.runs.get_many(wanted))
         by_protocol: dict[Protocol, list[int]] = defaultdict(list)
-        for protocol, members in self._by_protocol(runs, asked):
-            by_protocol[protocol] += members
+        # The protocol is resolved once for all runs of an algorithm on a dataset.
+        alike: dict[tuple[str, str, str | None], list[RunRecord]] = defaultdict(list)
+        for run in runs:
+            own = None if run.protocol_override is None else run.protocol_override.fingerprint
+            alike[run.algorithm, run.dataset, own].append(run)
+        for members in alike.values():
+            protocol = self.protocol_of(members[0], asked)
+            by_protocol[protocol] += [run.id for run in members]
+            for run in members if asked is None else ():
+                for other in protocols_of_all(run, self._folder(run.id), protocol)[1:]:
+                    by_protocol[other].append(run.id)
         now = utc_now()
         return self._store.write(
             lambda t: [
@@ -189,22 +196,6 @@ class Evaluations:
                 for evaluation_id in t.evaluations.queue(members, protocol, now, artefacts)
             ]
         )
-
-    def _by_protocol(
-        self, runs: Iterable[RunRecord], asked: ProtocolRequest | None
-    ) -> Iterator[tuple[Protocol, list[int]]]:
-        """Group runs by protocol, which is resolved once for all runs of an algorithm on a dataset."""
-        alike: dict[tuple[str, str, str | None], list[RunRecord]] = defaultdict(list)
-        for run in runs:
-            own = None if run.protocol_override is None else run.protocol_override.fingerprint
-            alike[run.algorithm, run.dataset, own].append(run)
-        for members in alike.values():
-            protocol = self.protocol_of(members[0], asked)
-            yield protocol, [run.id for run in members]
-            if asked is None:
-                for run in members:
-                    for other in protocols_of_all(run, self._folder(run.id), protocol)[1:]:
-                        yield other, [run.id]
 
     def of_run(self, run_id: int) -> tuple[EvaluationRecord, ...]:
         """The evaluations of a run, oldest first."""
@@ -368,13 +359,18 @@ class Evaluations:
         except OSError as error:
             raise Unavailable(f"{output} cannot be made: {error.strerror}", "check space and rights") from None
         write_aside(output / PROTOCOL_FILE, json.dumps(entry.protocol.content, indent=1))
+        # The trajectory describes a sensor; that of an imported run describes the body.
+        T_body_sensor = IDENTITY4
+        if run.executor != IMPORTED:
+            algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run)
+            T_body_sensor = algorithm.assign(dataset, run.sensors)[algorithm.trajectory_role].T_body_sensor
         return EvaluationTask(
             id=str(entry.id),
             estimate=estimate_of(run, folder, entry.protocol),
             reference=reference,
             output=output,
             protocol=entry.protocol,
-            T_body_sensor=self._trajectory_frame(run),
+            T_body_sensor=T_body_sensor,
             artefacts=entry.artefacts,
             positions_only=dataset.groundtruth is not None and dataset.groundtruth.positions_only,
             files=evaluation_files(folder, dataset),
@@ -384,14 +380,6 @@ class Evaluations:
 
     def _folder(self, run_id: int) -> RunFolder:
         return RunFolder(self._settings.runs_folder / str(run_id))
-
-    def _trajectory_frame(self, run: RunRecord) -> Matrix4:
-        """The pose, in the body frame, of the sensor that the trajectory describes."""
-        if run.executor == IMPORTED:
-            return IDENTITY4
-        algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run)
-        assigned = algorithm.assign(self._catalogue.dataset(run.dataset), run.sensors)
-        return assigned[algorithm.trajectory_role].T_body_sensor
 
     def protocol_of(self, run: RunRecord, asked: ProtocolRequest | None = None) -> Protocol:
         """The protocol for evaluating ``run``: as requested, as submitted, or the default for its sensors."""

@@ -66,22 +66,10 @@ class ExperimentContext:
         Raises NotFound or InvalidInput naming file and line, with the reason if a folder cannot be read.
         """
         # Lists and reports expand nothing. They need no steps of variants, and those load OpenCV.
-        from slamhive.experiments.binding import CatalogueView  # noqa: PLC0415
+        from slamhive.experiments.binding import CatalogueView, at  # noqa: PLC0415
         from slamhive.experiments.expansion import expand  # noqa: PLC0415
         from slamhive.recordings.variants.rules import RegisteredSteps  # noqa: PLC0415
         from slamhive.services.configurations import find_map  # noqa: PLC0415
-
-        self._explain_broken(experiment)
-        view = CatalogueView(
-            self.catalogue.versioned_algorithms(),
-            {dataset.name: dataset for dataset in self.catalogue.datasets()},
-            RegisteredSteps(),
-            lambda reference, algorithm: find_map(self.store, self.settings.runs_folder, reference, algorithm).map,
-        )
-        return expand(experiment, view)
-
-    def _explain_broken(self, experiment: Experiment) -> None:
-        from slamhive.experiments.binding import at  # noqa: PLC0415
 
         broken = {entry.name for entry in self.catalogue.broken()}
         for axis, look_up in (
@@ -94,6 +82,13 @@ class ExperimentContext:
                         look_up(name)
                     except InvalidInput as error:
                         raise at(axis.place, error) from None
+        view = CatalogueView(
+            self.catalogue.versioned_algorithms(),
+            {dataset.name: dataset for dataset in self.catalogue.datasets()},
+            RegisteredSteps(),
+            lambda reference, algorithm: find_map(self.store, self.settings.runs_folder, reference, algorithm).map,
+        )
+        return expand(experiment, view)
 
 
 # Expected durations, measured in this installation, else guessed. Previews and the time left use the same values.

@@ -38,10 +38,25 @@ def convert_published(
         algorithm = _algorithm(combination, algorithms, meanings, notes)
         dataset = _dataset(combination, datasets, meanings, notes)
         numbers = {key: name for key, name in meanings.items() if key.isdigit()}
-        converted = _named_apart(convert(combination, algorithm, dataset, numbers, notes), made)
+        converted = convert(combination, algorithm, dataset, numbers, notes)
+        # Files hold several combinations of one title.
+        same = sum(entry.name == converted.name or entry.name.startswith(f"{converted.name[:60]}-") for entry in made)
+        if same:
+            name = f"{converted.name[:60]}-{same + 1}"
+            text = converted.text.replace(f"\nname: {converted.name}\n", f"\nname: {name}\n", 1)
+            converted = replace(converted, name=name, text=text)
         parse_experiment(converted.text, f"the experiment made of {combination.title}")
         made.append(converted)
-    _check_used(meanings, combinations)
+    # A meaning of something that no combination names is a typing mistake.
+    named: set[str] = set()
+    for entry in combinations:
+        named |= {entry.algorithm, entry.dataset, *entry.changes, *(number for tie in entry.tied for number in tie)}
+        named |= {number for factors in entry.changes.values() for values in factors.values() for number in values}
+    for key in meanings:
+        if key not in named and key != HERE:
+            raise InvalidInput(
+                f"--id {key}={meanings[key]}: the file does not name {key}", f"it names {', '.join(sorted(named))}"
+            )
     return tuple(made)
 
 
@@ -81,26 +96,3 @@ def _dataset(combination: Combination, datasets: Collection[str], meanings: Mapp
         return fetched[0]
     notes.append(f"there is no dataset {name} here yet; fetch or import it under this name, or --id {published}=NAME")
     return name
-
-
-def _named_apart(converted: Converted, others: Collection[Converted]) -> Converted:
-    """``converted`` under a name that no other has: files hold several combinations of one title."""
-    same = sum(other.name == converted.name or other.name.startswith(f"{converted.name[:60]}-") for other in others)
-    if not same:
-        return converted
-    name = f"{converted.name[:60]}-{same + 1}"
-    text = converted.text.replace(f"\nname: {converted.name}\n", f"\nname: {name}\n", 1)
-    return replace(converted, name=name, text=text)
-
-
-def _check_used(meanings: Mapping[str, str], combinations: Collection[Combination]) -> None:
-    """Raise InvalidInput for a meaning of something that no combination names: it is a typing mistake."""
-    named: set[str] = set()
-    for entry in combinations:
-        named |= {entry.algorithm, entry.dataset, *entry.changes, *(number for tie in entry.tied for number in tie)}
-        named |= {number for factors in entry.changes.values() for values in factors.values() for number in values}
-    for key in meanings:
-        if key not in named and key != HERE:
-            raise InvalidInput(
-                f"--id {key}={meanings[key]}: the file does not name {key}", f"it names {', '.join(sorted(named))}"
-            )

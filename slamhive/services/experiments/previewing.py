@@ -123,9 +123,14 @@ def find_disk_space(context: ExperimentContext, expansion: Expansion, executor: 
             if plan is not None:
                 make_s = plan.source_bytes / speeds.get(name, speeds[_ANY_DATASET])
                 needs.append(VariantNeed(name, variant, plan.key, plan.needed_bytes, make_s, plan.key in made))
+    # As much as the latest runs on average.
+    numbered = (entry for entry in context.settings.runs_folder.iterdir() if entry.name.isdigit())
+    latest = nlargest(_MEASURED_RUNS, numbered, key=lambda entry: int(entry.name))
+    sizes = [folder_bytes(folder) for folder in latest]
+    run_bytes = sum(sizes) // len(sizes) if sizes else UNMEASURED_RUN_BYTES
     return DiskSpace(
         variants=tuple(needs),
-        run_bytes=expansion.size.runs * _mean_run_bytes(context),
+        run_bytes=expansion.size.runs * run_bytes,
         free_bytes=shutil.disk_usage(context.settings.data).free,
         unused_bytes=sum(entry.size_bytes for entry in entries if not entry.in_use),
         cache_bytes=context.settings.variant_cache_bytes,
@@ -176,14 +181,6 @@ def _speeds(entries: Sequence[VariantEntry]) -> dict[str, float]:
             for name in (entry.dataset, _ANY_DATASET):
                 known.setdefault(name, []).append(entry.bytes_per_s)
     return {_ANY_DATASET: UNMEASURED_BYTES_PER_S} | {name: median(speeds) for name, speeds in known.items()}
-
-
-def _mean_run_bytes(context: ExperimentContext) -> int:
-    """Return the mean size of the latest run folders, in bytes."""
-    numbered = (entry for entry in context.settings.runs_folder.iterdir() if entry.name.isdigit())
-    latest = nlargest(_MEASURED_RUNS, numbered, key=lambda entry: int(entry.name))
-    sizes = [folder_bytes(folder) for folder in latest]
-    return sum(sizes) // len(sizes) if sizes else UNMEASURED_RUN_BYTES
 
 
 def _mb(count: int) -> str:

@@ -111,7 +111,14 @@ class TimeLeft:
         time = amount.remaining(min(self._slots, max(waiting, evaluations)))
         measured = means.measured if waiting else not means.of_evaluation.guessed_s
         bound = f", runs stay on {record.cpu_model}" if record.cpu_model else ""
-        phase = _phase(active, tuple(building), evaluations) or f"waiting for a worker{bound}"
+        # Such as ``building aloam, 2 runs under way, 3 evaluations to do``.
+        under_way = sum(run.state is not RunState.PREPARING for run in active)
+        preparing = len(active) - under_way - len(building)
+        parts = [f"building {', '.join(building)}"] if building else []
+        parts += [f"preparing {plural(preparing, 'run')}"] if preparing > 0 else []
+        parts += [f"{plural(under_way, 'run')} under way"] if under_way else []
+        parts += [f"{plural(evaluations, 'evaluation')} to do"] if evaluations else []
+        phase = ", ".join(parts) or f"waiting for a worker{bound}"
         return Left(time if measured else Remaining(time.seconds), phase)
 
     def _no_less(self, expected: Expected, under_way: Iterable[ActiveRun]) -> Expected:
@@ -166,17 +173,6 @@ class TimeLeft:
 
 def _builds(run: ActiveRun, means: _Means) -> bool:
     return run.state is RunState.PREPARING and run.package in means.unbuilt
-
-
-def _phase(active: Sequence[ActiveRun], building: Sequence[str], evaluations: int) -> str:
-    """Say what happens now: ``building aloam, 2 runs under way, 3 evaluations to do``; empty for nothing."""
-    under_way = [run for run in active if run.state is not RunState.PREPARING]
-    preparing = len(active) - len(under_way) - len(building)
-    parts = [f"building {', '.join(building)}"] if building else []
-    parts += [f"preparing {plural(preparing, 'run')}"] if preparing > 0 else []
-    parts += [f"{plural(len(under_way), 'run')} under way"] if under_way else []
-    parts += [f"{plural(evaluations, 'evaluation')} to do"] if evaluations else []
-    return ", ".join(parts)
 
 
 METRICS = ("ate.rmse", "tracked_fraction", "cpu.mean", "ram.max", "duration")

@@ -115,7 +115,13 @@ def answer_of(
 
 def compared(check: GateCheck, pairs: Sequence[RunPair], significance: float) -> list[GateMetric]:
     """The answer for each metric that the baseline has values of."""
-    tested = {key: found for key in check.margins if (found := _test(key, check, pairs))}
+    tested: dict[str, _Tested] = {}
+    for key in check.margins:
+        parts = [(place, found) for place, pair in enumerate(pairs) if (found := _evidence(key, check, pair))]
+        if parts:
+            sizes = [(len(pairs[place].held.runs), len(pairs[place].runs)) for place, _ in parts]
+            weights = [math.sqrt(n * m / (n + m)) for n, m in sizes]
+            tested[key] = _Tested(over_configurations([entry for _, entry in parts], weights), parts)
     decided = decide({key: entry.evidence for key, entry in tested.items()}, significance)
     return [_compared(key, check.margins[key], decided[key], tested[key], pairs) for key in tested]
 
@@ -126,16 +132,6 @@ class _Tested:
 
     evidence: Evidence
     parts: Sequence[tuple[int, Evidence]]
-
-
-def _test(key: str, check: GateCheck, pairs: Sequence[RunPair]) -> _Tested | None:
-    """The evidence on one metric; None if the baseline has no value of it in any pair."""
-    parts = [(place, found) for place, pair in enumerate(pairs) if (found := _evidence(key, check, pair))]
-    if not parts:
-        return None
-    sizes = [(len(pairs[place].held.runs), len(pairs[place].runs)) for place, _ in parts]
-    weights = [math.sqrt(n * m / (n + m)) for n, m in sizes]
-    return _Tested(over_configurations([entry for _, entry in parts], weights), parts)
 
 
 def _evidence(key: str, check: GateCheck, pair: RunPair) -> Evidence | None:

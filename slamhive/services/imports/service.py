@@ -100,23 +100,6 @@ class Imports:
         report = ImportReport(dry_run, problems=found.problems, left_out=found.left_out)
         if not dry_run:
             check_disk(self._settings)
-        homes = self._homes(request, found, report)
-        ready = [entry for entry in found.candidates if entry.algorithm in homes.algorithms]
-        for start in range(0, len(ready), BATCH):
-            part = [entry for entry in ready[start : start + BATCH] if entry.dataset not in homes.lost]
-            files = list(_read(part, report))
-            alone = one_import(self._settings.runs_folder, f"{plural(len(ready), 'trajectory', 'trajectories')}")
-            with nullcontext() if dry_run else alone:
-                self._find_datasets(files, homes, found, report)
-                usable = [entry for entry in files if entry[0].dataset in homes.datasets]
-                self._batch(list(_loaded(usable, homes, request, report)), homes, request, report)
-            progress(min(start + BATCH, len(ready)), len(ready))
-        report.problems.sort(key=lambda problem: problem.name)
-        report.datasets.sort()
-        return report
-
-    def _homes(self, request: ImportRequest, found: FoundImports, report: ImportReport) -> _Homes:
-        """Find the algorithms of the candidates; unusable ones are reported as problems."""
         truths = Truths(
             self._catalogue,
             self._settings.datasets_folder,
@@ -135,7 +118,19 @@ class Imports:
             if name and name not in names:
                 known = ", ".join(sorted(names))
                 raise InvalidInput(f"--sensors names {name!r}, but no trajectory is of it", f"there are {known}")
-        return homes
+        ready = [entry for entry in found.candidates if entry.algorithm in homes.algorithms]
+        for start in range(0, len(ready), BATCH):
+            part = [entry for entry in ready[start : start + BATCH] if entry.dataset not in homes.lost]
+            files = list(_read(part, report))
+            alone = one_import(self._settings.runs_folder, f"{plural(len(ready), 'trajectory', 'trajectories')}")
+            with nullcontext() if dry_run else alone:
+                self._find_datasets(files, homes, found, report)
+                usable = [entry for entry in files if entry[0].dataset in homes.datasets]
+                self._batch(list(_loaded(usable, homes, request, report)), homes, request, report)
+            progress(min(start + BATCH, len(ready)), len(ready))
+        report.problems.sort(key=lambda problem: problem.name)
+        report.datasets.sort()
+        return report
 
     def _find_datasets(
         self, read: Sequence[tuple[ImportCandidate, PoseFile]], homes: _Homes, found: FoundImports, report: ImportReport

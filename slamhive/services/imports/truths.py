@@ -89,7 +89,23 @@ class Truths:
         check_name("dataset", name)
         known = self._known(name)
         if known is not None:
-            reading = self._check_same(known, files)
+            # The ground truth that came along must be the dataset's.
+            if known.groundtruth is None and known.relations is None:
+                raise InvalidInput(f"dataset {known.name} has no ground truth", "add one to its folder")
+            reading: Reading | None = None
+            if files.trajectory is not None:
+                came = self._load(known.name, files.trajectory, files)
+                reading = came.reading
+                _check_file(known, "ground truth", known.groundtruth_path, came.text, "--groundtruth")
+                if known.groundtruth is not None and self._gravity_aligned and not known.groundtruth.gravity_aligned:
+                    raise InvalidInput(
+                        f"dataset {known.name} is here, and its ground truth is said not to be aligned with gravity",
+                        f"correct gravity_aligned in {known.folder / DATASET_FILE}, or leave out --gravity-aligned",
+                    )
+            if files.relations is not None:
+                text, _ = _read_relations(files.relations)
+                here = None if known.relations is None else known.folder / known.relations
+                _check_file(known, "relations", here, text, "--relations")
             path, truth, times = known.groundtruth_path, None, None
             if path is not None and known.groundtruth is not None:
                 truth = read_truth_here(path, positions_only=known.groundtruth.positions_only)
@@ -156,26 +172,6 @@ class Truths:
             return self._catalogue.dataset(name)
         except NotFound:
             return None
-
-    def _check_same(self, known: Dataset, files: TruthFiles) -> Reading | None:
-        """Return how the ground truth that came along was read; raises InvalidInput if it is not the dataset's."""
-        if known.groundtruth is None and known.relations is None:
-            raise InvalidInput(f"dataset {known.name} has no ground truth", "add one to its folder")
-        reading: Reading | None = None
-        if files.trajectory is not None:
-            truth = self._load(known.name, files.trajectory, files)
-            reading = truth.reading
-            _check_file(known, "ground truth", known.groundtruth_path, truth.text, "--groundtruth")
-            if known.groundtruth is not None and self._gravity_aligned and not known.groundtruth.gravity_aligned:
-                raise InvalidInput(
-                    f"dataset {known.name} is here, and its ground truth is said not to be aligned with gravity",
-                    f"correct gravity_aligned in {known.folder / DATASET_FILE}, or leave out --gravity-aligned",
-                )
-        if files.relations is not None:
-            text, _ = _read_relations(files.relations)
-            here = None if known.relations is None else known.folder / known.relations
-            _check_file(known, "relations", here, text, "--relations")
-        return reading
 
 
 def _check_file(known: Dataset, kind: str, here: Path | None, text: bytes, option: str) -> None:

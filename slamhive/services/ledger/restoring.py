@@ -105,7 +105,19 @@ class LedgerRestore:
         self._versions()
         restored = self._runs()
         self._store.write(lambda t: t.ledger.repeat(self._later))
-        self._sizes()
+        # Experiments are complete if all their cells and runs are restored.
+        told = {str(line.get("experiment")): line["size"] for line in self._files.cells.read() if "size" in line}
+
+        def work(t: Transaction) -> None:
+            rows = t.ledger
+            stored = rows.stored_cells()
+            for number, uid in rows.experiments().items():
+                size = told.get(uid, {})
+                runs = len(t.experiments.run_ids(number))
+                if size.get("complete") and stored.get(uid, 0) == size["cells"] and runs >= size["runs"]:
+                    t.experiments.change(number, cells=size["cells"], runs=size["runs"], complete=True)
+
+        self._store.write(work)
         self._labels()
         for line in self._files.searches.read():
             self._guarded(self._files.searches, lambda: self._search(line))  # noqa: B023
@@ -190,21 +202,6 @@ class LedgerRestore:
             if cell.configuration_id in self._numbers
         ]
         self._store.write(lambda t: t.archive.add_cells(experiment, cells))
-
-    def _sizes(self) -> None:
-        """Mark experiments as complete if all their cells and runs are restored."""
-        told = {str(line.get("experiment")): line["size"] for line in self._files.cells.read() if "size" in line}
-
-        def work(t: Transaction) -> None:
-            rows = t.ledger
-            stored = rows.stored_cells()
-            for number, uid in rows.experiments().items():
-                size = told.get(uid, {})
-                runs = len(t.experiments.run_ids(number))
-                if size.get("complete") and stored.get(uid, 0) == size["cells"] and runs >= size["runs"]:
-                    t.experiments.change(number, cells=size["cells"], runs=size["runs"], complete=True)
-
-        self._store.write(work)
 
     def _runs(self) -> int:
         """The runs that have no folder."""

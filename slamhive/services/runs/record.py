@@ -63,21 +63,20 @@ def spec_to_json(spec: RunSpec) -> dict[str, Any]:
 
 def spec_from_json(content: Mapping[str, Any]) -> RunSpec:
     """The specification that :func:`spec_to_json` wrote; also one that an earlier version wrote with ``mounts``."""
-    spec: RunSpec = adapter(RunSpec).validate_python(_without_mounts(content) if "mounts" in content else content)
+    if "mounts" in content:
+        # Mounts become inputs and outputs. A writable mount that is no result is a copy of an input.
+        new = {key: value for key, value in content.items() if key not in ("mounts", "log_path")}
+        new |= {"inputs": [], "outputs": [], "work": str(RunFolder(Path(content["log_path"]).parent).work)}
+        for mount in content["mounts"]:
+            name, target, source = mount["target"].strip("/"), mount["target"], mount["source"]
+            if target.endswith("/result"):
+                new["outputs"].append({"name": "result", "destination": source, "target": target})
+            else:
+                copied = not mount["read_only"]
+                new["inputs"].append({"name": name, "source": source, "own_copy": copied, "target": target})
+        content = new
+    spec: RunSpec = adapter(RunSpec).validate_python(content)
     return spec
-
-
-def _without_mounts(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Mounts of earlier versions as inputs and outputs. A writable mount that is no result is a copy of an input."""
-    new = {key: value for key, value in content.items() if key not in ("mounts", "log_path")}
-    new |= {"inputs": [], "outputs": [], "work": str(RunFolder(Path(content["log_path"]).parent).work)}
-    for mount in content["mounts"]:
-        name, place = mount["target"].strip("/"), {"target": mount["target"]}
-        if mount["target"].endswith("/result"):
-            new["outputs"].append({"name": "result", "destination": mount["source"], **place})
-        else:
-            new["inputs"].append({"name": name, "source": mount["source"], "own_copy": not mount["read_only"], **place})
-    return new
 
 
 def handle_to_json(handle: RunHandle) -> dict[str, Any]:

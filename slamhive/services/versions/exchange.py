@@ -257,7 +257,33 @@ def opened_version(path: Path, root: Path | None = None) -> Iterator[PackedVersi
     """
     with temporary_folder(root=root) as aside:
         try:
-            description = _unpack_checked(path, aside)
+            # All checksums are compared while the package is unpacked.
+            found: dict[str, str] = {}
+            texts: dict[str, bytes] = {}
+            unpacked = 0
+            with tarfile.open(path, mode="r|*") as archive:
+                for member in archive:
+                    content = archive.extractfile(member) if member.isreg() else None
+                    if content is None:
+                        continue
+                    hashed = HashedReader(content)
+                    if member.name in (DESCRIPTION, MANIFEST):
+                        texts[member.name] = hashed.read(_MOST_TEXT_BYTES)
+                    elif member.name.startswith(PACKAGE):
+                        unpacked += member.size
+                        _check_size(path, unpacked)
+                        _write(aside / "package" / _relative(path, member.name), hashed)
+                    while hashed.read(BLOCK_BYTES):
+                        pass
+                    found[member.name] = hashed.checksum
+            if MANIFEST not in texts or DESCRIPTION not in texts:
+                raise InvalidInput(f"{path} is not complete: it lacks {MANIFEST}", _REMEDY)
+            found.pop(MANIFEST)
+            lines = texts[MANIFEST].decode(errors="replace").splitlines()
+            stated = {name: checksum for checksum, _, name in (line.partition("  ") for line in lines)}
+            if found != stated:
+                raise InvalidInput(f"{path} is damaged: its content does not have the checksums of {MANIFEST}", _REMEDY)
+            description = _description(path, texts[DESCRIPTION])
         except (tarfile.TarError, OSError, EOFError) as error:
             raise InvalidInput(f"{path} cannot be read: {error}", _REMEDY) from None
         source = aside / "package"
@@ -306,36 +332,6 @@ def import_version(path: Path, folders: Sequence[Path], executor: Executor) -> I
             copy_package(packed.package.folder, target)
     package = load_algorithms(target)[0].package
     return ImportedVersion(package, identity, packed.package_hash, package.version, added)
-
-
-def _unpack_checked(path: Path, aside: Path) -> dict[str, Any]:
-    """Compare all checksums, and unpack the package; the description."""
-    found: dict[str, str] = {}
-    texts: dict[str, bytes] = {}
-    unpacked = 0
-    with tarfile.open(path, mode="r|*") as archive:
-        for member in archive:
-            content = archive.extractfile(member) if member.isreg() else None
-            if content is None:
-                continue
-            hashed = HashedReader(content)
-            if member.name in (DESCRIPTION, MANIFEST):
-                texts[member.name] = hashed.read(_MOST_TEXT_BYTES)
-            elif member.name.startswith(PACKAGE):
-                unpacked += member.size
-                _check_size(path, unpacked)
-                _write(aside / "package" / _relative(path, member.name), hashed)
-            while hashed.read(BLOCK_BYTES):
-                pass
-            found[member.name] = hashed.checksum
-    if MANIFEST not in texts or DESCRIPTION not in texts:
-        raise InvalidInput(f"{path} is not complete: it lacks {MANIFEST}", _REMEDY)
-    found.pop(MANIFEST)
-    lines = texts[MANIFEST].decode(errors="replace").splitlines()
-    stated = {name: checksum for checksum, _, name in (line.partition("  ") for line in lines)}
-    if found != stated:
-        raise InvalidInput(f"{path} is damaged: its content does not have the checksums of {MANIFEST}", _REMEDY)
-    return _description(path, texts[DESCRIPTION])
 
 
 def _check_size(path: Path, unpacked: int) -> None:

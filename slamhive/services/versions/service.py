@@ -133,28 +133,22 @@ class Versions:
                 folder = self._folder(record)
                 if folder.is_dir() and package_hash(folder) != record.package_hash:
                     findings.append(VersionFinding(record.label, "edited", f"the kept folder {folder} was changed"))
-            findings += self._verify_package(package, versions, executors)
-        return findings
-
-    def _verify_package(
-        self, package: str, versions: list[VersionRecord], executors: list[Executor]
-    ) -> list[VersionFinding]:
-        """Report a folder that was edited after the last build, and a name that leads to an unknown image."""
-        try:
-            here = self._catalogue.package(package)
-        except SlamHiveError as error:
-            return [VersionFinding(package, "no folder", f"the folder of the package cannot be used: {error.message}")]
-        findings = []
-        now = package_hash(here.folder)
-        if versions and now not in {record.package_hash for record in versions}:
-            words = f"{here.folder} was edited since {versions[-1].label} was built; the next run makes a new version"
-            findings.append(VersionFinding(package, "folder edited", words))
-        known = {record.identity for record in versions}
-        for executor in executors:
-            found = executor.named_image(here)
-            if found is not None and found not in known:
-                words = f"{here.image} names {found[:19]} on {executor.name}, which is no known version"
-                findings.append(VersionFinding(package, "tag moved", words))
+            try:
+                here = self._catalogue.package(package)
+            except SlamHiveError as error:
+                words = f"the folder of the package cannot be used: {error.message}"
+                findings.append(VersionFinding(package, "no folder", words))
+                continue
+            if versions and package_hash(here.folder) not in {record.package_hash for record in versions}:
+                built = f"{versions[-1].label} was built; the next run makes a new version"
+                words = f"{here.folder} was edited since {built}"
+                findings.append(VersionFinding(package, "folder edited", words))
+            known = {record.identity for record in versions}
+            for executor in executors:
+                found = executor.named_image(here)
+                if found is not None and found not in known:
+                    words = f"{here.image} names {found[:19]} on {executor.name}, which is no known version"
+                    findings.append(VersionFinding(package, "tag moved", words))
         return findings
 
     # -- removing --------------------------------------------------------------------------------------------------

@@ -90,7 +90,18 @@ class Preparing:
         hand.begin()
         check_gpu(hand.executor, job.algorithm.package)
         job = replace(job, weights=WeightsStore(hand.context.settings).checked(job.algorithm.package))
-        job = self._with_variant(job)
+        # The variant is made if necessary and held until the driver releases the run, or it is made on its node.
+        variants, dataset, variant = hand.context.variants, job.dataset, job.configuration.variant
+        if hand.executor.capabilities.makes_variants:
+            job = replace(job, used=variants.ordered(dataset, variant))
+        else:
+
+            def progress(fraction: float, text: str) -> None:
+                self._check_cancelled()
+                hand.check_still_ours()
+                logger.debug("run %d: %s (%.0f %%)", hand.run.id, text, 100 * fraction)
+
+            job = replace(job, used=self._held.enter_context(variants.hold(dataset, variant, progress)))
         identity = self._identity(job)
         job = self._with_gpu(job)
         write_config(job, hand.folder)
@@ -118,20 +129,6 @@ class Preparing:
         return Job(
             run.id, run.uid, algorithm, dataset, configuration, run.seed, RunOptions(**run.options), input_map=found
         )
-
-    def _with_variant(self, job: Job) -> Job:
-        """Add the variant: made if necessary and held until the driver releases the run, or made on its node."""
-        hand = self._hand
-        if hand.executor.capabilities.makes_variants:
-            return replace(job, used=hand.context.variants.ordered(job.dataset, job.configuration.variant))
-
-        def progress(fraction: float, text: str) -> None:
-            self._check_cancelled()
-            hand.check_still_ours()
-            logger.debug("run %d: %s (%.0f %%)", hand.run.id, text, 100 * fraction)
-
-        holding = hand.context.variants.hold(job.dataset, job.configuration.variant, progress)
-        return replace(job, used=self._held.enter_context(holding))
 
     def _with_gpu(self, job: Job) -> Job:
         """Add a GPU if the package uses one: leased until the driver releases the run, or requested from the engine."""

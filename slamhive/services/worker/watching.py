@@ -12,7 +12,7 @@ from slamhive.executors.gpu import GpuLog
 from slamhive.executors.host_counters import POWERCAP, EnergyLog, HostCounters, HostReader
 from slamhive.executors.host_log import HostLog, HostReading
 from slamhive.executors.sampler import MachineLogs, Sampler
-from slamhive.executors.status import Gone, Running, UsageSource
+from slamhive.executors.status import Gone, Running
 from slamhive.run_folder.outcome import Observation, broken_rule, is_finished
 from slamhive.services.runs import untracked_s
 from slamhive.services.worker.evidence import (
@@ -69,7 +69,16 @@ class Watch:
             yield found
             return
         interval_s = hand.context.settings.sample_interval_s
-        offset_s, machine = max(0.0, hand.elapsed_s()), self._machine_logs(source)
+        offset_s, here = max(0.0, hand.elapsed_s()), source.on_this_machine
+        energy = EnergyLog(hand.folder.energy, POWERCAP if here else None)
+
+        def ask_executor(_time_s: float, _run_cpu_s: float) -> HostReading | None:
+            return hand.executor.host_reading(hand.handle)
+
+        reader = HostReader(HostCounters(hand.spec.limits.cpuset)).read if here else ask_executor
+        gpu = hand.saved().get("gpu")
+        use = None if gpu is None else GpuLog(hand.folder.gpu, lambda: hand.executor.gpu_use(hand.handle, gpu["uuid"]))
+        machine = MachineLogs(energy, HostLog(hand.folder.host, reader), use)
         self._sampler = Sampler(source, hand.folder.profiling, interval_s, offset_s=offset_s, machine=machine)
         self._sampler.start()
         moves = False
@@ -82,23 +91,6 @@ class Watch:
             if found and not moves:
                 with suppress(LeaseLost):  # then the totals that the new holder of the run sees count
                     hand.save(found)
-
-    def _machine_logs(self, source: UsageSource) -> MachineLogs:
-        hand = self._hand
-        energy = EnergyLog(hand.folder.energy, POWERCAP if source.on_this_machine else None)
-
-        def ask_executor(_time_s: float, _run_cpu_s: float) -> HostReading | None:
-            return hand.executor.host_reading(hand.handle)
-
-        here = source.on_this_machine
-        host = HostLog(
-            hand.folder.host, HostReader(HostCounters(hand.spec.limits.cpuset)).read if here else ask_executor
-        )
-        gpu = hand.saved().get("gpu")
-        if gpu is None:
-            return MachineLogs(energy, host)
-        log = GpuLog(hand.folder.gpu, lambda: hand.executor.gpu_use(hand.handle, gpu["uuid"]))
-        return MachineLogs(energy, host, log)
 
     def _wait_for_end(self) -> str:
         """Return ``exited``, ``gone``, ``cancelled``, or the value to store under :data:`STOPPED_BECAUSE`."""
