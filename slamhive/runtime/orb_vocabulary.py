@@ -33,9 +33,9 @@ def about_vocabulary(path: Path, environment: Mapping[str, str] = os.environ) ->
     """Name, number of words and SHA-256 of a text vocabulary, for ``about.json``; InvalidInput if it is none of ORB."""
     content = path.read_bytes()
     small = not environment.get(ORB_VOCABULARY_VARIABLE)
-    # ORB-SLAM must be able to read all of it: its own loader crashes or hangs otherwise. A text vocabulary has a line
-    # with four numbers, then a line for each node of a tree: its parent, whether it is a word, the bytes of its
-    # descriptor and its weight. Nodes are numbered from 1 in their order; 0 is the root.
+    # ORB-SLAM must be able to read all of it: its own loader crashes or hangs otherwise.
+    # A text vocabulary has a line with four numbers, then a line for each node of a tree. That has its parent, whether
+    # it is a word, the bytes of its descriptor and its weight. Nodes are numbered from 1 in their order; 0 is the root.
     lines = content.rstrip().splitlines()
     # Files of other kinds get a reason of their own.
     if content.startswith(_GZIP):
