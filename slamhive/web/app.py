@@ -24,7 +24,7 @@ from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
 from slamhive.services.stored_analyses import may_analyse
 from slamhive.store import Store
-from slamhive.web import api, assets, context, formatting
+from slamhive.web import api, assets, context, formatting, frame
 from slamhive.web.caching import PageCache, add_caching, add_compression, keep_pages
 from slamhive.web.challenge_files import MOST_SENT_BYTES
 from slamhive.web.columns import ColumnKind
@@ -241,6 +241,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         has_challenges=lambda: bool(hive.challenges.names()),
         has_algorithm=has_algorithm,
         catalogue=catalogue_presenter,
+        frame=frame,
         help_of=help_pages.OF_PAGE,
         relative_time=formatting.relative_time,
         version=__version__,

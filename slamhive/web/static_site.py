@@ -67,7 +67,7 @@ _TEMPLATES = (
 LOG_BYTES = 16_000
 """Of the end of the log of each run."""
 _ASSETS = (
-    *("report.css", "print.css", "plots.js", "report.js", "site.css", "site-list.js", "site-plots.js"),
+    *("tokens.css", "report.css", "print.css", "plots.js", "report.js", "site.css", "site-list.js", "site-plots.js"),
     *("site-groups.js", "site-compare.js"),
     *("viewer.css", "viewer.js", "site-load.js", "site-viewer.js"),
 )

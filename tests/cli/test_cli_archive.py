@@ -105,6 +105,7 @@ def test_an_analysis_on_a_site_shares_the_library_and_leads_to_the_pages_of_runs
     page = (world / "site" / "analyses" / f"{record.token}.html").read_text()
     assert len(page) < 50_000
     assert re.findall(r'(?:src|href)="([^"]*)"', page) == [
+        "../assets/tokens.css",
         "../assets/report.css",
         "../assets/site.css",
         "../assets/print.css",

@@ -90,7 +90,7 @@ def test_the_page_to_sign_in_works_without_scripts_and_says_nothing_else(site: A
     client = site.web.app.test_client()
     page = client.get("/login").text
     assert 'autocomplete="current-password"' in page
-    assert "Start a run" not in page
+    assert 'href="/runs/new"' not in page
     assert client.get("/healthz").status_code == 200
     with client.get("/static/theme.js") as script:
         assert script.status_code == 200
@@ -141,9 +141,10 @@ def test_signing_in_needs_the_token_of_the_page(site: AccountWeb) -> None:
 def test_the_header_names_the_caller(site: AccountWeb) -> None:
     client = site.of(Role.MEMBER)
     page = client.get("/").text
-    assert 'title="Your account, member">max</a>' in page
-    assert "Start a run" in page
+    assert 'title="Signed in as max, member">max</summary>' in page
+    assert 'href="/runs/new"' in page
     assert 'href="/accounts"' not in client.get("/account").text
+    assert 'href="/nodes"' in client.get("/").text
     assert 'href="/accounts"' in site.of(Role.ADMIN).get("/account").text
 
 

@@ -514,8 +514,35 @@ def test_the_keys_lead_everywhere(browsing: Page) -> None:
     browsing.keyboard.press("/")
     browsing.keyboard.type("eye-slam-mono")
     browsing.keyboard.press("Enter")
-    browsing.get_by_role("link", name="eye-slam-mono").click()
-    assert heading(browsing).startswith("eye-slam-mono")
+    browsing.wait_for_url("**/algorithms/eye-slam-mono")
+
+
+def test_the_palette_presses_the_buttons_of_a_page_and_finds_by_any_word(browsing: Page) -> None:
+    browsing.goto("/runs/1")
+    browsing.keyboard.press("Control+k")
+    browsing.keyboard.type("compare")
+    browsing.keyboard.press("Enter")
+    browsing.wait_for_url("**/compare?**")
+    browsing.keyboard.press("/")
+    browsing.keyboard.type("mono ulgh")
+    option = browsing.get_by_role("option", name="Find “mono ulgh” everywhere")
+    option.click()
+    browsing.wait_for_url("**/find?q=mono**")
+    assert "Nothing is called" in browsing.locator("main").inner_text()
+
+
+@pytest.mark.parametrize("scripts", [True, False])
+def test_the_rail_is_a_drawer_on_a_phone_with_and_without_scripts(
+    chromium: Browser, archive: str, scripts: bool
+) -> None:
+    with faultless(chromium, archive, look="phone", java_script_enabled=scripts) as page:
+        page.goto("/")
+        rail = page.get_by_role("navigation", name="Main")
+        assert not rail.is_visible()
+        page.get_by_role("button", name="Menu").click()
+        rail.get_by_role("link", name="Datasets").click()
+        assert page.url.endswith("/datasets")
+        assert not rail.get_by_role("link", name="Machines").count(), "visitors see no machines"
 
 
 def test_a_click_on_a_peak_shows_what_the_sensors_saw(browsing: Page) -> None:

@@ -73,7 +73,9 @@ def test_view_only_shows_all_pages_without_buttons(web: Web, viewing: Web):
     for page in ("/", "/runs", f"/runs/{web.runs['done']}", f"/runs/{web.runs['running']}", "/algorithms", "/datasets"):
         text = viewing.client.get(page).text
         assert 'method="post"' not in text
-        assert "Start a run" not in text
+        assert 'href="/runs/new"' not in text
+        assert 'href="/nodes"' not in text
+        assert 'href="/analyses/new"' not in text
 
 
 @pytest.mark.parametrize("action", ["cancel", "retry", "evaluate"])

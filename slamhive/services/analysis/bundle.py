@@ -119,7 +119,7 @@ def _comment(text: str) -> str:
 PLOTLY_FILE = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
 PAGE = "report.html"
 BIBLIOGRAPHY = "references.bib"
-STYLES = ("report.css", "print.css")
+STYLES = ("tokens.css", "report.css", "print.css")
 """Style sheets of pages that are files."""
 DRAWING = ("plots.js", "report.js")
 """Scripts of pages that are files, in this order."""

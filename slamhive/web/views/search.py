@@ -75,7 +75,7 @@ TITLES = {
     FoundKind.ALGORITHM: "Algorithms",
     FoundKind.DATASET: "Datasets",
     FoundKind.CONFIGURATION: "Configurations",
-    FoundKind.ANALYSIS: "Analyses",
+    FoundKind.ANALYSIS: "Reports",
     FoundKind.SEARCH: "Saved searches",
     FoundKind.METRIC: "Metrics",
     FoundKind.HELP: "Help",
@@ -98,12 +98,24 @@ _ADDRESSES: dict[FoundKind, Callable[[str], str]] = {
 def index() -> str:
     """The meanings of the words in the address, by kind."""
     text = request.args.get("q", "").strip()[:LONGEST_TEXT]
+    return render_template("finding/index.html", text=text, groups=_found(text), most=LONGEST_TEXT)
+
+
+@finding_blueprint.get("/find.json")
+def entries() -> Response:
+    """The same for the palette: one list, in the order of display."""
+    text = request.args.get("q", "").strip()[:LONGEST_TEXT]
+    found = [
+        {"group": title, "title": entry.name, "words": entry.words, "url": url}
+        for title, group in _found(text).items()
+        for entry, url in group
+    ]
+    return make_response(jsonify(found=found))
+
+
+def _found(text: str) -> dict[str, list[tuple[Found, str]]]:
+    """What has a meaning, with its address, by the title of its kind."""
     found = dict(find(hive(), text))
     if pages := best(text, help_pages.entries()):
         found[FoundKind.HELP] = pages
-    groups = {TITLES[kind]: [(entry, _address(entry)) for entry in entries] for kind, entries in found.items()}
-    return render_template("finding/index.html", text=text, groups=groups, most=LONGEST_TEXT)
-
-
-def _address(entry: Found) -> str:
-    return _ADDRESSES[entry.kind](entry.key)
+    return {TITLES[kind]: [(entry, _ADDRESSES[kind](entry.key)) for entry in group] for kind, group in found.items()}
