@@ -91,5 +91,5 @@ NEW_THINGS = (
 
 
 def new_things(caller: Caller) -> list[NewThing]:
-    """What ``caller`` may make."""
+    """Things that ``caller`` may make."""
     return [entry for entry in NEW_THINGS if entry.needs in caller.may]
