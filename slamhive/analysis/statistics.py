@@ -96,6 +96,7 @@ class Comparison:
         difference: Of the means.
         interval: Confidence interval of the difference.
         decided: Whether the interval excludes 0.
+        p_value: Of Welch's test, two-sided; 0 if neither group varies and the means differ.
         repeats_to_decide: The fewest repeats of each group with which the interval would exclude 0, at the present
             difference and spread; None if the means are equal or if a million repeats are not enough.
     """
@@ -103,6 +104,7 @@ class Comparison:
     difference: float
     interval: Interval
     decided: bool
+    p_value: float
     repeats_to_decide: int | None
 
 
@@ -122,13 +124,22 @@ def compare_means(first: Numbers, second: Numbers, confidence: float = CONFIDENC
         raise InvalidInput(
             f"a comparison needs two runs of each, found {counts[0]} and {counts[1]}", "add repeats to the experiment"
         )
-    difference = float(first.mean() - second.mean())
-    variances = float(first.var(ddof=1)), float(second.var(ddof=1))
+    samples = [(len(values), float(values.mean()), float(values.var(ddof=1))) for values in (first, second)]
+    return compare_samples(samples[0], samples[1], confidence)
+
+
+def compare_samples(
+    first: tuple[int, float, float], second: tuple[int, float, float], confidence: float = CONFIDENCE
+) -> Comparison:
+    """Compare as :func:`compare_means` does, from number (>= 2), mean and sample variance of each group."""
+    counts, variances = (first[0], second[0]), (first[2], second[2])
+    difference = first[1] - second[1]
     half_width = _half_width(variances, counts, confidence)
     return Comparison(
         difference,
         Interval(difference - half_width, difference + half_width),
         half_width < abs(difference),
+        _p_value(difference, variances, counts),
         _repeats(abs(difference), variances, confidence),
     )
 
@@ -146,12 +157,43 @@ def means_differ(first: tuple[int, float, float], second: tuple[int, float, floa
 
 def _half_width(variances: tuple[float, float], counts: tuple[int, int], confidence: float) -> float:
     """Half of Welch's interval. scipy has it for samples alone; here also for repeats that are yet to be made."""
+    error, freedom = _standard_error(variances, counts)
+    return float(scipy.special.stdtrit(freedom, (1 + confidence) / 2)) * error if error else 0.0
+
+
+def _p_value(difference: float, variances: tuple[float, float], counts: tuple[int, int]) -> float:
+    error, freedom = _standard_error(variances, counts)
+    if not error:
+        return 0.0 if difference else 1.0
+    return 2 * float(scipy.special.stdtr(freedom, -abs(difference) / error))
+
+
+def _standard_error(variances: tuple[float, float], counts: tuple[int, int]) -> tuple[float, float]:
+    """The standard error of the difference of two means, and its degrees of freedom; both 0 if nothing varies.
+
+    The degrees are those of Welch and Satterthwaite (F. E. Satterthwaite, Biometrics Bulletin 2, 1946).
+    """
     parts = [variance / count for variance, count in zip(variances, counts, strict=True)]
     if sum(parts) == 0:
-        return 0.0
-    # Degrees of freedom after Welch and Satterthwaite (F. E. Satterthwaite, Biometrics Bulletin 2, 1946).
+        return 0.0, 0.0
     freedom = sum(parts) ** 2 / sum(part**2 / (count - 1) for part, count in zip(parts, counts, strict=True))
-    return float(scipy.special.stdtrit(freedom, (1 + confidence) / 2)) * math.sqrt(sum(parts))
+    return math.sqrt(sum(parts)), freedom
+
+
+def shares_p_value(first: tuple[int, int], second: tuple[int, int]) -> float:
+    """Fisher's exact test, two-sided, that two shares are equal (R. A. Fisher, JRSS 85, 1922).
+
+    Args:
+        first: How many of how many, such as failed runs of all runs.
+        second: The same of the other group.
+    """
+    (hits, total), (others, more) = first, second
+    together = hits + others
+    ways = {
+        count: math.comb(total, count) * math.comb(more, together - count)
+        for count in range(max(0, together - more), min(total, together) + 1)
+    }
+    return sum(way for way in ways.values() if way <= ways[hits]) / math.comb(total + more, together)
 
 
 def _repeats(difference: float, variances: tuple[float, float], confidence: float) -> int | None:

@@ -30,6 +30,7 @@ from slamhive.services.experiments import (
     NO_FIGURES,
     Cell,
     ConfigurationStanding,
+    ExperimentAnswer,
     ExperimentPreview,
     ExperimentSource,
     ExperimentStatus,
@@ -187,6 +188,16 @@ def print_report(status: ExperimentStatus, cells: Sequence[Cell], axes: Sequence
     say("metrics: mean ± standard deviation of the runs that did not fail; failed ones are counted")
     say(DEFAULT_RULE.words)
     say("disturbed: how many of these were measured on a disturbed machine and are not replaced")
+
+
+def print_answer(found: ExperimentAnswer) -> None:
+    """Print the question, the answer, that on each dataset if there are several, and what is left out."""
+    say(found.question)
+    say(found.sentence)
+    for entry in found.datasets if len(found.datasets) > 1 else ():
+        say(f"{entry.dataset}: {entry.sentence}")
+    for note in found.notes:
+        say(f"note: {note}")
 
 
 def _spread(found: MetricSpread | None, factor: float, form: str) -> str | None:
@@ -385,6 +396,19 @@ def add_repeats(cli: CliContext, name: str, count: int, as_json: bool) -> None:
     _show_status(status, as_json)
 
 
+@experiment.command("answer", short_help="Say who is best, and what would decide")
+@name_argument
+@json_option
+@pass_cli
+def answer(cli: CliContext, name: str, as_json: bool) -> None:
+    """Print the question and its answer: who is best, by which test, or the repeats that would decide."""
+    found = cli.hive().experiments.answer(name_of(name))
+    if as_json:
+        print_json(schema.ExperimentAnswerDocument.of(found).content)
+    else:
+        print_answer(found)
+
+
 @experiment.command("report", short_help="Print a row for each configuration")
 @name_argument
 @click.option("--csv", "csv_file", type=click.Path(path_type=Path), help="Write the table to this CSV file.")
@@ -406,6 +430,7 @@ def report(cli: CliContext, name: str, csv_file: Path | None, as_json: bool) -> 
         print_json([schema.CellDocument.of(cell).content for cell in cells])
     else:
         print_report(experiments.status(known), list(cells), axes)
+        print_answer(experiments.answer(known))
 
 
 def _show_status(status: ExperimentStatus, as_json: bool) -> None:

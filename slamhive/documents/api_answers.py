@@ -9,7 +9,13 @@ from pydantic import AliasChoices, AliasPath, Field
 from slamhive.base.settings import Mode
 from slamhive.documents import catalogue
 from slamhive.documents.catalogue import CachedVariant, FoundThing, PublicSequence
-from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument, GridDocument, StoredAnalysis
+from slamhive.documents.experiment import (
+    CellDocument,
+    ExperimentAnswerDocument,
+    ExperimentStatusDocument,
+    GridDocument,
+    StoredAnalysis,
+)
 from slamhive.documents.model import Document, Moment, described
 from slamhive.documents.run import Colours, Pinned, RunDocument, Sparks
 from slamhive.domain.metrics import Direction, Group
@@ -259,10 +265,11 @@ class ExperimentsDocument(Document):
 
 
 class ExperimentWithFile(ExperimentStatusDocument):
-    """An experiment with its file and its axes."""
+    """An experiment with its file, its axes and its answer."""
 
     yaml: Annotated[str, described("The experiment file.")]
     axes: Annotated[dict[str, tuple[Any, ...]], described("The values of each axis.")]
+    answer: ExperimentAnswerDocument
 
 
 class CellPageDocument(Document):

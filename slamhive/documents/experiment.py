@@ -167,6 +167,31 @@ class CellDocument(Document):
     figures: Annotated[tuple[CellFiguresDocument, ...], described("Metrics, those of each protocol by themselves.")]
 
 
+class DatasetAnswerDocument(Document):
+    """The answer of an experiment on one dataset."""
+
+    dataset: str
+    certainty: Annotated[
+        str, described("separated, not separated, too few repeats, nothing to compare, or no result yet.")
+    ]
+    leaders: Annotated[tuple[str, ...], described("The best, then those that no test separates from it.")]
+    p_value: Annotated[float | None, described("Of the test behind the sentence; null without one.")]
+    more_repeats: Annotated[int | None, described("Repeats of each that would settle it; null if none would.")]
+    sentence: str
+
+
+class ExperimentAnswerDocument(Document):
+    """The question of an experiment, and its answer from the statistics."""
+
+    question: str
+    sentence: Annotated[str, described("The answer in words.")]
+    certainty: Annotated[str, described("The least settled of the datasets.")]
+    more_repeats: Annotated[int | None, described("Repeats of each to add; null if none are called for.")]
+    by: Annotated[str, described("What is compared: algorithm or configuration.")]
+    datasets: tuple[DatasetAnswerDocument, ...]
+    notes: Annotated[tuple[str, ...], described("What the answer leaves out.")]
+
+
 class GridCellDocument(Document):
     """The cells that share two values. ``row`` and ``column`` are places in the lists of the grid."""
 

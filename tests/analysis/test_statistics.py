@@ -5,7 +5,15 @@ import pytest
 import scikit_posthocs
 from scipy import stats
 
-from slamhive.analysis.statistics import bootstrap_mean, compare_means, holm, means_differ, rank_test, summarise
+from slamhive.analysis.statistics import (
+    bootstrap_mean,
+    compare_means,
+    holm,
+    means_differ,
+    rank_test,
+    shares_p_value,
+    summarise,
+)
 from slamhive.base.errors import InvalidInput
 
 pytestmark = pytest.mark.integration  # scipy takes a second to load
@@ -133,9 +141,18 @@ def test_repeats_that_would_decide():
 def test_welch_agrees_with_scipy():
     draws = np.random.default_rng(7)
     first, second = draws.normal(0, 1, 12), draws.normal(0.5, 3, 7)
-    expected = stats.ttest_ind(first, second, equal_var=False).confidence_interval(0.95)
-    found = compare_means(first, second).interval
+    test = stats.ttest_ind(first, second, equal_var=False)
+    expected = test.confidence_interval(0.95)
+    comparison = compare_means(first, second)
+    found = comparison.interval
     assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
+    assert comparison.p_value == pytest.approx(test.pvalue)
+
+
+@pytest.mark.parametrize(("first", "second"), [((0, 5), (2, 5)), ((3, 8), (0, 2)), ((4, 4), (0, 9)), ((0, 3), (0, 4))])
+def test_fisher_agrees_with_scipy(first: tuple[int, int], second: tuple[int, int]) -> None:
+    table = [[hits, total - hits] for hits, total in (first, second)]
+    assert shares_p_value(first, second) == pytest.approx(stats.fisher_exact(table).pvalue)
 
 
 def test_comparing_needs_repeats():

@@ -130,3 +130,15 @@ def test_configurations_are_compared_from_ranking_and_results(web: Web) -> None:
     wrong = web.client.get("/compare", query_string={"run": boxes[:2], "group": "nonsense"})
     assert wrong.status_code == 400
     assert ">0001</a>" in page, "the name of the experiment is left out"
+
+
+def test_the_answer_is_the_same_in_pages_api_and_services(web: Web) -> None:
+    start(web, (500, 600), repeats=3)
+    end(web, 1, (0.100, 0.105, 0.110))
+    end(web, 2, (0.104, 0.109, 0.114))
+    found = web.hive.experiments.answer("ranked")
+    assert found.question == "Which nFeatures suits eye-slam-stereo best on room?"
+    assert found.sentence.startswith("nFeatures 500 and nFeatures 600 are not separated, p = 0.38; ")
+    assert found.more_repeats
+    answered = web.client.get("/api/v1/experiments/ranked").json["answer"]
+    assert (answered["sentence"], answered["more_repeats"]) == (found.sentence, found.more_repeats)

@@ -59,7 +59,9 @@ class Ranking:
 
 
 @dataclass(frozen=True, slots=True)
-class _Entry:
+class RankEntry:
+    """A configuration by number: its good runs under the protocol of the ranking, and failed or cancelled ones."""
+
     number: int
     good: CellSample | None
     lost: int
@@ -67,6 +69,7 @@ class _Entry:
 
     @property
     def ranked(self) -> bool:
+        """True if it has the two good runs that a place needs."""
         return self.good is not None and self.good.n > 1
 
     @property
@@ -76,34 +79,39 @@ class _Entry:
         return -min(n, 2), self.lost, mean, self.number
 
 
+@dataclass(frozen=True, slots=True)
+class RankEntries:
+    """The configurations on one dataset, as :class:`Ranking`: ``ended`` in order, the numbers of ``waiting`` ones."""
+
+    protocol: ProtocolLabel | None
+    other_runs: int
+    ended: list[RankEntry]
+    waiting: list[int]
+
+
 def rankings(t: Transaction, record: ExperimentRecord, table: AxisTable) -> list[Ranking]:
     """Rank the configurations, the best first, on each of the first datasets on which a run has ended."""
-    names = table.values.get("dataset", ())
+    entries = entries_by_dataset(t, record, table)
+    found = (_ranking(t, record.id, name, entries[name]) for name in list(entries)[:MOST_DATASETS])
+    return [ranking for ranking in found if ranking is not None]
+
+
+def entries_by_dataset(t: Transaction, record: ExperimentRecord, table: AxisTable) -> dict[str, RankEntries]:
+    """The configurations on each dataset, without their runs."""
     codes = table.codes.get("dataset")
     if codes is None:
-        return []
+        return {}
     samples: dict[int, list[CellSample]] = defaultdict(list)
     for sample in t.experiment_values.samples(record.id, RANKED_BY):
         samples[sample.cell].append(sample)
     counts = t.experiment_counts.by_cell(record.id)
-    found = []
-    for code, name in enumerate(names[:MOST_DATASETS]):
-        numbers = table.numbers[codes == code].tolist()
-        ranking = _ranking(t, record.id, str(name), _entries(numbers, samples, counts))
-        if ranking is not None:
-            found.append(ranking)
-    return found
+    return {
+        str(name): _entries(table.numbers[codes == code].tolist(), samples, counts)
+        for code, name in enumerate(table.values["dataset"])
+    }
 
 
-@dataclass(frozen=True, slots=True)
-class _Entries:
-    protocol: ProtocolLabel | None
-    other_runs: int
-    ended: list[_Entry]
-    waiting: int
-
-
-def _entries(numbers: Sequence[int], samples: Mapping[int, Sequence[CellSample]], counts: CellCounts) -> _Entries:
+def _entries(numbers: Sequence[int], samples: Mapping[int, Sequence[CellSample]], counts: CellCounts) -> RankEntries:
     weights: Counter[ProtocolLabel] = Counter()
     for number in numbers:
         for sample in samples.get(number, ()):
@@ -117,7 +125,7 @@ def _entries(numbers: Sequence[int], samples: Mapping[int, Sequence[CellSample]]
             if not entry.retried:
                 phases[Outcome.of(entry)] += entry.count
         entries.append(
-            _Entry(
+            RankEntry(
                 number,
                 good,
                 phases[Outcome.FAILED] + phases[Outcome.LOST] + phases[Outcome.CANCELLED],
@@ -125,11 +133,12 @@ def _entries(numbers: Sequence[int], samples: Mapping[int, Sequence[CellSample]]
             )
         )
     ended = sorted((entry for entry in entries if entry.good is not None or entry.lost), key=lambda entry: entry.key)
+    waiting = [entry.number for entry in entries if entry.good is None and not entry.lost]
     others = weights.total() - (weights[protocol] if protocol else 0)
-    return _Entries(protocol, others, ended, len(entries) - len(ended))
+    return RankEntries(protocol, others, ended, waiting)
 
 
-def _ranking(t: Transaction, experiment_id: int, dataset: str, entries: _Entries) -> Ranking | None:
+def _ranking(t: Transaction, experiment_id: int, dataset: str, entries: RankEntries) -> Ranking | None:
     order = entries.ended
     if not order:
         return None
@@ -155,13 +164,13 @@ def _ranking(t: Transaction, experiment_id: int, dataset: str, entries: _Entries
     )
     best, worst = (ranked, ()) if few else (ranked[:BEST], ranked[BEST:])
     between = len(order) - len(shown)
-    return Ranking(dataset, entries.protocol, best, worst, between, entries.waiting, entries.other_runs)
+    return Ranking(dataset, entries.protocol, best, worst, between, len(entries.waiting), entries.other_runs)
 
 
-def _places(order: Iterable[_Entry]) -> dict[int, int | None]:
+def _places(order: Iterable[RankEntry]) -> dict[int, int | None]:
     """The place of each entry. As in challenges, each is compared with the first of the place before it."""
     places: dict[int, int | None] = {}
-    first: _Entry | None = None
+    first: RankEntry | None = None
     place = 1
     for position, entry in enumerate(order, start=1):
         if not entry.ranked:

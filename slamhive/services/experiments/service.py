@@ -27,6 +27,7 @@ from slamhive.store.records import ExperimentState
 if TYPE_CHECKING:
     from slamhive.domain.accounts import Visibility
     from slamhive.packages.published.experiment import Converted
+    from slamhive.services.experiments.answer import ExperimentAnswer
     from slamhive.services.experiments.ranking import Ranking
     from slamhive.services.experiments.starting import Restored
 
@@ -154,6 +155,16 @@ class ExperimentService:
         def work(t: Transaction) -> tuple[Ranking, ...]:
             record = t.experiments.get(name)
             return tuple(rankings(t, record, self._tables.get(t, record)))
+
+        return self._context.store.read(work)
+
+    def answer(self, name: str) -> ExperimentAnswer:
+        """The answer of the experiment so far, in a sentence, and the repeats that would settle it."""
+        from slamhive.services.experiments.answer import answer  # noqa: PLC0415 - lists and reports need none
+
+        def work(t: Transaction) -> ExperimentAnswer:
+            record = t.experiments.get(name)
+            return answer(t, record, self._tables.get(t, record))
 
         return self._context.store.read(work)
 

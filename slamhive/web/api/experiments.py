@@ -35,6 +35,7 @@ from slamhive.documents.challenge import (
 )
 from slamhive.documents.experiment import (
     CellDocument,
+    ExperimentAnswerDocument,
     ExperimentPreviewDocument,
     ExperimentStatusDocument,
     GridDocument,
@@ -80,9 +81,14 @@ def preview_experiment(body: YamlRequest) -> ExperimentPreviewDocument:
 
 @TABLE.get(Section.EXPERIMENTS, "/experiments/{name}", ExperimentWithFile)
 def experiment(name: str) -> ExperimentWithFile:
-    """The progress of one experiment, its file and its axes."""
+    """The progress of one experiment, its file, its axes, and what it says so far in a sentence."""
     services = hive().experiments
-    return ExperimentWithFile.of(services.status(name), yaml=services.source(name).text, axes=services.axes(name))
+    return ExperimentWithFile.of(
+        services.status(name),
+        yaml=services.source(name).text,
+        axes=services.axes(name),
+        answer=ExperimentAnswerDocument.of(services.answer(name)),
+    )
 
 
 @TABLE.get(Section.EXPERIMENTS, "/experiments/{name}/cells", CellPageDocument, CELL_ARGUMENTS)

@@ -1,0 +1,331 @@
+"""The answer of an experiment in a sentence: who is best, whether a test separates it from the others, what would.
+
+On one dataset, algorithms are compared, each by its first configuration in the ranking. An experiment with a single
+algorithm compares its configurations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from slamhive.domain.names import plural
+from slamhive.domain.parameters import Value
+from slamhive.services.experiments.ranking import RankEntries, RankEntry, entries_by_dataset
+from slamhive.store import Transaction
+from slamhive.store.records import ExperimentRecord
+
+if TYPE_CHECKING:
+    from slamhive.services.experiments.progress import AxisTable
+
+SIGNIFICANCE = 0.05
+MOST_NAMED = 3
+MOST_SUGGESTED = 100
+"""More repeats than this are named but not offered: the difference is too small to matter."""
+REPEATS_WANTED = 3
+"""So many runs of each are asked for where there are fewer than two, which no test can judge."""
+MOST_SEARCHED = 400
+
+
+class Certainty(StrEnum):
+    """Degree to which the answer of an experiment is settled."""
+
+    SEPARATED = "separated"
+    NOT_SEPARATED = "not separated"
+    TOO_FEW = "too few repeats"
+    ALONE = "nothing to compare"
+    OPEN = "no result yet"
+
+    @property
+    def undecided(self) -> bool:
+        """True if more repeats may change it."""
+        return self in (Certainty.NOT_SEPARATED, Certainty.TOO_FEW)
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetAnswer:
+    """The answer on one dataset.
+
+    Attributes:
+        dataset: Its name.
+        certainty: How far it is settled.
+        leaders: The first of the ranking, then those that no test separates from it.
+        p_value: Of the test behind the sentence; None if there was none.
+        more_repeats: Repeats of each that would settle it at the present spread; None if none would, or if it is.
+        sentence: The same in words.
+    """
+
+    dataset: str
+    certainty: Certainty
+    leaders: tuple[str, ...]
+    p_value: float | None
+    more_repeats: int | None
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentAnswer:
+    """The question of an experiment and its answer.
+
+    Attributes:
+        question: The question, ending in a question mark.
+        sentence: The answer in one or two sentences.
+        certainty: The least settled of the datasets.
+        more_repeats: The most that one of them needs, at most :data:`MOST_SUGGESTED`; None if no repeat is called for.
+        by: What is compared, ``algorithm`` or ``configuration``.
+        datasets: The answer on each dataset.
+        notes: What the answer leaves out.
+    """
+
+    question: str
+    sentence: str
+    certainty: Certainty
+    more_repeats: int | None
+    by: str
+    datasets: tuple[DatasetAnswer, ...]
+    notes: tuple[str, ...]
+
+
+def answer(t: Transaction, record: ExperimentRecord, table: AxisTable) -> ExperimentAnswer:
+    """The answer of an experiment, from the current evaluations of its runs."""
+    axes = table.axes
+    entries = entries_by_dataset(t, record, table)
+    by = "algorithm" if len(axes.get("algorithm", ())) > 1 else "configuration"
+    names = _names(table, by)
+    found = tuple(answer_on(dataset, known, names) for dataset, known in entries.items())
+    return ExperimentAnswer(
+        question=question(record.description, axes),
+        sentence=_over_all(found),
+        certainty=_least(found),
+        more_repeats=_suggested(found),
+        by=by,
+        datasets=found,
+        notes=tuple(_notes(entries, names)),
+    )
+
+
+def question(description: str, axes: Mapping[str, Sequence[Value]]) -> str:
+    """The sentence of the description that ends in a question mark; otherwise one made from {axis: values}."""
+    asked = description.partition("?")
+    if asked[1]:
+        return asked[0].replace("\n", " ").rpartition(". ")[2].strip() + "?"
+    algorithms, datasets = ([str(value) for value in axes.get(name, ())] for name in ("algorithm", "dataset"))
+    where = f" on {datasets[0]}" if len(datasets) == 1 else f" on {len(datasets)} datasets" if datasets else ""
+    varied = [axis for axis, values in axes.items() if len(values) > 1 and axis not in ("algorithm", "dataset")]
+    if len(algorithms) > 1:
+        few = len(algorithms) <= MOST_NAMED
+        which = f"of {_listed(algorithms)}" if few else f"of {len(algorithms)} algorithms"
+        return f"Which {which} is most accurate{where}?"
+    name = algorithms[0] if algorithms else "the algorithm"
+    if varied:
+        return f"Which {_listed(varied[:MOST_NAMED])} suits {name} best{where}?"
+    return f"How accurate is {name}{where}?"
+
+
+def _names(table: AxisTable, by: str) -> dict[int, str]:
+    """{cell: its algorithm, or the values that distinguish its configuration}."""
+    axes = ["algorithm"] if by == "algorithm" else [*table.axes]
+    axes = [axis for axis in axes if axis != "dataset" and (by == "algorithm" or len(table.values[axis]) > 1)]
+    texts = {}
+    for place, number in enumerate(table.numbers.tolist()):
+        values = {axis: table.values[axis][int(table.codes[axis][place])] for axis in axes}
+        parts = [
+            _plain(value) if axis == "algorithm" else f"{axis} {_plain(value)}"
+            for axis, value in values.items()
+            if value is not None
+        ]
+        texts[number] = ", ".join(parts) or _plain(table.values["algorithm"][int(table.codes["algorithm"][place])])
+    return texts
+
+
+def answer_on(dataset: str, entries: RankEntries, names: Mapping[int, str]) -> DatasetAnswer:
+    """The answer on one dataset. ``names``: {cell: what it is compared as}; the first cell of a name stands for it."""
+    competitors = _competitors(entries, names)
+    waiting = list(dict.fromkeys(name for number in entries.waiting if (name := names[number]) not in competitors))
+    good = {name: entry for name, entry in competitors.items() if entry.good is not None}
+    if not good:
+        lost = sum(entry.lost for entry in entries.ended)
+        text = f"No run gave a result: {plural(lost, 'run')} failed." if lost else "No run has been evaluated yet."
+        return DatasetAnswer(dataset, Certainty.OPEN, (), None, None, text)
+    leader, first = next(iter(good.items()))
+    if len(competitors) == 1:
+        certainty = Certainty.OPEN if waiting else Certainty.ALONE
+        other = f"{_listed(waiting)} has no result yet" if waiting else "there is nothing to compare it with"
+        return DatasetAnswer(dataset, certainty, (leader,), None, None, f"{leader}: ATE {_spread(first)}; {other}.")
+    single = [name for name, entry in good.items() if not entry.ranked]
+    if not first.ranked or (single and len(good) - len(single) == 1):
+        more = REPEATS_WANTED - 1
+        text = f"{leader} has the smallest ATE, {_spread(first)}, but no test can judge one run of {_listed(single)}"
+        return DatasetAnswer(
+            dataset, Certainty.TOO_FEW, (leader,), None, more, f"{text}; add {plural(more, 'repeat')}."
+        )
+    return _tested(dataset, competitors, waiting)
+
+
+def _competitors(entries: RankEntries, names: Mapping[int, str]) -> dict[str, RankEntry]:
+    """{name: its first entry}, in the order of the ranking."""
+    found: dict[str, RankEntry] = {}
+    for entry in entries.ended:
+        found.setdefault(names[entry.number], entry)
+    return found
+
+
+def _tested(dataset: str, competitors: Mapping[str, RankEntry], waiting: Sequence[str]) -> DatasetAnswer:
+    leader, first = next(iter(competitors.items()))
+    tests = {
+        name: _Test.of(first, entry) for name, entry in competitors.items() if name != leader and not _one_run(entry)
+    }
+    sharing = {name: test for name, test in tests.items() if not test.separated}
+    so_far = f" So far, {_listed(waiting)} has no result." if waiting else ""
+    if not sharing:
+        second, test = next(iter(tests.items()))
+        text = f"{leader} is best: {test.words(first, competitors[second], second)}.{so_far}"
+        certainty = Certainty.OPEN if waiting else Certainty.SEPARATED
+        return DatasetAnswer(dataset, certainty, (leader,), test.p_value, None, text)
+    needed = [test.more for test in sharing.values()]
+    more = None if None in needed else max(count for count in needed if count is not None)
+    p_value = min(test.p_value for test in sharing.values())
+    sign = "=" if len(sharing) == 1 else "≥"
+    would = "no number of repeats would decide" if more is None else f"{plural(more, 'more repeat')} would decide"
+    text = f"{_listed([leader, *sharing])} are not separated, {_p_text(p_value, sign)}; {would}.{so_far}"
+    return DatasetAnswer(dataset, Certainty.NOT_SEPARATED, (leader, *sharing), p_value, more, text)
+
+
+@dataclass(frozen=True, slots=True)
+class _Test:
+    """The first of the ranking against another: by failures if their shares differ, otherwise by the means."""
+
+    separated: bool
+    by_failures: bool
+    p_value: float
+    more: int | None
+
+    @classmethod
+    def of(cls, first: RankEntry, other: RankEntry) -> _Test:
+        from slamhive.analysis.statistics import compare_samples, shares_p_value  # noqa: PLC0415 - loads scipy
+
+        failures = (first.lost, first.total), (other.lost, other.total)
+        p_failures = shares_p_value(*failures)
+        if p_failures < SIGNIFICANCE or first.good is None or other.good is None:
+            more = None if p_failures < SIGNIFICANCE else _repeats_for_shares(*failures)
+            return cls(p_failures < SIGNIFICANCE, True, p_failures, more)
+        means = compare_samples(
+            (first.good.n, first.good.mean, first.good.variance), (other.good.n, other.good.mean, other.good.variance)
+        )
+        ahead = means.difference < 0
+        if means.decided and ahead:
+            return cls(True, False, means.p_value, None)
+        by_failures = means.decided or not ahead
+        # The other is not worse where it succeeds: only its failures can decide.
+        counts = [] if by_failures and first.lost != other.lost else [means.repeats_to_decide]
+        least = min(first.good.n, other.good.n)
+        more = [max(1, count - least) for count in counts if count is not None]
+        if first.lost != other.lost and (found := _repeats_for_shares(*failures)) is not None:
+            more.append(found)
+        p_value = p_failures if not counts else means.p_value
+        return cls(False, not counts, p_value, min(more, default=None))
+
+    def words(self, first: RankEntry, other: RankEntry, name: str) -> str:
+        if self.by_failures or first.good is None or other.good is None:
+            return (
+                f"{first.lost} of {plural(first.total, 'run')} failed, {other.lost} of {other.total} of {name}, "
+                f"{_p_text(self.p_value)}"
+            )
+        return f"ATE {_spread(first)} against {_spread(other)} of {name}, {_p_text(self.p_value)}"
+
+
+def _repeats_for_shares(first: tuple[int, int], second: tuple[int, int]) -> int | None:
+    """Further runs of each with which Fisher's test would tell the present shares apart; None if too many."""
+    from slamhive.analysis.statistics import shares_p_value  # noqa: PLC0415 - loads scipy
+
+    if first[0] * second[1] == second[0] * first[1]:
+        return None
+    for more in range(1, MOST_SEARCHED):
+        counts = [(round(hits * (total + more) / total), total + more) for hits, total in (first, second)]
+        if shares_p_value(counts[0], counts[1]) < SIGNIFICANCE:
+            return more
+    return None
+
+
+def _one_run(entry: RankEntry) -> bool:
+    return entry.good is not None and not entry.ranked
+
+
+def _over_all(found: Sequence[DatasetAnswer]) -> str:
+    """One sentence for all datasets; that of the dataset itself if there is one."""
+    if len(found) == 1:
+        return found[0].sentence
+    known = [entry for entry in found if entry.leaders]
+    if not known:
+        return "No run has been evaluated yet."
+    leads = Counter(entry.leaders[0] for entry in known)
+    order = [name for name, _ in leads.most_common()]
+    separated = sum(entry.certainty is Certainty.SEPARATED for entry in known)
+    many = plural(len(found), "dataset")
+    if len(order) == 1:
+        text = f"{order[0]} leads on {'all ' if len(known) == len(found) else f'{len(known)} of '}{many}"
+    else:
+        text = f"{order[0]} leads on {leads[order[0]]} of {many}, " + ", ".join(
+            f"{name} on {leads[name]}" for name in order[1:MOST_NAMED]
+        )
+        if others := sum(leads[name] for name in order[MOST_NAMED:]):
+            text += f", others on {others}"
+    text += (
+        ", separated from the others on each"
+        if separated == len(found)
+        else f"; a test separates it from the others on {separated or 'none'}"
+    )
+    more = _suggested(found)
+    return text + (f"; {plural(more, 'more repeat')} would decide where it can." if more else ".")
+
+
+def _least(found: Sequence[DatasetAnswer]) -> Certainty:
+    """The certainty of all datasets together."""
+    known = {entry.certainty for entry in found}
+    order = (Certainty.TOO_FEW, Certainty.NOT_SEPARATED, Certainty.OPEN, Certainty.SEPARATED, Certainty.ALONE)
+    return next((certainty for certainty in order if certainty in known), Certainty.OPEN)
+
+
+def _suggested(found: Iterable[DatasetAnswer]) -> int | None:
+    needed = [entry.more_repeats for entry in found if entry.more_repeats is not None]
+    return max((count for count in needed if count <= MOST_SUGGESTED), default=None)
+
+
+def _notes(entries: Mapping[str, RankEntries], names: Mapping[int, str]) -> Iterable[str]:
+    others = sum(known.other_runs for known in entries.values())
+    if others:
+        yield f"{plural(others, 'good run')} under other protocols cannot be compared and are left out"
+    found = [_competitors(known, names) for known in entries.values()]
+    singles = [name for competitors in found for name, entry in competitors.items() if _one_run(entry)]
+    if singles and any(entry.ranked for competitors in found for entry in competitors.values()):
+        yield f"one good run alone is not judged: {_listed(list(dict.fromkeys(singles)))}"
+    if any(len(competitors) < len(known.ended) for competitors, known in zip(found, entries.values(), strict=True)):
+        yield "each algorithm is represented by its best configuration, so its error is a little too favourable"
+
+
+def _listed(names: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and 4 others``."""
+    shown = list(names) if len(names) <= MOST_NAMED else [*names[: MOST_NAMED - 1], f"{len(names) - 2} others"]
+    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}" if shown else ""
+
+
+def _spread(entry: RankEntry) -> str:
+    """``0.106 ± 0.019 m``, with three digits of the mean."""
+    if entry.good is None:
+        return "unknown"
+    mean = entry.good.mean
+    decimals = max(0, 2 - math.floor(math.log10(mean))) if mean > 0 else 3
+    spread = f" ± {entry.good.variance**0.5:.{decimals}f}" if entry.ranked else ""
+    return f"{mean:.{decimals}f}{spread} m"
+
+
+def _p_text(p_value: float, sign: str = "=") -> str:
+    return "p < 0.001" if p_value < 0.001 else f"p {sign} {p_value:.2g}"
+
+
+def _plain(value: Value | None) -> str:
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
