@@ -8,8 +8,8 @@
   const name = button.dataset.experiment;
   const key = `slamhive-notify-${name}`;
   const ENDED = ["finished", "cancelled"];
-  const outcome = () => document.querySelector("#head .outcome");
-  const standing = () => [...outcome().classList].find((word) => word !== "outcome") ?? "";
+  const outcome = () => document.querySelector("#head [data-standing]");
+  const standing = () => outcome().dataset.standing;
   const failing = () => Number(document.querySelector("#head [data-failing]")?.dataset.failing ?? 0);
   let before = standing();
   let failed = failing();

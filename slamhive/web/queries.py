@@ -20,6 +20,7 @@ from slamhive.filters.parser import parse_filter
 from slamhive.filters.syntax import Filter, FilterComparison, FilterError, Sign, Tree, Word, filter_text, join
 from slamhive.filters.words import in_words
 from slamhive.services.configurations import parse_conditions
+from slamhive.services.experiments import METRICS
 from slamhive.services.searches import LeftOut, order_in_words
 from slamhive.services.searches import summary as summary_in_words
 from slamhive.store import ConfigurationFilter
@@ -324,14 +325,17 @@ def _named(args: MultiDict[str, str], name: str) -> tuple[str, ...]:
 CELLS_LENGTH = 50
 MOST_CELLS = 200
 MOST_NUMBER = 2**31 - 1
+PROGRESS = "progress"
+"""The metric of a grid that counts runs by phase."""
 
 
 @dataclass(frozen=True, slots=True)
 class GridQuery:
-    """The axes of the grid."""
+    """The axes of the grid, and the metric that it shows; None shows the progress."""
 
     rows: str
     columns: str
+    metric: str | None = None
 
     @classmethod
     def from_args(cls, args: MultiDict[str, str], axes: Mapping[str, int]) -> GridQuery | None:
@@ -342,11 +346,18 @@ class GridQuery:
         if not axes:
             return None
         rows, columns = default_axes(axes)
-        return cls(_axis(args.get("rows"), axes, rows), _axis(args.get("columns"), axes, columns))
+        metric = args.get("metric") or None
+        if metric is not None and metric not in (*METRICS, PROGRESS):
+            raise unknown("metric of the grid", metric, [PROGRESS, *METRICS])
+        return cls(
+            _axis(args.get("rows"), axes, rows),
+            _axis(args.get("columns"), axes, columns),
+            None if metric == PROGRESS else metric,
+        )
 
     def args(self) -> dict[str, str]:
         """The query as arguments of an address."""
-        return {"rows": self.rows, "columns": self.columns}
+        return {"rows": self.rows, "columns": self.columns} | ({"metric": self.metric} if self.metric else {})
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,11 +388,16 @@ def repeats_count(form: MultiDict[str, str]) -> int:
     return whole_number(form.get("count", ""), "repeats", 1, MAX_REPEATS)
 
 
-def stated_axes(experiment: Experiment) -> dict[str, int]:
-    """{axis: number of values} from the experiment file, without reading the cells."""
+def stated_values(experiment: Experiment) -> dict[str, tuple[Value, ...]]:
+    """{axis: its values} from the experiment file, without reading the cells."""
     options = (option for step in experiment.steps for option in step.options)
     named = (experiment.algorithms, experiment.datasets, *options, *experiment.parameters)
-    return {axis.name: len(axis.values) for axis in named}
+    return {axis.name: axis.values for axis in named}
+
+
+def stated_axes(experiment: Experiment) -> dict[str, int]:
+    """{axis: number of values} from the experiment file, without reading the cells."""
+    return {name: len(values) for name, values in stated_values(experiment).items()}
 
 
 def search_of(

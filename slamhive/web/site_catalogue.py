@@ -101,7 +101,7 @@ class CataloguePages:
                 status = self._hive.experiments.status(name)
         if status is not None:
             counts = {axis: len(values) for axis, values in self._hive.experiments.axes(name).items()}
-            ranked = rankings.of_experiment(self._hive, status, rankings.naming_axes(counts))
+            ranked = rankings.of_experiment(self._hive, status, rankings.naming_axes(counts), by_algorithm=False)
         shares = {dataset: _shares(found, "algorithm") for dataset, found in sorted(_by(rows, "dataset").items())}
         self._render(
             "experiment",

@@ -285,6 +285,7 @@ def test_the_list_shows_how_far_each_is(trial: Web):
     assert "1 not evaluated, 11 queued" in text
     assert html.escape("What <b>features</b> do") in text
     assert "What <b>" not in text
+    assert trial.client.get("/experiments/trial?tab=magic").status_code == 404
     assert trial.client.get("/experiments?page=2").status_code == 400
     assert "trial" in trial.client.get("/").text
 
@@ -298,9 +299,9 @@ def test_the_page_shows_every_state_of_every_cell(trial: Web):
     world.evaluate_run(hive, second, 0.07)
     world.fail_run(hive, runs_of(trial, 2)[0])
     world.start_run(hive, runs_of(trial, 3)[0])
-    text = trial.client.get("/experiments/trial").text
-    seen = words(text)
-    assert "3 of 12 runs finished: 2 good, 1 failed, 1 running, 8 queued." in seen
+    tabs = {tab: trial.client.get(f"/experiments/trial?tab={tab}").text for tab in views.TABS}
+    text, seen = tabs["grid"], words(tabs["runs"])
+    assert all("3 of 12 runs finished: 2 good, 1 failed, 1 running, 8 queued." in words(tab) for tab in tabs.values())
     assert "algorithm eye-slam-mono, nFeatures 500: 2 good" in text
     assert "algorithm eye-slam-mono, nFeatures 1000: 1 failed, 1 queued" in text
     assert "1 no trajectory" in seen
@@ -423,7 +424,7 @@ def test_many_configurations_make_a_small_page(web: Web):
     with closing(sqlite3.connect(web.hive.settings.data / "slamhive.db")) as database:
         known = database.execute("SELECT stat FROM sqlite_stat1 WHERE tbl = 'runs'").fetchall()
     assert max(int(stat.split()[0]) for (stat,) in known) >= 2000, "pages would be planned for a small database"
-    page = web.client.get("/experiments/trial").text
+    page = web.client.get("/experiments/trial?tab=runs").text
     assert len(page) < 150_000
     assert "Configurations 1 to 50 of 2,000" in words(page)
     assert "Not shown:" in words(web.client.get("/experiments/trial?rows=nFeatures&columns=algorithm").text)
@@ -460,11 +461,11 @@ def test_disturbed_runs_are_counted_until_another_replaces_them(trial: Web):
     world.finish_run(trial.hive, first)
     busy = Disturbance(known=True, reasons=(DisturbanceReason(DisturbanceKind.OTHERS, "others were busy"),))
     trial.hive.store.write(lambda t: t.runs.update(first, disturbance=busy))
-    text = trial.client.get("/experiments/trial").text
+    text = trial.client.get("/experiments/trial?tab=runs").text
     assert "Measured on a disturbed machine: 1 run." in text
     assert "<td>1 not evaluated, 1 queued; 1 disturbed</td>" in text
     trial.hive.runs.retry(first)
-    text = trial.client.get("/experiments/trial").text
+    text = trial.client.get("/experiments/trial?tab=runs").text
     assert "Not counted: 1 failed or disturbed run replaced by another run." in text
     assert "; 1 disturbed" not in text
     assert "<td>2 queued</td>" in text

@@ -200,7 +200,7 @@ def trial(web: Web, monkeypatch: pytest.MonkeyPatch) -> Web:
 
 
 def test_an_experiment_ranks_its_configurations_on_each_dataset(trial: Web) -> None:
-    text = trial.client.get("/experiments/trial").text
+    text = trial.client.get("/experiments/trial?by=configuration").text
     ranking = text.partition('id="ranking"')[2].partition("</section>")[0]
     rows = [words(row).split() for row in re.findall(r"<tr><td.*?</tr>", ranking, re.DOTALL)]
     assert [row[0] for row in rows] == ["–"] * 3, "one run of each decides no place"

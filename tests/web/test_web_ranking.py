@@ -117,10 +117,10 @@ def test_configurations_are_compared_from_ranking_and_results(web: Web) -> None:
     start(web, (500, 600), repeats=2)
     end(web, 1, (0.1, 0.11))
     end(web, 2, (0.2, 0.21))
-    page = web.client.get("/experiments/ranked").text
+    page = web.client.get("/experiments/ranked?tab=runs").text
     boxes = re.findall(r'name="run" value="([\d,]+)"', page)
-    assert len(boxes) == 4
-    assert len(set(boxes)) == 2
+    assert len(boxes) == 2
+    assert set(boxes) == set(re.findall(r'name="run" value="([\d,]+)"', section(web)))
     answer = web.client.get("/compare", query_string={"run": boxes[:2], "group": "configuration"})
     assert answer.status_code == 303
     assert "group=configuration" in answer.location
@@ -140,5 +140,57 @@ def test_the_answer_is_the_same_in_pages_api_and_services(web: Web) -> None:
     assert found.question == "Which nFeatures suits eye-slam-stereo best on room?"
     assert found.sentence.startswith("nFeatures 500 and nFeatures 600 are not separated, p = 0.38; ")
     assert found.more_repeats
-    answered = web.client.get("/api/v1/experiments/ranked").json["answer"]
+    page = web.client.get("/experiments/ranked").text
+    assert f"<h1>{found.question}</h1>" in page
+    assert found.sentence in page
+    assert f"Add {found.more_repeats} repeats</button>" in page, "one primary button while a test is undecided"
+    assert "btn-primary" not in page.partition("Make a report")[0].rpartition("<a ")[2]
+    answered = web.client.get("/api/v1/experiments/ranked").get_json()["answer"]
     assert (answered["sentence"], answered["more_repeats"]) == (found.sentence, found.more_repeats)
+
+
+def test_a_decided_experiment_leads_to_its_report(web: Web) -> None:
+    start(web, (500, 600), repeats=3)
+    end(web, 1, (0.100, 0.105, 0.110))
+    end(web, 2, (0.404, 0.409, 0.414))
+    page = web.client.get("/experiments/ranked").text
+    assert "repeats</button>" not in page
+    assert "btn-primary" in page.partition(">Make a report<")[0].rpartition("<a ")[2]
+    assert "There is no report yet" in web.client.get("/experiments/ranked?tab=report").text
+    text = "name: Mine\nselect: {runs: {experiment: ranked}}\nforms: [{form: by_algorithm, metric: ate.rmse}]\n"
+    web.hive.stored_analyses.create(text)
+    web.hive.stored_analyses.create(text.replace("ranked", "other").replace("Mine", "Theirs"))
+    reports = web.client.get("/experiments/ranked?tab=report").text
+    assert ">Mine</a>" in reports
+    assert "Theirs" not in reports
+
+
+def test_algorithms_are_ranked_by_their_first_configuration(web: Web) -> None:
+    text = PLAN.replace("eye-slam-stereo", "eye-slam-stereo | eye-slam-mono").format(features="500 | 600", repeats=2)
+    web.hive.experiments.start(ExperimentSource(text))
+    for number, error_m in enumerate((0.2, 0.1, 0.3, 0.4), start=1):
+        end(web, number, (error_m, error_m + 0.001))
+    (by_algorithm,) = web.hive.experiments.rankings("ranked", by_algorithm=True)
+    (by_configuration,) = web.hive.experiments.rankings("ranked")
+    assert [entry.cell.number for entry in by_configuration.best] == [2, 1, 3, 4]
+    assert order(by_algorithm.best) == [(2, 1), (3, 2)]
+    assert section(web).count('name="run"') == 2
+    assert web.client.get("/experiments/ranked?by=configuration").text.count('name="run"') == 4
+    assert web.client.get("/experiments/ranked?by=magic").status_code == 404
+
+
+def test_the_grid_shows_a_metric_as_a_heat_map_under_one_protocol(web: Web) -> None:
+    start(web, (500, 600), repeats=2)
+    end(web, 1, (0.1, 0.3))
+    end(web, 2, (0.5, None))
+    grid = web.hive.experiments.metric_grid("ranked", "algorithm", "nFeatures", "ate.rmse")
+    first, second = grid.cells[0, 0], grid.cells[0, 1]
+    assert (first.n, round(first.mean, 6), round(first.std or 0, 4)) == (2, 0.2, 0.1414)
+    assert (second.n, second.mean, second.std) == (1, 0.5, None)
+    cpu = web.hive.experiments.metric_grid("ranked", "algorithm", "nFeatures", "cpu.mean")
+    assert cpu.cells[0, 0].mean == 1.25
+    page = web.client.get("/experiments/ranked?rows=algorithm&columns=nFeatures&metric=ate.rmse").text
+    assert 'class="heat-0"' in page
+    assert 'class="heat-6"' in page
+    assert "1 failed" in page
+    assert web.client.get("/experiments/ranked?metric=magic").status_code == 404

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.experiments.answer import Certainty, DatasetAnswer, ExperimentAnswer
+    from slamhive.services.experiments.answer import Certainty, DatasetAnswer, ExperimentAnswer, question
     from slamhive.services.experiments.context import GUESSED_START_S, ExperimentContext, Progress, guessed_duration_s
     from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, StoredExperiment
     from slamhive.services.experiments.progress import METRICS, is_failing, status_of
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         ExperimentSource,
         ExperimentStatus,
         GridCell,
+        MetricGrid,
         MetricSpread,
         NodesPlan,
     )

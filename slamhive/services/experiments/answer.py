@@ -223,11 +223,11 @@ class _Test:
         # The other is not worse where it succeeds: only its failures can decide.
         counts = [] if by_failures and first.lost != other.lost else [means.repeats_to_decide]
         least = min(first.good.n, other.good.n)
-        more = [max(1, count - least) for count in counts if count is not None]
+        needed = [max(1, count - least) for count in counts if count is not None]
         if first.lost != other.lost and (found := _repeats_for_shares(*failures)) is not None:
-            more.append(found)
+            needed.append(found)
         p_value = p_failures if not counts else means.p_value
-        return cls(False, not counts, p_value, min(more, default=None))
+        return cls(False, not counts, p_value, min(needed, default=None))
 
     def words(self, first: RankEntry, other: RankEntry, name: str) -> str:
         if self.by_failures or first.good is None or other.good is None:

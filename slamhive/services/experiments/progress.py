@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import Counter, OrderedDict, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,11 +30,15 @@ from slamhive.services.experiments.views import (
     ExperimentGrid,
     ExperimentStatus,
     GridCell,
+    MeanOfRuns,
+    MetricGrid,
     MetricSpread,
 )
 from slamhive.store import Transaction
 from slamhive.store.durations import ActiveRun
-from slamhive.store.records import CellRecord, CellRun, ExperimentRecord, ExperimentState, StateCount
+from slamhive.store.experiments import CellSample
+from slamhive.store.records import CellRecord, CellRun, ExperimentRecord, ExperimentState, ProtocolLabel, StateCount
+from slamhive.store.rows import sample_variance
 
 MANY_RUNS = 5000
 """From this many waiting runs on, the means are kept for a while: they change slowly and cost a look at each run."""
@@ -434,6 +439,30 @@ class AxisTable:
                 for at, start, number, configurations in zip(used, first, members, together, strict=True)
             },
         )
+
+    def means(self, axes: tuple[str, str], samples: Sequence[CellSample], name: str) -> MetricGrid:
+        """Means over two axes, from the samples of the cells; the other arguments are those of :meth:`grid`."""
+        rows, columns = (self._axis(axis, name) for axis in axes)
+        weights: Counter[ProtocolLabel] = Counter()
+        for sample in samples:
+            weights[sample.protocol] += sample.n
+        protocol = weights.most_common(1)[0][0] if weights else None
+        # Sums of the values and of their squares around 0 pool the samples of several cells.
+        pooled: dict[tuple[int, int], tuple[int, float, float]] = {}
+        for sample in samples:
+            if sample.protocol != protocol:
+                continue
+            at = int(np.searchsorted(self.numbers, sample.cell))
+            place = int(rows[at]), int(columns[at])
+            n, total, squares = pooled.get(place, (0, 0.0, 0.0))
+            own = sample.variance * (sample.n - 1) + sample.n * sample.mean**2
+            pooled[place] = n + sample.n, total + sample.n * sample.mean, squares + own
+        cells = {
+            place: MeanOfRuns(n, total / n, math.sqrt(sample_variance(n, total / n, squares / n)) if n > 1 else None)
+            for place, (n, total, squares) in pooled.items()
+        }
+        others = weights.total() - (weights[protocol] if protocol else 0)
+        return MetricGrid(protocol, others, cells)
 
     def _axis(self, axis: str, name: str) -> Integers:
         if axis not in self.codes:

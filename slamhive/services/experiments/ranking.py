@@ -6,7 +6,7 @@ import csv
 import io
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from slamhive.domain.outcome import Outcome
@@ -89,11 +89,23 @@ class RankEntries:
     waiting: list[int]
 
 
-def rankings(t: Transaction, record: ExperimentRecord, table: AxisTable) -> list[Ranking]:
-    """Rank the configurations, the best first, on each of the first datasets on which a run has ended."""
+def rankings(t: Transaction, record: ExperimentRecord, table: AxisTable, *, by_algorithm: bool) -> list[Ranking]:
+    """Rank the configurations, the best first, on each of the first datasets on which a run has ended.
+
+    With ``by_algorithm``, only the first configuration of each algorithm has a place.
+    """
     entries = entries_by_dataset(t, record, table)
+    if by_algorithm:
+        algorithms = dict(zip(table.numbers.tolist(), table.codes["algorithm"].tolist(), strict=True))
+        entries = {name: _first_of_each(known, algorithms) for name, known in entries.items()}
     found = (_ranking(t, record.id, name, entries[name]) for name in list(entries)[:MOST_DATASETS])
     return [ranking for ranking in found if ranking is not None]
+
+
+def _first_of_each(entries: RankEntries, algorithms: Mapping[int, int]) -> RankEntries:
+    ended = {algorithms[entry.number]: entry for entry in reversed(entries.ended)}
+    waiting = {algorithms[number]: number for number in entries.waiting if algorithms[number] not in ended}
+    return replace(entries, ended=sorted(ended.values(), key=lambda entry: entry.key), waiting=list(waiting.values()))
 
 
 def entries_by_dataset(t: Transaction, record: ExperimentRecord, table: AxisTable) -> dict[str, RankEntries]:

@@ -20,6 +20,7 @@ from slamhive.services.experiments.views import (
     ExperimentPreview,
     ExperimentSource,
     ExperimentStatus,
+    MetricGrid,
 )
 from slamhive.store import Transaction
 from slamhive.store.records import ExperimentState
@@ -148,13 +149,26 @@ class ExperimentService:
 
         return self._context.store.read(work)
 
-    def rankings(self, name: str) -> tuple[Ranking, ...]:
-        """The configurations in order, the best first, for each dataset on which a run has ended."""
+    def metric_grid(self, name: str, row_axis: str, column_axis: str, metric: str) -> MetricGrid:
+        """The mean of a metric over the good runs, for each pair of values of two axes."""
+
+        def work(t: Transaction) -> MetricGrid:
+            record = t.experiments.get(name)
+            samples = t.experiment_values.samples(record.id, metric)
+            return self._tables.get(t, record).means((row_axis, column_axis), samples, name)
+
+        return self._context.store.read(work)
+
+    def rankings(self, name: str, *, by_algorithm: bool = False) -> tuple[Ranking, ...]:
+        """The configurations in order, the best first, for each dataset on which a run has ended.
+
+        With ``by_algorithm``, each algorithm has one place, that of its first configuration.
+        """
         from slamhive.services.experiments.ranking import rankings  # noqa: PLC0415 - lists and reports need none
 
         def work(t: Transaction) -> tuple[Ranking, ...]:
             record = t.experiments.get(name)
-            return tuple(rankings(t, record, self._tables.get(t, record)))
+            return tuple(rankings(t, record, self._tables.get(t, record), by_algorithm=by_algorithm))
 
         return self._context.store.read(work)
 

@@ -15,7 +15,7 @@ from slamhive.domain.outcome import Failure, Outcome
 from slamhive.domain.parameters import Value
 from slamhive.domain.placement import Remaining
 from slamhive.domain.run import FailureReason
-from slamhive.store.records import CellRun
+from slamhive.store.records import CellRun, ProtocolLabel
 
 MOST_LISTED = 200
 """A grid cell lists at most this many configurations: a longer URL is too long for some servers."""
@@ -252,6 +252,29 @@ class GridCell:
     configurations: tuple[int, ...]
     counts: Mapping[Outcome, int]
     failures: Mapping[Failure, int]
+
+
+@dataclass(frozen=True, slots=True)
+class MetricGrid:
+    """Means of a metric over two axes, in the unit of the catalogue.
+
+    ``cells``: {(row, column) as in :class:`ExperimentGrid`: mean, deviation and number of the good runs}. Runs count
+    under ``protocol``, that of most good runs; ``other_runs`` have another one and are left out. ``protocol`` is None
+    without a value.
+    """
+
+    protocol: ProtocolLabel | None
+    other_runs: int
+    cells: Mapping[tuple[int, int], MeanOfRuns] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class MeanOfRuns:
+    """Mean and sample standard deviation of ``n`` runs; a single one has no deviation."""
+
+    n: int
+    mean: float
+    std: float | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.analysis.report import ReportPage
+from slamhive.base import strict_yaml
 from slamhive.base.bounds import read_record
 from slamhive.base.clock import utc_now
 from slamhive.base.errors import Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
@@ -242,6 +243,19 @@ class StoredAnalyses:
     def listed(self, limit: int = 500) -> list[AnalysisRecord]:
         """The listed analyses, newest first."""
         return self._store.read(lambda t: t.analyses.listed(limit))
+
+    def of_experiment(self, name: str, limit: int = 100) -> list[AnalysisRecord]:
+        """The listed analyses that select runs of an experiment by its name, among the newest ``limit``."""
+        return [record for record in self.listed(limit) if self._names_experiment(record.token, name)]
+
+    def _names_experiment(self, token: str, name: str) -> bool:
+        try:
+            content = strict_yaml.parse(self.folder(token).source, SOURCE)
+        except SlamHiveError:
+            return False  # the folder is gone or damaged, which its own page says
+        chosen = content.get("select")
+        sets = chosen.values() if isinstance(chosen, dict) else ()
+        return any(isinstance(entry, dict) and entry.get("experiment") == name for entry in sets)
 
     def folder(self, token: str) -> AnalysisFolder:
         """The folder of an analysis."""

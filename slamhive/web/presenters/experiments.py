@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from slamhive.domain.metrics import Metric
@@ -19,6 +19,7 @@ from slamhive.services.experiments import (
     ExperimentPreview,
     ExperimentStatus,
     GridCell,
+    MetricGrid,
     MetricSpread,
 )
 from slamhive.services.hive import Hive
@@ -33,10 +34,12 @@ from slamhive.web.formatting import (
     mean_text,
     median_text,
     plural,
+    significant,
     size,
     thousands,
     value_text,
 )
+from slamhive.web.heat import levels
 
 MOST_COMPARED = MOST_RUNS // 2
 JUDGED = (RunState.SUCCEEDED, RunState.FAILED)
@@ -62,6 +65,7 @@ class GridEntry:
     """One place in the grid.
 
     ``number``: the cell, if there is exactly one. ``search``: arguments of the runs page for several cells, or None.
+    ``value`` is the mean of the metric that the grid shows, if it shows one.
     """
 
     total: int
@@ -71,17 +75,23 @@ class GridEntry:
     explanation: str
     number: int | None
     search: Mapping[str, str] | None
+    value: TableCell | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class GridView:
-    """The grid with its headings. ``lines`` contain None for missing combinations; ``left_out`` is what it omits."""
+    """The grid with its headings. ``lines`` contain None for missing combinations; ``left_out`` is what it omits.
+
+    ``metric`` is None for the progress. ``notes`` say what the means of a metric contain.
+    """
 
     row_axis: str
     column_axis: str
     columns: tuple[str, ...]
     lines: tuple[tuple[str, tuple[GridEntry | None, ...]], ...]
     left_out: str
+    metric: Metric | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +188,36 @@ def grid_view(grid: ExperimentGrid, search: Search) -> GridView:
         if len(shown) < len(values)
     ]
     return GridView(grid.row_axis, grid.column_axis, tuple(map(axis_text, columns)), lines, " and ".join(parts))
+
+
+def heat_map(view: GridView, grid: ExperimentGrid, metric: Metric, means: MetricGrid) -> GridView:
+    """The same grid with the means of a metric, coloured by value; each dataset by itself if it is an axis."""
+    factor = display_unit(metric).factor
+    places = [
+        (row, column) for row, (_, entries) in enumerate(view.lines) for column, entry in enumerate(entries) if entry
+    ]
+    found = [means.cells.get(place) for place in places]
+    axes = (grid.row_axis, grid.column_axis)
+    axis = axes.index("dataset") if "dataset" in axes else None
+    classes = [None if axis is None else place[axis] for place in places]
+    heats = levels([None if mean is None else mean.mean for mean in found], classes, metric.direction)
+    lines = [list(entries) for _, entries in view.lines]
+    for (row, column), mean, heat in zip(places, found, heats, strict=True):
+        entry = lines[row][column]
+        if entry is None:
+            continue
+        cell = TableCell(DASH, f"no good run with {metric.label}", missing=True)
+        if mean is not None:
+            text = significant(mean.mean * factor, 3)
+            spread = "" if mean.std is None else f"± {significant(mean.std * factor, 2)}"
+            cell = TableCell(text, f"mean of {plural(mean.n, 'good run')}", note=spread, heat=heat)
+        explanation = f"{entry.explanation}; {metric.label} {cell.text} {unit_of(metric)} {cell.note}, {cell.exact}"
+        lines[row][column] = replace(entry, value=cell, explanation=" ".join(explanation.split()))
+    notes = [f"protocol {means.protocol.label}"] if means.protocol and metric.needs_protocol else []
+    if means.other_runs:
+        notes.append(f"{plural(means.other_runs, 'good run')} under other protocols left out")
+    titles = [title for title, _ in view.lines]
+    return replace(view, metric=metric, notes=tuple(notes), lines=tuple(zip(titles, map(tuple, lines), strict=True)))
 
 
 def selection(run_ids: Sequence[int]) -> str:

@@ -93,12 +93,14 @@ def naming_axes(axes: Mapping[str, int]) -> list[str]:
     return [axis for axis in axes if axis in {"algorithm", "dataset", *varying(axes)}]
 
 
-def of_experiment(services: Hive, status: ExperimentStatus, axes: Sequence[str]) -> list[RankingView]:
+def of_experiment(
+    services: Hive, status: ExperimentStatus, axes: Sequence[str], *, by_algorithm: bool
+) -> list[RankingView]:
     """The tables of an experiment; none while no run has ended, or if it is too large."""
     if status.cells > LARGEST:
         return []
     installed = [algorithm.name for algorithm in services.catalogue.algorithms()]
-    return views(services.experiments.rankings(status.name), axes, installed)
+    return views(services.experiments.rankings(status.name, by_algorithm=by_algorithm), axes, installed)
 
 
 def views(found: Iterable[Ranking], axes: Sequence[str], installed: Sequence[str]) -> list[RankingView]:

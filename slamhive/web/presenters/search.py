@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from urllib.parse import quote
@@ -12,7 +11,7 @@ from urllib.parse import quote
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.finding import MOST_PINNED
-from slamhive.domain.metrics import CATALOGUE, Direction, Metric
+from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
 from slamhive.domain.verdict import GROUPS, VerdictKind
@@ -32,6 +31,7 @@ from slamhive.web.formatting import (
     significant,
     value_text,
 )
+from slamhive.web.heat import ComparableClass, levels
 from slamhive.web.presenters.runs import ListRow
 from slamhive.web.queries import RunListQuery
 from slamhive.web.small_plots import repeats_path, repeats_words
@@ -365,13 +365,6 @@ def arranged(base: str, columns: Sequence[ListColumn], pinned: int) -> list[Arra
 
 # Only what can be compared is compared: good runs of the same dataset, and errors under the same protocol.
 
-WORST = 6
-"""The largest level; half of it is neither good nor bad."""
-OUTER_SHARE = 0.1
-"""The best and the worst tenth have the full colours, so that one outlier does not take the colour of the others."""
-
-Class = Hashable
-
 
 def coloured_runs(rows: Sequence[ListRow]) -> list[ListRow]:
     """The same rows with levels in the cells of metrics."""
@@ -398,39 +391,11 @@ def coloured_groups(rows: Sequence[GroupRow], columns: Sequence[GroupColumn]) ->
     return [replace(row, cells=tuple(line)) for row, line in zip(rows, cells, strict=True)]
 
 
-def levels(values: Sequence[float | None], classes: Sequence[Class], direction: Direction) -> list[int | None]:
-    """The level of each value among those of its class: 0 is best, ``WORST`` is worst.
-
-    None for a missing value, for equal values, and for a metric of which neither direction is better.
-    """
-    found: list[int | None] = [None] * len(values)
-    if direction is Direction.NEUTRAL:
-        return found
-    known: dict[Class, list[tuple[int, float]]] = {}
-    for place, (value, kind) in enumerate(zip(values, classes, strict=True)):
-        if value is not None and math.isfinite(value):
-            known.setdefault(kind, []).append((place, value))
-    for members in known.values():
-        low, high = _ends([value for _, value in members])
-        for place, value in members if high > low else ():
-            share = min(1.0, max(0.0, (value - low) / (high - low)))
-            found[place] = round(WORST * (1 - share if direction is Direction.HIGHER else share))
-    return found
-
-
-def _ends(values: Sequence[float]) -> tuple[float, float]:
-    """Where the full colours begin; the extremes where the inner values are all equal."""
-    ordered = sorted(values)
-    last = len(ordered) - 1
-    low, high = ordered[math.floor(OUTER_SHARE * last)], ordered[math.ceil((1 - OUTER_SHARE) * last)]
-    return (low, high) if high > low else (ordered[0], ordered[-1])
-
-
 def _value(run: RunRecord, metric: Metric) -> float | None:
     """The metric of a run that did not fail: a failed run can have a small error over the little that it tracked."""
     failed = run.verdict is not None and run.verdict.failed
     return None if failed else (run.metrics or {}).get(metric.key)
 
 
-def _class(dataset: str, protocol: ProtocolLabel | None, metric: Metric) -> Class:
+def _class(dataset: str, protocol: ProtocolLabel | None, metric: Metric) -> ComparableClass:
     return dataset, protocol.fingerprint if metric.needs_protocol and protocol is not None else None

@@ -7,20 +7,28 @@ from typing import Any
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
 from flask import url_for as address
+from werkzeug.datastructures import MultiDict
 
-from slamhive.base.errors import NotFound, SlamHiveError
+from slamhive.base.errors import NotFound, SlamHiveError, unknown
 from slamhive.documents.limits import Limits, StopWhen
 from slamhive.documents.options import options_of
-from slamhive.domain.accounts import Visibility
+from slamhive.domain.accounts import Action, Visibility
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.executors.registry import EXECUTORS
-from slamhive.experiments.experiment import Experiment
 from slamhive.experiments.file import parse_experiment
-from slamhive.services.experiments import METRICS, ConfigurationStanding, ExperimentSource, ExperimentStatus
+from slamhive.services.experiments import (
+    METRICS,
+    ConfigurationStanding,
+    ExperimentSource,
+    ExperimentStatus,
+    question,
+)
 from slamhive.services.sharing import SharingChange
-from slamhive.web.context import hive
+from slamhive.services.stored_analyses import may_analyse
+from slamhive.web.context import caller, hive
 from slamhive.web.errors import status_of, wants_json
 from slamhive.web.experiment_fields import SOURCE
 from slamhive.web.formatting import plural
@@ -36,7 +44,16 @@ from slamhive.web.presenters.experiment_builder import (
     with_error,
 )
 from slamhive.web.presenters.scripts import experiment_scripts
-from slamhive.web.queries import CellsQuery, GridQuery, page_number, repeats_count, search_of, stated_axes
+from slamhive.web.queries import (
+    PROGRESS,
+    CellsQuery,
+    GridQuery,
+    page_number,
+    repeats_count,
+    search_of,
+    stated_axes,
+    stated_values,
+)
 
 blueprint = Blueprint("experiments", __name__, url_prefix="/experiments")
 
@@ -70,41 +87,120 @@ def index() -> str:
 
 @blueprint.get("/<name>")
 def show(name: str) -> str:
-    """Show the progress of one experiment over two axes, and the results of its configurations."""
+    """Show the question of one experiment, its answer, and one tab."""
     experiments = hive().experiments
     status = experiments.status(name)
-    stated = parse_experiment(experiments.source(name).text)
-    later = status.cells > LARGE and request.args.get("grid") != "now"
-    axes = stated_axes(stated) if later else {axis: len(found) for axis, found in experiments.axes(name).items()}
-    cells = CellsQuery.from_args(request.args)
-    page = experiments.cells(name, cells.after, cells.limit)
-    grid = GridQuery.from_args(request.args, axes)
-    metrics = [CATALOGUE[key] for key in METRICS]
-    shown_axes = rankings.naming_axes(axes)
-    # A run of each protocol in these cells knows its label.
-    compared = {run.protocol: run.id for cell in page.cells for run in cell.runs if run.protocol is not None}
-    protocols = [hive().runs.get(run_id).protocol for run_id in compared.values()]
-    labels = {protocol.fingerprint: protocol.label for protocol in protocols if protocol is not None}
+    tab = _tab(request.args, status)
+    small = status.cells <= LARGE
     return render_template(
         "experiments/show.html",
         status=status,
         failed=status.ended_badly,
         failing=experiments.is_failing(status),
-        rule=DEFAULT_RULE.words,
-        axes=list(axes),
-        shown_axes=shown_axes,
-        asked=grid,
-        grid=None if grid is None or later else _grid(grid, stated),
-        kept=({} if grid is None else grid.args()) | cells.args(),
-        page=page,
-        cells=cells,
-        metrics=metrics,
-        lines=presenter.cell_lines(name, page.cells, shown_axes, metrics, labels),
-        scripts=experiment_scripts(name, hive().settings),
-        rankings=rankings.of_experiment(hive(), status, shown_axes),
-        ranking_title=rankings.title(status),
-        ranking_columns=rankings.columns(),
+        answer=experiments.answer(name) if small else None,
+        question=question(status.description, stated_values(parse_experiment(experiments.source(name).text))),
+        tab=tab,
+        tabs=TABS,
+        **_TAB_WORDS[tab](status),
     )
+
+
+TABS = {"ranking": "Ranking", "grid": "Grid", "runs": "Runs", "report": "Report", "setup": "Setup"}
+
+
+def _tab(args: MultiDict[str, str], status: ExperimentStatus) -> str:
+    """The tab of an address: that it names, or that its arguments belong to, or the ranking once there is one."""
+    tab = args.get("tab", "")
+    if tab in TABS:
+        return tab
+    if tab:
+        raise unknown("tab", tab, list(TABS))
+    if {"rows", "columns", "metric", "grid"} & args.keys():
+        return "grid"
+    if "after" in args or "limit" in args:
+        return "runs"
+    judged = status.counts[Outcome.GOOD] + status.counts[Outcome.FAILED] + status.counts[Outcome.CANCELLED]
+    return "ranking" if judged and status.cells <= LARGE else "grid"
+
+
+def _ranking_words(status: ExperimentStatus) -> dict[str, Any]:
+    axes = {axis: len(found) for axis, found in hive().experiments.axes(status.name).items()}
+    by = request.args.get("by") or ("algorithm" if axes.get("algorithm", 0) > 1 else "configuration")
+    if by not in RANKED:
+        raise unknown("ranking", by, list(RANKED))
+    return {
+        "by": by,
+        "ranked_by": RANKED if axes.get("algorithm", 0) > 1 else {},
+        "rankings": rankings.of_experiment(hive(), status, rankings.naming_axes(axes), by_algorithm=by == "algorithm"),
+        "ranking_title": rankings.title(status),
+        "ranking_columns": rankings.columns(),
+    }
+
+
+RANKED = {"algorithm": "By algorithm", "configuration": "By configuration"}
+
+
+def _grid_words(status: ExperimentStatus) -> dict[str, Any]:
+    experiments = hive().experiments
+    stated = parse_experiment(experiments.source(status.name).text)
+    later = status.cells > LARGE and request.args.get("grid") != "now"
+    axes = stated_axes(stated) if later else {axis: len(found) for axis, found in experiments.axes(status.name).items()}
+    wanted = GridQuery.from_args(request.args, axes)
+    view = None
+    if wanted is not None and not later:
+        grid = experiments.grid(stated.name, wanted.rows, wanted.columns)
+        view = presenter.grid_view(grid, lambda *place: search_of(stated, *place))
+        if wanted.metric is not None:
+            means = experiments.metric_grid(stated.name, wanted.rows, wanted.columns, wanted.metric)
+            view = presenter.heat_map(view, grid, CATALOGUE[wanted.metric], means)
+    return {
+        "axes": list(axes),
+        "asked": wanted,
+        "grid": view,
+        "metrics": {PROGRESS: "Progress"} | {key: CATALOGUE[key].label for key in METRICS},
+    }
+
+
+def _cells_words(status: ExperimentStatus) -> dict[str, Any]:
+    experiments = hive().experiments
+    cells = CellsQuery.from_args(request.args)
+    page = experiments.cells(status.name, cells.after, cells.limit)
+    axes = rankings.naming_axes({axis: len(found) for axis, found in experiments.axes(status.name).items()})
+    metrics = [CATALOGUE[key] for key in METRICS]
+    # A run of each protocol in these cells knows its label.
+    compared = {run.protocol: run.id for cell in page.cells for run in cell.runs if run.protocol is not None}
+    protocols = [hive().runs.get(run_id).protocol for run_id in compared.values()]
+    labels = {protocol.fingerprint: protocol.label for protocol in protocols if protocol is not None}
+    return {
+        "rule": DEFAULT_RULE.words,
+        "shown_axes": axes,
+        "page": page,
+        "cells": cells,
+        "metrics": metrics,
+        "lines": presenter.cell_lines(status.name, page.cells, axes, metrics, labels),
+    }
+
+
+def _report_words(status: ExperimentStatus) -> dict[str, Any]:
+    services = hive()
+    taken = may_analyse(services.settings) and Action.ANALYSE in caller().may
+    return {"reports": services.stored_analyses.of_experiment(status.name), "taken": taken}
+
+
+def _setup_words(status: ExperimentStatus) -> dict[str, Any]:
+    return {
+        "source": hive().experiments.source(status.name).text,
+        "scripts": experiment_scripts(status.name, hive().settings),
+    }
+
+
+_TAB_WORDS = {
+    "ranking": _ranking_words,
+    "grid": _grid_words,
+    "runs": _cells_words,
+    "report": _report_words,
+    "setup": _setup_words,
+}
 
 
 @blueprint.get(f"/<name>/cells/{CELL_NUMBER}")
@@ -155,11 +251,6 @@ def share(name: str) -> Response:
     hive().sharings.experiment(name, SharingChange(visibility))
     flash(f"{name} is {visibility} now.", "success")
     return make_response(redirect(address("experiments.show", name=name), 303))
-
-
-def _grid(wanted: GridQuery, stated: Experiment) -> presenter.GridView:
-    grid = hive().experiments.grid(stated.name, wanted.rows, wanted.columns)
-    return presenter.grid_view(grid, lambda *place: search_of(stated, *place))
 
 
 def with_time_left(found: Iterable[ExperimentStatus]) -> list[ExperimentStatus]:
