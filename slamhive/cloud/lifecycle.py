@@ -10,12 +10,12 @@ from slamhive.base.clock import Clock
 from slamhive.base.errors import Conflict, Unavailable
 from slamhive.cloud.machines import NodeOrders, user_data
 from slamhive.cloud.plan import FIREWALL, IMAGE, CloudFile, machine_role
-from slamhive.cloud.providers.base import Provider
 from slamhive.cloud.resources import (
     ROLE_TAG,
     UID_TAG,
     CloudRecords,
     Launch,
+    Provider,
     Resource,
     ResourceKind,
     State,

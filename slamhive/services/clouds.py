@@ -17,8 +17,7 @@ from slamhive.cloud.lifecycle import Hands, Rising, cluster_resources, remove_al
 from slamhive.cloud.machines import Preparer, read_public_key
 from slamhive.cloud.plan import CloudFile, CloudPlan, ProviderName, Work, load_cloud_file, make_plan
 from slamhive.cloud.providers import open_provider
-from slamhive.cloud.providers.base import Provider
-from slamhive.cloud.resources import CLUSTER_TAG, INSTALLATION_TAG, UID_TAG, CloudRecords, Resource
+from slamhive.cloud.resources import CLUSTER_TAG, INSTALLATION_TAG, UID_TAG, CloudRecords, Provider, Resource
 from slamhive.documents.machines import CloudPlanDocument, CloudRecord, CloudResource, CloudState, CloudStatus
 from slamhive.experiments.file import parse_experiment
 from slamhive.services.datasets import Catalogue, check_writable

@@ -15,8 +15,8 @@ from slamhive import __version__
 from slamhive.analysis.chart import on_dark
 from slamhive.base.budget import Budget, Lent
 from slamhive.base.clock import utc_now
+from slamhive.base.files import relative_paths
 from slamhive.base.settings import Mode, Settings
-from slamhive.base.shown_paths import relative_paths
 from slamhive.domain.accounts import VISIBILITY_LABELS, Action, Role
 from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import RunState

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from slamhive.base.budget import Budget, BudgetShare, Lent
 from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError, changed_text
-from slamhive.base.shown_paths import relative_paths
+from slamhive.base.files import relative_paths
 from slamhive.documents.imports import (
     AlgorithmUpload,
     DatasetUpload,

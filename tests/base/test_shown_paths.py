@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.base.errors import InvalidInput, changed_text
-from slamhive.base.shown_paths import relative_paths
+from slamhive.base.files import relative_paths
 
 TEMPORARY = tempfile.gettempdir()
 CHANGE = relative_paths(Path("/srv/hive/data"), Path("/srv/hive"))

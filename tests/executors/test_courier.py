@@ -15,7 +15,6 @@ import pytest
 from slamhive.documents.model import dump
 from slamhive.executors.base import NodeAccess
 from slamhive.executors.kubernetes import answers
-from slamhive.executors.kubernetes.archive import courier_archive
 from slamhive.executors.kubernetes.courier import PodFolders, copy_own, main
 from slamhive.executors.kubernetes.manifest import (
     COURIER_BYTES,
@@ -36,6 +35,7 @@ from slamhive.executors.kubernetes.pod_files import (
     REFUSED_EXIT,
     TICKET_FILE,
 )
+from slamhive.executors.kubernetes.run_files import courier_archive
 from slamhive.executors.node_store.controller import NodeStore
 from slamhive.executors.node_store.on_node.cache import Cache, Item, sha256_of
 from slamhive.executors.node_store.on_node.making import item_of

@@ -12,12 +12,6 @@ import pytest
 import slamhive
 from slamhive.base.errors import InvalidInput
 from slamhive.executors.base import StartFailed
-from slamhive.executors.kubernetes.archive import (
-    COURIER_MODULES,
-    SUPERVISOR_MODULES,
-    courier_archive,
-    supervisor_archive,
-)
 from slamhive.executors.kubernetes.manifest import (
     PodPlace,
     Who,
@@ -31,6 +25,12 @@ from slamhive.executors.kubernetes.manifest import (
     volumes_of,
 )
 from slamhive.executors.kubernetes.options import Options, read_options
+from slamhive.executors.kubernetes.run_files import (
+    COURIER_MODULES,
+    SUPERVISOR_MODULES,
+    courier_archive,
+    supervisor_archive,
+)
 from slamhive.executors.spec import Placing, ResourceLimits, RunInput, RunOutput, RunSpec
 
 MIB = 1024 * 1024

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.base.clock import utc_now
-from slamhive.executors.slurm.executor import _end_of
-from slamhive.executors.slurm.node_clock import by_this_clock, difference_in_words, start_by_this_clock
+from slamhive.executors.slurm.executor import _end_of, by_this_clock, difference_in_words, start_by_this_clock
 from slamhive.executors.status import RunHandle
 
 HOUR = timedelta(hours=1)

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from slamhive.base.clock import SYSTEM_CLOCK, Clock
 from slamhive.base.errors import Forbidden, Unavailable
 from slamhive.cloud.plan import ProviderName
-from slamhive.cloud.providers.base import Credentials, Provider
 from slamhive.cloud.providers.wire import Endpoint
+from slamhive.cloud.resources import Credentials, Provider
 
 KEYS = {
     ProviderName.EC2: ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN"),

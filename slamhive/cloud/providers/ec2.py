@@ -10,9 +10,8 @@ from xml.etree.ElementTree import Element
 from slamhive.base.clock import Clock
 from slamhive.base.errors import unknown
 from slamhive.cloud.plan import CloudFile, FirewallRule
-from slamhive.cloud.providers.base import Credentials
 from slamhive.cloud.providers.wire import BUSY, GONE, CallFailed, Endpoint, Wire, text_of
-from slamhive.cloud.resources import UID_TAG, Launch, Resource, ResourceKind, State
+from slamhive.cloud.resources import UID_TAG, Credentials, Launch, Resource, ResourceKind, State
 
 PAGE = 200
 TAGGED: dict[str, str | int] = {"Filter.1.Name": "tag-key", "Filter.1.Value.1": UID_TAG, "MaxResults": PAGE}

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from slamhive.documents.model import dump
-from slamhive.executors.kubernetes.archive import courier_archive, supervisor_archive
 from slamhive.executors.kubernetes.pod_files import (
     COURIER_FILE,
     DISK_FILE,
@@ -21,7 +20,7 @@ from slamhive.executors.kubernetes.pod_files import (
     TICKET_FILE,
     USAGE_FILE,
 )
-from slamhive.executors.kubernetes.run_files import PodRunFiles, order_of
+from slamhive.executors.kubernetes.run_files import PodRunFiles, courier_archive, order_of, supervisor_archive
 from slamhive.executors.node_store.controller import NodeStore, Reports, item_name, made_variant
 from slamhive.executors.node_store.exchange import ask_to_stop, claimed_by, results_archive
 from slamhive.executors.node_store.on_node.making import VARIANT_FILE, item_of

@@ -6,21 +6,23 @@ bounded, and a record that makes no sense is a lost run.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import stat
 import tempfile
+import zipfile
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import slamhive
 from slamhive.base.errors import Unavailable
 from slamhive.base.files import remedy_of, temporary_folder, write_aside
 from slamhive.base.tree import remove_tree
 from slamhive.domain.run import Host
 from slamhive.executors.cgroup import file_cache_bytes, parse_flat, present
-from slamhive.executors.kubernetes.archive import supervisor_archive
 from slamhive.executors.kubernetes.pod_counters import used_cpu_s
 from slamhive.executors.kubernetes.pod_files import (
     CLAIM_FILE,
@@ -346,3 +348,56 @@ def parse_usage(content: dict[str, Any]) -> tuple[float, int, int | None] | None
 
 def _moment(seconds: float) -> datetime:
     return datetime.fromtimestamp(seconds, UTC)
+
+
+# What a pod executes, with the modules that it needs, in one file that the Python of any image can run.
+
+
+SUPERVISOR_MODULES = (
+    "executors/host_counters.py",
+    "executors/kubernetes/pod_counters.py",
+    "executors/kubernetes/pod_files.py",
+    "executors/kubernetes/supervisor.py",
+    "executors/process/exit_file.py",
+    "base/errors.py",
+    "run_folder/host_columns.py",
+)
+_ON_NODE = "executors/node_store/on_node"
+COURIER_MODULES = (
+    "executors/kubernetes/courier.py",
+    "executors/kubernetes/pod_files.py",
+    *(f"{_ON_NODE}/{name}.py" for name in ("cache", "connection", "making", "results", "run")),
+    "executors/packing.py",
+    "executors/process/exit_file.py",
+    "base/tree.py",
+)
+_MAIN = """\
+import sys
+from pathlib import Path
+from slamhive.executors.kubernetes.{module} import main
+sys.exit(main({argument}))
+"""
+_ALWAYS_THE_SAME = (1980, 1, 1, 0, 0, 0)
+
+
+def supervisor_archive() -> bytes:
+    """A file for ``python3 FILE FOLDER``, the same bytes each time."""
+    return _pack(SUPERVISOR_MODULES, _MAIN.format(module="supervisor", argument="Path(sys.argv[1])"))
+
+
+def courier_archive() -> bytes:
+    """A file for ``python3 FILE (fetch|report)``, the same bytes each time."""
+    return _pack(COURIER_MODULES, _MAIN.format(module="courier", argument="sys.argv[1]"))
+
+
+def _pack(modules: tuple[str, ...], main: str) -> bytes:
+    root = Path(slamhive.__file__).parent
+    files = {f"slamhive/{name}": (root / name).read_text(encoding="utf-8") for name in modules}
+    folders = {str(parent) for name in files for parent in Path(name).parents if parent != Path()}
+    files |= {f"{folder}/__init__.py": "" for folder in folders}
+    files["__main__.py"] = main
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in sorted(files.items()):
+            archive.writestr(zipfile.ZipInfo(name, _ALWAYS_THE_SAME), text, zipfile.ZIP_DEFLATED)
+    return packed.getvalue()

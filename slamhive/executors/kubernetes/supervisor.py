@@ -1,6 +1,6 @@
 """The first process in the pod of a run: starts the algorithm, watches it, and records how it ended.
 
-It runs from an archive (:mod:`slamhive.executors.kubernetes.archive`) with the Python of the image, 3.7 or later, and
+It runs from an archive (:mod:`slamhive.executors.kubernetes.run_files`) with the Python of the image, 3.7 or later, and
 the standard library alone. What it writes lies on the storage that worker and nodes share. So the worker learns how the
 run ended even if the pod, its node or the API server is gone by then.
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import subprocess
 import sys
 import time
@@ -11,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import rosbag
 import rosgraph
 
 from slamhive.base.errors import InvalidInput
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.paths import RunPaths
 from slamhive.runtime.progress import Progress, say
-from slamhive.runtime.ros1.bag_frames import bag_frames
 from slamhive.runtime.ros1.programs import NodeWatch, Program, SystemFailed, children_cpu_s
 from slamhive.runtime.ros1.recorder import Recorder
 from slamhive.runtime.ros1.system import SAVING_PATIENCE_S, Ros1System, launch_command
@@ -206,3 +207,25 @@ def ros_environment() -> dict[str, str]:
 def _say_unless_running(line: str) -> None:
     if "[RUNNING]" not in line:
         say(line)
+
+
+# The frames of the recording.
+
+
+_HEADER = struct.Struct("<III")
+"""How every message with a header begins: sequence number, seconds and nanoseconds of its timestamp."""
+
+
+def bag_frames(recording: Path, topic: str) -> list[BagFrame]:
+    """All messages of ``topic`` in the order of recording. Raises InvalidInput for a damaged bag."""
+    frames = []
+    try:
+        with rosbag.Bag(str(recording)) as bag:
+            for _, raw, recorded in bag.read_messages(topics=[topic], raw=True):
+                _, seconds, nanoseconds = _HEADER.unpack_from(raw[1])
+                frames.append(BagFrame(seconds + nanoseconds * 1e-9, recorded.to_sec()))
+    except (rosbag.ROSBagException, struct.error, OSError, ValueError) as error:
+        raise InvalidInput(f"{recording} cannot be read as a ROS 1 bag: {error}", "import it again") from None
+    if not frames:
+        raise InvalidInput(f"{recording.name} has no messages on {topic}", "correct the topic in dataset.yaml")
+    return frames

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from slamhive.executors.session import SessionPlace, lifetime, lifetime_here, place_of
+from slamhive.services.doctor import SessionPlace, lifetime, lifetime_here, place_of
 
 # The first three and ROOT_SSH are shaped as on Debian 12 with control groups version 2; the others are made up.
 SSH = "0::/user.slice/user-1000.slice/session-3.scope\n"
