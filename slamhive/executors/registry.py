@@ -65,7 +65,7 @@ class _LoadedLate:
 EXECUTORS.register("docker", _LoadedLate("slamhive.executors.docker.executor", "DockerExecutor"))
 EXECUTORS.register("process", _LoadedLate("slamhive.executors.process.executor", "ProcessExecutor"))
 EXECUTORS.register(
-    "slurm", _LoadedLate("slamhive.executors.slurm.containers", "open_slurm", "slamhive.executors.slurm.options")
+    "slurm", _LoadedLate("slamhive.executors.slurm.remote", "open_slurm", "slamhive.executors.slurm.options")
 )
 EXECUTORS.register(
     "kubernetes",

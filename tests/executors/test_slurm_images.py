@@ -13,10 +13,11 @@ import pytest
 from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.host import describe_host
-from slamhive.executors.slurm.containers import container_orders, make_mount_points, open_slurm
+from slamhive.executors.slurm.containers import container_orders, make_mount_points
 from slamhive.executors.slurm.executor import SlurmExecutor
 from slamhive.executors.slurm.image_folders import ImageFolder, ImageFolders
 from slamhive.executors.slurm.node import NodeReport
+from slamhive.executors.slurm.remote import open_slurm
 from slamhive.executors.slurm.runtimes import (
     ContainerOrders,
     Tried,

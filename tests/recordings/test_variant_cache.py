@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import shutil
@@ -22,7 +23,7 @@ from slamhive.base.errors import Conflict, InvalidInput, NotFound, Unavailable
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.recordings.staging import checksum, seal
-from slamhive.recordings.variants.cache import MANIFEST, CacheLimits, VariantCache, VariantPlan
+from slamhive.recordings.variants.cache import MANIFEST, CacheLimits, VariantCache, VariantPlan, is_held
 
 pytestmark = pytest.mark.quick
 
@@ -334,6 +335,14 @@ def test_a_killed_process_uses_nothing_any_more(tmp_path):
     assert not cache.entries()[0].in_use
     cache.drop("aa11")
     assert list(tmp_path.glob("aa11*")) == []
+
+
+def test_a_process_that_only_asks_is_no_holder(tmp_path, monkeypatch):
+    lock = tmp_path / "aa11.lock"
+    asking = os.open(lock, os.O_RDONLY | os.O_CREAT)
+    fcntl.flock(asking, fcntl.LOCK_EX)
+    monkeypatch.setattr(time, "sleep", lambda _seconds: os.close(asking))  # meanwhile it has its answer
+    assert not is_held(lock)
 
 
 def test_what_can_never_fit_is_refused_before_anything_is_written(tmp_path):

@@ -1,4 +1,4 @@
-"""What a worker ends with, by the control groups that processes were seen in."""
+"""The end of a worker, by the control groups that processes were seen in."""
 
 from __future__ import annotations
 

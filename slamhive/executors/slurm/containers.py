@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from slamhive.base.errors import InvalidInput, Unavailable
+from slamhive.base.errors import Unavailable
 from slamhive.domain.algorithm import AlgorithmPackage, RunUser
 from slamhive.executors.base import (
     Executor,
@@ -26,7 +26,7 @@ from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.slurm.executor import SlurmExecutor
 from slamhive.executors.slurm.image_folders import ImageFolder, ImageFolders, make_mount_point
 from slamhive.executors.slurm.options import CONTAINERS
-from slamhive.executors.slurm.runtimes import APPTAINER, AUTO, NONE, RUNTIMES, ContainerOrders, write_sif
+from slamhive.executors.slurm.runtimes import APPTAINER, NONE, RUNTIMES, ContainerOrders, write_sif
 from slamhive.executors.spec import DATASET_TARGET, ROS_ENVIRONMENT, RunSpec
 from slamhive.executors.transfer import make_own_copies, read_places, written_places
 from slamhive.packages.image_context import CONTENT_LABEL, context_hash, dockerfile_of
@@ -36,19 +36,6 @@ logger = logging.getLogger(__name__)
 _HOME = "/tmp"  # noqa: S108 - in the container
 _SEPARATORS = ":,"
 """They end a path in the options of container runtimes."""
-
-
-def open_slurm(context: ExecutorContext) -> SlurmExecutor:
-    """The executor ``slurm``, with or without containers. Raises InvalidInput for an unknown runtime."""
-    asked = context.value(CONTAINERS)
-    if asked not in (AUTO, *RUNTIMES, NONE):
-        known = ", ".join((AUTO, *RUNTIMES, NONE))
-        raise InvalidInput(f"SLURM_CONTAINERS={asked!r} is unknown", f"choose one of {known}")
-    if context.nodes is not None:
-        from slamhive.executors.slurm.remote import RemoteSlurmExecutor  # noqa: PLC0415 - it builds on this module
-
-        return RemoteSlurmExecutor(context, context.nodes)
-    return SlurmExecutor(context) if asked == NONE else ContainerSlurmExecutor(context)
 
 
 class ContainerSlurmExecutor(SlurmExecutor):

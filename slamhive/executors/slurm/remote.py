@@ -1,4 +1,4 @@
-"""Jobs of Slurm on nodes that share no file system with the worker.
+"""Jobs of Slurm on nodes that share no file system with the worker; opens each form of the executor ``slurm``.
 
 An agent (:mod:`slamhive.executors.slurm.agent`) takes the place of the job's script. What it reports appears in the
 work folder where other jobs write it by themselves, so the rest of the executor is the same.
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import slamhive
+from slamhive.base.errors import InvalidInput
 from slamhive.base.files import write_aside
 from slamhive.documents.model import adapter, dump
 from slamhive.executors.base import (
@@ -43,12 +44,12 @@ from slamhive.executors.slurm.agent import (
     PROGRESS_FILE,
 )
 from slamhive.executors.slurm.containers import ContainerSlurmExecutor
-from slamhive.executors.slurm.executor import last_line
+from slamhive.executors.slurm.executor import SlurmExecutor, last_line
 from slamhive.executors.slurm.image_folders import ImageFolder
 from slamhive.executors.slurm.jobs import ERRORS_FILE, NOWHERE, delivery_request, ticket_commands
 from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE
 from slamhive.executors.slurm.options import CONTAINERS, PYTHON
-from slamhive.executors.slurm.runtimes import APPTAINER, NONE
+from slamhive.executors.slurm.runtimes import APPTAINER, AUTO, NONE, RUNTIMES
 from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import RunInput, RunSpec
 from slamhive.executors.status import Gone, RunHandle, Running, RunStatus
@@ -58,6 +59,17 @@ logger = logging.getLogger(__name__)
 _SPEC_FILE, _DELIVERIES_FILE = "remote-spec.json", "deliveries.json"
 _MOST_DELIVERIES = 3
 _DELIVERY_WAIT_S = 30.0
+
+
+def open_slurm(context: ExecutorContext) -> SlurmExecutor:
+    """The executor ``slurm``, with or without containers. Raises InvalidInput for an unknown runtime."""
+    asked = context.value(CONTAINERS)
+    if asked not in (AUTO, *RUNTIMES, NONE):
+        known = ", ".join((AUTO, *RUNTIMES, NONE))
+        raise InvalidInput(f"SLURM_CONTAINERS={asked!r} is unknown", f"choose one of {known}")
+    if context.nodes is not None:
+        return RemoteSlurmExecutor(context, context.nodes)
+    return SlurmExecutor(context) if asked == NONE else ContainerSlurmExecutor(context)
 
 
 class RemoteSlurmExecutor(ContainerSlurmExecutor):

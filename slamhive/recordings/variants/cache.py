@@ -33,6 +33,8 @@ from slamhive.recordings.staging import Progress, checksum
 
 
 POLL_S = 0.05
+_PROBES = 3
+_PROBE_PAUSE_S = 0.002
 
 
 class Busy(Exception):
@@ -60,12 +62,18 @@ def is_held(path: Path) -> bool:
     except OSError:
         return False
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+        # Only an exclusive lock meets those who share it. Another process that asks the same has it for a moment, so
+        # one refusal is no answer yet.
+        for _ in range(_PROBES):
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                time.sleep(_PROBE_PAUSE_S)
+            else:
+                return False
         return True
     finally:
         os.close(descriptor)
-    return False
 
 
 @contextmanager
