@@ -32,6 +32,7 @@ from slamhive.documents.imports import Import
 from slamhive.documents.machines import CloudPlanDocument, CloudStatus
 from slamhive.documents.model import json_schema
 from slamhive.documents.protocol import ComparisonDocument, ProtocolsDocument, ToolMetrics
+from slamhive.documents.question import Decision
 from slamhive.documents.record import RunFile
 from slamhive.documents.run import EvaluationDocument, RunWith
 from slamhive.documents.submission import Submission
@@ -209,6 +210,7 @@ DOCUMENTS: dict[str, Any] = {
     "configuration": catalogue.ConfigurationDocument,
     "dataset": catalogue.DatasetDocument,
     "dataset-check": DatasetCheck,
+    "decision": Decision,
     "evaluation": EvaluationDocument,
     "experiment-cell": experiment.CellDocument,
     "experiment-grid": experiment.GridDocument,

@@ -15,7 +15,8 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.main import LazyGroup
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import Answering, say
-from slamhive.domain.gate import DEFAULT_MARGINS, Answer, read_budget
+from slamhive.domain.budget import read_budget
+from slamhive.domain.gate import DEFAULT_MARGINS, Answer
 from slamhive.domain.names import plural
 
 if TYPE_CHECKING:

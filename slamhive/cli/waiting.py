@@ -89,15 +89,15 @@ def experiment_to_end(
     """
     from slamhive.services.worker import WORKED_ON, WorkingMeanwhile  # noqa: PLC0415 - as above
 
-    with WorkingMeanwhile(hive.worker, lambda: hive.experiments.unfinished(name)[:WORKED_ON]) as worker:
+    with WorkingMeanwhile(hive.worker, lambda: hive.questions.unfinished(name)[:WORKED_ON]) as worker:
         try:
-            waiting = hive.experiments.unfinished(name)
+            waiting = hive.questions.unfinished(name)
             total = len(waiting)
             with counting_bar(title, total, tells_left=False) as show:
                 while waiting:
                     worker.check()
                     began = monotonic_s()
-                    left = hive.experiments.unfinished(name)
+                    left = hive.questions.unfinished(name)
                     if on_end is not None:
                         for run_id in sorted(set(waiting).difference(left)):
                             on_end(hive.runs.get(run_id))

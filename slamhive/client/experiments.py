@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from slamhive.documents import api_answers
     from slamhive.documents import experiment as experiment_schema
+    from slamhive.documents.question import Decision
     from slamhive.domain.accounts import Visibility
 
 
@@ -46,6 +47,11 @@ class Experiment:
     def cells(self) -> Iterator[experiment_schema.CellDocument]:
         """Its configurations, each with its runs, failures, and mean and spread of the metrics."""
         return self._backend.cells(self.name)
+
+    @property
+    def decision(self) -> Decision:
+        """State of an experiment that finds out which candidate is best; raises InvalidInput for any other one."""
+        return self._backend.decision(self.name)
 
     def refresh(self) -> Experiment:
         """The experiment as it is now."""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
     from slamhive.documents.challenge import ChallengeSubmission
     from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument
+    from slamhive.documents.question import Decision
     from slamhive.documents.run import RunDocument, RunWith
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility
@@ -239,6 +240,10 @@ class HttpBackend:
     def experiment(self, name: str) -> ExperimentStatusDocument:
         """Implement :meth:`~slamhive.client.backend.Backend.experiment`."""
         return self._send(requests.experiment(name))
+
+    def decision(self, name: str) -> Decision:
+        """Implement :meth:`~slamhive.client.backend.Backend.decision`."""
+        return self._send(requests.decision(name))
 
     def cells(self, name: str) -> Iterator[CellDocument]:
         """Implement :meth:`~slamhive.client.backend.Backend.cells`."""

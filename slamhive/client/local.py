@@ -16,6 +16,7 @@ from slamhive.documents.challenge import ImageEntry
 from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument
 from slamhive.documents.imports import DatasetUpload, ImportedDocument, RunsUpload
 from slamhive.documents.model import parse
+from slamhive.documents.question import Decision
 from slamhive.documents.run import RunDocument, RunWith
 from slamhive.services.data_root import DataRoot
 from slamhive.services.hive import Hive, check_indexed, open_hive
@@ -165,6 +166,10 @@ class LocalBackend:
         """Implement :meth:`~slamhive.client.backend.Backend.experiment`."""
         return ExperimentStatusDocument.of(self._hive.experiments.status(name))
 
+    def decision(self, name: str) -> Decision:
+        """Implement :meth:`~slamhive.client.backend.Backend.decision`."""
+        return self._hive.questions.decision(name)
+
     def cells(self, name: str) -> Iterator[CellDocument]:
         """Implement :meth:`~slamhive.client.backend.Backend.cells`."""
         return map(CellDocument.of, self._hive.experiments.report(name))
@@ -295,7 +300,7 @@ class LocalBackend:
         from slamhive.services.worker import WORKED_ON, WorkingMeanwhile  # noqa: PLC0415 - loads the worker
 
         def run_ids() -> Sequence[int]:
-            return self._hive.experiments.unfinished(what)[:WORKED_ON] if isinstance(what, str) else what
+            return self._hive.questions.unfinished(what)[:WORKED_ON] if isinstance(what, str) else what
 
         with WorkingMeanwhile(self._hive.worker, run_ids) as worker:
             yield worker.check

@@ -32,6 +32,7 @@ from slamhive.documents.challenge import ChallengeSubmission, ChallengeSubmissio
 from slamhive.documents.experiment import ExperimentStatusDocument
 from slamhive.documents.imports import Upload
 from slamhive.documents.model import Document, dump
+from slamhive.documents.question import Decision
 from slamhive.documents.run import RunDocument, RunWith
 from slamhive.documents.submission import Submission
 from slamhive.documents.validation import STATUS
@@ -175,6 +176,11 @@ def experiments() -> Request[ExperimentsDocument]:
 def experiment(name: str) -> Request[ExperimentStatusDocument]:
     """One experiment."""
     return _get(f"/experiments/{quote(name, safe='')}", ExperimentStatusDocument)
+
+
+def decision(name: str) -> Request[Decision]:
+    """State of an experiment that finds out which candidate is best."""
+    return _get(f"/experiments/{quote(name, safe='')}/decision", Decision)
 
 
 def cells(name: str, after: str | None) -> Request[CellPageDocument]:

@@ -27,6 +27,7 @@ from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode, Variant
 from slamhive.domain.names import check_name
 from slamhive.domain.parameters import Parameter
+from slamhive.domain.question import ExperimentQuestion
 
 
 def _named(kind: str) -> Any:
@@ -131,6 +132,8 @@ class ExperimentLine(Document):
     complete: Annotated[Flag, described("All cells and runs are stored.")]
     created_at: Moment
     visibility: Annotated[Visibility | None, described("Who may see it; null for everybody who is signed in.")] = None
+    question: Annotated[ExperimentQuestion | None, described("What it is asked, if it chooses its runs itself.")] = None
+    conclusion: Annotated[str | None, described("Its answer in one sentence.")] = None
 
 
 class ArchivedCell(Document):

@@ -14,6 +14,7 @@ from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import Variant
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
+from slamhive.domain.question import ExperimentQuestion
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import DEFAULT_RULE, VerdictKind
 
@@ -112,6 +113,10 @@ class ExperimentStatusDocument(Document):
     cpu_model: Annotated[str | None, described("That CPU model; null while it is not known.")] = None
     owner: Annotated[str | None, described("The account that it belongs to; null for nobody.")] = None
     visibility: Annotated[Visibility, described("Who may see it and its runs, besides admins.")] = Visibility.TEAM
+    question: Annotated[
+        ExperimentQuestion | None, described("What it is asked, if it chooses its runs itself; null otherwise.")
+    ] = None
+    conclusion: Annotated[str | None, described("Its answer in one sentence; null while it chooses runs.")] = None
 
 
 class CellRunDocument(Document):

@@ -1,8 +1,7 @@
-"""A gate of continuous integration: its answers, margins and budget."""
+"""A gate of continuous integration: its answers and margins."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +9,6 @@ from enum import StrEnum
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import Direction, metric
-from slamhive.domain.names import plural
 
 FAILURES = "failures"
 """The name of the share of failed runs, which is compared like a metric."""
@@ -18,12 +16,8 @@ FAILURES = "failures"
 SIGNIFICANCE = 0.05
 """The largest chance of a false alarm in one check, over all its metrics and looks."""
 
-MOST_RUNS = 10_000
 _NUMBER = r"\d{1,9}(?:\.\d{1,9})?"
 _MARGIN = re.compile(rf"({_NUMBER})\s*(%?)")
-_BUDGET = re.compile(rf"({_NUMBER})\s*([a-z]+)")
-_UNITS_S = {"s": 1.0, "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0}
-_LARGEST_S = 30 * 86_400.0
 _SHOWN = 40
 
 
@@ -118,42 +112,6 @@ def _read_margin(text: str) -> tuple[str, Margin | None]:
     if key == FAILURES:
         return key, Margin(float(found[1]) / (100 if found[2] else 1), relative=False)
     return key, Margin(float(found[1]) / 100) if found[2] else Margin(float(found[1]), relative=False)
-
-
-@dataclass(frozen=True, slots=True)
-class GateBudget:
-    """Budget of a check: a number of runs, or wall time. One of the two is None."""
-
-    runs: int | None = None
-    time_s: float | None = None
-
-    @property
-    def words(self) -> str:
-        """``20 runs``, ``30 min``."""
-        return plural(self.runs, "run") if self.runs is not None else f"{(self.time_s or 0) / 60:.4g} min"
-
-    def runs_left(self, spent: int, elapsed_s: float) -> int:
-        """Number of further runs that fit, if they take as long as the ``spent`` ones: ``elapsed_s`` together."""
-        if self.runs is not None:
-            return max(0, self.runs - spent)
-        if spent == 0:
-            return MOST_RUNS
-        left_s = (self.time_s or 0.0) - elapsed_s
-        return max(0, math.floor(left_s / max(elapsed_s / spent, 1e-3)))
-
-
-def read_budget(text: str) -> GateBudget:
-    """A budget such as ``20 runs``, ``30 min`` or ``2 h``; raises InvalidInput."""
-    found = _BUDGET.fullmatch(text.strip().lower())
-    remedy = "for example '20 runs', '30 min' or '2 h'"
-    if found is None:
-        raise InvalidInput(f"budget {text[:_SHOWN]!r} is not clear", remedy)
-    number, unit = float(found[1]), found[2]
-    if unit in ("run", "runs") and number.is_integer() and 1 <= number <= MOST_RUNS:
-        return GateBudget(runs=int(number))
-    if unit in _UNITS_S and 0 < number * _UNITS_S[unit] <= _LARGEST_S:
-        return GateBudget(time_s=number * _UNITS_S[unit])
-    raise InvalidInput(f"budget {text[:_SHOWN]!r} is not allowed", remedy)
 
 
 # A replay: what is recorded in a bundle runs again, and agrees with the record or not.

@@ -9,9 +9,12 @@ from typing import Any
 
 from slamhive.base.strict_yaml import YamlPlace
 from slamhive.documents.limits import OPTION_NAMES, Limits, StopWhen
+from slamhive.domain.budget import RunBudget
 from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.gate import Margin
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Alignment
+from slamhive.domain.question import ExperimentQuestion
 from slamhive.experiments.condition import CombinationCondition
 
 
@@ -109,6 +112,26 @@ class PlaybackAxes:
 
 
 @dataclass(frozen=True, slots=True)
+class DecidePlan:
+    """The question which candidate is best. A candidate is a combination of everything but the dataset.
+
+    Attributes:
+        metric: Its mean over the datasets is compared.
+        difference: The largest difference that does not matter: in the metric's unit, or a share of the smaller mean.
+        budget: Of all runs.
+        error: The largest chance that the answer is false.
+        worst: What a failed run counts as, in the metric's unit. None takes a value from the good runs.
+    """
+
+    metric: str
+    difference: Margin
+    budget: RunBudget
+    place: YamlPlace
+    error: float = 0.05
+    worst: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Experiment:
     """The content of an experiment file.
 
@@ -116,7 +139,7 @@ class Experiment:
     ``same_cpu``: all runs are measured on one CPU model.
     The combinations are algorithms x datasets x steps x parameters x playback, each of them run with every seed,
     ``repeats`` times. ``algorithms`` and ``datasets`` are axes of names. ``map`` is the number or uid of the run whose
-    map all runs start with.
+    map all runs start with. With ``decide`` it chooses by itself which combinations run, and how often.
     """
 
     name: str
@@ -140,6 +163,12 @@ class Experiment:
     same_cpu: bool = True
     sensors: tuple[SensorChoice, ...] = ()
     map: str | None = None
+    decide: DecidePlan | None = None
+
+    @property
+    def question(self) -> ExperimentQuestion | None:
+        """The kind of its question, if it chooses its runs itself."""
+        return None if self.decide is None else ExperimentQuestion.DECIDE
 
     @property
     def options(self) -> dict[str, Any]:
@@ -163,6 +192,7 @@ _LATER: tuple[tuple[str, object], ...] = (
     ("same_cpu", True),
     ("sensors", ()),
     ("map", None),
+    ("decide", None),
     *((option.name, option.default) for option in fields(Limits) if option.name not in _FIRST_LIMITS),
 )
 """Fields that came later, at their defaults: experiments that were stored before keep their hash."""

@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 from slamhive.base import strict_yaml
-from slamhive.base.errors import InvalidInput
+from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.documents.limits import NEVER, Limits, Priority, RepeatDisturbed, StopWhen
 from slamhive.documents.submission import (
     MAX_REPEATS,
@@ -31,11 +31,16 @@ from slamhive.documents.submission import (
     StartingMap,
 )
 from slamhive.documents.validation import PLAIN, SECTION, explained, first_problem_at
+from slamhive.domain.budget import read_budget
 from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.gate import Margin
+from slamhive.domain.metrics import Direction, Metric, metric
 from slamhive.domain.names import NAME_PATTERN, check_name
 from slamhive.domain.parameters import Value
+from slamhive.experiments.binding import at
 from slamhive.experiments.condition import parse_condition
 from slamhive.experiments.experiment import (
+    DecidePlan,
     EvaluationChoice,
     Experiment,
     ExperimentAxis,
@@ -48,6 +53,7 @@ from slamhive.experiments.experiment import (
     Where,
 )
 from slamhive.experiments.values import check_distinct, parse_values
+from slamhive.filters.fields import number, units_of
 
 # The structure of ``experiment.yaml``, from which its JSON Schema is generated.
 
@@ -202,6 +208,20 @@ class DatasetsWhere(_Model):
 WordsOrWhere = Annotated[Annotated[Words, Tag(PLAIN)] | Annotated[DatasetsWhere, Tag(SECTION)], Discriminator(_shape)]
 
 
+class DecideModel(_Model):
+    """The question which candidate is best: the experiment chooses its runs, and stops when it knows."""
+
+    metric: str = Field(default="ate.rmse", description="What is compared: its mean over the datasets.")
+    difference: float | str = Field(
+        description="The largest difference that does not matter: 1 cm, 0.01, or a share of the smaller mean, 5%."
+    )
+    budget: str = Field(description="Of all runs: 120 runs, 30 min, 2 h.")
+    error: float = Field(default=0.05, ge=0.0001, le=0.5, description="The largest chance that the answer is false.")
+    worst: float | str | None = Field(
+        default=None, description="What a failed run counts as: 1 m. Else twice the worst good value, or 0 for a share."
+    )
+
+
 class ExperimentModel(_Model):
     """An experiment: what is combined with what. Every combination becomes one configuration."""
 
@@ -239,6 +259,7 @@ class ExperimentModel(_Model):
     evaluate: SwitchOrEvaluate = Field(default=True, description="false leaves the evaluation to you.")
     executor: Executor = None
     priority: Priority = 0
+    decide: DecideModel | None = Field(default=None, description="Run only what it takes to find the best candidate.")
 
 
 def parse_experiment(text: str, source: str = "experiment.yaml") -> Experiment:
@@ -296,7 +317,54 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
         executor=model.executor,
         priority=model.priority,
         sensors=tuple(SensorChoice(role, name, places.of("sensors", role)) for role, name in model.sensors.items()),
+        decide=None if model.decide is None else _decide(model.decide, model, places),
     )
+
+
+def _decide(decide: DecideModel, model: ExperimentModel, places: strict_yaml.Places) -> DecidePlan:
+    if model.repeats != 1:
+        raise InvalidInput(
+            f"{places.of('repeats')}: the experiment decides how often each combination runs", "leave out repeats"
+        )
+    key = "metric"
+    try:
+        compared = metric(decide.metric)
+        if compared.direction is Direction.NEUTRAL:
+            raise InvalidInput(f"no direction of {compared.key} is better", "use another metric")
+        key = "budget"
+        budget = read_budget(decide.budget)
+        key = "difference"
+        difference = _difference(decide.difference, compared)
+        key = "worst"
+        worst = None if decide.worst is None else _amount(decide.worst, compared)
+    except SlamHiveError as error:
+        raise at(places.of("decide", key), error) from None
+    return DecidePlan(compared.key, difference, budget, places.of("decide"), decide.error, worst)
+
+
+def _difference(written: float | str, compared: Metric) -> Margin:
+    share = str(written).strip()
+    if share.endswith("%"):
+        value = number(share[:-1].strip(), "")
+        value = None if value is None else value / 100
+    else:
+        value = _amount(written, compared)
+    if value is None or value <= 0:
+        raise InvalidInput(f"{written!r} is no difference", f"write {_example(compared)}, or a share such as 5%")
+    return Margin(value, relative=share.endswith("%"))
+
+
+def _amount(written: float | str, compared: Metric) -> float:
+    """``1 cm`` in the unit of the metric."""
+    value = number(str(written), compared.unit)
+    if value is None:
+        raise InvalidInput(f"{written!r} is no value of {compared.key}", f"write {_example(compared)}")
+    return value
+
+
+def _example(compared: Metric) -> str:
+    units = units_of(compared.unit)
+    return "a number such as 0.1" if not units else f"a number and one of {', '.join(units)}"
 
 
 def _names(datasets: tuple[str, ...] | DatasetsWhere) -> tuple[str, ...]:

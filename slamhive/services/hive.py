@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from slamhive.services.clouds import Clouds
     from slamhive.services.configurations import Configurations
     from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, VariantService
+    from slamhive.services.deciding import Questions
     from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, ProtocolService
     from slamhive.services.executors import Executors
     from slamhive.services.experiments import ExperimentService
@@ -265,6 +266,13 @@ class Hive:
         )
 
     @cached_property
+    def questions(self) -> Questions:
+        """Experiments that choose their runs."""
+        from slamhive.services.deciding import Questions
+
+        return Questions(self.settings, self.store, self.experiments)
+
+    @cached_property
     def algorithms(self) -> AlgorithmImports:
         """Import of algorithm packages."""
         from slamhive.services.algorithms import AlgorithmImports
@@ -389,7 +397,8 @@ class Hive:
         from slamhive.services.worker import Chores, Worker
 
         self.check_writable()
-        work = Chores(self.analysis_jobs, self.challenge_images, self.challenge_judge) if only is None else only
+        chores = Chores(self.analysis_jobs, self.challenge_images, self.challenge_judge, self.questions)
+        work = chores if only is None else only
         return Worker(self.settings, self.store, self.catalogue, self.executors.get, self.evaluations, work)
 
     def worker_alive(self) -> bool:

@@ -27,7 +27,15 @@ from slamhive.store.models import (
     RunEventRow,
     RunRow,
 )
-from slamhive.store.records import CellRecord, CellRun, ExperimentRecord, NewCell, ProtocolLabel, StateCount
+from slamhive.store.records import (
+    CellRecord,
+    CellRun,
+    ExperimentRecord,
+    ExperimentState,
+    NewCell,
+    ProtocolLabel,
+    StateCount,
+)
 from slamhive.store.rows import Repository, chunks, get_or_insert, sample_variance
 from slamhive.store.sharing import sharing_columns
 from slamhive.store.sight import seeing_all
@@ -197,6 +205,19 @@ class ExperimentRepository(Repository):
         return [
             _record(row) for row in self._connection.execute(select(_EXPERIMENTS).order_by(_EXPERIMENTS.c.id.desc()))
         ]
+
+    def undecided(self) -> list[ExperimentRecord]:
+        """The active experiments that still choose runs, the oldest first."""
+        asked = _EXPERIMENTS.c.question.is_not(None), _EXPERIMENTS.c.conclusion.is_(None)
+        going_on = _EXPERIMENTS.c.state == ExperimentState.ACTIVE, _EXPERIMENTS.c.complete
+        query = select(_EXPERIMENTS).where(*asked, *going_on).order_by(_EXPERIMENTS.c.id)
+        return [_record(row) for row in self._connection.execute(query)]
+
+    def spent_s(self, experiment_id: int) -> float:
+        """Time that its runs took together, those that go on not counted (s)."""
+        times = select(_RUNS.c.started_at, _RUNS.c.ended_at).where(_RUNS.c.experiment_id == experiment_id)
+        ended = times.where(_RUNS.c.started_at.is_not(None), _RUNS.c.ended_at.is_not(None))
+        return float(sum((row.ended_at - row.started_at).total_seconds() for row in self._connection.execute(ended)))
 
     def change(self, experiment_id: int, **values: Any) -> None:
         """Write these fields."""

@@ -6,6 +6,7 @@ from sqlalchemy import BigInteger, Boolean, ForeignKey, Index, Integer, SmallInt
 
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.question import ExperimentQuestion
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.evaluation.job import Artefacts
@@ -158,7 +159,8 @@ class ExperimentRow(TableBase):
     """An experiment as its file describes it. Until it is ``complete``, its cells and runs are still being stored.
 
     ``repeats`` may have grown since. ``cells`` and ``runs`` are counts, or upper bounds until it is complete.
-    ``cpu_model``: see :mod:`slamhive.store.same_cpu`.
+    ``cpu_model``: see :mod:`slamhive.store.same_cpu`. One with a ``question`` chooses its runs until it has a
+    ``conclusion``, a sentence.
     """
 
     __tablename__ = "experiments"
@@ -177,6 +179,8 @@ class ExperimentRow(TableBase):
     complete = column(Boolean)
     created_at = column(UtcDateTime)
     cpu_model = optional(String(190))
+    question = optional(enum_column(ExperimentQuestion))
+    conclusion = optional(LongText)
     owner = optional(String(NAME_LENGTH))
     visibility = optional(enum_column(Visibility))
     audience = column(String(AUDIENCE_LENGTH), server_default=text("'team'"), index=True)

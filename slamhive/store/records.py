@@ -17,6 +17,7 @@ from slamhive.domain.outcome import Outcome
 from slamhive.domain.packages import version_label
 from slamhive.domain.parameters import Parameter, Value
 from slamhive.domain.protocol import Protocol
+from slamhive.domain.question import ExperimentQuestion
 from slamhive.domain.roles import Chosen
 from slamhive.domain.run import NO_NOTES, FailureReason, Host, RunEvent, RunNotes, RunState
 from slamhive.domain.trajectory_kind import TrajectoryKind
@@ -468,6 +469,7 @@ class ExperimentRecord:
     ``cells`` and ``runs`` (without retries) are upper bounds until all are stored, that is, until it is ``complete``.
     ``cpu_model``: that of all its runs, empty while none has been measured, None if any will do.
     ``owner`` and ``visibility``: see :class:`slamhive.domain.accounts.Sharing`; they are those of its runs, too.
+    One with a ``question`` chooses its runs until it has a ``conclusion``, a sentence.
     """
 
     id: int
@@ -487,6 +489,13 @@ class ExperimentRecord:
     cpu_model: str | None = None
     owner: str | None = None
     visibility: Visibility | None = None
+    question: ExperimentQuestion | None = None
+    conclusion: str | None = None
+
+    @property
+    def undecided(self) -> bool:
+        """It still chooses runs."""
+        return self.question is not None and self.conclusion is None
 
     @property
     def sharing(self) -> Sharing:

@@ -19,7 +19,8 @@ from slamhive.analysis.regression import (
     typical_change,
 )
 from slamhive.analysis.statistics import Numbers
-from slamhive.domain.gate import SIGNIFICANCE, Answer, GateBudget, Margin
+from slamhive.domain.budget import RunBudget
+from slamhive.domain.gate import SIGNIFICANCE, Answer, Margin
 from slamhive.services.gates import Repeats
 
 pytestmark = pytest.mark.integration  # scipy takes a second to load
@@ -123,7 +124,7 @@ def test_false_alarms_stay_below_the_significance_over_all_metrics(configuration
 
 def test_false_alarms_stay_below_the_significance_over_all_looks():
     trials, alarms = 250, 0
-    repeats = Repeats(5, GateBudget(runs=20))
+    repeats = Repeats(5, RunBudget(runs=20))
     for trial in range(trials):
         baseline, candidate = draws(2 * trial, 10, 0.3), draws(2 * trial + 1, 20, 0.3)
         for look, count in enumerate((5, 10, 20), start=1):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from slamhive.base.errors import InvalidInput, NotFound
-from slamhive.domain.gate import DEFAULT_MARGINS, FAILURES, Answer, GateBudget, Margin, chosen_margins, read_budget
+from slamhive.domain.budget import RunBudget, read_budget
+from slamhive.domain.gate import DEFAULT_MARGINS, FAILURES, Answer, Margin, chosen_margins
 
 MEASURED = frozenset({"ate.rmse", "tracked.path", "cpu.per_data_second", "cpu.mean", "ram.max", "latency.p95"})
 
@@ -61,13 +62,13 @@ def test_an_unknown_metric_names_the_nearest():
 @pytest.mark.parametrize(
     ("text", "budget"),
     [
-        ("20 runs", GateBudget(runs=20)),
-        ("1run", GateBudget(runs=1)),
-        ("30 min", GateBudget(time_s=1800.0)),
-        ("1.5h", GateBudget(time_s=5400.0)),
+        ("20 runs", RunBudget(runs=20)),
+        ("1run", RunBudget(runs=1)),
+        ("30 min", RunBudget(time_s=1800.0)),
+        ("1.5h", RunBudget(time_s=5400.0)),
     ],
 )
-def test_a_budget_is_a_number_of_runs_or_a_time(text: str, budget: GateBudget):
+def test_a_budget_is_a_number_of_runs_or_a_time(text: str, budget: RunBudget):
     assert read_budget(text) == budget
 
 
@@ -78,10 +79,10 @@ def test_another_budget_is_refused(text: str):
 
 
 def test_a_budget_says_how_many_runs_are_left():
-    assert GateBudget(runs=20).runs_left(15, 999.0) == 5
-    assert GateBudget(runs=20).runs_left(25, 999.0) == 0
-    assert GateBudget(time_s=60.0).runs_left(10, 40.0) == 5  # 4 s each
-    assert GateBudget(time_s=60.0).runs_left(10, 70.0) == 0
+    assert RunBudget(runs=20).runs_left(15, 999.0) == 5
+    assert RunBudget(runs=20).runs_left(25, 999.0) == 0
+    assert RunBudget(time_s=60.0).runs_left(10, 40.0) == 5  # 4 s each
+    assert RunBudget(time_s=60.0).runs_left(10, 70.0) == 0
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,9 @@ from slamhive.base.settings import Mode
 from slamhive.documents.gate import Baseline, BaselineConfiguration, GateAnswer
 from slamhive.documents.record import ConfigurationContent
 from slamhive.documents.submission import Submission
+from slamhive.domain.budget import RunBudget
 from slamhive.domain.configuration import Playback
-from slamhive.domain.gate import FAILURES, Answer, GateBudget
+from slamhive.domain.gate import FAILURES, Answer
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import VerdictKind
@@ -259,13 +260,13 @@ def repeated(hive: Hive, errors: Sequence[float], repeats: Repeats) -> tuple[Gat
 
 
 def test_repeats_double_until_the_answer_is_known(hive: Hive):
-    found, asked = repeated(hive, errors_m(20, seed=12), Repeats(1, GateBudget(runs=20)))
+    found, asked = repeated(hive, errors_m(20, seed=12), Repeats(1, RunBudget(runs=20)))
     assert asked == [(1, 0), (1, 1), (2, 2)]
     assert (found.answer, found.looks, found.significance) == (Answer.PASS, 3, 0.05 / 8)
 
 
 def test_a_spent_budget_ends_undecided(hive: Hive):
-    found, asked = repeated(hive, errors_m(20, seed=13), Repeats(1, GateBudget(runs=2)))
+    found, asked = repeated(hive, errors_m(20, seed=13), Repeats(1, RunBudget(runs=2)))
     assert asked == [(1, 0), (1, 1)]
     assert found.answer is Answer.UNDECIDED
     assert found.notes[-1] == "The budget of 2 runs is spent: 2 runs."
@@ -281,7 +282,7 @@ def test_a_budget_that_is_too_small_is_refused_before_anything_runs(hive: Hive):
     gates = Started(hive, [])
     with pytest.raises(InvalidInput, match="5 repeats of 1 configuration are 5 runs; the budget is 4 runs"):
         repeat_until_decided(
-            gates, gates.prepare("main"), ["eye-slam-stereo"], Repeats(5, GateBudget(runs=4)), gates.work
+            gates, gates.prepare("main"), ["eye-slam-stereo"], Repeats(5, RunBudget(runs=4)), gates.work
         )
     with pytest.raises(NotFound, match="unknown algorithm of baseline main 'eye-slam-mono'"):
         gates.reruns(gates.prepare("main"), ["eye-slam-mono"])

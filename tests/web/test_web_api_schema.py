@@ -29,8 +29,9 @@ from tests.web.web_world import Web, make_web
 pytestmark = pytest.mark.integration
 
 EXAMPLES = 4
-NOTHING_THERE = {"dataset_check", "analysis_report", "dataset_frame", "dataset_sweep"}
-"""Nobody has checked the dataset, no worker has computed the analysis, and the recording holds no images or points."""
+NOTHING_THERE = {"dataset_check", "analysis_report", "dataset_frame", "dataset_sweep", "experiment_decision"}
+"""Nobody has checked the dataset, no worker has computed the analysis, the recording holds no images or points, and the
+experiment has no question."""
 LOOKING_FIRST = sorted(TABLE.operations, key=attrgetter("method"))
 """Changes come last: they remove what others look at."""
 

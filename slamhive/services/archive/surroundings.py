@@ -205,7 +205,8 @@ class Surroundings:
             self._notes.append(f"experiment {record.name} is called {name} here: there is another one of its name")
         shared = taken_over(self._store.maker, record.visibility)
         # Nothing of an experiment that is not whole must be queued again here.
-        whole = record.complete and self._contents.runs_of_experiment.get(record.name, 0) >= record.runs
+        ended = record.complete and not record.undecided
+        whole = ended and self._contents.runs_of_experiment.get(record.name, 0) >= record.runs
         settled = replace(
             record,
             name=name,

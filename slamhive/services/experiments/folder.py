@@ -35,6 +35,7 @@ class StoredExperiment(Document):
     format: int = 1
     owner: str | None = None
     visibility: Visibility | None = None
+    conclusion: str | None = None
 
     @property
     def sharing(self) -> Sharing:

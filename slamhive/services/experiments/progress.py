@@ -240,9 +240,11 @@ def status_of(
         failures=dict(failures),
         disturbed=disturbed,
         left=None if left is None else left.time,
-        phase="" if left is None else left.phase,
+        phase="" if left is None else left.phase or ("choosing the next runs" if record.undecided else ""),
         same_cpu=record.cpu_model is not None,
         cpu_model=record.cpu_model or None,
+        question=record.question,
+        conclusion=record.conclusion,
         owner=record.owner,
         visibility=record.seen_by,
     )
@@ -254,7 +256,7 @@ def standing_of(record: ExperimentRecord, counts: Mapping[Outcome, int]) -> Conf
         return ConfigurationStanding.CANCELLED
     if not record.complete:
         return ConfigurationStanding.STORING
-    if not counts.get(Outcome.QUEUED) and not counts.get(Outcome.RUNNING):
+    if not counts.get(Outcome.QUEUED) and not counts.get(Outcome.RUNNING) and not record.undecided:
         return ConfigurationStanding.FINISHED
     return _STANDINGS[record.state]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -241,6 +241,20 @@ class ExperimentService:
         check_writable(self._context.settings)
         add_repeats(self._context, name, count, progress)
         return self.status(name)
+
+    def ask_for_runs(self, name: str, more: Mapping[int, int], known: int) -> Sequence[int]:
+        """Queue more runs of an experiment that chooses them; see the function of this name in ``starting``."""
+        from slamhive.services.experiments.starting import ask_for_runs  # noqa: PLC0415
+
+        check_writable(self._context.settings)
+        return ask_for_runs(self._context, name, more, known)
+
+    def conclude(self, name: str, words: str) -> None:
+        """Store the conclusion of an experiment that chooses its runs."""
+        from slamhive.services.experiments.starting import conclude  # noqa: PLC0415
+
+        check_writable(self._context.settings)
+        conclude(self._context, name, words)
 
     def _put(self, name: str, state: ExperimentState) -> ExperimentStatus:
         from slamhive.services.experiments.starting import put_state  # noqa: PLC0415

@@ -18,11 +18,14 @@ from slamhive.base.errors import Conflict, InvalidInput, SlamHiveError
 from slamhive.documents.submission import MAX_REPEATS
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.metrics import metric
 from slamhive.domain.placement import run_affinity
 from slamhive.domain.protocol import Protocol
+from slamhive.experiments.candidates import ExperimentCandidate, candidates_of, check_candidates
 from slamhive.experiments.expansion import Expansion, PlannedRun
 from slamhive.experiments.experiment import Experiment
 from slamhive.experiments.file import parse_experiment
+from slamhive.services.evaluations import protocol_for
 from slamhive.services.experiments.context import ExperimentContext, Progress, silent
 from slamhive.services.experiments.folder import ExperimentFolder, StoredExperiment, experiment_folders
 from slamhive.services.experiments.previewing import (
@@ -67,6 +70,8 @@ def put_experiment(
         "cpu_model": NOT_KNOWN if experiment.same_cpu else None,
         "owner": stored.owner,
         "visibility": stored.visibility,
+        "question": experiment.question,
+        "conclusion": stored.conclusion,
     }
     return context.store.write(lambda t: t.experiments.get_or_create(stored.uid, stored.name, **values))
 
@@ -92,10 +97,11 @@ def fill(
 ) -> None:
     """Store all missing cells and runs of ``expansion``, and mark the experiment as complete.
 
-    ``cells_only`` adds no runs, for restoring a cancelled experiment. Raises Conflict if stored cells differ, because
-    the catalogue has changed, or if the experiment is cancelled meanwhile.
+    ``cells_only`` adds no runs, for restoring a cancelled experiment. One that chooses its runs gets none here. Raises
+    Conflict if stored cells differ, because the catalogue has changed, or if the experiment is cancelled meanwhile.
     """
-    rows = _prepare(context, experiment, expansion, cells_only=cells_only)
+    chooses = experiment.question is not None
+    rows = _prepare(context, experiment, expansion, cells_only=cells_only or chooses)
     cells = runs = 0
     for chunk in chunks_of(expansion, CHUNK):
         now = utc_now()
@@ -103,6 +109,8 @@ def fill(
         cells += len(chunk)
         runs += sum(map(len, chunk))
         progress(runs, expansion.size.runs)
+    if chooses:
+        runs = _run_count(context, record)
     context.store.write(lambda t: t.experiments.change(record.id, cells=cells, runs=runs, complete=True))
     context.store.refresh_if_grown()  # a database that plans for few runs reads them all for each configuration
     logger.info("experiment %s: %d cells, %d runs", record.name, cells, runs)
@@ -132,7 +140,7 @@ def _store(
     rows: _Rows,
     chunk: Sequence[Sequence[PlannedRun]],
     now: datetime,
-) -> None:
+) -> list[int]:
     current = t.experiments.locked(record.name)
     if current.state is ExperimentState.CANCELLED and not rows.cells_only:
         raise Conflict(f"experiment {record.name} was cancelled while it was being stored")
@@ -161,14 +169,14 @@ def _store(
         ],
     )
     if rows.cells_only:
-        return
+        return []
     held = current.state is ExperimentState.PAUSED
     requests = [
         request
         for cell, configuration_id in zip(chunk, ids, strict=True)
         for request in _requests(record, experiment, rows, cell, configuration_id, held=held)
     ]
-    t.runs.add_runs(requests, now, deleted_too=False)
+    return t.runs.add_runs(requests, now, deleted_too=False)
 
 
 def _requests(
@@ -286,6 +294,7 @@ def start(
         )
     repeated = replace(experiment, repeats=known.repeats)
     expansion = _checked(context, repeated, known.executor)
+    check_question(context, repeated, expansion)
     with folder.locked():
         found = folder.read()
         if found is not None and found.content_hash == known.content_hash:
@@ -293,7 +302,8 @@ def start(
         else:
             folder.write(known, source.text)
         size = expansion.size
-        stored = put_experiment(context, known, source.text, repeated, cells=size.configurations, runs=size.runs)
+        runs = size.runs if repeated.question is None else 0
+        stored = put_experiment(context, known, source.text, repeated, cells=size.configurations, runs=runs)
         fill(context, stored, repeated, expansion, progress)
     return experiment.name
 
@@ -321,6 +331,10 @@ def add_repeats(context: ExperimentContext, name: str, count: int, progress: Pro
     with changing(context, name) as record:
         if not record.complete:
             raise Conflict(f"experiment {name} is not stored completely", "start its file again first")
+        if record.question is not None:
+            raise Conflict(
+                f"experiment {name} chooses its runs itself", "start its file with a larger budget under another name"
+            )
         if not 1 <= count <= MAX_REPEATS - record.repeats:
             raise InvalidInput(
                 f"{count} more repeats are not allowed, {name} has {record.repeats}", f"at most {MAX_REPEATS} in all"
@@ -333,6 +347,88 @@ def add_repeats(context: ExperimentContext, name: str, count: int, progress: Pro
         values = {"repeats": grown.repeats, "runs": grown.runs, "complete": False}
         context.store.write(lambda t: t.experiments.change(record.id, **values))
         fill(context, grown, experiment, expansion, progress)
+
+
+def check_question(context: ExperimentContext, experiment: Experiment, expansion: Expansion) -> None:
+    """Raise InvalidInput, naming the place, unless the question of ``experiment`` can be answered."""
+    plan = experiment.decide
+    if plan is None:
+        return
+    check_candidates(experiment, planned_candidates(context, experiment))
+    if not metric(plan.metric).needs_protocol:
+        return
+    if not experiment.evaluation.enabled:
+        raise InvalidInput(f"{plan.place}: {plan.metric} comes from an evaluation", "leave out evaluate: false")
+    known: dict[str, tuple[str, Protocol]] = {}
+    for algorithm, dataset in expansion.pairs:
+        protocol = protocol_for(algorithm, dataset, context.settings, experiment.evaluation.alignment)
+        other, first = known.setdefault(dataset.name, (algorithm.label, protocol))
+        if protocol.fingerprint != first.fingerprint:
+            raise InvalidInput(
+                f"{plan.place}: on {dataset.name}, {algorithm.label} is evaluated with {protocol.label}, and {other} "
+                f"with {first.label}, so that their errors cannot be compared",
+                "state one alignment for both, such as evaluate: {alignment: se3}",
+            )
+
+
+def planned_candidates(context: ExperimentContext, experiment: Experiment) -> tuple[ExperimentCandidate, ...]:
+    """The candidates of an experiment that chooses its runs; raises as :meth:`ExperimentContext.expand`."""
+    return candidates_of({run.cell: run.values for run in context.expand(experiment)}.items())
+
+
+def ask_for_runs(context: ExperimentContext, name: str, more: Mapping[int, int], known: int) -> list[int]:
+    """Queue more runs of an experiment that chooses them; returns their numbers.
+
+    Each run takes the first place of its cell that no run has had, so that a deleted one does not come back.
+
+    Args:
+        context: The installation. name: Of the experiment. more: {cell: number of runs}. known: The number of its runs
+        when they were chosen. If it has others now, somebody else chose, and none is added.
+
+    Raises:
+        Conflict: Its cells are other configurations now, it was cancelled, or another process changes it.
+    """
+    with changing(context, name) as record:
+        experiment = parse_experiment(record.source, f"experiment {name}")
+        expansion = context.expand(experiment)
+        rows = _prepare(context, experiment, expansion, cells_only=False)
+        heads = {run.cell: run for run in expansion if run.cell in more}
+        now = utc_now()
+
+        def work(t: Transaction) -> list[int]:
+            if len(t.experiments.run_ids(record.id)) != known:
+                return []
+            chunk = [_next_runs(t, record, experiment, heads[cell], count) for cell, count in sorted(more.items())]
+            queued: list[int] = []
+            for of_cell in chunk:
+                queued += _store(t, record, experiment, rows, [of_cell], now)
+            t.experiments.change(record.id, runs=len(t.experiments.run_ids(record.id)))
+            return queued
+
+        return context.store.write(work)
+
+
+def _next_runs(
+    t: Transaction, record: ExperimentRecord, experiment: Experiment, head: PlannedRun, count: int
+) -> list[PlannedRun]:
+    """The next ``count`` runs of a cell: its seeds in turn, then the next repeat."""
+    seeds = experiment.seeds
+    found: list[PlannedRun] = []
+    place = 0
+    while len(found) < count:
+        run = replace(head, seed=seeds[place % len(seeds)], repeat=place // len(seeds) + 1)
+        uid = run_uid(record.uid, run.cell, run.seed, run.repeat)
+        if not t.runs.ids_by_uid([uid]) and not t.deleted_runs.among([uid]):
+            found.append(run)
+        place += 1
+    return found
+
+
+def conclude(context: ExperimentContext, name: str, words: str) -> None:
+    """Store the conclusion of an experiment that chooses its runs: it asks for no more."""
+    with changing(context, name) as record:
+        write_record(context, replace(record, conclusion=words))
+        context.store.write(lambda t: t.experiments.change(record.id, conclusion=words))
 
 
 def _checked(context: ExperimentContext, experiment: Experiment, executor: str) -> Expansion:

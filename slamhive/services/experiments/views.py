@@ -14,6 +14,7 @@ from slamhive.domain.configuration import Variant
 from slamhive.domain.outcome import Failure, Outcome
 from slamhive.domain.parameters import Value
 from slamhive.domain.placement import Remaining
+from slamhive.domain.question import ExperimentQuestion
 from slamhive.domain.run import FailureReason
 from slamhive.store.records import CellRun, ProtocolLabel
 
@@ -139,6 +140,7 @@ class ExperimentStatus:
     asked for; ``phase`` says what happens now. ``missing`` runs are not stored, because the start was interrupted.
     With ``same_cpu`` all runs are measured on ``cpu_model``, which is None while it is not known.
     ``owner``: the account that it belongs to, None for nobody; ``visibility``: who may see it besides admins.
+    One with a ``question`` chooses its runs until it has a ``conclusion``, a sentence.
     """
 
     id: int
@@ -162,6 +164,8 @@ class ExperimentStatus:
     cpu_model: str | None = None
     owner: str | None = None
     visibility: Visibility = Visibility.TEAM
+    question: ExperimentQuestion | None = None
+    conclusion: str | None = None
 
     @property
     def left_s(self) -> float | None:

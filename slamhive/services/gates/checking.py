@@ -27,7 +27,8 @@ from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import InvalidInput
 from slamhive.documents.gate import GateAnswer, GateConfiguration, GateMetric, GateValues, MeasuredRun
 from slamhive.documents.run import ProtocolName
-from slamhive.domain.gate import FAILURES, SIGNIFICANCE, Answer, GateBudget, Margin
+from slamhive.domain.budget import RunBudget
+from slamhive.domain.gate import FAILURES, SIGNIFICANCE, Answer, Margin
 from slamhive.domain.metrics import Direction, Metric, described
 from slamhive.domain.names import plural
 from slamhive.services.gates.baselines import GateCheck, RunPair
@@ -260,7 +261,7 @@ class Repeats:
     """Rule for repeating runs: ``first`` of each configuration, then more within ``budget``; None: no more."""
 
     first: int
-    budget: GateBudget | None = None
+    budget: RunBudget | None = None
     executor: str | None = None
 
     def check(self, configurations: int) -> None:

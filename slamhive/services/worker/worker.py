@@ -24,6 +24,7 @@ from slamhive.executors.node_store.server import serving_nodes
 from slamhive.executors.registry import AUTO
 from slamhive.services.challenges import ChallengeJudge, ImageWork
 from slamhive.services.datasets import Catalogue, VariantService
+from slamhive.services.deciding import Questions
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.notices import Notices, notices_of
 from slamhive.services.stored_analyses import AnalysisJobs
@@ -284,16 +285,19 @@ class Chores:
         analyses: Computes analyses.
         images: Runs images that were submitted to challenges.
         judge: Evaluates submissions to challenges.
+        questions: Takes experiments that choose their runs a step further.
     """
 
     analyses: AnalysisJobs
     images: ImageWork
     judge: ChallengeJudge
+    questions: Questions
 
     def work_once(self, owner: str, stopping: threading.Event, cores: tuple[int, ...] | None) -> bool:
         """Do at most one thing of each kind; returns whether there was any."""
         analysed = self.analyses.work_once(owner, stopping)
         ran = self.images.work_once(stopping, cores) > 0
+        ran = self.questions.work_once() or ran
         return self.judge.work_once(stopping, cores) > 0 or ran or analysed
 
 

@@ -40,6 +40,7 @@ from slamhive.documents.experiment import (
     ExperimentStatusDocument,
     GridDocument,
 )
+from slamhive.documents.question import Decision
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.sharing import SharingChange
 from slamhive.services.stored_analyses import MEDIA_TYPES
@@ -108,6 +109,12 @@ def experiment_grid(name: str) -> GridAnswer:
     services = hive().experiments
     query = GridQuery.from_args(request.args, {axis: len(found) for axis, found in services.axes(name).items()})
     return GridAnswer(grid=None if query is None else GridDocument.of(services.grid(name, query.rows, query.columns)))
+
+
+@TABLE.get(Section.EXPERIMENTS, "/experiments/{name}/decision", Decision)
+def experiment_decision(name: str) -> Decision:
+    """State of an experiment that finds out which candidate is best."""
+    return hive().questions.decision(name)
 
 
 @TABLE.post(Section.EXPERIMENTS, "/experiments/{name}/{action}", ExperimentStatusDocument, status=202)

@@ -24,6 +24,7 @@ OF_PAGE = {
     "dashboard": "web",
     "experiments": "experiments",
     "experiment_builder": "experiments",
+    "questions": "deciding",
     "runs": "search",
     "search_actions": "search",
     "selected_runs": "search",

@@ -1,0 +1,50 @@
+"""The answer of an experiment that chooses its runs, as JSON."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from slamhive.documents.model import Document, Values, described
+from slamhive.domain.question import CandidateStanding, ExperimentQuestion, QuestionAnswer
+
+
+class DecisionCandidate(Document):
+    """One candidate: a combination of everything but the dataset."""
+
+    label: Annotated[str, described("What sets it apart.")]
+    values: Values
+    cells: Annotated[dict[str, int], described("The number of its configuration in the experiment, by dataset.")]
+    standing: CandidateStanding
+    runs: Annotated[int, described("Runs that have ended and count.")]
+    failed: Annotated[int, described("Those of them that failed.")]
+    mean: Annotated[
+        float | None, described("Mean over the datasets, failed runs included; null before the first round.")
+    ]
+    beaten_by: Annotated[str | None, described("Who is certainly better; null for a candidate that is left.")] = None
+    rounds: Annotated[int, described("Rounds until it was beaten, or until now.")] = 0
+    difference: Annotated[float | None, described("Its mean less that of the best one; null if that is not known.")] = (
+        None
+    )
+    difference_within: Annotated[
+        float | None, described("Half of the interval of the difference, which holds however often one looks.")
+    ] = None
+
+
+class Decision(Document):
+    """State of an experiment that finds out which candidate is best."""
+
+    experiment: str
+    question: ExperimentQuestion
+    answer: QuestionAnswer
+    words: Annotated[str, described("The answer in one sentence.")]
+    metric: str
+    label: Annotated[str, described("The metric in words.")]
+    unit: str
+    difference: Annotated[str, described("The largest difference that does not matter.")]
+    error: Annotated[float, described("The largest chance that the answer is false.")]
+    budget: str
+    runs: Annotated[int, described("Runs so far, those that wait included.")]
+    datasets: tuple[str, ...]
+    candidates: Annotated[tuple[DecisionCandidate, ...], described("The best first.")]
+    next: Annotated[str, described("What comes next, and why.")]
+    notes: Annotated[tuple[str, ...], described("What was left out, and why.")]

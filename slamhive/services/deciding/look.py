@@ -1,0 +1,110 @@
+"""One look at an experiment that chooses its runs, from which everything follows."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.experiments.candidates import ExperimentCandidate, candidates_of
+from slamhive.experiments.experiment import Experiment
+from slamhive.experiments.file import parse_experiment
+from slamhive.store import Transaction
+from slamhive.store.records import CellRun, ExperimentRecord
+
+NEVER_RUNS = frozenset({FailureReason.IMAGE_MISSING, FailureReason.PREPROCESS_ERROR, FailureReason.START_ERROR})
+"""The candidate was not tried: its package or its data cannot be made ready."""
+
+
+class RunUse(StrEnum):
+    """Use of a run for its candidate. One that was cancelled or lost says nothing, and another takes its place."""
+
+    OPEN = "open"
+    GOOD = "good"
+    FAILED = "failed"
+    NOTHING = "nothing"
+    CANNOT_RUN = "cannot run"
+
+
+@dataclass(frozen=True, slots=True)
+class ObservedRun:
+    """A run of a candidate; ``metrics`` under the protocol of most runs on its dataset."""
+
+    id: int
+    use: RunUse
+    cancelled: bool
+    reason: FailureReason | None
+    metrics: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class QuestionLook:
+    """One moment of an experiment.
+
+    ``runs``: by cell, in the order in which they were asked for, without those that another replaced. ``asked`` counts
+    them all, and they took ``spent_s`` together.
+    """
+
+    record: ExperimentRecord
+    experiment: Experiment
+    candidates: tuple[ExperimentCandidate, ...]
+    runs: Mapping[int, Sequence[ObservedRun]]
+    asked: int
+    spent_s: float
+
+    @property
+    def datasets(self) -> tuple[str, ...]:
+        """The datasets, in the order of the file."""
+        return tuple(self.candidates[0].cells)
+
+    def results(self, cell: int) -> list[ObservedRun]:
+        """The runs of a cell that say something, in order."""
+        return [run for run in self.runs.get(cell, ()) if run.use in (RunUse.GOOD, RunUse.FAILED)]
+
+    def of(self, candidate: ExperimentCandidate) -> list[ObservedRun]:
+        """The runs of a candidate."""
+        return [run for cell in candidate.cells.values() for run in self.runs.get(cell, ())]
+
+    def hindrance(self, candidate: ExperimentCandidate) -> FailureReason | None:
+        """Why the candidate cannot run at all; None if it can."""
+        runs = self.of(candidate)
+        if any(run.use in (RunUse.GOOD, RunUse.FAILED) for run in runs):
+            return None
+        return next((run.reason for run in runs if run.use is RunUse.CANNOT_RUN), None)
+
+
+def look_at(t: Transaction, record: ExperimentRecord) -> QuestionLook:
+    """Read the runs of ``record`` with the metrics that its question is about."""
+    experiment = parse_experiment(record.source, f"experiment {record.name}")
+    metrics = () if experiment.decide is None else (experiment.decide.metric,)
+    cells = t.experiments.cells(record.id, 0, None)
+    candidates = candidates_of((cell.number, cell.values) for cell in cells)
+    found: list[CellRun] = []
+    if cells:
+        found = t.experiments.cell_runs(record.id, cells[0].number, cells[-1].number, metrics)
+    unfinished = set(t.experiments.unfinished(record.id))
+    dataset_of = {cell: dataset for candidate in candidates for dataset, cell in candidate.cells.items()}
+    protocols: dict[str, Counter[str]] = defaultdict(Counter)
+    for run in found:
+        if run.protocol is not None:
+            protocols[dataset_of[run.cell]][run.protocol] += 1
+    usual = {dataset: counts.most_common(1)[0][0] for dataset, counts in protocols.items()}
+    runs: dict[int, list[ObservedRun]] = defaultdict(list)
+    for run in found:
+        if not run.retried:
+            same = run.protocol is None or run.protocol == usual[dataset_of[run.cell]]
+            use = RunUse.OPEN if run.id in unfinished else _use(run) if same else RunUse.NOTHING
+            runs[run.cell].append(
+                ObservedRun(run.id, use, run.state is RunState.CANCELLED, run.reason, dict(run.metrics))
+            )
+    return QuestionLook(record, experiment, candidates, runs, len(found), t.experiments.spent_s(record.id))
+
+
+def _use(run: CellRun) -> RunUse:
+    if run.state is RunState.CANCELLED or run.reason is FailureReason.LOST:
+        return RunUse.NOTHING
+    if run.state is RunState.FAILED:
+        return RunUse.CANNOT_RUN if run.reason in NEVER_RUNS else RunUse.FAILED
+    return RunUse.FAILED if run.judged is not None and run.judged.failed else RunUse.GOOD

@@ -1,0 +1,132 @@
+"""Experiments that choose their runs: taken a step further, and shown."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from slamhive.base.clock import monotonic_s
+from slamhive.base.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
+from slamhive.documents.question import Decision
+from slamhive.store import Transaction
+from slamhive.store.records import ExperimentState
+
+if TYPE_CHECKING:
+    from slamhive.base.settings import Settings
+    from slamhive.services.deciding.decide import DecisionStep
+    from slamhive.services.deciding.look import QuestionLook
+    from slamhive.services.experiments import ExperimentService
+    from slamhive.store import Store
+
+logger = logging.getLogger(__name__)
+
+TROUBLE_PAUSE_S = 30.0
+"""A worker tries an experiment that it cannot take further again after so long."""
+
+LONGEST_STEP_S = 60.0
+"""Another process that takes an experiment a step further has ended after so long."""
+PAUSE_S = 0.3
+
+
+class Questions:
+    """The experiments of an installation that choose their runs.
+
+    Everything follows from the runs in the database. So whoever takes an experiment further, a worker, a command or the
+    next one after a kill, comes to the same step.
+
+    Args:
+        settings: How many runs go on at once.
+        store: The runs.
+        experiments: Adds runs to them.
+    """
+
+    def __init__(self, settings: Settings, store: Store, experiments: ExperimentService) -> None:
+        self._settings = settings
+        self._store = store
+        self._experiments = experiments
+        self._not_before_s: dict[str, float] = {}
+
+    def decision(self, name: str) -> Decision:
+        """State of the experiment; raises NotFound, or InvalidInput for one without a question."""
+        return self._step(self._look(name)).decision
+
+    def advance(self, name: str) -> int:
+        """Take the experiment a step further: queue its next runs, or store its conclusion.
+
+        Nothing happens while its runs are under way, while it is paused, and after its conclusion.
+
+        Returns:
+            The number of runs that were queued.
+
+        Raises:
+            NotFound: There is no such experiment.
+            InvalidInput: It has no question.
+            Conflict: Another process changes it, or the catalogue has changed since it was started.
+        """
+        look = self._look(name)
+        if look.record.state is not ExperimentState.ACTIVE or not look.record.undecided:
+            return 0
+        step = self._step(look)
+        if step.more:
+            return len(self._experiments.ask_for_runs(name, step.more, look.asked))
+        if step.ended:
+            self._experiments.conclude(name, step.decision.words)
+        return 0
+
+    def unfinished(self, name: str) -> Sequence[int]:
+        """The runs of an experiment that have not ended. One that chooses them and has none is taken a step further.
+
+        Raises as :meth:`advance`.
+        """
+        until_s = monotonic_s() + LONGEST_STEP_S
+        while True:
+            found = self._experiments.unfinished(name)
+            record = self._store.read(lambda t: t.experiments.get(name))
+            if found or not record.undecided or record.state is not ExperimentState.ACTIVE:
+                return found
+            try:
+                if not self.advance(name):
+                    time.sleep(PAUSE_S)  # it has ended, or another process has taken the step
+            except Conflict:
+                if monotonic_s() > until_s:
+                    raise
+                time.sleep(PAUSE_S)
+
+    def work_once(self) -> bool:
+        """Take each experiment that is undecided a step further; returns whether runs were queued."""
+        queued = 0
+        for record in self._store.read(lambda t: t.experiments.undecided()):
+            if monotonic_s() < self._not_before_s.get(record.name, 0.0):
+                continue
+            if self._store.read(lambda t, i=record.id: t.experiments.unfinished(i)):  # type: ignore[misc]
+                continue
+            try:
+                queued += self.advance(record.name)
+            except Unavailable:
+                raise
+            except SlamHiveError as error:
+                self._not_before_s[record.name] = monotonic_s() + TROUBLE_PAUSE_S
+                logger.warning("experiment %s waits: %s", record.name, error)
+        return queued > 0
+
+    def _look(self, name: str) -> QuestionLook:
+        from slamhive.services.deciding.look import look_at  # noqa: PLC0415 - a worker without questions needs it not
+
+        def work(t: Transaction) -> QuestionLook:
+            record = t.experiments.get(name)
+            if record.question is None:
+                raise InvalidInput(
+                    f"experiment {name} has no question: it runs all of its combinations",
+                    "a section decide in its file asks one",
+                )
+            return look_at(t, record)
+
+        return self._store.read(work)
+
+    def _step(self, look: QuestionLook) -> DecisionStep:
+        from slamhive.services.deciding.decide import next_decision  # noqa: PLC0415 - loads scipy
+
+        assert look.experiment.decide is not None
+        return next_decision(look, look.experiment.decide, self._settings.worker_slots)

@@ -1,0 +1,46 @@
+"""Experiments that choose their runs, on their page, in the API and in the client."""
+
+from __future__ import annotations
+
+import pytest
+
+from slamhive.documents.question import Decision
+from slamhive.services.executors import Executors
+from slamhive.services.experiments import ExperimentSource
+from tests.services.test_questions import TWO, noisy, play
+from tests.web.web_world import Web
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture(autouse=True)
+def _process_executor(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
+
+
+def test_the_page_says_how_it_stands_and_what_comes_next(web: Web):
+    web.hive.experiments.start(ExperimentSource(TWO))
+    page = web.client.get("/experiments/two/question").text
+    assert "Not decided yet." in page
+    assert "Next: More runs of nFeatures 1000 and nFeatures 2000 on 1 dataset" in page
+    assert "/experiments/two/question" in web.client.get("/experiments/two").text
+
+
+def test_the_page_and_the_api_give_the_same_answer(web: Web):
+    web.hive.experiments.start(ExperimentSource(TWO))
+    play(web.hive, noisy({1000: 0.05, 2000: 0.09}))
+    answer = web.client.get("/api/v1/experiments/two/decision").json
+    found = Decision.read(answer)
+    page = web.client.get("/experiments/two/question").text
+    assert found.words in page
+    assert "nFeatures 2000</td><td>beaten" in page
+    assert found.words in web.client.get("/experiments/two").text
+    assert (web.client.get("/api/v1/experiments/two").json or {})["conclusion"] == found.words
+    assert web.hive.questions.decision("two") == found
+
+
+def test_an_experiment_without_a_question_has_no_such_page(web: Web):
+    web.hive.experiments.start(ExperimentSource(TWO.replace("decide: {difference: 1 cm, budget: 80 runs}\n", "")))
+    assert web.client.get("/experiments/two/question").status_code == 400
+    assert web.client.get("/api/v1/experiments/two/decision").status_code == 400
+    assert web.client.get("/experiments/none/question").status_code == 404
