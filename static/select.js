@@ -20,6 +20,8 @@
       all.checked = count > 0 && count === form.querySelectorAll("input[name=run]:enabled").length;
       all.indeterminate = count > 0 && !all.checked;
     }
+    const selected = form.querySelector("[data-count]");
+    if (selected) selected.textContent = `${runs} selected`;
     const place = form.querySelector("[data-why]");
     if (place && place.textContent !== why) place.textContent = why;
   }

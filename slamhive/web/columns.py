@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
@@ -37,6 +37,7 @@ class ColumnKind(StrEnum):
     EXPERIMENT = "experiment"
     VERDICT = "verdict"
     EDITED = "edited"
+    DIFFERS = "differs"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,20 +58,9 @@ class ListColumn:
         return self.kind in (ColumnKind.NUMBER, ColumnKind.RUN)
 
 
-DEFAULT_COLUMNS = (
-    "id",
-    "algorithm",
-    "dataset",
-    "variant",
-    "parameters",
-    "outcome",
-    "created_at",
-    "ate.rmse",
-    "rpe.rmse",
-    "tracked_fraction",
-    "cpu.mean",
-    "ram.max",
-)
+DEFAULT_COLUMNS = ("id", "algorithm", "dataset", "differs", "outcome", "ate.rmse", "tracked_fraction")
+SPARK_AFTER = "ate.rmse"
+"""The column behind which sparklines are drawn; the last one where it is not shown."""
 
 
 @cache
@@ -127,6 +117,13 @@ def all_columns() -> Mapping[str, ListColumn]:
         ),
         ListColumn("playback", "Playback", ColumnKind.TEXT, _playback),
         ListColumn("seed", "Seed", ColumnKind.NUMBER, lambda run: TableCell(str(run.seed)), sort="seed"),
+        ListColumn(
+            "differs",
+            "What differs",
+            ColumnKind.DIFFERS,
+            _everything,
+            help="parameters and pre-processing that are not the same in all runs of this table",
+        ),
         ListColumn(
             "outcome",
             "Outcome",
@@ -207,6 +204,23 @@ def _parameters(run: RunRecord) -> TableCell:
     return TableCell(text or DASH, text)
 
 
+def exported(columns: Sequence[str]) -> tuple[str, ...]:
+    """The columns of a file. What differs depends on the other runs of a table, so a file holds all settings."""
+    found = [part for key in columns for part in (("parameters", "variant") if key == "differs" else (key,))]
+    return tuple(dict.fromkeys(found))
+
+
+def settings_of(run: RunRecord) -> dict[str, str]:
+    """{name: text} of the parameters and the pre-processing of a run."""
+    found = {key: value_text(value) for key, value in run.parameters.items()}
+    return found | ({"pre-processing": "; ".join(step.brief for step in run.variant)} if run.variant else {})
+
+
+def _everything(run: RunRecord) -> TableCell:
+    text = ", ".join(f"{name}={value}" for name, value in settings_of(run).items())
+    return TableCell(text or DASH, text)
+
+
 def _experiment(run: RunRecord) -> TableCell:
     return TableCell(DASH, missing=True) if run.experiment is None else TableCell(run.experiment)
 
@@ -263,6 +277,10 @@ def _protocol(run: RunRecord) -> TableCell:
 # -- the look of the list of runs: pinned columns, colours by value, sparklines ----------------------------------------
 
 
+PINNED = 1
+"""Columns that stay in view if an address names no number: that of the run."""
+
+
 @dataclass(frozen=True, slots=True)
 class ListLook:
     """The first ``pinned`` columns stay in view when the table is scrolled sideways.
@@ -271,15 +289,15 @@ class ListLook:
     repeats of each configuration.
     """
 
-    pinned: int = 0
-    colours: bool = False
-    sparks: bool = False
+    pinned: int = PINNED
+    colours: bool = True
+    sparks: bool = True
 
     @classmethod
     def from_args(cls, args: MultiDict[str, str]) -> ListLook:
         """Read an address; raises InvalidInput naming the invalid value."""
         text = args.get("pinned", "").strip()
-        pinned = whole_number(text, "pinned", 0, MOST_PINNED) if text else 0
+        pinned = whole_number(text, "pinned", 0, MOST_PINNED) if text else PINNED
         return cls(pinned, _chosen(args, "colours"), _chosen(args, "sparks"))
 
     @classmethod
@@ -289,13 +307,13 @@ class ListLook:
 
     def args(self) -> dict[str, Any]:
         """The arguments of an address, without defaults."""
-        pinned = {"pinned": [str(self.pinned)]} if self.pinned else {}
+        pinned = {} if self.pinned == PINNED else {"pinned": [str(self.pinned)]}
         chosen = {"colours": self.colours, "sparks": self.sparks}
-        return pinned | {name: ["yes"] for name, value in chosen.items() if value}
+        return pinned | {name: ["no"] for name, value in chosen.items() if not value}
 
 
 def _chosen(args: MultiDict[str, str], name: str) -> bool:
     text = args.get(name, "").strip()
     if text not in {"", "yes", "no"}:
         raise InvalidInput(f"{name} expects yes or no, got {text[:40]!r}")
-    return text == "yes"
+    return text != "no"

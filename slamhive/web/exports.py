@@ -11,6 +11,7 @@ from slamhive.base.files import temporary_folder
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.services.exports import RUNS_AT_ONCE, ExportFormat, GroupExport, Page, Record, RunExport, TableExport
 from slamhive.store.records import GroupRecord
+from slamhive.web.columns import exported
 from slamhive.web.context import hive
 from slamhive.web.queries import EXPORT_LIMIT, RunListQuery
 
@@ -28,7 +29,7 @@ def export_file(kind: ExportFormat, args: MultiDict[str, str]) -> Response:
 
     if query.grouped:
         return _file("configurations", kind, GroupExport(metrics), groups)
-    content = RunExport(query.columns, vocabulary)
+    content = RunExport(exported(query.columns), vocabulary)
     runs = services.runs.cells(query.search, query.sort, content.wanted)
     return _file("runs", kind, content, lambda after: runs(after, RUNS_AT_ONCE))
 

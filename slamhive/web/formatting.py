@@ -74,7 +74,9 @@ def metric_cell(metric: Metric, value: float | None) -> TableCell:
 
 
 def mean_text(mean: float, std: float | None) -> str:
-    """``0.112 ± 0.010``, or the mean alone without a standard deviation."""
+    """``0.112 ± 0.010``, or the mean alone without a standard deviation. A deviation that is rounding shows as 0."""
+    if std is not None and std < 1e-9 * abs(mean):
+        std = 0.0
     return significant(mean) if std is None else f"{significant(mean)} ± {significant(std, 2)}"
 
 

@@ -32,7 +32,8 @@ def levels(
             known.setdefault(kind, []).append((place, value))
     for members in known.values():
         low, high = _ends([value for _, value in members])
-        for place, value in members if high > low else ():
+        # Means of equal values differ by rounding; nobody sees a difference of a part in a billion.
+        for place, value in members if high - low > 1e-9 * max(abs(high), abs(low)) else ():
             share = min(1.0, max(0.0, (value - low) / (high - low)))
             found[place] = round(WORST * (1 - share if direction is Direction.HIGHER else share))
     return found

@@ -17,7 +17,17 @@ from slamhive.experiments.experiment import Experiment
 from slamhive.filters.binding import Search, bind, read_search
 from slamhive.filters.fields import Vocabulary
 from slamhive.filters.parser import parse_filter
-from slamhive.filters.syntax import Filter, FilterComparison, FilterError, Sign, Tree, Word, filter_text, join
+from slamhive.filters.syntax import (
+    Filter,
+    FilterComparison,
+    FilterError,
+    Junction,
+    Sign,
+    Tree,
+    Word,
+    filter_text,
+    join,
+)
 from slamhive.filters.words import in_words
 from slamhive.services.configurations import parse_conditions
 from slamhive.services.experiments import METRICS
@@ -129,6 +139,27 @@ class RunListQuery:
         """The same runs, with the columns and the look of an address that names none."""
         return replace(self, columns=DEFAULT_COLUMNS, look=ListLook(), after=None)
 
+    @property
+    def conditions(self) -> tuple[Filter, ...]:
+        """The parts of the search that all have to hold."""
+        tree = parse_filter(self.search.text)
+        if tree is None:
+            return ()
+        return tree.parts if isinstance(tree, Junction) and tree.word == "and" else (tree,)
+
+    def without(self, place: int) -> RunListQuery:
+        """The same search without one of its conditions, written entirely as a filter."""
+        left = [part for at, part in enumerate(self.conditions) if at != place]
+        return replace(self, where=filter_text(join("and", left)) if left else "", fields={}, after=None)
+
+    def with_look(self, **changes: bool) -> RunListQuery:
+        """The same runs, drawn in another way."""
+        return replace(self, look=replace(self.look, **changes))
+
+    def args_without(self, name: str) -> dict[str, Any]:
+        """The arguments of :meth:`args` but one."""
+        return {key: values for key, values in self.args().items() if key != name}
+
     def as_text(self) -> RunListQuery:
         """The same search, written entirely as a filter."""
         return replace(self, where=self.search.text, fields={}, after=None)
@@ -170,6 +201,18 @@ def form_fields(args: MultiDict[str, str]) -> dict[str, tuple[str, ...]]:
         text = args.get(name, "").strip()
         found[name] = (text,) if text else ()
     return {name: values for name, values in found.items() if values}
+
+
+def added(args: MultiDict[str, str]) -> dict[str, list[str]]:
+    """The address with the condition in ``add`` as part of the filter; an invalid one stays as it was typed."""
+    kept = {name: values for name, values in args.lists() if name not in ("add", "where", "after")}
+    parts = [text for text in (args.get("where", "").strip(), args.get("add", "").strip()) if text]
+    try:
+        trees = [tree for text in parts if (tree := parse_filter(text)) is not None]
+        where = filter_text(join("and", trees))
+    except FilterError:
+        where = " and ".join(f"({part})" for part in parts) if len(parts) > 1 else parts[0]
+    return {"where": [where], **kept}
 
 
 def summary(query: RunListQuery, shown: int, count: Count, left_out: LeftOut) -> str:

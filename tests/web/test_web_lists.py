@@ -71,7 +71,7 @@ def test_each_column_has_links_that_move_and_pin_it() -> None:
     assert (first.left, last.right) == (None, None)
     assert first.right == "/runs?open=columns&where=a&columns=dataset,id,state&pinned=2#right-id"
     assert last.left == "/runs?open=columns&where=a&columns=id,state,dataset&pinned=2#left-state"
-    assert middle.pin == "/runs?open=columns&where=a&columns=id,dataset,state#pin-dataset"
+    assert middle.pin == "/runs?open=columns&where=a&columns=id,dataset,state&pinned=0#pin-dataset"
     assert last.pin == "/runs?open=columns&where=a&columns=id,dataset,state&pinned=3#pin-state"
     assert [(entry.pinned, entry.last_pinned) for entry in (first, middle, last)] == [
         (True, False),
@@ -90,7 +90,7 @@ def test_columns_are_moved_and_pinned_by_links_alone(shown: Web) -> None:
     assert 'data-pinned="2"' in pinned
     assert headings(pinned) == ["id", "state", "dataset", "ate.rmse"]
     assert 'data-pinned="0"' in shown.client.get(link(pinned, "pin-state")).text
-    assert '<details class="panel" id="columns" open>' in pinned
+    assert '<details id="columns" open>' in pinned
 
 
 def test_the_ends_of_the_order_lead_nowhere(shown: Web) -> None:
@@ -145,7 +145,7 @@ def test_the_standard_columns_are_one_click_away(shown: Web) -> None:
     assert address is not None
     text = shown.client.get(html.unescape(address[1])).text
     assert headings(text) == list(DEFAULT_COLUMNS)
-    assert 'data-pinned="0"' in text
+    assert 'data-pinned="1"' in text
     assert "Showing 1 of 1 run" in text
 
 
@@ -172,9 +172,9 @@ def test_one_outlier_does_not_take_the_colour_of_the_others() -> None:
     assert all(first <= second for first, second in pairwise(level for level in found if level is not None))
 
 
-def test_cells_have_levels_only_if_asked(own: Web) -> None:
-    plain = own.client.get("/runs?columns=id,cpu.mean").text
-    coloured = own.client.get("/runs?columns=id,cpu.mean&colours=yes").text
+def test_cells_have_levels_unless_the_address_refuses_them(own: Web) -> None:
+    plain = own.client.get("/runs?columns=id,cpu.mean&colours=no").text.partition("<table")[2]
+    coloured = own.client.get("/runs?columns=id,cpu.mean").text
     assert "heat-" not in plain
     assert re.search(r'class="number heat-0" title="1\.0 cores"', coloured)
     assert re.search(r'class="number heat-6" title="3\.0 cores"', coloured)
@@ -211,7 +211,7 @@ def test_text_can_be_read_on_every_colour(dark: bool, ink: str) -> None:
 
 
 def test_each_evaluated_run_has_a_line_of_its_error(shown: Web) -> None:
-    text = shown.client.get("/runs?sparks=yes").text
+    text = shown.client.get("/runs").text
     images = re.findall(r'<img src="(/runs/\d+/error\.svg[^"]*)"[^>]* loading="lazy"', text)
     assert [address.split("/")[2] for address in images] == [str(shown.runs["done"])]
     assert text.count('<td class="spark">') == len(shown.runs)
@@ -221,7 +221,7 @@ def test_each_evaluated_run_has_a_line_of_its_error(shown: Web) -> None:
     assert 100 < len(heights) <= MOST_POINTS
     assert min(heights) == 2.0
     assert max(heights) > 15.0
-    assert "error.svg" not in shown.client.get("/runs").text
+    assert "error.svg" not in shown.client.get("/runs?sparks=no").text
 
 
 def test_a_run_without_errors_has_a_dash(shown: Web) -> None:
@@ -239,11 +239,9 @@ def test_a_gap_interrupts_the_line() -> None:
 
 def test_groups_show_their_repeats(own: Web) -> None:
     address = "/runs?group=configuration&columns=cpu.mean"
-    found = re.findall(
-        r'aria-label="([^"]+)"><title>[^<]+</title><path d="([^"]+)"', own.client.get(f"{address}&sparks=yes").text
-    )
+    found = re.findall(r'aria-label="([^"]+)"><title>[^<]+</title><path d="([^"]+)"', own.client.get(address).text)
     assert found == [("3 good runs in order, from 1 to 3 cores", "M2.0 18.0h0M48.0 2.0h0M94.0 10.0h0")]
-    assert "<title>" not in own.client.get(address).text.partition("<tbody>")[2]
+    assert "<title>" not in own.client.get(f"{address}&sparks=no").text.partition("<tbody>")[2]
 
 
 # -- actions on many runs ----------------------------------------------------------------------------------------------
@@ -281,8 +279,8 @@ def test_a_saved_search_keeps_the_whole_view(own: Web) -> None:
         "where": "state = succeeded",
         "columns": "id,seed,ate.rmse",
         "pinned": "2",
-        "colours": "yes",
-        "sparks": "yes",
+        "colours": "no",
+        "sparks": "no",
     }
     shown = send(own, "/searches", name="mine", **view, group="configuration", sort="ate.rmse", order="asc")
     assert shown.status_code == 303
@@ -294,7 +292,7 @@ def test_a_saved_search_keeps_the_whole_view(own: Web) -> None:
     assert opened == {**view, "group": "configuration", "sort": "ate.rmse", "order": "asc"}
     page = own.client.get(html.unescape(address[1])).text
     assert 'aria-current="page">mine</a>' in page
-    other = own.client.get(html.unescape(address[1]).replace("sparks=yes", "sparks=no")).text
+    other = own.client.get(html.unescape(address[1]).replace("sparks=no", "sparks=yes")).text
     assert 'aria-current="page">mine</a>' not in other
 
 
@@ -303,7 +301,7 @@ def test_saved_searches_are_offered_above_the_list(own: Web) -> None:
     views = text.partition('aria-label="Saved searches"')[2].partition("</nav>")[0]
     address = re.search(r'href="([^"]+)">good</a>', views)
     assert address is not None
-    assert "aria-current" not in views
+    assert re.findall(r'aria-current="page">([^<]+)<', views) == ["All runs"]
     text = own.client.get(html.unescape(address[1])).text
     assert re.search(r'aria-current="page"[^>]*>good</a>', text)
     assert headings(text) == ["id", "seed"]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import io
+import re
 import subprocess
 import sys
 
@@ -47,9 +49,48 @@ def test_a_huge_filter_is_refused_and_costs_little(shown: Web, where: str):
 
 def test_fields_and_text_together(shown: Web):
     text = shown.client.get("/runs?where=id>0&state=failed&state=succeeded&max.ate.rmse=1000").text
-    assert "As one filter:" in text
-    assert "id &gt; 0 and state in (failed, succeeded) and ate.rmse &lt;= 1000" in text
+    chips = re.findall(r'<li class="chip"><code>([^<]+)</code><a href="([^"]+)"', text)
+    assert [html.unescape(chip) for chip, _ in chips] == ["id > 0", "state in (failed, succeeded)", "ate.rmse <= 1000"]
+    left = shown.client.get(html.unescape(chips[1][1])).text
+    assert re.findall(r'<li class="chip"><code>([^<]+)</code>', left) == ["id &gt; 0", "ate.rmse &lt;= 1000"]
     assert "have no ATE RMSE" in text
+
+
+def test_a_condition_is_added_to_those_that_hold(shown: Web):
+    answer = shown.client.get("/runs?where=id > 1 or id = 1&add=state = failed&columns=id")
+    assert answer.status_code == 302
+    assert html.unescape(answer.location) == "/runs?where=%28id+%3E+1+or+id+%3D+1%29+and+state+%3D+failed&columns=id"
+    text = shown.client.get(answer.location).text
+    assert text.count('<li class="chip">') == 2
+    assert 'name="add"' in text
+    wrong = shown.client.get("/runs?where=id > 1&add=stat = failed", follow_redirects=True)
+    assert wrong.status_code == 400
+    assert "state" in wrong.text
+    broken = shown.client.get("/runs?where=id > 1&add=and and", follow_redirects=True)
+    assert broken.status_code == 400
+    assert 'value="(id &gt; 1) and (and and)"' in broken.text, "what was typed can be corrected"
+
+
+def test_a_run_is_looked_at_beside_the_list(shown: Web):
+    text = shown.client.get("/runs").text
+    assert text.count('data-peek="/runs/') == len(shown.runs)
+    part = shown.client.get(f"/runs/{shown.runs['done']}/peek").text
+    assert "<html" not in part
+    assert "ATE RMSE" in part
+    assert "error.svg" in part
+    assert shown.client.get("/runs/99/peek").status_code == 404
+
+
+def test_what_differs_leaves_out_what_all_runs_share(web: Web):
+    world.add_runs(web.hive, 1, nFeatures=700, scale=1.5)
+    text = web.client.get("/runs?columns=id,differs").text
+    assert ">nFeatures=700, scale=1.5</span>" in text
+    assert "loop=" not in re.sub(r'title="[^"]*"', "", text)
+    grouped = web.client.get("/runs?group=configuration").text
+    assert ">nFeatures=700, scale=1.5</span>" in grouped
+    assert "Protocol</th>" not in grouped, "one protocol needs no column"
+    exported = web.client.get("/searches/export.csv?columns=id,differs").text
+    assert exported.splitlines()[0] == "id,parameters,variant"
 
 
 def test_groups_show_runs_and_failures(shown: Web):
@@ -80,7 +121,7 @@ def test_exports_hold_every_run_that_matches(shown: Web):
     assert [row["id"] for row in rows] == [shown.runs["failed"]]
     assert rows[0]["reason"]
     every = shown.client.get("/searches/export.json?columns=" + ",".join(all_columns())).get_json()
-    assert every[0].keys() == all_columns().keys()
+    assert every[0].keys() == all_columns().keys() - {"differs"}
     assert shown.client.get("/searches/export.json?where=id < 0").get_json() == []
     assert shown.client.get("/searches/export.xls").status_code == 404
 

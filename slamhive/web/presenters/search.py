@@ -9,18 +9,14 @@ from typing import Any
 from urllib.parse import quote
 
 from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.dataset import Dataset
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE, Metric
-from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.sensors import SensorSetup
-from slamhive.domain.verdict import GROUPS, VerdictKind
-from slamhive.executors.registry import EXECUTORS
-from slamhive.filters.fields import PARAMETER_PREFIX, TRUST, VARIANT_PREFIX, FieldKind, Vocabulary
+from slamhive.filters.fields import PARAMETER_PREFIX, VARIANT_PREFIX, FieldKind, Vocabulary
+from slamhive.filters.syntax import filter_text
 from slamhive.services.exports import by_protocol
 from slamhive.services.hive import Hive
 from slamhive.store.records import GroupRecord, ProtocolLabel, Repeats, RunRecord, SavedSearchRecord, Spread
-from slamhive.web.columns import ListColumn, ListLook, all_columns, column
+from slamhive.web.columns import PINNED, ColumnKind, ListColumn, ListLook, all_columns, column, settings_of
 from slamhive.web.formatting import (
     DASH,
     TableCell,
@@ -41,22 +37,11 @@ GONE = "no longer exists"
 
 
 @dataclass(frozen=True, slots=True)
-class FilterChoice:
-    """A selection list: {group: values}, with "" for values without a group."""
+class FilterChip:
+    """A condition of the search: its text, and the search without it."""
 
-    name: str
-    title: str
-    groups: Mapping[str, tuple[tuple[str, str], ...]]
-    chosen: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class RangeField:
-    """Minimum and maximum of a metric, as typed."""
-
-    metric: Metric
-    minimum: str
-    maximum: str
+    text: str
+    without: RunListQuery
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +56,8 @@ class GroupColumn:
 class GroupRow:
     """One configuration under one protocol. ``first`` is false for its further protocols.
 
+    ``parameters`` are those that not all of the groups share.
+
     ``means`` are the numbers in ``cells``, None for a missing one. ``sparks`` are the repeats of each cell as a path
     and in words, if they are drawn; None for a cell without.
     """
@@ -78,49 +65,38 @@ class GroupRow:
     group: GroupRecord
     protocol: ProtocolLabel | None
     parameters: str
+    all_parameters: str
     cells: tuple[TableCell, ...]
     means: tuple[float | None, ...]
     first: bool
     sparks: tuple[tuple[str, str] | None, ...] = ()
 
 
-def choices(
-    fields: Mapping[str, tuple[str, ...]],
-    algorithms: Sequence[Algorithm],
-    datasets: Sequence[Dataset],
-    stored: tuple[list[str], list[str]],
-) -> list[FilterChoice]:
-    """The selection lists, grouped. Names in ``stored`` without a folder stay selectable."""
-    there = ({entry.name for entry in algorithms}, {entry.name for entry in datasets})
-    gone = [[(GONE, name, name) for name in stored[place] if name not in there[place]] for place in (0, 1)]
-    groups = tuple((name, f"{name}, all kinds") for name in GROUPS)
-    kinds = tuple((kind.value, kind.label) for kind in VerdictKind)
-    found = {
-        "algorithm": (
-            "Algorithms",
-            _grouped([*((a.package.name, a.name, f"{a.name} ({a.setup.value})") for a in algorithms), *gone[0]]),
-        ),
-        "dataset": ("Datasets", _grouped([*((_sensors(d), d.name, d.name) for d in datasets), *gone[1]])),
-        "sensor": ("Sensors", _plain(SensorSetup)),
-        "state": ("State", _plain(RunState)),
-        "reason": ("Failure reason", _plain(FailureReason)),
-        "verdict": ("Verdict", {"": groups, "single kinds": kinds}),
-        "trust": ("Trust", _plain(TRUST.choices)),
-        "executor": ("Executor", _plain(EXECUTORS.names())),
-        "experiment": ("Experiment", {}),
-    }
-    return [_choice(name, title, offered, fields.get(name, ())) for name, (title, offered) in found.items()]
+def chips(query: RunListQuery) -> list[FilterChip]:
+    """The conditions of a search, each of which can be removed."""
+    return [FilterChip(filter_text(part), query.without(place)) for place, part in enumerate(query.conditions)]
 
 
-def ranges(fields: Mapping[str, tuple[str, ...]], stored: Iterable[str]) -> dict[str, list[RangeField]]:
-    """{group: fields} of the metrics that runs have, or that the user typed a limit for."""
-    offered = set(stored)
-    found: dict[str, list[RangeField]] = {}
-    for key, metric in CATALOGUE.items():
-        low, high = ("".join(fields.get(f"{bound}.{key}", ())) for bound in ("min", "max"))
-        if key in offered or low or high:
-            found.setdefault(metric.group.value, []).append(RangeField(metric, low, high))
-    return found
+def with_differences(rows: Sequence[ListRow]) -> list[ListRow]:
+    """The same rows; the column of differences keeps the settings that not all of them share."""
+    settings = [settings_of(row.run) for row in rows]
+    names = dict.fromkeys(name for found in settings for name in found)
+    differ = [name for name in names if len({found.get(name) for found in settings}) > 1]
+
+    def cell(found: Mapping[str, str], shown: TableCell) -> TableCell:
+        own = [f"{name}={found[name]}" for name in differ if name in found]
+        return replace(shown, text=", ".join(own) or DASH, missing=not own)
+
+    return [
+        replace(
+            row,
+            cells=tuple(
+                (column, cell(found, content) if column.kind is ColumnKind.DIFFERS else content)
+                for column, content in row.cells
+            ),
+        )
+        for row, found in zip(rows, settings, strict=True)
+    ]
 
 
 def saved_args(record: SavedSearchRecord) -> dict[str, Any]:
@@ -170,13 +146,19 @@ def group_columns(columns: Sequence[str]) -> list[GroupColumn]:
 def group_rows(groups: Iterable[GroupRecord], columns: Sequence[GroupColumn]) -> list[GroupRow]:
     """A row per configuration, and another for each further protocol of its runs."""
     rows = []
-    for group in groups:
-        text = ", ".join(f"{key}={value_text(value)}" for key, value in group.parameters.items())
+    listed = list(groups)
+    keys = dict.fromkeys(key for group in listed for key in group.parameters)
+    differ = [key for key in keys if len({value_text(group.parameters.get(key, ())) for group in listed}) > 1]
+    for group in listed:
+        everything, text = (
+            ", ".join(f"{key}={value_text(group.parameters[key])}" for key in chosen if key in group.parameters)
+            for chosen in (keys, differ)
+        )
         for place, (label, figures) in enumerate(by_protocol(group)):
             spreads = [figures.get(column.metric.key) for column in columns]
             cells = tuple(_spread_cell(column.metric, spread) for column, spread in zip(columns, spreads, strict=True))
             means = tuple(None if spread is None else spread.mean for spread in spreads)
-            rows.append(GroupRow(group, label, text or DASH, cells, means, first=place == 0))
+            rows.append(GroupRow(group, label, text or DASH, everything, cells, means, first=place == 0))
     return rows
 
 
@@ -218,38 +200,15 @@ def trajectory_warning(runs: Iterable[RunRecord]) -> str:
 
 
 def _spread_cell(metric: Metric, spread: Spread | None) -> TableCell:
-    """Mean, standard deviation and median of the good runs; their number and range on hover."""
+    """Mean and standard deviation of the good runs; their number, range and median on hover."""
     if spread is None:
         return TableCell(DASH, f"no {metric.label} known", missing=True)
     shown = display_unit(metric)
     text = mean_text(spread.mean * shown.factor, None if spread.std is None else spread.std * shown.factor)
     low, high = (significant(value * shown.factor) for value in (spread.minimum, spread.maximum))
     exact = f"mean of {plural(spread.n, 'good run')}, {low} to {high} {shown.unit}".strip()
-    return TableCell(text, exact, note=median_text(spread.n, spread.median * shown.factor))
-
-
-def _choice(
-    name: str, title: str, groups: dict[str, tuple[tuple[str, str], ...]], chosen: tuple[str, ...]
-) -> FilterChoice:
-    known = {value for entries in groups.values() for value, _ in entries}
-    lost = tuple((value, value) for value in chosen if value not in known)
-    return FilterChoice(name, title, {**groups, **({"": (*groups.get("", ()), *lost)} if lost else {})}, chosen)
-
-
-def _plain(values: Iterable[str]) -> dict[str, tuple[tuple[str, str], ...]]:
-    return {"": tuple((str(value), str(value).replace("_", " ")) for value in values)}
-
-
-def _grouped(entries: Iterable[tuple[str, str, str]]) -> dict[str, tuple[tuple[str, str], ...]]:
-    found: dict[str, tuple[tuple[str, str], ...]] = {}
-    for group, value, label in sorted(entries):
-        found[group] = (*found.get(group, ()), (value, label))
-    return found
-
-
-def _sensors(dataset: Dataset) -> str:
-    """The group of a dataset: its kinds of sensors."""
-    return " + ".join(sorted({sensor.kind.value for sensor in dataset.sensors})) or "no sensors"
+    median = median_text(spread.n, spread.median * shown.factor)
+    return TableCell(text, f"{exact}, {median}" if median else exact)
 
 
 # -- the columns that the list of runs offers, in groups ---------------------------------------------------------------
@@ -338,7 +297,7 @@ def arranged(base: str, columns: Sequence[ListColumn], pinned: int) -> list[Arra
     keys = [column.key for column in columns]
 
     def link(name: str, key: str, order: Sequence[str], count: int) -> str:
-        kept = f"&pinned={count}" if count else ""
+        kept = "" if count == PINNED else f"&pinned={count}"
         return f"{base}&columns={quote(','.join(order), safe=',')}{kept}#{name}-{quote(key)}"
 
     def moved(name: str, place: int, by: int) -> str | None:

@@ -22,6 +22,7 @@ from flask import url_for as address
 
 from slamhive.base.errors import NotFound
 from slamhive.documents.api_requests import LARGEST_RUN_ID
+from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import NotesChange, RunState, split_tags
 from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.verdict import DEFAULT_RULE
@@ -32,15 +33,15 @@ from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import MOST_RUNS
 from slamhive.services.runs import list_downloads, open_download
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
-from slamhive.web.columns import column
+from slamhive.web.columns import SPARK_AFTER, column, settings_of
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
-from slamhive.web.formatting import plural
+from slamhive.web.formatting import display_unit, metric_cell, plural
 from slamhive.web.presenters import catalogue, scripts, search
 from slamhive.web.presenters import runs as presenter
 from slamhive.web.presenters.experiments import progress_json
 from slamhive.web.presenters.search import column_groups
-from slamhive.web.queries import RunListQuery, filled, summary
+from slamhive.web.queries import RunListQuery, added, filled, summary
 from slamhive.web.request_input import form_text
 
 blueprint = Blueprint("runs", __name__, url_prefix="/runs")
@@ -56,6 +57,8 @@ def index() -> Response:
     kept = filled(request.args)
     if kept != request.args.to_dict(flat=False):
         return make_response(redirect(list_address(kept), 302))
+    if "add" in kept:
+        return make_response(redirect(list_address(added(request.args)), 302))
     services = hive()
     vocabulary = services.searches.vocabulary()
     try:
@@ -72,7 +75,7 @@ def index() -> Response:
     page = services.runs.page(query.search, query.sort, query.after, query.limit)
     left_out = services.searches.left_out(query.search, page.count)
     mixed = search.mixed_protocols(run.protocol for run in page.records)
-    rows = presenter.rows(page.records, shown, services.catalogue.algorithms())
+    rows = search.with_differences(presenter.rows(page.records, shown, services.catalogue.algorithms()))
     return make_response(
         _search_page(
             services,
@@ -128,18 +131,32 @@ def _search_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary, **
         current_view=search.place_of(query, saved),
         arranged=search.arranged(base, content.get("columns", ()), query.look.pinned),
         unevaluated=services.searches.unevaluated(),
-        choices=search.choices(
-            query.fields,
-            algorithms,
-            services.catalogue.datasets(),
-            services.searches.names(),
-        ),
+        chips=search.chips(query),
+        spark_after=SPARK_AFTER if SPARK_AFTER in query.columns else query.columns[-1],
         analysis_url=address("analyses.new", where=query.search.text),
         scripts=scripts.search_scripts(query.search.text, query.sort, services.settings),
-        ranges=search.ranges(query.fields, services.searches.metrics()),
         parquet=find_spec("pyarrow") is not None,
         **content,
     )
+
+
+@blueprint.get(f"/{RUN_ID}/peek")
+def peek(run_id: int) -> str:
+    """The part of a page that shows one run beside a list: its outcome, its first metrics, its error, its settings."""
+    services = hive()
+    run = services.runs.get(run_id)
+    found = run.metrics or {}
+    figures = [(CATALOGUE[key], metric_cell(CATALOGUE[key], found[key])) for key in PEEKED if key in found]
+    return render_template(
+        "runs/_peek.html",
+        run=run,
+        figures=[(metric, cell, display_unit(metric).unit) for metric, cell in figures],
+        settings=settings_of(run),
+    )
+
+
+PEEKED = ("ate.rmse", "rpe.rmse", "tracked_fraction", "frames.dropped_fraction", "latency.p95", "cpu.mean", "ram.max")
+"""Metrics of a run beside a list, as far as they are known."""
 
 
 @blueprint.get(f"/{RUN_ID}")
