@@ -121,38 +121,6 @@ Completion: TypeAlias = Callable[[click.Context, click.Parameter, str], list[Com
 _LATEST_RUNS = 30
 
 
-def _algorithms(hive: Hive) -> Iterable[Offer]:
-    return ((entry.name, entry.title) for entry in hive.catalogue.algorithms())
-
-
-def _packages(hive: Hive) -> Iterable[Offer]:
-    return ((entry.name, entry.title) for entry in hive.catalogue.packages())
-
-
-def _datasets(hive: Hive) -> Iterable[Offer]:
-    return ((entry.name, f"{entry.duration_s:.1f} s") for entry in hive.catalogue.datasets())
-
-
-def _experiments(hive: Hive) -> Iterable[Offer]:
-    return ((entry.name, entry.standing.value) for entry in hive.experiments.list())
-
-
-def _baselines(hive: Hive) -> Iterable[Offer]:
-    return ((entry.name, plural(entry.runs, "run")) for entry in hive.gates.baselines.briefs())
-
-
-def _challenges(hive: Hive) -> Iterable[Offer]:
-    return ((entry.name, entry.title) for entry in hive.challenges.briefs())
-
-
-def _searches(hive: Hive) -> Iterable[Offer]:
-    return ((entry.name, entry.filter_text) for entry in hive.searches.saved())
-
-
-def _analyses(hive: Hive) -> Iterable[Offer]:
-    return ((entry.token, entry.name) for entry in hive.stored_analyses.listed())
-
-
 def _runs(hive: Hive) -> Iterable[Offer]:
     latest = hive.stored_runs.page(limit=_LATEST_RUNS).records
     return ((str(run.id), f"{run.algorithm} on {run.dataset}, {run.state.value}") for run in latest)
@@ -188,14 +156,20 @@ def _read(context: click.Context, names: Callable[[Hive], Iterable[Offer]]) -> l
         return []
 
 
-ANALYSIS = _completion_of(_analyses)
-ALGORITHM = _completion_of(_algorithms)
-PACKAGE = _completion_of(_packages)
-DATASET = _completion_of(_datasets)
-EXPERIMENT = _completion_of(_experiments, or_file=True)
-BASELINE = _completion_of(_baselines, or_file=True)
-CHALLENGE = _completion_of(_challenges)
-SEARCH = _completion_of(_searches)
+ANALYSIS = _completion_of(lambda hive: ((entry.token, entry.name) for entry in hive.stored_analyses.listed()))
+ALGORITHM = _completion_of(lambda hive: ((entry.name, entry.title) for entry in hive.catalogue.algorithms()))
+PACKAGE = _completion_of(lambda hive: ((entry.name, entry.title) for entry in hive.catalogue.packages()))
+DATASET = _completion_of(
+    lambda hive: ((entry.name, f"{entry.duration_s:.1f} s") for entry in hive.catalogue.datasets())
+)
+EXPERIMENT = _completion_of(
+    lambda hive: ((entry.name, entry.standing.value) for entry in hive.experiments.list()), or_file=True
+)
+BASELINE = _completion_of(
+    lambda hive: ((entry.name, plural(entry.runs, "run")) for entry in hive.gates.baselines.briefs()), or_file=True
+)
+CHALLENGE = _completion_of(lambda hive: ((entry.name, entry.title) for entry in hive.challenges.briefs()))
+SEARCH = _completion_of(lambda hive: ((entry.name, entry.filter_text) for entry in hive.searches.saved()))
 RUN = _completion_of(_runs)
 
 

@@ -114,7 +114,15 @@ class _Playback:
         if self._options.realtime:
             for incoming in source:
                 due_s = (incoming.recorded_ns - self._recording.start_ns) * 1e-9 / self._options.rate
-                self._serve_until(self._start_s + due_s)
+                while True:  # requests are answered until the message is due
+                    self._serve()
+                    left_s = self._start_s + due_s - time.monotonic()
+                    if left_s <= 0:
+                        break
+                    if self._asked:
+                        time.sleep(left_s)
+                    elif self._connection.poll(left_s):
+                        self._receive()
                 group = self._take(incoming, self._since_start_s())
                 if group is not None:
                     self._counts.lags_s.append(max(0.0, group.received_s - due_s))
@@ -160,18 +168,6 @@ class _Playback:
         self._imu, self._odometry = [], []
         self._counts.frames += 1
         return group
-
-    def _serve_until(self, moment_s: float) -> None:
-        """Answer requests until ``moment_s`` of the monotonic clock."""
-        while True:
-            self._serve()
-            left_s = moment_s - time.monotonic()
-            if left_s <= 0:
-                return
-            if self._asked:
-                time.sleep(left_s)
-            elif self._connection.poll(left_s):
-                self._receive()
 
     def _serve(self) -> None:
         if not self._asked and self._connection.poll():

@@ -476,7 +476,18 @@ class AlgorithmImports:
         """Get the image, complete it, and make the package. A failure leaves no package behind."""
         check_writable(self._settings)
         tools = self._tools(planned.request.executor)
-        digest, checksum = _get_image(planned, tools, progress)
+        checksum: str | None = None
+        if planned.way is Way.BUILD:
+            if not planned.request.builds:
+                problem = f"{planned.name} has no image, and none is built of its Dockerfile"
+                raise InvalidInput(problem, "save its image")
+            digest = tools.build(Path(planned.image).parent, planned.name, progress)
+        elif planned.way is Way.TAKE:
+            digest = tools.find(planned.image) or tools.pull(planned.image, progress)
+        else:
+            archive = ImageArchive(Path(planned.image))
+            archive.check()
+            digest, checksum = tools.load(archive.chunks(progress)), archive.checksum
         root = self._settings.algorithms_folder
         try:
             root.mkdir(parents=True, exist_ok=True)
@@ -523,19 +534,6 @@ class AlgorithmImports:
 
     def _tools(self, executor: str | None = None) -> ImageTools:
         return self._executors.get(self._executors.choose(executor)).image_tools()
-
-
-def _get_image(planned: PlannedPackage, tools: ImageTools, progress: Progress) -> tuple[str, str | None]:
-    """The digest of the image, and the checksum of its archive."""
-    if planned.way is Way.BUILD:
-        if not planned.request.builds:
-            raise InvalidInput(f"{planned.name} has no image, and none is built of its Dockerfile", "save its image")
-        return tools.build(Path(planned.image).parent, planned.name, progress), None
-    if planned.way is Way.TAKE:
-        return tools.find(planned.image) or tools.pull(planned.image, progress), None
-    archive = ImageArchive(Path(planned.image))
-    archive.check()
-    return tools.load(archive.chunks(progress)), archive.checksum
 
 
 def _scripts_of(planned: PlannedPackage, digest: str, tools: ImageTools, aside: Path) -> tuple[Path, ForeignFolder]:

@@ -52,7 +52,18 @@ class WeightsStore:
         found = []
         for weights in package.weights:
             path = self._folder / package.name / weights.name
-            found.append(StoredWeights(weights, path, weights.sha256 or _noted(path)))
+            checksum, note = weights.sha256, _note_of(path)
+            if not checksum:
+                try:
+                    checksum = note.read_text(encoding="ascii").strip()
+                except FileNotFoundError:
+                    checksum = None
+                except (OSError, UnicodeDecodeError):
+                    checksum = ""
+                if checksum is not None and not _SHA256.fullmatch(checksum):
+                    remedy = "remove it and the weights, and add them again"
+                    raise InvalidInput(f"{note} holds no checksum", remedy)
+            found.append(StoredWeights(weights, path, checksum))
         return tuple(found)
 
     def check_present(self, package: AlgorithmPackage) -> None:
@@ -137,18 +148,6 @@ def _check(entry: StoredWeights, path: Path, found: str) -> None:
 
 def _note_of(path: Path) -> Path:
     return path.with_name(f"{path.name}.sha256")
-
-
-def _noted(path: Path) -> str | None:
-    try:
-        text = _note_of(path).read_text(encoding="ascii").strip()
-    except FileNotFoundError:
-        return None
-    except (OSError, UnicodeDecodeError):
-        text = ""
-    if not _SHA256.fullmatch(text):
-        raise InvalidInput(f"{_note_of(path)} holds no checksum", "remove it and the weights, and add them again")
-    return text
 
 
 def _sha256_of(path: Path) -> str:

@@ -130,7 +130,16 @@ class FiledRunRepository(Repository):
         return left
 
     def _put_rows(self, runs: Sequence[FiledRun], here: set[int], protocols: Mapping[str, int]) -> dict[int, int]:
-        rows, left = [], self._repeating_others(runs)
+        # {number: number of the original} where the original is neither stored nor filed before its repeat.
+        repeats = {run.snapshot.id: run.snapshot.request.retry_of for run in runs}
+        wanted = {original for original in repeats.values() if original is not None}
+        stored = set(self._column(select(_RUNS.c.id).where(_RUNS.c.id.in_(wanted)))) if wanted else set()
+        left = {
+            number: original
+            for number, original in repeats.items()
+            if original is not None and original not in stored and not (original in repeats and original < number)
+        }
+        rows = []
         requests = SharingRepository(self._connection).of_experiments([run.snapshot.request for run in runs])
         audiences = SharingRepository(self._connection).audiences(requests)
         for run, request in zip(runs, requests, strict=True):
@@ -149,19 +158,6 @@ class FiledRunRepository(Repository):
             same = update(_RUNS).where(_RUNS.c.id == bindparam("number"))
             self._connection.execute(same, [{"number": row.pop("id"), **row} for row in alike])
         return left
-
-    def _repeating_others(self, runs: Sequence[FiledRun]) -> dict[int, int]:
-        """{number: number of the original} where the original is neither stored nor filed before its repeat."""
-        repeats = {run.snapshot.id: run.snapshot.request.retry_of for run in runs}
-        wanted = {original for original in repeats.values() if original is not None}
-        if not wanted:
-            return {}
-        here = set(self._column(select(_RUNS.c.id).where(_RUNS.c.id.in_(wanted))))
-        return {
-            number: original
-            for number, original in repeats.items()
-            if original is not None and original not in here and not (original in repeats and original < number)
-        }
 
     def _put_figures(self, runs: Sequence[FiledRun], here: set[int], protocols: Mapping[str, int]) -> None:
         keys = {key for run in runs for values in (run.measured, *run.figures.values()) for key in values}

@@ -55,7 +55,7 @@ from slamhive.store.models import (
 )
 from slamhive.store.records import AlgorithmVersion, Count, Page, ProtocolLabel, RunRecord, RunSort
 from slamhive.store.rows import behind, decode, encode, from_json, ordered
-from slamhive.store.search_sql import NULLABLE, RUNS, Sql, Start, look_up, starts, stored_parameters
+from slamhive.store.search_sql import NULLABLE, RUNS, Sql, look_up, starts, stored_parameters
 
 _RUNS: Table = RunRow.__table__
 COLUMNS: dict[str, Column[Any]] = {
@@ -534,24 +534,20 @@ class Matches:
 
     def ids(self, limit: int | None) -> Select[Any]:
         """The ids of up to ``limit`` matches, in any order."""
-        start = self._best_start()
-        if start is not None:
-            return start.matches(self.sql).limit(limit)
         runs = RUNS.alias()
-        return select(runs.c.id).where(self.sql.test(self.search.tree, runs)).limit(limit)
-
-    def _best_start(self) -> Start | None:
-        """The cheapest start. A sample of runs shows how many runs each of them yields."""
         found = list(islice(starts(self.search.tree), _TRIED))
-        if len(found) < 2:
-            return found[0] if found else None
-        # Seeded by the newest run, so that all pages of a list get the same start. Few ids below it are missing.
-        newest = self.connection.execute(select(func.max(RUNS.c.id))).scalar_one() or 0
-        sample = Random(newest).sample(range(1, newest + 1), min(newest, _SAMPLE))  # noqa: S311 - no secret
-        runs = RUNS.alias()
-        fitting = [func.sum(case((self.sql.test(start.part, runs), 1), else_=0)) for start in found]
-        lengths = self.connection.execute(select(*fitting).where(among(runs.c.id, sample))).one()
-        return min(zip(found, lengths, strict=True), key=lambda entry: entry[0].cost * (entry[1] or 0))[0]
+        if found:
+            start = found[0]
+            if len(found) > 1:
+                # The cheapest: a sample of runs shows how many each of them yields. It is seeded by the newest run, so
+                # that all pages of a list get the same start. Few ids below it are missing.
+                newest = self.connection.execute(select(func.max(RUNS.c.id))).scalar_one() or 0
+                sample = Random(newest).sample(range(1, newest + 1), min(newest, _SAMPLE))  # noqa: S311 - no secret
+                fitting = [func.sum(case((self.sql.test(entry.part, runs), 1), else_=0)) for entry in found]
+                lengths = self.connection.execute(select(*fitting).where(among(runs.c.id, sample))).one()
+                start = min(zip(found, lengths, strict=True), key=lambda entry: entry[0].cost * (entry[1] or 0))[0]
+            return start.matches(self.sql).limit(limit)
+        return select(runs.c.id).where(self.sql.test(self.search.tree, runs)).limit(limit)
 
     def _number(self, rows: FromClause) -> int:
         return int(self.connection.execute(select(func.count()).select_from(rows)).scalar_one())

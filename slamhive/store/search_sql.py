@@ -304,7 +304,12 @@ class Sql:
         name = _RUN_COLUMNS.get(leaf.field.name, leaf.field.name)
         value = runs.c[name]
         if leaf.field.name == "disturbed_by":
-            return func.coalesce(_disturbed_by(value, leaf), false())
+            # A run may have several kinds of disturbance; an undisturbed one has no value.
+            there = value > ""
+            if leaf.sign is not Sign.HAS:
+                kinds = or_(false(), *(value.contains(str(kind), autoescape=True) for kind in leaf.values))
+                there = and_(there, not_(kinds)) if leaf.sign in COMPLEMENTS else kinds
+            return func.coalesce(there, false())
         if leaf.sign is Sign.HAS:
             return value.is_not(None)
         if leaf.field.name == "visibility":
@@ -451,14 +456,6 @@ class Sql:
             inside = and_(column >= values[0], column < values[1])
             return inside if leaf.sign is Sign.EQUAL else not_(inside)
         return _COMPARE[leaf.sign](column, values[0])
-
-
-def _disturbed_by(column: ColumnElement[Any], leaf: Condition) -> ColumnElement[bool]:
-    """A comparison of the kinds of disturbance of a run. There may be several; an undisturbed run has no value."""
-    if leaf.sign is Sign.HAS:
-        return column > ""
-    found = or_(false(), *(column.contains(str(kind), autoescape=True) for kind in leaf.values))
-    return and_(column > "", not_(found)) if leaf.sign in COMPLEMENTS else found
 
 
 def _any(query: Select[Any]) -> ColumnElement[bool]:

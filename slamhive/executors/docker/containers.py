@@ -138,27 +138,23 @@ class RunContainers:
         make_own_copies(spec)
         deadline_s = monotonic_s() + _CREATION_PATIENCE_S
         while True:
-            container = self._try_create(spec) or self.find(container_name(spec.key))
+            with engine_errors(f"starting run {spec.run_id}", StartFailed):
+                try:
+                    options = container_options(spec, self._context, traits_of(self._engine()))
+                    options["labels"] |= boot_labels()
+                    return self._engine().containers.create(**options)
+                except docker.errors.ImageNotFound:
+                    raise ImageMissing(f"image {spec.image} ({spec.identity[:19]}) is gone", "build it again") from None
+                except docker.errors.APIError as error:
+                    if error.status_code != 409:  # its name is taken
+                        raise
+            container = self.find(container_name(spec.key))
             if container is not None:
                 return container
             # A worker that was killed asked for it too: the engine has taken the name, and still makes the container.
             if monotonic_s() >= deadline_s:
                 raise StartFailed(f"the engine does not finish the container of run {spec.run_id}", "try again")
             time.sleep(_CREATION_STEP_S)
-
-    def _try_create(self, spec: RunSpec) -> Any | None:
-        """Create the container; None if its name is taken."""
-        with engine_errors(f"starting run {spec.run_id}", StartFailed):
-            try:
-                options = container_options(spec, self._context, traits_of(self._engine()))
-                options["labels"] |= boot_labels()
-                return self._engine().containers.create(**options)
-            except docker.errors.ImageNotFound:
-                raise ImageMissing(f"image {spec.image} ({spec.identity[:19]}) is gone", "build it again") from None
-            except docker.errors.APIError as error:
-                if error.status_code != 409:
-                    raise
-                return None
 
     def start(self, container: Any, spec: RunSpec) -> None:
         """Start a container that was created; it is removed if that fails.

@@ -394,7 +394,17 @@ def volumes_of(places: list[PodPlace], data: Path, claim: str) -> tuple[list[dic
     """
     if claim:
         volume = {"name": "data", "persistentVolumeClaim": {"claimName": claim}}
-        return [volume], [_mount_of_place(place, "data") | {"subPath": _below(place, data)} for place in places]
+        mounts: list[dict[str, Any]] = []
+        for place in places:
+            try:
+                below = str(place.source.relative_to(data.resolve()))
+            except ValueError:
+                raise StartFailed(
+                    f"{place.source} is not below the data root {data}, which is all that nodes have",
+                    "move it there, or use a shared file system instead of --claim",
+                ) from None
+            mounts.append(_mount_of_place(place, "data") | {"subPath": below})
+        return [volume], mounts
     volumes = [
         {"name": f"p{number}", "hostPath": {"path": str(place.source), "type": _kind(place)}}
         for number, place in enumerate(places)
@@ -409,16 +419,6 @@ def _mount_of_place(place: PodPlace, volume: str) -> dict[str, Any]:
 def _kind(place: PodPlace) -> str:
     """The kubelet refuses a path that is something else, or missing because the node does not share it."""
     return "Directory" if place.is_folder else "File"
-
-
-def _below(place: PodPlace, data: Path) -> str:
-    try:
-        return str(place.source.relative_to(data.resolve()))
-    except ValueError:
-        raise StartFailed(
-            f"{place.source} is not below the data root {data}, which is all that nodes have",
-            "move it there, or use a shared file system instead of --claim",
-        ) from None
 
 
 def _inside(entry: RunInput, data: Path, folder: Path) -> RunInput:

@@ -137,8 +137,17 @@ class RunJobs:
                 look_at_s = monotonic_s() + _LOOK_EVERY_S
                 found = self._look(spec, files)
                 before, unschedulable = unschedulable, found.unschedulable
-                if unschedulable and not before:
-                    self._refuse_unmeetable(spec)
+                # None if nodes may not be listed. A run that no node could take, even if it were empty, waits in vain.
+                nodes = self._cluster.nodes() if unschedulable and not before else None
+                if nodes is not None:
+                    asked = resources(spec, self._options)
+                    asked = asked if self._store is None else with_courier(asked)
+                    never = answers.unmeetable(asked, self._options.node, nodes)
+                    if never is not None:
+                        problem = f"no node can ever take run {spec.run_id}: {never}"
+                        raise StartFailed(problem, "change its limits, or add a node")
+                    if answers.all_among(nodes, self._options.node, spec.placing.other_nodes):
+                        raise StartFailed(f"run {spec.run_id}: {spec.placing.nobody}", "same_cpu: false allows others")
                 created_since_s = (created_since_s or monotonic_s()) if found.created else None
                 forgotten = created_since_s is not None and monotonic_s() - created_since_s >= CREATED_PATIENCE_S
                 if forgotten and not files.begun:
@@ -196,19 +205,6 @@ class RunJobs:
             self.delete(spec.key)
             raise explain_missing(spec.identity, self._options.registry, found.why)
         return found
-
-    def _refuse_unmeetable(self, spec: RunSpec) -> None:
-        """Raise StartFailed for a run that no node could take, even if it were empty; if nodes may be listed."""
-        nodes = self._cluster.nodes()
-        if nodes is None:
-            return
-        asked = resources(spec, self._options)
-        asked = asked if self._store is None else with_courier(asked)
-        never = answers.unmeetable(asked, self._options.node, nodes)
-        if never is None and answers.all_among(nodes, self._options.node, spec.placing.other_nodes):
-            raise StartFailed(f"run {spec.run_id}: {spec.placing.nobody}", "same_cpu: false allows others")
-        if never is not None:
-            raise StartFailed(f"no node can ever take run {spec.run_id}: {never}", "change its limits, or add a node")
 
     def _failure(self, key: str) -> str | None:
         """Why a Job without a pod will never have one; None if it may."""

@@ -106,7 +106,25 @@ class RunOnNode:
                 write_aside(self._spec.work / VARIANT_FILE, json.dumps(known))
                 paths |= {item_name(RECORDING): folder / known[BAG], item_name(DATASET_FILE): folder / DATASET_FILE}
             self._give_orders(paths)
-            self._supervise()
+            work = self._spec.work
+            program = [sys.executable, "-m", "slamhive.executors.slurm.node"]
+            asked = ["gpu"] if self._spec.asks_gpu else []
+            with (work / ERRORS_FILE).open("ab") as errors:
+                measuring = subprocess.Popen([*program, "measure", str(work)], stdin=subprocess.DEVNULL, stderr=errors)
+                self._supervisor = subprocess.Popen(
+                    [*program, "supervise", str(work), *asked], stdin=subprocess.DEVNULL, stdout=errors, stderr=errors
+                )
+            count_at_s = 0.0
+            while self._supervisor.poll() is None:
+                if self._reporter.refused is not None:
+                    self._supervisor.send_signal(signal.SIGUSR1)  # nobody wants the run any more
+                if monotonic_s() >= count_at_s:
+                    self._written_bytes = sum(map(folder_bytes, _written(self._spec)))
+                    self._progress(RUNNING)
+                    count_at_s = monotonic_s() + _COUNT_S
+                time.sleep(_STEP_S)
+            measuring.terminate()
+            measuring.wait()
             return self._deliver()
         finally:
             self._reporter.end()
@@ -126,28 +144,6 @@ class RunOnNode:
             options=self._orders["options"],
         )
         give_container_orders(spec, image, spec.work, context)
-
-    def _supervise(self) -> None:
-        """Start the supervisor, and wait until it ends."""
-        work = self._spec.work
-        program = [sys.executable, "-m", "slamhive.executors.slurm.node"]
-        asked = ["gpu"] if self._spec.asks_gpu else []
-        with (work / ERRORS_FILE).open("ab") as errors:
-            measuring = subprocess.Popen([*program, "measure", str(work)], stdin=subprocess.DEVNULL, stderr=errors)
-            self._supervisor = subprocess.Popen(
-                [*program, "supervise", str(work), *asked], stdin=subprocess.DEVNULL, stdout=errors, stderr=errors
-            )
-        count_at_s = 0.0
-        while self._supervisor.poll() is None:
-            if self._reporter.refused is not None:
-                self._supervisor.send_signal(signal.SIGUSR1)  # nobody wants the run any more
-            if monotonic_s() >= count_at_s:
-                self._written_bytes = sum(map(folder_bytes, _written(self._spec)))
-                self._progress(RUNNING)
-                count_at_s = monotonic_s() + _COUNT_S
-            time.sleep(_STEP_S)
-        measuring.terminate()
-        measuring.wait()
 
     def _deliver(self) -> int:
         mirror = self._reporter.end()

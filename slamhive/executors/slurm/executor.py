@@ -140,7 +140,10 @@ class SlurmExecutor(ProcessExecutor):
                 request = job_request(spec, installation, self._options, self._gpu, commands, self._printed)
                 # For a node that shares no files, the script holds the ticket of the run.
                 self._queue.submit(request._replace(secret=not self.capabilities.shares_files))
-            wait_until(lambda: _begun(work) or self._is_stuck(spec.key), START_WAIT_S)
+            # A job that is over, or never starts, is not waited for.
+            wait_until(
+                lambda: _begun(work) or all(job.over or job.never_starts for job in self._jobs(spec.key)), START_WAIT_S
+            )
         identity = read_json(work / IDENTITY_FILE)
         if identity is None:
             raise self._why_not_started(spec, work)
@@ -254,11 +257,6 @@ class SlurmExecutor(ProcessExecutor):
         if not environment.ready:
             raise ImageMissing(f"the environment {spec.identity} of {spec.package} is gone", "build it again")
         shim_spec_of(spec, environment, work, self._context, None).save(work)
-
-    def _is_stuck(self, key: str) -> bool:
-        """Return whether waiting longer for the job is of no use."""
-        jobs = self._jobs(key)
-        return all(job.over or job.never_starts for job in jobs)
 
     def _why_not_started(self, spec: RunSpec, work: Path) -> EngineUnavailable | StartFailed:
         jobs = self._jobs(spec.key, 0.0)

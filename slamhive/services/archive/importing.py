@@ -107,7 +107,19 @@ class ArchiveImport:
         with open_archive(path) as archive:
             self._check_size(archive, path)
             with self._aside() as aside:
-                contents = self._check_and_unpack(archive, aside, progress)
+                wanted = self._wanted(archive)
+
+                def place(name: str) -> Path | None:
+                    kind, _, below = name.partition("/")
+                    number, _, file = below.partition("/")
+                    return aside / below if kind == "runs" and int(number) in wanted and travels(file) else None
+
+                try:
+                    contents = check_archive(archive, lambda share, text: progress(_CHECKING * share, text), place)
+                except OSError as error:
+                    raise Unavailable(
+                        f"{aside} cannot be written: {error.strerror}", "check space and rights"
+                    ) from None
                 report.notes += [note for note in (contents.note, _publicly_seen(archive)) if note is not None]
                 around = Surroundings(self._settings, self._store, self._catalogue, archive, contents, report.notes)
                 with self._alone(contents, progress):
@@ -134,19 +146,6 @@ class ArchiveImport:
                 f"{self._settings.data} has {free / _MB:.0f} MB free, the archive needs {needed / _MB:.0f} MB",
                 "free some space, or move the data root (SLAMHIVE_DATA)",
             )
-
-    def _check_and_unpack(self, archive: ArchiveReader, aside: Path, progress: CheckProgress) -> Contents:
-        wanted = self._wanted(archive)
-
-        def place(name: str) -> Path | None:
-            kind, _, below = name.partition("/")
-            number, _, file = below.partition("/")
-            return aside / below if kind == "runs" and int(number) in wanted and travels(file) else None
-
-        try:
-            return check_archive(archive, lambda share, text: progress(_CHECKING * share, text), place)
-        except OSError as error:
-            raise Unavailable(f"{aside} cannot be written: {error.strerror}", "check space and rights") from None
 
     def _wanted(self, archive: ArchiveReader) -> set[int]:
         """The runs, by their numbers in the archive, whose folders are not here. Nothing of it has been checked yet."""

@@ -315,7 +315,19 @@ def check_archive(archive: ArchiveReader, progress: CheckProgress, place: Place 
     """
     archive.verify(lambda done, total: progress(0.8 * done / max(total, 1), "comparing checksums"), place)
     contents = Contents()
-    _check_runs(archive, contents, progress)
+    expected = max(archive.manifest.counts.get("runs", 0), 1)
+    numbers: set[int] = set()
+    for run, _ in recorded_runs(archive):
+        if run.uid in contents.runs or run.id in numbers:
+            raise InvalidInput(f"the archive has run {run.id} twice", "export it again")
+        contents.runs[run.uid] = run.id
+        numbers.add(run.id)
+        if run.experiment is not None:
+            name = check_name("experiment", run.experiment)
+            contents.runs_of_experiment[name] = contents.runs_of_experiment.get(name, 0) + 1
+        progress(0.8 + 0.2 * min(len(numbers) / expected, 1.0), "reading records")
+    if len(numbers) != archive.manifest.counts.get("runs", 0):
+        raise InvalidInput(f"the archive has {len(numbers)} runs and says to have another number", "export it again")
     described = [writing.dataset_from_line(content)[0] for content in archive.lines(layout.DATASETS)]
     contents.datasets.update({name: archived_dataset(archive, name) for name in described})
     algorithms = {writing.read_line(AlgorithmLine, content).name for content in archive.lines(layout.ALGORITHMS)}
@@ -345,22 +357,6 @@ def check_archive(archive: ArchiveReader, progress: CheckProgress, place: Place 
         writing.analysis_from_line(content)
     _check_folders(archive, contents, names)
     return contents
-
-
-def _check_runs(archive: ArchiveReader, contents: Contents, progress: CheckProgress) -> None:
-    expected = max(archive.manifest.counts.get("runs", 0), 1)
-    numbers: set[int] = set()
-    for line, _ in recorded_runs(archive):
-        if line.uid in contents.runs or line.id in numbers:
-            raise InvalidInput(f"the archive has run {line.id} twice", "export it again")
-        contents.runs[line.uid] = line.id
-        numbers.add(line.id)
-        if line.experiment is not None:
-            name = check_name("experiment", line.experiment)
-            contents.runs_of_experiment[name] = contents.runs_of_experiment.get(name, 0) + 1
-        progress(0.8 + 0.2 * min(len(numbers) / expected, 1.0), "reading records")
-    if len(numbers) != archive.manifest.counts.get("runs", 0):
-        raise InvalidInput(f"the archive has {len(numbers)} runs and says to have another number", "export it again")
 
 
 def recorded_runs(archive: ArchiveReader) -> Iterator[tuple[RunLine, RunFile]]:

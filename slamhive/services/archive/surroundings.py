@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from itertools import count, islice
 from typing import Any, TypeVar
 
-from slamhive.base.errors import Conflict, SlamHiveError
+from slamhive.base.errors import SlamHiveError
 from slamhive.base.settings import Settings
 from slamhive.documents.archive import AlgorithmLine, ConfigurationLine
 from slamhive.domain.accounts import Visibility, taken_over
@@ -199,7 +199,12 @@ class Surroundings:
             self._experiment_names[record.name] = here
             self._seen_by[here] = self._store.read(lambda t: t.experiments.get(here)).seen_by
             return
-        name = self._free_name(record)
+        for number in count(1):
+            name = record.name if number == 1 else f"{record.name[:_LONGEST_NAME]}-{number}"
+            stamp = ExperimentFolder(self._settings.experiments_folder / name).read()
+            taken = self._store.read(lambda t: t.experiments.find(name))  # noqa: B023
+            if taken is None and (stamp is None or stamp.uid == record.uid):
+                break
         self._experiment_names[record.name] = name
         if name != record.name:
             self._notes.append(f"experiment {record.name} is called {name} here: there is another one of its name")
@@ -226,15 +231,6 @@ class Surroundings:
             folder.write(StoredExperiment.of(settled), record.source)
             self._store.write(lambda t: t.archive.put_experiment(record.uid, name, values))
         counts["experiments"] += 1
-
-    def _free_name(self, record: ExperimentRecord) -> str:
-        for number in count(1):
-            name = record.name if number == 1 else f"{record.name[:_LONGEST_NAME]}-{number}"
-            stamp = ExperimentFolder(self._settings.experiments_folder / name).read()
-            taken = self._store.read(lambda t: t.experiments.find(name))  # noqa: B023
-            if taken is None and (stamp is None or stamp.uid == record.uid):
-                return name
-        raise Conflict(f"there is no name left for experiment {record.name}")
 
     def _cells(self) -> None:
         ids = {record.name: record.id for record in self._store.read(lambda t: t.experiments.all())}

@@ -188,12 +188,18 @@ def ranking_of(
     """The ranking of a phase; without teams while its scores are hidden."""
     shown = scores_shown(phase, now)
     counted = _counted(definition, submissions, now) if shown else []
+    from slamhive.analysis.statistics import LEAST_FOR_WILCOXON  # noqa: PLC0415 - loads scipy
+
+    test, sequences = "none: one sequence separates nobody", len(definition.sequences_of(phase))
+    if sequences > 1:
+        name = "Wilcoxon's signed-rank test" if sequences >= LEAST_FOR_WILCOXON else "Student's paired t test"
+        test = f"{name} over {sequences} sequences at the level {definition.file.significance:g}"
     return ChallengeRanking(
         challenge=definition.file.name,
         phase=phase.name,
         shown=shown,
         shown_from=None if shown else phase.ends,
-        test=_test_words(definition, len(definition.sequences_of(phase))),
+        test=test,
         teams=tuple(_ranked(definition, counted)) if counted else (),
     )
 
@@ -248,12 +254,3 @@ def _ranked(definition: Definition, counted: Sequence[Scored]) -> list[RankedTea
         )
         for entry in found
     ]
-
-
-def _test_words(definition: Definition, sequences: int) -> str:
-    from slamhive.analysis.statistics import LEAST_FOR_WILCOXON  # noqa: PLC0415 - loads scipy
-
-    if sequences < 2:
-        return "none: one sequence separates nobody"
-    name = "Wilcoxon's signed-rank test" if sequences >= LEAST_FOR_WILCOXON else "Student's paired t test"
-    return f"{name} over {sequences} sequences at the level {definition.file.significance:g}"

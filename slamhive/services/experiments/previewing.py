@@ -305,7 +305,18 @@ def preview(
     costs, built = context.store.read(lambda t: (Costs.look(t), t.durations.built()))
     between_s = costs.overhead.seconds + (costs.evaluation.seconds if experiment.evaluation.enabled else 0.0)
     builds_s = costs.build.seconds * len({algorithm.package.name for algorithm, _ in expansion.pairs} - built)
-    sums = _sum_up(context, expansion, progress, between_s)
+    recordings_s = {dataset.name: dataset.duration_s for _, dataset in expansion.pairs}
+    means_s = {
+        pairing: found.seconds for pairing, found in context.store.read(lambda t: t.durations.of_pairings()).items()
+    }
+    sums = _Sums()
+    for chunk in chunks_of(expansion, CHUNK):
+        hashes = [cell[0].content_hash for cell in chunk]
+        known = context.store.read(lambda t, hashes=hashes: t.durations.of_configurations(hashes))  # type: ignore[misc]
+        for cell in chunk:
+            run_s = _add(sums, cell, known.get(cell[0].content_hash), means_s, recordings_s)
+            sums.work.add(cell[0].configuration, run_s + between_s, len(cell))
+        progress(sums.runs, expansion.size.runs)
     cluster = None
     if nodes is not None:
         moved = bytes_of_data(expansion, space)
@@ -357,22 +368,6 @@ def _defaults(expansion: Expansion, first: Mapping[Pair, Configuration]) -> Iter
             found.setdefault((algorithm.name, taken), []).append(dataset.name)
     for (name, taken), datasets in found.items():
         yield f"{name}: the calibration of {', '.join(datasets)} lacks what it takes; defaults of the package: {taken}"
-
-
-def _sum_up(context: ExperimentContext, expansion: Expansion, progress: Progress, between_s: float) -> _Sums:
-    recordings_s = {dataset.name: dataset.duration_s for _, dataset in expansion.pairs}
-    means_s = {
-        pairing: found.seconds for pairing, found in context.store.read(lambda t: t.durations.of_pairings()).items()
-    }
-    sums = _Sums()
-    for chunk in chunks_of(expansion, CHUNK):
-        hashes = [cell[0].content_hash for cell in chunk]
-        known = context.store.read(lambda t, hashes=hashes: t.durations.of_configurations(hashes))  # type: ignore[misc]
-        for cell in chunk:
-            run_s = _add(sums, cell, known.get(cell[0].content_hash), means_s, recordings_s)
-            sums.work.add(cell[0].configuration, run_s + between_s, len(cell))
-        progress(sums.runs, expansion.size.runs)
-    return sums
 
 
 def _add(

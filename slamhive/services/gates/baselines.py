@@ -60,15 +60,16 @@ def _measured(run: RunRecord, values: Mapping[str, float], failed: VerdictKind |
         cpu_model=None if run.host is None else run.host.cpu_model,
         disturbed=None if run.disturbance is None else run.disturbance.disturbed,
         failed=failed,
-        metrics={key: value for key, value in values.items() if _can_become_worse(key) and abs(value) <= LARGEST_VALUE},
+        # Those that can become worse. What repeats say of each other is computed anew from these.
+        metrics={
+            key: value
+            for key, value in values.items()
+            if (metric := METRICS.entries.get(key)) is not None
+            and metric.direction is not Direction.NEUTRAL
+            and key not in FROM_REPEATS
+            and abs(value) <= LARGEST_VALUE
+        },
     )
-
-
-def _can_become_worse(key: str) -> bool:
-    metric = METRICS.entries.get(key)
-    if metric is None or key in FROM_REPEATS:
-        return False
-    return metric.direction is not Direction.NEUTRAL
 
 
 # Matching runs with configurations of a baseline. The version of the package may differ.
@@ -90,7 +91,13 @@ def find_pair(
     A parameter that only one of them has was added to the package or removed from it, and does not count. Neither do
     the parameters ``ignored``.
     """
-    alike = [place for place, entry in enumerate(held) if _alike(entry, found)]
+    used_map = None if found.map is None else found.map.content
+    alike = [
+        place
+        for place, entry in enumerate(held)
+        if (None if entry.map is None else entry.map.content) == used_map
+        and all(getattr(entry, name) == getattr(found, name) for name in _ALIKE)
+    ]
     fitting = [place for place in alike if not _differences(held[place], found, ignored)]
     if len(fitting) == 1:
         return fitting[0]
@@ -101,12 +108,6 @@ def find_pair(
     fewest = min((_differences(held[place], found, ignored) for place in alike), key=len)
     more = f" and {len(fewest) - _MOST_NAMED} more" if len(fewest) > _MOST_NAMED else ""
     return f"differs from the baseline in {', '.join(fewest[:_MOST_NAMED])}{more}"
-
-
-def _alike(held: ConfigurationContent, found: ConfigurationContent) -> bool:
-    """Tell if all but the parameters is equal."""
-    maps = [None if entry.map is None else entry.map.content for entry in (held, found)]
-    return maps[0] == maps[1] and all(getattr(held, name) == getattr(found, name) for name in _ALIKE)
 
 
 def _differences(held: ConfigurationContent, found: ConfigurationContent, ignored: Collection[str]) -> list[str]:

@@ -71,9 +71,14 @@ def settle_truth(file: PoseFile, name: str, told: Convention, partners: Sequence
     """
     asked = partners[:_PARTNERS]
     unit = file.unit(told, None)
-    spans = (_own_span(partner) for partner in asked if unit.value is None)
-    found = (file.unit(told, span) for span in spans if span is not None)
-    unit = next((entry for entry in found if entry.value is not None), unit)
+    for partner in asked:
+        if unit.value is not None:
+            break
+        # An estimate helps if its own unit is clear without a ground truth.
+        own = partner.file.unit(partner.told, None).value
+        span = None if own is None else span_of(partner.file.raw.times, own)
+        found = unit if span is None else file.unit(told, span)
+        unit = unit if found.value is None else found
     time_unit = _decided(unit, "time unit", "--groundtruth-time-unit", TimeUnit)
     if not file.has_order:
         return _reading(file, name, time_unit, unit.because, None)
@@ -94,12 +99,6 @@ def _truth_order(
     if by_itself.value is not None:
         return next(found, by_itself)
     return next((entry for entry in found if entry.value is not None), by_itself)
-
-
-def _own_span(partner: Partner) -> Span | None:
-    """First and last timestamp of an estimate, if its time unit is clear without a ground truth."""
-    unit = partner.file.unit(partner.told, None).value
-    return None if unit is None else span_of(partner.file.raw.times, unit)
 
 
 def _spreads_deg(file: PoseFile, unit: TimeUnit, truth: ImportTruth) -> dict[QuaternionOrder, float]:

@@ -46,6 +46,25 @@ def answer_of(
     check = GateCheck(baseline, prepared.margins, both_ways=True)
     metrics = [_metric(entry, pairs) for entry in compared(check, pairs, SIGNIFICANCE)]
     answer = Agreement.over([entry.answer for entry in metrics])
+    # The limits of the answer, one sentence each.
+    notes = list(prepared.notes)
+    for recorded, pair in zip(prepared.configurations, pairs, strict=True):
+        if recorded.version.identity != recorded.recorded_identity:
+            notes.append(
+                f"{recorded.version.package} was built again from the same files: {recorded.version.identity[:19]} in "
+                f"place of {recorded.recorded_identity[:19]}."
+            )
+        if len(recorded.runs) == 1:
+            notes.append(f"{pair.words} has one recorded run: its values are taken as they are.")
+        if {run.executor for run in recorded.runs} != {run.executor for run in pair.runs}:
+            notes.append(
+                f"{pair.words} ran with {recorded.executor}, the recorded runs with {recorded.runs[0].executor}."
+            )
+    old = [run for entry in prepared.configurations for run in entry.runs]
+    new = [run for pair in pairs for run in pair.runs]
+    models = [sorted({run.host.cpu_model for run in runs if run.host is not None}) for runs in (old, new)]
+    if all(models) and models[0] != models[1]:
+        notes.append(f"The processors differ: {', '.join(models[1])}; the recorded runs {', '.join(models[0])}.")
     return ReplayAnswer(
         bundle=name,
         answer=answer,
@@ -55,7 +74,7 @@ def answer_of(
         configurations=tuple(
             _configuration(entry, pair, runs_folder) for entry, pair in zip(prepared.configurations, pairs, strict=True)
         ),
-        notes=(*prepared.notes, *_remarks(prepared.configurations, pairs)),
+        notes=tuple(notes),
     )
 
 
@@ -125,25 +144,6 @@ def _trajectories(runs: Iterable[RunRecord], runs_folder: Path) -> Iterator[str]
         if stream is not None:
             with stream:
                 yield sha256(stream.read()).hexdigest()
-
-
-def _remarks(configurations: Sequence[Recorded], pairs: Sequence[RunPair]) -> Iterator[str]:
-    """List the limits of the answer, one sentence each."""
-    for entry, pair in zip(configurations, pairs, strict=True):
-        if entry.version.identity != entry.recorded_identity:
-            yield (
-                f"{entry.version.package} was built again from the same files: {entry.version.identity[:19]} in place "
-                f"of {entry.recorded_identity[:19]}."
-            )
-        if len(entry.runs) == 1:
-            yield f"{pair.words} has one recorded run: its values are taken as they are."
-        if {run.executor for run in entry.runs} != {run.executor for run in pair.runs}:
-            yield f"{pair.words} ran with {entry.executor}, the recorded runs with {entry.runs[0].executor}."
-    recorded = [run for entry in configurations for run in entry.runs]
-    repeats = [run for pair in pairs for run in pair.runs]
-    models = [sorted({run.host.cpu_model for run in runs if run.host is not None}) for runs in (recorded, repeats)]
-    if all(models) and models[0] != models[1]:
-        yield f"The processors differ: {', '.join(models[1])}; the recorded runs {', '.join(models[0])}."
 
 
 def _words(answer: Agreement, metrics: Sequence[ReplayMetric]) -> str:

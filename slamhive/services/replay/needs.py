@@ -236,7 +236,32 @@ class Recordings:
 
         Raises InvalidInput if a dataset of one of the names is another one here, NotFound if a recording is missing.
         """
-        return frozenset(name for name, wanted in self._wanted.items() if not self._is_here(name, wanted))
+        missing: set[str] = set()
+        for name, wanted in self._wanted.items():
+            exists = self._catalogue.dataset_folder(name).exists()
+            dataset = self._catalogue.dataset(name) if exists else archived_dataset(self._archive, name)
+            if dataset is None:
+                problem = f"dataset {name} is neither here nor described in the bundle"
+                raise NotFound(problem, "export the bundle again")
+            if wanted is not None and dataset.checksum != wanted:
+                where = "is another one here" if exists else "is described as another one"
+                raise InvalidInput(
+                    f"dataset {name} {where}: its checksum is {dataset.checksum[:_SHOWN]}, the recorded runs used "
+                    f"{wanted[:_SHOWN]}",
+                    "replay into an empty data root: --into FOLDER",
+                )
+            if exists and dataset.bag_path.exists():
+                continue
+            if self._donor(dataset) is None and not self._members(dataset):
+                source = f" it comes from {dataset.source};" if dataset.source else ""
+                raise NotFound(
+                    f"the recording {dataset.bag} of dataset {name} ({dataset.checksum[:_SHOWN]}) is neither here nor "
+                    "in the bundle",
+                    f"slamhive dataset fetch gets public sequences (slamhive dataset search {dataset.name});{source} "
+                    "or ask for a bundle that was exported --with recordings",
+                )
+            missing.add(name)
+        return frozenset(missing)
 
     def place(self, lacking: frozenset[str], progress: Progress) -> None:
         """Put the recordings of ``lacking`` into their places, and compare all with their checksums.
@@ -256,30 +281,6 @@ class Recordings:
                     f"{dataset.checksum[:_SHOWN]}",
                     f"get {dataset.bag} again",
                 )
-
-    def _is_here(self, name: str, wanted: str | None) -> bool:
-        exists = self._catalogue.dataset_folder(name).exists()
-        dataset = self._catalogue.dataset(name) if exists else archived_dataset(self._archive, name)
-        if dataset is None:
-            raise NotFound(f"dataset {name} is neither here nor described in the bundle", "export the bundle again")
-        if wanted is not None and dataset.checksum != wanted:
-            where = "is another one here" if exists else "is described as another one"
-            raise InvalidInput(
-                f"dataset {name} {where}: its checksum is {dataset.checksum[:_SHOWN]}, the recorded runs used "
-                f"{wanted[:_SHOWN]}",
-                "replay into an empty data root: --into FOLDER",
-            )
-        if exists and dataset.bag_path.exists():
-            return True
-        if self._donor(dataset) is None and not self._members(dataset):
-            source = f" it comes from {dataset.source};" if dataset.source else ""
-            raise NotFound(
-                f"the recording {dataset.bag} of dataset {name} ({dataset.checksum[:_SHOWN]}) is neither here nor in "
-                "the bundle",
-                f"slamhive dataset fetch gets public sequences (slamhive dataset search {dataset.name});{source} or "
-                "ask for a bundle that was exported --with recordings",
-            )
-        return False
 
     def _donor(self, dataset: Dataset) -> Path | None:
         """The recording of another dataset that is here with the same checksum."""

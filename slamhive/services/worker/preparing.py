@@ -11,7 +11,7 @@ from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, Unavaila
 from slamhive.documents.limits import RunOptions
 from slamhive.domain.algorithm import GpuNeed
 from slamhive.domain.parameters import check_stored
-from slamhive.domain.run import FailureReason, Host, RunState
+from slamhive.domain.run import FailureReason, RunState
 from slamhive.executors.base import EngineUnavailable, GpuGiver, ImageMissing
 from slamhive.executors.host import describe_host
 from slamhive.packages.algorithm_file import package_hash
@@ -108,7 +108,23 @@ class Preparing:
         capabilities = hand.executor.capabilities
         spec = build_spec(job, hand.folder, hand.context.settings, identity, hand.cores, capabilities)
         # Record the attempt before the start: a worker that dies during the start may have started the run.
-        host, number = self._register_version(job, identity)
+        package, host, now = job.algorithm.package, describe_host(), hand.context.now()
+        version = AlgorithmVersion(identity, package_hash(package.folder), package.version)
+
+        def register(transaction: Transaction) -> int:
+            transaction.catalogue.put_algorithm(job.algorithm)
+            version_id, number = transaction.versions.put(package.name, version, now)
+            transaction.runs.update(
+                hand.run.id,
+                hand.context.owner,
+                algorithm_version_id=version_id,
+                host_id=transaction.catalogue.put_host(host),
+                dataset_checksum=job.dataset.checksum,
+                trajectory=job.algorithm.trajectory,
+            )
+            return number
+
+        number = hand.context.store.write(register)
         keep_version(hand.context.settings.versions_folder, hand.executor, job.algorithm.package, identity, number)
         prepared = {**provenance(job, identity, number), "spec": spec_to_json(spec), STARTED_BY: hand.run.attempt}
         why = f"prepared with {identity[:19]}"
@@ -159,29 +175,6 @@ class Preparing:
         if job.algorithm.version is None:
             return hand.executor.build(package, self._show_build_line)
         return identity_of_version(hand.context.store, hand.executor, job.algorithm)
-
-    def _register_version(self, job: Job, identity: str) -> tuple[Host, int]:
-        """Register what the run uses; returns the machine and the number of the algorithm's version."""
-        hand = self._hand
-        package = job.algorithm.package
-        version = AlgorithmVersion(identity, package_hash(package.folder), package.version)
-        host = describe_host()
-        now = hand.context.now()
-
-        def work(transaction: Transaction) -> int:
-            transaction.catalogue.put_algorithm(job.algorithm)
-            version_id, number = transaction.versions.put(package.name, version, now)
-            transaction.runs.update(
-                hand.run.id,
-                hand.context.owner,
-                algorithm_version_id=version_id,
-                host_id=transaction.catalogue.put_host(host),
-                dataset_checksum=job.dataset.checksum,
-                trajectory=job.algorithm.trajectory,
-            )
-            return number
-
-        return host, hand.context.store.write(work)
 
     def _show_build_line(self, line: str) -> None:
         self._hand.check_still_ours()  # the next worker builds again, from the layers made so far
