@@ -217,6 +217,7 @@ def lease_gpu(
             if descriptor is None:
                 continue
             try:
+                # The container of a killed worker goes on without its lock.
                 if gpu.uuid not in in_use():
                     yield gpu
                     return

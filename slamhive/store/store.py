@@ -221,7 +221,7 @@ class Store:
                     raise (explained(self.engine, error) or error) from None
                 if waited_s >= self._retry_s:
                     raise gave_up(self.engine, error, waited_s) from None
-                if pause_s == FIRST_PAUSE_S:
+                if pause_s == FIRST_PAUSE_S:  # one line for each wait, not for each attempt
                     logger.warning("database %s: %s; trying again", self.label, short(error))
                 self._clock.sleep(pause_s)
                 pause_s = min(2 * pause_s, LONGEST_PAUSE_S)

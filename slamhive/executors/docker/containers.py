@@ -189,6 +189,7 @@ class RunContainers:
         label = f"{INSTALLATION_LABEL}={self._context.installation}"
         with engine_errors("listing containers", EngineUnavailable):
             containers = self._engine().containers.list(all=True, filters={"label": label}, ignore_removed=True)
+        # Asked after the list was made: a run that starts in between has a container and no key otherwise.
         keys = live_keys()
         stale = [entry for entry in containers if not _is_live(entry, keys)]
         for container in stale:

@@ -200,6 +200,7 @@ def enter_namespaces() -> None:
         Path("/proc/self/setgroups").write_text("deny", encoding="ascii")
         Path("/proc/self/uid_map").write_text(f"{uid} {uid} 1", encoding="ascii")
         Path("/proc/self/gid_map").write_text(f"{gid} {gid} 1", encoding="ascii")
+    # Otherwise the mounts that follow would appear outside of the namespace, too.
     _mount("none", "/", "none", _MS_REC | _MS_PRIVATE, "")
     if Path(SHARED_MEMORY).is_dir():
         options = f"size={SHARED_MEMORY_BYTES},mode=1777"
@@ -215,6 +216,7 @@ def make_read_only(path: str) -> None:
     # A user namespace may not take away the other flags of a mount.
     found = os.statvfs(path).f_flag
     flags = found & _SAME_FLAGS | (_MS_RELATIME if found & os.ST_RELATIME else 0)
+    # A call that binds ignores all other flags, so a second one sets them.
     _mount(path, path, "none", _MS_BIND | _MS_REC, "")
     _mount("none", path, "none", _MS_REMOUNT | _MS_BIND | _MS_RDONLY | flags, "")
 

@@ -247,7 +247,7 @@ class RunCgroup(ABC):
                 time.sleep(_PAUSE_S)
         except OSError:
             return False
-        return True
+        return True  # not in time: what is stopped by now is killed all the same
 
     def _count(self, controller: str, file: str, key: str) -> int:
         """A counter of a flat keyed file; 0 where there is no such group, file or counter (any more)."""

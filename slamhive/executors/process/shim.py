@@ -75,9 +75,9 @@ def supervise(
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        return
+        return  # another supervisor is at work; the kernel releases its lock when it ends, in whatever way
     if (work / IDENTITY_FILE).exists():
-        return
+        return  # another one has been here and has ended: a run is executed once
     if prepare is not None:
         prepare(work)
     try:
@@ -86,7 +86,7 @@ def supervise(
         sys.exit(str(reason))
     supervisor.listen()
     started_at = utc_now()
-    reserve(work)
+    reserve(work)  # before the run is there: its disk may be full when it ends
     write_aside(work / IDENTITY_FILE, json.dumps(supervisor.introduction(started_at)))
     supervisor.run(started_at)
 

@@ -102,7 +102,8 @@ class UserLimit:
         """Implement :class:`Containment`. One more than the limit, so that a run at its limit is not ended."""
         resource.setrlimit(resource.RLIMIT_NPROC, (self._tasks + 1, self._tasks + 1))
         if self._reads_with is not None:
-            prctl(PR_SET_KEEPCAPS, 1)
+            prctl(PR_SET_KEEPCAPS, 1)  # a change of user drops all capabilities otherwise
+        # The user last: without its rights, this process could not change the groups.
         os.setgroups([])
         os.setgid(self._uid)
         os.setuid(self._uid)
@@ -155,6 +156,7 @@ def _take_user() -> tuple[int, int]:
         lock = _try_lock(uid)
         if lock is None:
             continue
+        # What an earlier run has left would count as this run's, and be ended with it.
         if not processes_of_user(uid):
             return uid, lock
         os.close(lock)

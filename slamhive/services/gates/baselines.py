@@ -60,7 +60,7 @@ def _measured(run: RunRecord, values: Mapping[str, float], failed: VerdictKind |
         cpu_model=None if run.host is None else run.host.cpu_model,
         disturbed=None if run.disturbance is None else run.disturbance.disturbed,
         failed=failed,
-        # Those that can become worse. What repeats say of each other is computed anew from these.
+        # Those that can become worse. What repeats say of each other follows from the others.
         metrics={
             key: value
             for key, value in values.items()

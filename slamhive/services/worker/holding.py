@@ -96,6 +96,7 @@ class WorkerLock:
                 f"a worker is already running on this machine (process {holder})",
                 "it executes the queued runs; stop it before you start another",
             )
+        # Only under the lock: who is refused reads the number of the holder.
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
         self._descriptor = descriptor
@@ -115,6 +116,7 @@ class WorkerLock:
         except OSError as error:
             raise Unavailable(f"{self.path} cannot be opened: {error.strerror}", "check rights") from None
         try:
+            # Shared, so that two that ask at once do not take each other for a worker.
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
             return True

@@ -120,7 +120,7 @@ class Cache:
             while True:
                 if _try_lock(lock, fcntl.LOCK_SH):
                     if _is_there(item, path, lock):
-                        os.utime(str(path) + _LOCK)
+                        os.utime(str(path) + _LOCK)  # by this time, what was not used for longest goes first
                         return Held(path, lock)
                     fcntl.flock(lock, fcntl.LOCK_UN)
                 if _try_lock(lock, fcntl.LOCK_EX):
@@ -141,7 +141,7 @@ class Cache:
     def _transfer(self, item: Item, path: Path, lock: int, fetch: Fetch) -> None:
         """Bring the item into its place. Its lock is held alone."""
         part, unpacking = Path(str(path) + _PART), Path(str(path) + _UNPACKING)
-        for folder in (unpacking, path):
+        for folder in (unpacking, path):  # a killed process, or a loss of power, may have left a part
             if folder.is_dir():
                 _remove_folder(folder)
         self._make_room(item, lock)

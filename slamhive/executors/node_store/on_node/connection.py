@@ -148,6 +148,7 @@ def clock_offset(ask: Callable[[], Dict[str, Any]], clock: Callable[[], float] =
         ask: Asks the controller; its answer holds its time as ``time_s``.
         clock: Seconds since 1970 on this node.
     """
+    # The answer was given between the two readings, so it is wrong by half of the time between them at most.
     before_s = clock()
     answer = ask()
     after_s = clock()
@@ -271,7 +272,7 @@ class Fetcher:
             raise
         try:
             if begin and answer.status != 206:
-                _empty(stream)
+                _empty(stream)  # the item has changed, or a proxy knows no ranges: all of it comes
             while True:
                 piece = answer.read(_PIECE_BYTES)
                 if not piece:
