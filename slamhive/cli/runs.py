@@ -102,7 +102,7 @@ def list_runs(hive: Hive, options: dict[str, Any], *, as_json: bool) -> None:
     if options["parquet"] is not None:
         path = options["parquet"]
         rows = write_parquet(*listing.groups(), path) if grouped else write_parquet(*listing.runs(), path)
-        say(f"{path}: {plural(rows, 'row' if grouped else 'run')}, {listing.in_words()}")
+        say(f"{path}: {plural(rows, 'row' if grouped else 'run')}, {listing.in_words(grouped=grouped)}")
     elif options["as_csv"] or (as_json and (grouped or listing.columns)):
         kind = "csv" if options["as_csv"] else "json"
         if grouped:

@@ -18,11 +18,12 @@ from slamhive.cli.visible import say, write_out
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.filters.binding import Search, bind, read_search
+from slamhive.filters.means import means_of
 from slamhive.filters.parser import parse_filter
 from slamhive.filters.syntax import FilterComparison, Sign, Word, filter_text, join
 from slamhive.filters.words import in_words
 from slamhive.services.exports import RUNS_AT_ONCE, GroupExport, Record, RunExport, TableExport, by_protocol
-from slamhive.services.searches import order_in_words, summary
+from slamhive.services.searches import order_in_words, runs_text, summary
 from slamhive.store import Count, RunSort
 from slamhive.store.records import GroupRecord, SavedSearchRecord, Spread
 from slamhive.store.run_cells import RunCells
@@ -107,17 +108,18 @@ class Listing:
 
         return GroupExport(self.metrics), Pages(fetch, self.limit)
 
-    def in_words(self) -> str:
+    def in_words(self, *, grouped: bool = False) -> str:
         """Search and order as the end of a sentence."""
         key = self.sort.key
         title = CATALOGUE[key].label if key in CATALOGUE else key
         order = order_in_words(self.sort, title, numeric=key not in WORDS)
-        return ", ".join(part for part in (in_words(self.search), order) if part)
+        search = means_of(self.search) if grouped else self.search
+        return ", ".join(part for part in (in_words(search), order) if part)
 
     def summary(self, shown: int, count: Count, *, grouped: bool = False) -> str:
         """Say what is shown, how many, and what is left out."""
         left_out = self.hive.searches.left_out(self.search, count)
-        return summary(shown, count, self.in_words(), left_out, grouped=grouped)
+        return summary(shown, count, self.in_words(grouped=grouped), left_out, grouped=grouped)
 
 
 def print_export(content: TableExport[Record], pages: Pages[Record], *, kind: str) -> None:
@@ -145,7 +147,7 @@ def print_groups(listing: Listing) -> None:
     page = listing.hive.searches.groups(listing.search, listing.sort, None, listing.size, metrics)
     rows = [
         (
-            *(group.configuration_id, group.algorithm, group.dataset, group.runs, group.failed, group.disturbed),
+            *(group.configuration_id, group.algorithm, group.dataset, runs_text(group), group.failed, group.disturbed),
             None if label is None else label.fingerprint,
             *(_spread_text(figures.get(key)) for key in metrics),
         )

@@ -38,6 +38,8 @@ class Source(StrEnum):
     RUN = "run"
     CONFIGURATION = "configuration"
     METRIC = "metric"
+    MEAN = "mean"
+    """A metric's mean over the runs of a configuration, where runs are grouped."""
     PARAMETER = "parameter"
     SETUP = "setup"
     ATTRIBUTE = "attribute"

@@ -303,8 +303,8 @@ def _is_number(key: str, vocabulary: Vocabulary) -> bool:
 
 # Configurations as a table.
 
-HEAD = ("configuration", "algorithm", "dataset", "parameters", "runs", "failed", "protocol", "disturbed")
-_NUMBERS = frozenset({"configuration", "runs", "failed", "disturbed"})
+HEAD = ("configuration", "algorithm", "dataset", "parameters", "runs", "failed", "protocol", "disturbed", "all_runs")
+_NUMBERS = frozenset({"configuration", "runs", "failed", "disturbed", "all_runs"})
 _PARTS = ("mean", "std", "n", "min", "max", "median")
 
 
@@ -329,7 +329,7 @@ class GroupExport(TableExport[GroupRecord]):
         for label, figures in by_protocol(record):
             head = (record.configuration_id, record.algorithm, record.dataset, parameters, record.runs, record.failed)
             values = (value for key in self._metrics for value in _parts(figures.get(key)))
-            yield (*head, None if label is None else label.fingerprint, record.disturbed, *values)
+            yield (*head, None if label is None else label.fingerprint, record.disturbed, record.all_runs, *values)
 
 
 def by_protocol(group: GroupRecord) -> Iterator[tuple[ProtocolLabel | None, dict[str, Spread]]]:

@@ -217,6 +217,12 @@ def counted(count: Count) -> str:
     return plural(count.number, "run") if count.exact else f"more than {plural(count.number, 'run')}"
 
 
+def runs_text(group: GroupRecord) -> str:
+    """``5``, or ``1 of 5`` where the search omits runs of the configuration."""
+    shown = f"{group.runs:,}"
+    return shown if group.runs == group.all_runs else f"{shown} of {group.all_runs:,}"
+
+
 def order_in_words(sort: RunSort, title: str, *, numeric: bool) -> str:
     """``newest first``, ``sorted by ATE RMSE, smallest first``; ``title`` is the title of the sort column."""
     if sort.key in {"id", "configuration"}:

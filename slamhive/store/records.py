@@ -334,8 +334,8 @@ class Spread:
 class GroupRecord:
     """A configuration and its runs that a search found: how many, how many failed, and their metrics.
 
-    ``disturbed``: how many ran on a disturbed machine. ``figures``: {protocol, None for measured metrics:
-    {metric: spread}}.
+    ``all_runs``: how many runs it has, those that the search omits included. ``disturbed``: how many ran on a disturbed
+    machine. ``figures``: {protocol, None for measured metrics: {metric: spread}}.
     """
 
     configuration_id: int
@@ -343,6 +343,7 @@ class GroupRecord:
     dataset: str
     parameters: dict[str, Value]
     runs: int
+    all_runs: int
     failed: int
     disturbed: int
     figures: dict[ProtocolLabel | None, dict[str, Spread]]

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, FromClause, Select, and_, case, func, not_, select
 
 from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.filters.binding import Search
+from slamhive.filters.binding import Bound, Condition, Search
+from slamhive.filters.fields import BUILT_IN
+from slamhive.filters.means import split_means
+from slamhive.filters.syntax import Sign, join
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.models import MEASURED_PROTOCOL_ID, AlgorithmRow, ConfigurationRow, DatasetRow, ProtocolRow
 from slamhive.store.records import GroupPage, GroupRecord, ProtocolLabel, Repeats, RunSort, Spread
@@ -37,14 +40,25 @@ class Groups:
     names: Names
     sql: Sql
     sort: RunSort
+    of_runs: Bound | None
+    """The conditions on single runs. ``search`` has those on the means of configurations, too."""
 
     @classmethod
     def of(cls, connection: Connection, search: Search, sort: RunSort) -> Groups:
         """The groups of ``search``; raises NotFound for an unknown protocol or sort key."""
         if sort.key not in SORT_KEYS and sort.key not in CATALOGUE:
             raise unknown("sort key of groups", sort.key, [*SORT_KEYS, *CATALOGUE])
+        of_runs, of_means = split_means(search)
         names = look_up(connection, search)
-        return cls(connection, search, names, Sql(names), sort)
+        sql, tree = Sql(names, of_runs), of_runs
+        if of_means is not None:
+            rows = ConfigurationRow.__table__.alias()
+            numbered = select(rows.c.id.label("configuration_id")).subquery()
+            fitting = select(numbered.c.configuration_id).where(sql.test(of_means, numbered))
+            # Their numbers, read once: every further statement would compute the means again.
+            chosen = Condition(BUILT_IN["configuration"], Sign.IN, tuple(connection.execute(fitting).scalars()))
+            tree = join("and", [*([] if of_runs is None else [of_runs]), chosen])
+        return cls(connection, replace(search, tree=tree), names, sql, sort, of_runs)
 
     def page(self, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         """One page, with mean and spread of ``metrics`` over the repeats."""
@@ -137,7 +151,9 @@ class Groups:
 
     def _records(self, ids: Sequence[int], metrics: Sequence[str]) -> tuple[GroupRecord, ...]:
         runs, table = RUNS.alias(), ConfigurationRow.__table__
-        matching = [runs.c.configuration_id.in_(ids), self.sql.test(self.search.tree, runs)]
+        matching = [runs.c.configuration_id.in_(ids), self.sql.test(self.of_runs, runs)]
+        everything = select(runs.c.configuration_id, func.count()).where(matching[0]).group_by(runs.c.configuration_id)
+        of_all = {row[0]: int(row[1]) for row in self.connection.execute(everything)}
         failed = func.count(case((self.sql.failed(runs), 1)))
         disturbed = func.count(case((runs.c.disturbed_by > "", 1)))
         counted = select(runs.c.configuration_id, func.count(), failed, disturbed).where(*matching)
@@ -159,6 +175,7 @@ class Groups:
                 dataset=described[place][2],
                 parameters=parameters[place],
                 runs=numbers[place][0],
+                all_runs=of_all[place],
                 failed=numbers[place][1],
                 disturbed=numbers[place][2],
                 figures=spreads.get(place, {}),
@@ -217,7 +234,7 @@ class Groups:
         inner = (
             select(*keys, figures.c.value, place)
             .join_from(runs, figures, joined)
-            .where(runs.c.configuration_id.in_(ids), self.sql.test(self.search.tree, runs))
+            .where(runs.c.configuration_id.in_(ids), self.sql.test(self.of_runs, runs))
             .where(not_(self.sql.failed(runs)))
             .subquery()
         )

@@ -11,12 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import (
+    BindParameter,
     ColumnElement,
     Connection,
     FromClause,
     Select,
     TableClause,
     and_,
+    bindparam,
     case,
     column,
     false,
@@ -249,6 +251,9 @@ DERIVED: dict[Source, Callable[[Condition], Bound]] = {Source.VERDICT: verdict_t
 """The conditions behind comparisons of what follows from other values."""
 
 COMPLEMENTS = frozenset({Sign.NOT_EQUAL, Sign.NOT_IN, Sign.UNLIKE, Sign.MISSING})
+_MOST_PARAMETERS = 100
+_NEEDS_ONE = frozenset({Sign.LESS, Sign.AT_MOST, Sign.MORE, Sign.AT_LEAST})
+"""Comparisons that some value fulfils if the mean of all does."""
 _COMPARE: dict[Sign, Callable[[Any, Any], ColumnElement[bool]]] = {
     Sign.EQUAL: lambda column, value: column == value,
     Sign.NOT_EQUAL: lambda column, value: column != value,
@@ -260,10 +265,16 @@ _COMPARE: dict[Sign, Callable[[Any, Any], ColumnElement[bool]]] = {
 
 
 class Sql:
-    """The conditions of one search."""
+    """The conditions of one search.
 
-    def __init__(self, names: Names) -> None:
+    Args:
+        names: The ids behind its names.
+        averaged: The runs that means are over, besides that they did not fail; None for all.
+    """
+
+    def __init__(self, names: Names, averaged: Bound | None = None) -> None:
         self._names = names
+        self._averaged = averaged
 
     # -- a test of one run -----------------------------------------------------------------------------------------
 
@@ -286,6 +297,8 @@ class Sql:
             return self.test(DERIVED[source](leaf), runs)
         if source is Source.RUN:
             return self.on_run(leaf, runs)
+        if source is Source.MEAN:
+            return self._test_mean(leaf, runs)
         if source is Source.METRIC:
             figures = self.figures_where(leaf, by_value=False)
             return NEVER if figures is None else _any(figures[1].where(figures[0].c.run_id == runs.c.id))
@@ -298,6 +311,33 @@ class Sql:
         rows, query = self._parameter_values(leaf, by_value=False) if of_values else self._configurations(leaf)
         configuration = rows.c.configuration_id if of_values else rows.c.id
         return _any(query.where(configuration == runs.c.configuration_id))
+
+    def _test_mean(self, leaf: Condition, runs: FromClause) -> ColumnElement[bool]:
+        """Test if the mean over the runs of the same configuration fulfils a comparison, under one protocol."""
+        found = self.figures(leaf.field.name, by_value=False)
+        if found is None:
+            return NEVER
+        figures, query = found
+        own = RUNS.alias()
+        means = (
+            query.with_only_columns(own.c.configuration_id)
+            # ``+ 0`` makes databases walk over the runs of each configuration. The other way round, along the values,
+            # takes twice as long, because their runs lie all over the table.
+            .join_from(own, figures, figures.c.run_id == own.c.id + 0)
+            .where(self.test(self._averaged, own), not_(self.failed(own)))
+            .group_by(own.c.configuration_id, figures.c.protocol_id)
+        )
+        if leaf.sign is not Sign.HAS:
+            means = means.having(self.compare(func.avg(figures.c.value), leaf))
+        some = self.figures_where(replace(leaf, field=replace(leaf.field, source=Source.METRIC)), by_value=True)
+        if leaf.sign in _NEEDS_ONE and some is not None:
+            # Where a mean is small, some value is: few small values leave few configurations.
+            its = RUNS.alias()
+            near = (
+                some[1].with_only_columns(its.c.configuration_id).join_from(some[0], its, its.c.id == some[0].c.run_id)
+            )
+            means = means.where(own.c.configuration_id.in_(near))
+        return runs.c.configuration_id.in_(means)
 
     def on_run(self, leaf: Condition, runs: FromClause, *, guarded: bool = True) -> ColumnElement[bool]:
         """A condition on a column. If ``guarded`` it is never NULL and uses no index."""
@@ -439,7 +479,10 @@ class Sql:
         if leaf.field.source is Source.PARAMETER and values and isinstance(values[0], bool):
             values = [1.0 if value else 0.0 for value in values]
         if leaf.sign in {Sign.IN, Sign.NOT_IN}:
-            found: ColumnElement[bool] = column.in_(values)
+            # Drivers limit the number of parameters, so numbers become part of the statement.
+            listed: BindParameter[Any] = bindparam(None, list(values), expanding=True, literal_execute=True)
+            whole = len(values) > _MOST_PARAMETERS and all(isinstance(value, int) for value in values)
+            found: ColumnElement[bool] = column.in_(listed if whole else values)
             return not_(found) if leaf.sign is Sign.NOT_IN else found
         if leaf.sign in {Sign.LIKE, Sign.UNLIKE}:
             pattern = str(values[0])
@@ -574,7 +617,7 @@ def _of_configuration(part: Bound) -> bool:
 def _has_index(leaf: Condition) -> bool:
     if leaf.field.source is Source.METRIC:
         return leaf.sign is not Sign.MISSING
-    if leaf.sign in COMPLEMENTS:
+    if leaf.field.source is Source.MEAN or leaf.sign in COMPLEMENTS:
         return False
     return leaf.field.source is not Source.RUN or (leaf.field.name in _INDEXED and leaf.sign is not Sign.HAS)
 

@@ -22,6 +22,7 @@ from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import RunState
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
+from slamhive.services.searches import runs_text
 from slamhive.services.stored_analyses import may_analyse
 from slamhive.store import Store
 from slamhive.web import api, assets, context, formatting, frame
@@ -240,6 +241,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         Kind=ColumnKind,
         RunState=RunState,
         asset=assets.asset_url,
+        runs_text=runs_text,
         has_challenges=lambda: bool(hive.challenges.names()),
         has_algorithm=has_algorithm,
         catalogue=catalogue_presenter,

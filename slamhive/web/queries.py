@@ -16,6 +16,7 @@ from slamhive.domain.parameters import Value
 from slamhive.experiments.experiment import Experiment
 from slamhive.filters.binding import Search, bind, read_search
 from slamhive.filters.fields import Vocabulary
+from slamhive.filters.means import means_of
 from slamhive.filters.parser import parse_filter
 from slamhive.filters.syntax import (
     Filter,
@@ -185,7 +186,8 @@ class RunListQuery:
         chosen = all_columns().get(self.sort.key)
         title = self.sort.key if chosen is None else chosen.title
         order = order_in_words(self.sort, title, numeric=chosen is None or chosen.numeric)
-        return ", ".join(part for part in (in_words(self.search), order) if part)
+        search = means_of(self.search) if self.grouped else self.search
+        return ", ".join(part for part in (in_words(search), order) if part)
 
 
 def filled(args: MultiDict[str, str]) -> dict[str, list[str]]:

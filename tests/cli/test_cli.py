@@ -213,7 +213,7 @@ def test_configurations_are_exported_in_every_form(slamhive, tmp_path):
     assert "Showing 2 configurations with 3 runs: newest first." in shown.stderr
     lines = slamhive(*grouped, "--csv", "--columns", "cpu.mean").stdout.splitlines()
     assert lines[0].startswith(
-        "configuration,algorithm,dataset,parameters,runs,failed,protocol,disturbed,cpu.mean.mean,cpu.mean.std"
+        "configuration,algorithm,dataset,parameters,runs,failed,protocol,disturbed,all_runs,cpu.mean.mean,cpu.mean.std"
     )
     assert [line.split(",")[0] for line in lines[1:]] == ["2", "1"]
     rows = json.loads(slamhive(*grouped, "--json", "--limit", "1").stdout)

@@ -115,6 +115,8 @@ FILTERS = st.recursive(
     ),
     max_leaves=5,
 )
+OF_RUNS = FILTERS.filter(lambda test: not read(test.text).metrics)
+"""Filters that compare no metric. Where runs are grouped, those compare means."""
 QUIETLY = settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 
 
@@ -181,7 +183,7 @@ def test_pages_in_any_order_add_up(filled: World, plan: None, test: Probe, key: 
 
 
 @QUIETLY
-@given(test=FILTERS, key=st.sampled_from((*run_groups.SORT_KEYS, "ate.rmse", "cpu.mean")), limit=st.integers(1, 9))
+@given(test=OF_RUNS, key=st.sampled_from((*run_groups.SORT_KEYS, "ate.rmse", "cpu.mean")), limit=st.integers(1, 9))
 def test_groups_hold_every_run_once(filled: World, plan: None, test: Probe, key: str, limit: int):
     search, groups, after = read(test.text), [], None
     while True:
@@ -212,6 +214,51 @@ def test_groups_hold_every_run_once(filled: World, plan: None, test: Probe, key:
                 assert spread.n == len(values)
                 assert spread.mean == pytest.approx(sum(values) / len(values))
                 assert (spread.minimum, spread.maximum) == (min(values), max(values))
+
+
+def mean_of(runs: list[Known], metric: str) -> list[float]:
+    """The mean of a metric over the runs that did not fail: one for each protocol that the runs are judged by."""
+    values: dict[str | None, list[float]] = {}
+    for run in runs:
+        for protocol in {None, run.current}:
+            if run.columns["state"] != "failed" and metric in run.figures.get(protocol, {}):
+                values.setdefault(protocol, []).append(run.figures[protocol][metric])
+    return [sum(found) / len(found) for found in values.values()]
+
+
+@QUIETLY
+@given(
+    test=OF_RUNS,
+    metric=st.sampled_from(["ate.rmse", "cpu.mean"]),
+    sign=st.sampled_from(["<", ">="]),
+    value=st.floats(0.0, 3.0).map(lambda value: round(value, 3)),
+    key=st.sampled_from((*run_groups.SORT_KEYS, "ate.rmse")),
+)
+def test_conditions_on_metrics_choose_configurations_by_their_mean(
+    filled: World, plan: None, test: Probe, metric: str, sign: str, value: float, key: str
+):
+    search = read(f"{metric} {sign} {value} and ({test.text})")
+    page = filled.store.read(lambda tx: tx.searches.groups(search, RunSort(key), None, 1000, ["ate.rmse"]))
+    by_configuration: dict[int, list[Known]] = {}
+    for run in filled.runs:
+        by_configuration.setdefault(run.columns["configuration"], []).append(run)
+    fits = (lambda mean: mean < value) if sign == "<" else (lambda mean: mean >= value)
+    wanted = {
+        number: own
+        for number, runs in by_configuration.items()
+        if (own := [run for run in runs if test.fits(run, None)]) and any(map(fits, mean_of(own, metric)))
+    }
+    assert {group.configuration_id for group in page.records} == set(wanted)
+    for group in page.records:
+        assert group.runs == len(wanted[group.configuration_id])  # and no run is missing from the mean
+        assert group.all_runs == len(by_configuration[group.configuration_id])
+    assert page.runs.number == sum(map(len, wanted.values())) or not page.runs.exact
+
+
+def test_a_mean_cannot_be_joined_with_a_single_run_by_or(filled: World) -> None:
+    search = read("ate.rmse < 1 or state = failed")
+    with pytest.raises(InvalidInput, match="compare the mean of a metric, which 'or' and 'not' cannot join with state"):
+        filled.store.read(lambda tx: tx.searches.groups(search, RunSort("configuration"), None, 10, []))
 
 
 def test_wildcards_of_sql_and_quotes_mean_themselves(filled: World):

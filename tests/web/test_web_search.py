@@ -131,9 +131,19 @@ def test_groups_are_exported_as_they_are_shown(shown: Web):
     assert "/searches/export.csv?group=configuration&amp;columns=id,cpu.mean" in page.replace("%2C", ",")
     rows = shown.client.get("/searches/export.json?group=configuration&columns=id,cpu.mean").get_json()
     assert sum(row["runs"] for row in rows) == len(shown.runs)
-    head = ["configuration", "algorithm", "dataset", "parameters", "runs", "failed", "protocol", "disturbed"]
-    assert list(rows[0])[:8] == head
-    assert list(rows[0])[8:] == [f"cpu.mean.{part}" for part in ("mean", "std", "n", "min", "max", "median")]
+    head = [
+        "configuration",
+        "algorithm",
+        "dataset",
+        "parameters",
+        "runs",
+        "failed",
+        "protocol",
+        "disturbed",
+        "all_runs",
+    ]
+    assert list(rows[0])[: len(head)] == head
+    assert list(rows[0])[len(head) :] == [f"cpu.mean.{part}" for part in ("mean", "std", "n", "min", "max", "median")]
     header = shown.client.get("/searches/export.csv?group=configuration&columns=id,cpu.mean").text.splitlines()[0]
     assert header.split(",") == list(rows[0])
 
