@@ -29,11 +29,23 @@
 
   const LATEX = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "±": "$\\pm$", "–": "--", "×": "$\\times$", "²": "$^2$", "°": "$^\\circ$", "µ": "$\\mu$" };
 
-  function latex([head, ...body]) {
+  /** The words of a cell without what is written smaller beside them, such as a median. */
+  function mainText(cell) {
+    const copy = cell.cloneNode(true);
+    copy.querySelectorAll("small, svg, .visually-hidden").forEach((part) => part.remove());
+    return copy.textContent.replace(/[▾▴]/g, "").replace(/\s+/g, " ").trim();
+  }
+
+  function latex([head, ...body], table) {
     const safe = (text) => text.replace(/[\\&%$#_{}~^±–×²°µ]/g, (sign) => LATEX[sign] ?? `\\${sign}`).trim();
-    const line = (row) => `${row.map((cell) => safe(textOf(cell))).join(" & ")} \\\\`;
+    const value = (text) => /^-?[\d.,]+ ± [\d.,]+$/.test(text) ? `$${text.replace("±", "\\pm")}$` : safe(text);
+    const line = (row) => `${row.map((cell) => value(mainText(cell))).join(" & ")} \\\\`;
     const columns = head.map((cell) => isNumber(cell) ? "r" : "l").join("");
-    return [`\\begin{tabular}{${columns}}`, "\\toprule", line(head), "\\midrule", ...body.map(line), "\\bottomrule", "\\end{tabular}"].join("\n");
+    const caption = table.dataset.latexCaption ? [`\\caption{${safe(table.dataset.latexCaption)}}`] : [];
+    return [
+      "% \\usepackage{booktabs}", "\\begin{table}", "\\centering", ...caption, `\\begin{tabular}{${columns}}`, "\\toprule",
+      line(head), "\\midrule", ...body.map(line), "\\bottomrule", "\\end{tabular}", "\\end{table}",
+    ].join("\n");
   }
 
   const KINDS = { csv, markdown, latex };
@@ -51,14 +63,23 @@
   }
 
   document.addEventListener("click", async (event) => {
+    const link = event.target.closest("[data-copy-link]");
+    if (!link) return;
+    const words = link.textContent;
+    try { await copy(location.href); link.textContent = "Copied"; } catch { link.textContent = "Not copied"; }
+    setTimeout(() => { link.textContent = words; }, SAID_MS);
+  });
+
+  document.addEventListener("click", async (event) => {
     const button = event.target.closest("[data-copy]");
     if (!button) return;
     event.preventDefault();
     const group = button.closest(".copy");
-    const rows = rowsOf(group.previousElementSibling.querySelector("table"));
+    const table = group.previousElementSibling.querySelector("table");
+    const rows = rowsOf(table);
     const status = group.querySelector("[role=status]");
     try {
-      await copy(KINDS[button.dataset.copy](rows));
+      await copy(KINDS[button.dataset.copy](rows, table));
       status.textContent = `Copied ${rows.length - 1} rows.`;
     } catch (error) {
       status.textContent = `Not copied: ${error.message}`;

@@ -150,8 +150,13 @@ class Axis:
 
     @property
     def title(self) -> str:
-        """``ATE RMSE [m]``."""
-        return f"{self.label} [{self.unit}]" if self.unit else self.label
+        """``ATE RMSE [m]``. Numbers of bytes have their unit at each number, such as 500 MB."""
+        return titled(self.label, self.unit)
+
+
+def titled(label: str, unit: str) -> str:
+    """A label with its unit, unless the numbers beside it state one."""
+    return f"{label} [{unit}]" if unit and unit != "bytes" else label
 
 
 @dataclass(frozen=True, slots=True)

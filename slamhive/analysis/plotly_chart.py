@@ -35,6 +35,7 @@ from slamhive.analysis.chart import (
     crowded,
     line_width,
     on_dark,
+    titled,
 )
 from slamhive.analysis.density import SINGLE_MOST, failed_rows, thinned
 
@@ -150,11 +151,13 @@ def cells(mark: Cells, chart: Chart) -> list[Json]:
     values = np.log10(mark.values) if mark.log else mark.values
     low, high = mark.span or (float(np.nanmin(mark.values, initial=np.inf)), float(np.nanmax(mark.values, initial=0.0)))
     ends = (math.log10(low), math.log10(high)) if mark.log else (low, high)
-    title = f"{mark.label} [{mark.unit}]" if mark.unit else mark.label
-    bar: Json = {"title": {"text": escaped(title)}}
+    bar: Json = {"title": {"text": escaped(titled(mark.label, mark.unit))}}
+    if mark.unit == "bytes":
+        bar |= _IN_BYTES
     if mark.log:
         ticks = np.linspace(*ends, 5)
-        bar |= {"tickvals": ticks.tolist(), "ticktext": [f"{10**tick:.3g}" for tick in ticks]}
+        texts = [_prefixed(10**tick) if mark.unit == "bytes" else f"{10**tick:.3g}" for tick in ticks]
+        bar |= {"tickvals": ticks.tolist(), "ticktext": texts}
     return [
         {
             "type": "heatmap",
@@ -266,11 +269,22 @@ def _in_legend(mark: Points | Line) -> Json:
     return {"showlegend": mark.in_legend, "legendgroup": escaped(mark.group or mark.name)}
 
 
+_IN_BYTES: Json = {"exponentformat": "SI", "ticksuffix": "B"}
+"""Numbers at an axis such as 500MB. Hovering shows values in the same way."""
+
+
+def _prefixed(count: float) -> str:
+    """``500 MB``."""
+    power = max(0, min(4, int(math.log10(count) // 3))) if count >= 1 else 0
+    return f"{count / 1000**power:.3g} {('', 'k', 'M', 'G', 'T')[power]}B"
+
+
 def _hover(mark: Points, chart: Chart) -> Json:
-    parts = [f"{escaped(chart.x.label)}: %{{x}} {escaped(chart.x.unit)}", f"{escaped(chart.y.label)}: %{{y}}"]
-    parts[1] += f" {escaped(chart.y.unit)}"
-    if chart.z is not None:
-        parts.append(f"{escaped(chart.z.label)}: %{{z}} {escaped(chart.z.unit)}")
+    axes = {"x": chart.x, "y": chart.y} | ({} if chart.z is None else {"z": chart.z})
+    parts = [
+        f"{escaped(axis.label)}: %{{{name}}} {'' if axis.unit == 'bytes' else escaped(axis.unit)}"
+        for name, axis in axes.items()
+    ]
     more: Json = {}
     if mark.texts is not None:
         more["text"] = [escaped(text) for text in mark.texts]
@@ -582,6 +596,6 @@ def _axis(axis: Axis) -> Json:
             return entry | {"tickvals": list(range(len(names))), "ticktext": names, "range": [-0.5, len(names) - 0.5]}
         return entry | {"type": "category", "categoryorder": "array", "categoryarray": names}
     if axis.unit == "bytes":
-        entry |= {"exponentformat": "SI"}
+        entry |= _IN_BYTES
     # Plotly's own labels: in a part of a decade single digits, where a format of ours would make all labels long.
     return entry | ({"type": "log"} if axis.log else {})

@@ -38,6 +38,7 @@ from slamhive.analysis.chart import (
     Segments,
     crowded,
     line_width,
+    titled,
 )
 from slamhive.analysis.density import failed_rows, thinned
 
@@ -192,8 +193,8 @@ def _cells(axes: Any, mark: Cells, _chart: Chart) -> None:
     norm = mpl.colors.LogNorm(*ends) if mark.log else mpl.colors.Normalize(*ends)
     colours = "viridis_r" if mark.lower_is_better else "viridis"
     image = axes.imshow(mark.values, cmap=colours, norm=norm, aspect="auto", origin="lower")
-    label = f"{mark.label} [{mark.unit}]" if mark.unit else mark.label
-    axes.get_figure().colorbar(image, ax=axes, label=plain(label))
+    beside = EngFormatter(unit="B") if mark.unit == "bytes" else None
+    axes.get_figure().colorbar(image, ax=axes, label=plain(titled(mark.label, mark.unit)), format=beside)
     axes.grid(visible=False)
     points = _cell_text_points(axes, mark)
     for row, texts in enumerate(mark.texts):
@@ -462,7 +463,7 @@ def _dress_axis(axes: Any, name: str, axis: Axis, sheet: _Sheet) -> None:
         drawn.set_major_formatter(_PLAIN)
         drawn.set_minor_formatter(NullFormatter())
     if axis.unit == "bytes":
-        drawn.set_major_formatter(EngFormatter())
+        drawn.set_major_formatter(EngFormatter(unit="B"))
 
 
 _MOST_FINE_SPAN = 200

@@ -130,7 +130,7 @@ class RunTable:
         Without ``dataset``, the one for the legend.
         """
         if len(self.markers) <= 1:
-            return marker_of(algorithm, self.installed)
+            return marker_of(algorithm, self.colours)
         return MARKERS[0] if dataset is None else self.markers[dataset]
 
     def require_runs(self) -> RunTable:
@@ -338,11 +338,12 @@ def make_table(
         frame = pd.concat([frame, pd.DataFrame(extra, index=frame.index)], axis=1)
     chosen = rule or FailureRule()
     known = installed or {}
+    algorithms = {str(name) for name in frame["algorithm"]}
     return RunTable(
         frame=mark_failures(frame, chosen),
         columns=columns,
         rule=chosen,
-        colours=algorithm_colours(map(str, frame["algorithm"]), known),
+        colours=algorithm_colours(algorithms, algorithms),  # each report takes the first colours of the palette
         markers=dataset_markers(map(str, frame["dataset"])),
         installed=known,
     )

@@ -479,6 +479,7 @@ forms:
   - form: distributions
     metrics: [ate.rmse]
 """
+_UNNAMED = FIRST.partition("\n")[0].removeprefix("name: ")
 ALL = "id >= 1"
 """A filter that matches every run."""
 ERROR = "ate.rmse"
@@ -491,6 +492,28 @@ BOUNDS = {
     "max_ate_m": ("ate.rmse", "<=", 1.0),
 }
 """Fields of the selector: metric, comparison, and the factor from the field's unit to the metric's unit."""
+
+
+_NAME_LINE = re.compile(r"^name:[ \t]*(?![>|])[^\n]*$", re.MULTILINE)
+
+
+def title_of(text: str) -> str:
+    """The name in an analysis file; empty if it has none, or still the one that a first file comes with."""
+    try:
+        name = strict_yaml.parse(text, "text").get("name")
+    except InvalidInput:
+        return ""
+    return name if isinstance(name, str) and name != _UNNAMED else ""
+
+
+def with_title(text: str, title: str) -> str:
+    """The same text with another name; an empty title, or the one that it has, leaves it as it is."""
+    title = " ".join(title.split())
+    if not title or title == title_of(text):
+        return text
+    line = f"name: {json.dumps(title, ensure_ascii=False)}"  # a JSON string is a quoted YAML string
+    found = _NAME_LINE.search(text)
+    return f"{text[: found.start()]}{line}{text[found.end() :]}" if found else f"{line}\n{text}"
 
 
 def first_text(where: str) -> str:

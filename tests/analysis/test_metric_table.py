@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -117,7 +119,9 @@ def test_a_paper_has_sequences_by_algorithms_with_the_best_marked() -> None:
     assert r"\begin{tabular}{lrrr}" in latex
     row = next(line for line in latex.splitlines() if line.startswith(r"kitti\_06"))
     assert row.count(r"\textbf{") == row.count(r"\underline{") == 1
-    assert r"\parbox{\linewidth}{\footnotesize n = 336 of 360 runs, 24 failed." in latex
+    assert r"\caption{ATE RMSE [m]. n = 336 of 360 runs, 24 failed." in latex
+    assert "Protocol: SE(3)" in latex.partition(r"\begin{tabular}")[0]
+    assert re.search(r" \$[\d.]+ \\pm [\d.]+\$ \(32/40\) ", row)
     assert all(part in table_markdown(first) for part in ("**", "<ins>"))
 
 

@@ -17,7 +17,7 @@ from slamhive.services.analysis.run import spread_over
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.stored_analyses import computing as limits
-from slamhive.web.analysis_editor import Card, cards
+from slamhive.web.analysis_editor import Card, cards, first_text, title_of, with_title
 from tests.web import web_world as world
 from tests.web.test_web_experiments import TRIAL
 from tests.web.web_world import Web
@@ -232,3 +232,17 @@ def test_linked_axes_get_no_heat_map(trial: Web, linked: str, drawn: bool) -> No
     forms = {entry["form"] for entry in strict_yaml.parse(text, "text")["forms"]}
     assert ({"heatmap", "importance"} <= forms) is drawn
     assert ({"heatmap", "importance"} & forms == set()) is not drawn
+
+
+def test_a_report_asks_for_its_title_and_keeps_the_rest_of_the_text(web: Web) -> None:
+    page = web.client.get("/analyses/new").text
+    assert re.search(r'<input [^>]*name="title"[^>]* value=""[^>]* required>', page)
+    text = first_text("")
+    titled = with_title(text, " Stereo  or mono: 'which'? ")
+    assert titled.splitlines()[0] == "name: \"Stereo or mono: 'which'?\""
+    assert titled.splitlines()[1:] == text.splitlines()[1:]
+    assert title_of(titled) == "Stereo or mono: 'which'?"
+    assert with_title(titled, "") == titled
+    answer = web.client.post("/analyses", data={"csrf_token": web.token, "yaml": text, "title": "Mine", "do": "create"})
+    assert answer.status_code == 303
+    assert "<h1>Mine" in web.client.get(answer.location).text

@@ -302,13 +302,15 @@ def summary_table(key: str, table: RunTable, metrics: Sequence[str], by: Sequenc
     for metric in metrics:
         column = table.column(metric)
         for part, label in _SUMMARY.items():
-            columns.append(TableColumn(f"{metric}.{part}", f"{column.label} {label}", column.unit))
+            unit = "MB" if column.unit == "bytes" else column.unit
+            columns.append(TableColumn(f"{metric}.{part}", f"{column.label} {label}", unit))
     rows = []
     for names, group in table.frame.groupby(by, sort=True, dropna=False):
         counts = len(group), failed_count(group), int(is_disturbed(group).sum())
         cells: list[Cell] = [*map(plain_cell, names), *counts]
         for metric in metrics:
-            cells += _summary_cells(summarise(good_values(group, metric)))
+            factor = 1e-6 if table.column(metric).unit == "bytes" else 1.0
+            cells += _summary_cells(summarise(factor * good_values(group, metric)))
         rows.append(tuple(cells))
     return ResultTable(key, "Summary", tuple(columns), tuple(rows), caption=f"{table.rule_words} {_INTERVAL}")
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import REFERENCE, Array, Axis, Bars, Chart, Mark
+from slamhive.analysis.chart import PALETTE, Array, Axis, Bars, Chart, Mark
 from slamhive.analysis.plot_types import base
 from slamhive.analysis.plot_types.looks import failed_marks, settings_words
 from slamhive.analysis.report import Cell, PlotResult, ResultTable, TableColumn
@@ -205,7 +205,7 @@ def _overall_chart(
         heights=means,
         low=np.maximum(means - spread, 0.0),
         high=means + spread,
-        colour=REFERENCE,
+        colour=PALETTE[0],
         texts=tuple(entry.words for entry in overall),
     )
     return Chart(

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from slamhive.analysis.chart import REFERENCE, Array, Axis, Bars, Cells, Chart
+from slamhive.analysis.chart import PALETTE, Array, Axis, Bars, Cells, Chart
 from slamhive.analysis.plot_types import base
 from slamhive.analysis.report import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Codes, Effects, explain_variance
@@ -129,8 +129,8 @@ def _bars(accuracy: Effects, failing: Effects, title: str, label: str, text: str
         return np.array([_number(effects.main[name]) for name in order])
 
     bars = (
-        Bars(label, heights(accuracy), colour=REFERENCE),
-        Bars("failing", heights(failing), colour=REFERENCE, striped=True),
+        Bars(label, heights(accuracy), colour=PALETTE[0]),
+        Bars("failing", heights(failing), colour=PALETTE[1], striped=True),
     )
     return Chart(
         key="importance",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import zipfile
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -83,11 +84,17 @@ def table_parquet(table: ResultTable) -> bytes:
 
 
 def table_latex(table: ResultTable) -> str:
-    """A ``tabular`` with booktabs rules, escaped text, numbers with four significant digits, and the caption below."""
+    """A ``table`` with booktabs rules, escaped text and numbers with four significant digits.
+
+    Its caption states what the report states below the table, and so the protocol. A mean and its deviation are one
+    formula, without which a cell has only the share of good runs where some failed.
+    """
     numeric = numeric_columns(table)
     lines = [
-        f"% {_comment(table.title)}",
         r"% \usepackage{booktabs}",
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{latex('. '.join(part.rstrip('. ') for part in (table.title, table.caption) if part))}.}}",
         f"\\begin{{tabular}}{{{''.join('r' if number else 'l' for number in numeric)}}}",
         r"\toprule",
         " & ".join(latex(column.heading) for column in table.columns) + r" \\",
@@ -98,9 +105,7 @@ def table_latex(table: ResultTable) -> str:
         lines.append(" & ".join(cells) + r" \\")
     if len(table.rows) > LATEX_ROWS:
         lines.append(f"% {len(table.rows) - LATEX_ROWS} more rows are in the CSV file")
-    lines += [r"\bottomrule", r"\end{tabular}"]
-    if table.caption:
-        lines += ["", r"\smallskip", rf"\parbox{{\linewidth}}{{\footnotesize {latex(table.caption)}}}"]
+    lines += [r"\bottomrule", r"\end{tabular}", r"\end{table}"]
     return "\n".join([*lines, ""])
 
 
@@ -109,7 +114,12 @@ def _latex_cell(cell: Cell) -> str:
         return "--"
     if isinstance(cell, float):
         return f"{cell:.4g}"
-    return latex(str(cell))
+    spread = _SPREAD.match(str(cell))
+    return rf"${spread[1]} \pm {spread[2]}${latex(spread[3] or '')}" if spread else latex(str(cell))
+
+
+_SPREAD = re.compile(r"(-?[\d.]+) ± ([\d.]+)( \(.*\))?$")
+"""A mean with its standard deviation, as :func:`mean_and_std` writes it."""
 
 
 def _comment(text: str) -> str:

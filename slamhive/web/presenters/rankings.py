@@ -99,15 +99,14 @@ def of_experiment(
     """The tables of an experiment; none while no run has ended, or if it is too large."""
     if status.cells > LARGEST:
         return []
-    installed = [algorithm.name for algorithm in services.catalogue.algorithms()]
-    return views(services.experiments.rankings(status.name, by_algorithm=by_algorithm), axes, installed)
+    return views(services.experiments.rankings(status.name, by_algorithm=by_algorithm), axes)
 
 
-def views(found: Iterable[Ranking], axes: Sequence[str], installed: Sequence[str]) -> list[RankingView]:
-    """The tables. ``axes`` are those that name configurations; ``installed`` algorithms decide their colours."""
+def views(found: Iterable[Ranking], axes: Sequence[str]) -> list[RankingView]:
+    """The tables. ``axes`` are those that name configurations. The algorithms have the first colours of the palette."""
     rankings = list(found)
     names = {str(ranked.cell.values["algorithm"]) for ranking in rankings for ranked in _shown(ranking)}
-    colours = algorithm_colours(names, installed)
+    colours = algorithm_colours(names, names)
     return [_view(ranking, [axis for axis in axes if axis != "dataset"], colours) for ranking in rankings]
 
 

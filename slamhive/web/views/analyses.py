@@ -33,6 +33,8 @@ from slamhive.web.analysis_editor import (
     experiment_text,
     first_text,
     selector_text,
+    title_of,
+    with_title,
 )
 from slamhive.web.context import caller, hive
 from slamhive.web.errors import status_of
@@ -243,6 +245,7 @@ def _editor(
     return render_template(
         "analyses/new.html",
         text=text,
+        title=title_of(text),
         error=error,
         notice=notice,
         cards=known,
@@ -275,7 +278,7 @@ def _checked(text: str) -> Response:
 
 def _text() -> str:
     uploaded = uploaded_text("file", MAX_TEXT_BYTES)
-    return form_text("yaml") if uploaded is None else uploaded[1]
+    return with_title(form_text("yaml"), request.form.get("title", "")) if uploaded is None else uploaded[1]
 
 
 def _count(limit: str, what: str) -> None:

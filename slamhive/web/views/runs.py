@@ -136,8 +136,18 @@ def _search_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary, **
         analysis_url=address("analyses.new", where=query.search.text),
         scripts=scripts.search_scripts(query.search.text, query.sort, services.settings),
         parquet=find_spec("pyarrow") is not None,
+        latex_caption=_latex_caption(content),
         **content,
     )
+
+
+def _latex_caption(content: Mapping[str, Any]) -> str:
+    """The caption of the table as LaTeX: what it lists, and the protocols of its errors."""
+    groups = content.get("groups", ())
+    labels = [row.protocol for row in groups] + [row.run.protocol for row in content.get("rows", ())]
+    protocols = sorted({label.label for label in labels if label is not None})
+    what = "Mean and standard deviation over the good runs of each configuration." if groups else "Single runs."
+    return f"{what} Protocol: {'; '.join(protocols)}." if protocols else what
 
 
 @blueprint.get(f"/{RUN_ID}/peek")
