@@ -54,6 +54,16 @@ class NodesPlanDocument(Document):
     bytes_per_s: Annotated[float, described("How fast a node is assumed to get data.", unit="bytes/s")]
 
 
+class ToFetchDocument(Document):
+    """Sequences of the catalogue that an experiment needs and that are not here."""
+
+    datasets: tuple[str, ...]
+    sequences: Annotated[tuple[str, ...], described("What to fetch: COLLECTION/SEQUENCE.")]
+    download_bytes: Annotated[int | None, described("Of all files with a known size, each once.", unit="bytes")]
+    unknown: Annotated[int, described("Files of unknown size.")]
+    command: Annotated[str, described("Fetches them.")]
+
+
 class ExperimentPreviewDocument(Document):
     """Effect of starting an experiment."""
 
@@ -79,6 +89,7 @@ class ExperimentPreviewDocument(Document):
     free_bytes: Annotated[int, described("Free space.", unit="bytes")]
     warnings: tuple[str, ...]
     refusals: Annotated[tuple[str, ...], described("Why it would be refused.")]
+    to_fetch: Annotated[ToFetchDocument | None, described("Null if all datasets are here.")] = None
     repeat_disturbed: int
     standing: Annotated[str | None, described("State of the experiment if it is stored already.")]
     rows: Annotated[tuple[PreviewRowDocument, ...], described("The first cells.")]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from slamhive.base.errors import InvalidInput
+from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.base.settings import Settings
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.domain.placement import Remaining
@@ -17,6 +17,7 @@ from slamhive.store import Transaction
 from slamhive.store.durations import Measured, Pairing
 
 if TYPE_CHECKING:
+    from slamhive.domain.dataset import Dataset
     from slamhive.experiments.expansion import Expansion
     from slamhive.experiments.experiment import Experiment
     from slamhive.services.datasets import Catalogue, VariantService
@@ -60,8 +61,10 @@ class ExperimentContext:
 
         return ExperimentSource(name_datasets(source.text, source.name, choose), source.name)
 
-    def expand(self, experiment: Experiment) -> Expansion:
+    def expand(self, experiment: Experiment, assumed: Mapping[str, Dataset] | None = None) -> Expansion:
         """Expand ``experiment`` into its runs, checked against the current catalogue.
+
+        ``assumed`` are datasets that stand for what is not here yet.
 
         Raises NotFound or InvalidInput naming file and line, with the reason if a folder cannot be read.
         """
@@ -70,6 +73,7 @@ class ExperimentContext:
         from slamhive.experiments.expansion import expand  # noqa: PLC0415
         from slamhive.recordings.variants.rules import RegisteredSteps  # noqa: PLC0415
         from slamhive.services.configurations import find_map  # noqa: PLC0415
+        from slamhive.services.experiments.unfetched import to_fetch, unfetched  # noqa: PLC0415
 
         broken = {entry.name for entry in self.catalogue.broken()}
         for axis, look_up in (
@@ -82,9 +86,14 @@ class ExperimentContext:
                         look_up(name)
                     except InvalidInput as error:
                         raise at(axis.place, error) from None
+        datasets = {dataset.name: dataset for dataset in self.catalogue.datasets()}
+        if assumed is None:
+            wanted = to_fetch(unfetched(map(str, experiment.datasets.values), datasets, self.catalogue.project_root))
+            if wanted is not None:
+                raise at(experiment.datasets.place, NotFound(wanted.words, wanted.command))
         view = CatalogueView(
             self.catalogue.versioned_algorithms(),
-            {dataset.name: dataset for dataset in self.catalogue.datasets()},
+            datasets | dict(assumed or {}),
             RegisteredSteps(),
             lambda reference, algorithm: find_map(self.store, self.settings.runs_folder, reference, algorithm).map,
         )

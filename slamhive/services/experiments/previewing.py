@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import nlargest
 from itertools import groupby
@@ -24,6 +24,7 @@ from slamhive.recordings.variants.cache import VariantEntry
 from slamhive.services.configurations import unwatchable
 from slamhive.services.evaluations import protocol_for
 from slamhive.services.experiments.context import Costs, ExperimentContext, Progress, guessed_duration_s
+from slamhive.services.experiments.unfetched import ASSUMED_DURATION_S, ToFetch, assumed_dataset, to_fetch, unfetched
 from slamhive.services.experiments.views import (
     ConfigurationStanding,
     ExperimentPreview,
@@ -74,14 +75,23 @@ class DiskSpace:
 
 
 def pair_problems(
-    context: ExperimentContext, experiment: Experiment, expansion: Expansion, executor: str
+    context: ExperimentContext,
+    experiment: Experiment,
+    expansion: Expansion,
+    executor: str,
+    missing: Collection[str] = (),
 ) -> Iterator[SlamHiveError]:
-    """Problems of recordings, packages and alignment, each reported once with its place in the file."""
+    """Problems of recordings, packages and alignment, each reported once with its place in the file.
+
+    Recordings of the datasets in ``missing`` are not here and not looked at.
+    """
     recorded: dict[str, Mapping[str, int] | None] = {}
     packages: set[str] = set()
     asked = experiment.limits
     for algorithm, dataset in expansion.pairs:
-        if dataset.name not in recorded:
+        if dataset.name in missing:
+            recorded[dataset.name] = None
+        elif dataset.name not in recorded:
             try:
                 recorded[dataset.name] = recorded_topics(dataset)
             except SlamHiveError as error:
@@ -110,14 +120,21 @@ def protocol_of_pair(
     return protocol_for(algorithm, dataset, context.settings, experiment.evaluation.alignment)
 
 
-def find_disk_space(context: ExperimentContext, expansion: Expansion, executor: str | None) -> DiskSpace:
-    """The required variants, and the disk space for them and for run folders. ``executor`` is that of the runs."""
+def find_disk_space(
+    context: ExperimentContext, expansion: Expansion, executor: str | None, missing: Collection[str] = ()
+) -> DiskSpace:
+    """The required variants, and the disk space for them and for run folders. ``executor`` is that of the runs.
+
+    Variants of the datasets in ``missing`` are left out, since nobody knows how large their recordings are.
+    """
     entries = context.variants.entries()
     made = {entry.key for entry in entries}
     datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
     speeds = _speeds(entries)
     needs: list[VariantNeed] = []
     for name, variants in expansion.variants.items():
+        if name in missing:
+            continue
         for variant in sorted(variants, key=str):
             plan = context.variants.plan(datasets[name], variant)
             if plan is not None:
@@ -241,7 +258,7 @@ def bytes_of_data(expansion: Expansion, space: DiskSpace) -> dict[Data, int]:
     moved = () if space.variants_elsewhere else space.variants
     sizes: dict[Data, int] = {(need.dataset, need.variant): need.needed_bytes for need in moved}
     for dataset in {dataset.name: dataset for _, dataset in expansion.pairs}.values():
-        recording_bytes = size_bytes(dataset.bag_path) if dataset.bag else 0
+        recording_bytes = size_bytes(dataset.bag_path) if dataset.bag and dataset.bag_path.exists() else 0
         for variant in ((), *expansion.variants.get(dataset.name, ())):
             sizes.setdefault((dataset.name, variant), recording_bytes)
     return sizes
@@ -297,11 +314,19 @@ def preview(
     ``executor`` is None if none can be used; the caller has added that to the refusals. ``nodes`` of a cluster take the
     place of the slots of this machine.
     """
-    expansion = context.expand(experiment)
-    space = find_disk_space(context, expansion, executor)
+    here = {dataset.name: dataset for dataset in context.catalogue.datasets()}
+    missing = unfetched(map(str, experiment.datasets.values), here, context.catalogue.project_root)
+    folder = context.settings.datasets_folder
+    expansion = context.expand(
+        experiment, {name: assumed_dataset(entry, folder / name) for name, entry in missing.items()}
+    )
+    wanted = to_fetch(missing)
+    space = find_disk_space(context, expansion, executor, missing)
     refusals = [str(error) for error in disk_space_problems(context, experiment, space)]
     if executor is not None:
-        refusals += [str(error) for error in pair_problems(context, experiment, expansion, executor)]
+        refusals += [str(error) for error in pair_problems(context, experiment, expansion, executor, missing)]
+    if wanted is not None:
+        refusals.append(f"{wanted.words}: {wanted.command}")
     costs, built = context.store.read(lambda t: (Costs.look(t), t.durations.built()))
     between_s = costs.overhead.seconds + (costs.evaluation.seconds if experiment.evaluation.enabled else 0.0)
     builds_s = costs.build.seconds * len({algorithm.package.name for algorithm, _ in expansion.pairs} - built)
@@ -346,25 +371,34 @@ def preview(
         variant_bytes=space.variant_bytes,
         run_bytes=space.run_bytes,
         free_bytes=space.free_bytes,
-        warnings=(*unseen, *_defaults(expansion, sums.first), *warnings(space)),
+        warnings=(*unseen, *_assumptions(wanted), *_defaults(expansion, sums.first, missing), *warnings(space)),
         refusals=tuple(refusals),
         standing=standing,
         repeat_disturbed=experiment.repeat_disturbed,
         cluster=cluster,
+        to_fetch=wanted,
     )
 
 
-def _defaults(expansion: Expansion, first: Mapping[Pair, Configuration]) -> Iterator[str]:
+def _assumptions(wanted: ToFetch | None) -> Iterator[str]:
+    if wanted is not None:
+        yield (
+            f"the plan assumes {ASSUMED_DURATION_S:g} s for each recording that is not here, and no space for its "
+            "variants; rates, format and calibration are checked once it is here"
+        )
+
+
+def _defaults(expansion: Expansion, first: Mapping[Pair, Configuration], missing: Collection[str]) -> Iterator[str]:
     """Yield one line for each algorithm whose calibration is incomplete, with the defaults of the package it takes."""
     found: dict[tuple[str, str], list[str]] = {}
     for algorithm, dataset in expansion.pairs:
         configuration = first.get((algorithm.name, dataset.name))
-        if configuration is None:
+        if configuration is None or dataset.name in missing:
             continue
         match = match_of(algorithm, dataset, configuration.parameters, configuration.sensors)
-        missing = [entry for entry in match.bound if entry.origin is Origin.DEFAULT]
-        taken = ", ".join(f"{entry.key} {shown(entry.value)} for {entry.source}" for entry in missing)
-        if missing:
+        lacking = [entry for entry in match.bound if entry.origin is Origin.DEFAULT]
+        taken = ", ".join(f"{entry.key} {shown(entry.value)} for {entry.source}" for entry in lacking)
+        if lacking:
             found.setdefault((algorithm.name, taken), []).append(dataset.name)
     for (name, taken), datasets in found.items():
         yield f"{name}: the calibration of {', '.join(datasets)} lacks what it takes; defaults of the package: {taken}"

@@ -16,6 +16,7 @@ from slamhive.domain.parameters import Value
 from slamhive.domain.placement import Remaining
 from slamhive.domain.question import ExperimentQuestion
 from slamhive.domain.run import FailureReason
+from slamhive.services.experiments.unfetched import ToFetch
 from slamhive.store.records import CellRun, ProtocolLabel
 
 MOST_LISTED = 200
@@ -128,6 +129,7 @@ class ExperimentPreview:
     build_time_s: float = 0.0
     between_s: float = 0.0
     cluster: NodesPlan | None = None
+    to_fetch: ToFetch | None = None
 
 
 @dataclass(frozen=True, slots=True)

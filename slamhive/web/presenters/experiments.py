@@ -269,6 +269,7 @@ def preview_facts(preview: ExperimentPreview) -> list[tuple[str, str]]:
         ("Variants", _variants(preview)),
         ("Run folders", f"about {size(preview.run_bytes)}"),
         ("Free disk", size(preview.free_bytes)),
+        *([] if preview.to_fetch is None else [("To fetch", preview.to_fetch.words)]),
         ("Varies", " × ".join(f"{axis} {thousands(count)}" for axis, count in preview.axes.items()) or "nothing"),
     ]
 
