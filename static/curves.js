@@ -30,6 +30,17 @@
     return [rows.map(([at]) => at), rows.map(([, value]) => value)];
   }
 
+  /** The curves of a figure: its traces, and two for each band, which Plotly draws as one closed line. */
+  function curvesOf({ data }) {
+    return data.flatMap((trace) => {
+      if (trace.fill !== "toself") return [trace];
+      const [x, y] = [list(trace.x), list(trace.y)];
+      const half = x.length / 2;
+      const edge = { ...trace, fill: undefined };
+      return [{ ...edge, x: x.slice(0, half), y: y.slice(0, half) }, { ...edge, x: x.slice(half), y: y.slice(half), below: trace.fillcolor }];
+    });
+  }
+
   function colourOf(trace, figure) {
     if (trace.meta === "theme:groundtruth") return inks().truth;
     const colour = trace.line?.color ?? trace.marker?.color ?? inks().text;
@@ -51,6 +62,7 @@
       points: { show: hasPoints, size: trace.marker?.size ?? 4, fill: colour, stroke: colour, width: 0 },
       spanGaps: false,
       cross: isCross,
+      run: trace.run,
       silent: trace.hoverinfo === "skip",
     };
   }
@@ -142,7 +154,7 @@
     const parts = [element("span", `${Number(x.toFixed(2))} ${unit}`)];
     for (const [series, at, value] of valuesAt(u, x).slice(0, MOST_VALUES)) {
       if (series.cross) {
-        if (Math.abs(at - x) * u.bbox.width / devicePixelRatio < 3 * (u.scales.x.max - u.scales.x.min)) parts.push(element("b", series.label));
+        if (series.run === undefined && Math.abs(at - x) * u.bbox.width / devicePixelRatio < 3 * (u.scales.x.max - u.scales.x.min)) parts.push(element("b", series.label));
         continue;
       }
       const part = element("span", "", { class: "value" });
@@ -177,7 +189,7 @@
     const isLog = (place.dataset.scale ?? figure.layout.yaxis?.type) === "log" && offersLog(figure);
     const fromZero = figure.layout.yaxis?.rangemode === "tozero";
     const axis = { stroke: ink.text, font: "11px system-ui, sans-serif", grid: { stroke: ink.grid, width: 1 }, ticks: { stroke: ink.grid, width: 1, size: 4 } };
-    const bands = figure.data.flatMap((trace, at) => trace.fill === "tonexty" && at ? [{ series: [at + 1, at], fill: trace.fillcolor }] : []);
+    const bands = entry.curves.flatMap(({ below }, at) => (below ? [{ series: [at, at + 1], fill: below }] : []));
     const stacked = "stacked" in place.dataset;
     return {
       ...sizeOf(entry),
@@ -199,10 +211,10 @@
         },
       },
       axes: [
-        { ...axis, size: stacked ? 22 : 40, gap: 3, label: stacked ? undefined : title.x, labelSize: 16, labelGap: 0, labelFont: axis.font },
+        { ...axis, size: 22, gap: 3, label: stacked ? undefined : title.x, labelSize: 16, labelGap: 0, labelFont: axis.font },
         { ...axis, size: LEFT_PX, gap: 4, values: (u, splits) => splits.map((value) => (value === null || value === undefined ? "" : short(Number(value.toPrecision(6))))) },
       ],
-      series: [{ label: title.x }, ...figure.data.map((trace) => seriesOf(trace, figure))],
+      series: [{ label: title.x }, ...entry.curves.map((trace) => seriesOf(trace, figure))],
       bands,
       hooks: {
         drawClear: [(u) => areas(u, figure.layout.shapes)],
@@ -282,8 +294,8 @@
 
   /** The curves by name, each a button that hides or shows it; none if another part of the page names them. */
   function legendOf(entry) {
-    const { data, layout } = entry.figure;
-    const named = data.map((trace, at) => [trace, at + 1]).filter(([trace]) => trace.name && trace.showlegend !== false && trace.hoverinfo !== "skip");
+    const { layout } = entry.figure;
+    const named = entry.curves.map((trace, at) => [trace, at + 1]).filter(([trace]) => trace.name && trace.showlegend !== false && trace.hoverinfo !== "skip");
     if (layout.showlegend === false || named.length < 2) return null;
     const legend = element("div", "", { class: "plot-legend" });
     for (const [trace, at] of named) {
@@ -320,12 +332,13 @@
     const hidden = entry.hidden ?? new Set();
     entry.u?.destroy();
     entry.u = null;
+    entry.curves = curvesOf(figure);
     frame(entry);
-    const data = uPlot.join(figure.data.map(tableOf));
+    const data = uPlot.join(entry.curves.map(tableOf));
     const before = entry.whole;
     entry.whole = wholeOf(figure, data);
     const options = optionsOf(entry);
-    options.series.forEach((series, at) => { if (at && hidden.has(figure.data[at - 1].run)) series.show = false; });
+    options.series.forEach((series, at) => { if (at && hidden.has(entry.curves[at - 1].run)) series.show = false; });
     entry.u = new uPlot(options, data, entry.body);
     // A plot that grows while a run is going shows all of it, unless somebody has zoomed in.
     const [min, max] = kept && before && (kept[0] !== before[0] || kept[1] !== before[1]) ? kept : entry.whole;
@@ -377,7 +390,7 @@
     const entry = drawn.get(place);
     if (!entry) return;
     entry.hidden = runs;
-    entry.figure.data.forEach(({ run }, at) => { if (run !== undefined) entry.u.setSeries(at + 1, { show: !runs.has(run) }); });
+    entry.curves.forEach(({ run }, at) => { if (run !== undefined) entry.u.setSeries(at + 1, { show: !runs.has(run) }); });
   }
 
   function again() {

@@ -45,8 +45,11 @@
 
   async function load(timestamp) {
     wanted = timestamp;
+    waiting = null;
     try {
-      const answer = await fetch(`${panel.dataset.moment}?timestamp=${timestamp}`, { headers: { Accept: "application/json" } });
+      const address = new URL(panel.dataset.moment, location.href);
+      address.searchParams.set("timestamp", timestamp);
+      const answer = await fetch(address, { headers: { Accept: "application/json" } });
       const content = await answer.json();
       if (wanted !== timestamp) return;
       if (!answer.ok) throw new Error(content.error.message);
@@ -63,10 +66,19 @@
     slider.max = detail.until_s - from;
     panel.hidden = false;
   });
+  // What the sensors saw is loaded when somebody can see it.
+  let isSeen = false;
+  let waiting = null;
+  new IntersectionObserver((entries) => {
+    isSeen = entries.some(({ isIntersecting }) => isIntersecting);
+    if (isSeen && waiting !== null) load(waiting);
+  }).observe(panel);
+
   document.addEventListener("moment", ({ detail }) => {
     slider.value = detail - from;
     say(detail);
-    load(detail);
+    waiting = detail;
+    if (isSeen) load(detail);
   });
   slider.addEventListener("input", () => {
     const timestamp = from + Number(slider.value);

@@ -5,9 +5,10 @@
   const preferred = window.matchMedia("(prefers-color-scheme: dark)");
   let onPaper = false;
   const dark = () => !onPaper && (document.documentElement.dataset.bsTheme || (preferred.matches ? "dark" : "light")) === "dark";
+  const paper = () => getComputedStyle(document.body).backgroundColor;
   const inks = () => dark()
-    ? { text: "#d7dbe0", grid: "#3a4047", truth: "#c3c9d0", modebar: "#7b838c", page: "#212529" }
-    : { text: "#2b3035", grid: "#e3e6ea", truth: "#3d4247", modebar: "#9aa1a8", page: "#ffffff" };
+    ? { text: "#d7dbe0", grid: "#3a4047", truth: "#c3c9d0", modebar: "#7b838c", page: onPaper ? "#ffffff" : paper() }
+    : { text: "#2b3035", grid: "#e3e6ea", truth: "#3d4247", modebar: "#9aa1a8", page: onPaper ? "#ffffff" : paper() };
 
   const ARRAYS = { f4: Float32Array, i4: Int32Array };
   const unpacked = new WeakMap();

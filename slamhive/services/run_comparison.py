@@ -174,7 +174,8 @@ class MetricLine:
 class RunComparison:
     """Runs side by side under one protocol; ``protocol`` is None if none of them is evaluated.
 
-    ``unmarked`` says in which metrics the runs are not comparable, so that none is marked as better.
+    ``unmarked`` says in which metrics the runs are not comparable, so that none is marked as better. Differences count
+    from the column at the place ``baseline``.
     """
 
     columns: tuple[RunColumn, ...]
@@ -184,6 +185,7 @@ class RunComparison:
     settings: tuple[SettingLine, ...]
     metrics: tuple[MetricLine, ...]
     unmarked: tuple[Unmarked, ...]
+    baseline: int = 0
 
     @property
     def runs(self) -> tuple[RunRecord, ...]:
@@ -239,6 +241,11 @@ def mixed_trajectories(runs: Sequence[RunRecord], protocol: CommonProtocol | Non
     return {kind: tuple(members) for kind, members in sorted(kinds.items())} if len(kinds) > 1 else {}
 
 
+def read_run_id(text: str) -> int:
+    """The number of a run; raises InvalidInput."""
+    return whole_number(text, "run", 1, _LARGEST_ID)
+
+
 def read_run_ids(texts: Iterable[str]) -> tuple[int, ...]:
     """The numbers of the runs to compare, from texts such as ``3,5,8``.
 
@@ -248,7 +255,7 @@ def read_run_ids(texts: Iterable[str]) -> tuple[int, ...]:
     parts = [part.strip() for text in texts for part in text.split(",") if part.strip()]
     if not FEWEST_RUNS <= len(parts) <= MOST_RUNS:
         raise InvalidInput(f"{plural(len(parts), 'run')} cannot be compared", _REMEDY)
-    run_ids = tuple(whole_number(part, "run", 1, _LARGEST_ID) for part in parts)
+    run_ids = tuple(map(read_run_id, parts))
     twice = next((run_id for place, run_id in enumerate(run_ids) if run_id in run_ids[:place]), None)
     if twice is not None:
         raise InvalidInput(f"run {twice} is named twice", "name each run once")
@@ -258,7 +265,7 @@ def read_run_ids(texts: Iterable[str]) -> tuple[int, ...]:
 # Metrics side by side, and the analysis that draws the runs.
 
 _TIME_LIMIT_S = 60.0
-_UNDER_PROTOCOL = ({"form": "trajectories", "with_failed": True, "in_3d": True},)
+_UNDER_PROTOCOL = ({"form": "trajectories", "with_failed": True},)
 _MEASURED = ({"form": "usage"}, {"form": "latency"})
 Values = Mapping[int, Mapping[str, float]]
 
@@ -460,17 +467,28 @@ class RunComparisons:
         self._store = store
         self._runs_folder = runs_folder
 
-    def of(self, run_ids: Sequence[int], protocol: str | None = None, *, grouped: bool = False) -> RunComparison:
+    def of(
+        self,
+        run_ids: Sequence[int],
+        protocol: str | None = None,
+        *,
+        grouped: bool = False,
+        baseline: int | None = None,
+    ) -> RunComparison:
         """Compare runs under one protocol.
 
         Args:
             run_ids: The runs, as :func:`read_run_ids` returns them.
             protocol: A fingerprint; None for the protocol that the most runs have.
             grouped: Whether the runs of a configuration are one column.
+            baseline: The run from whose column differences count; None for the first one.
 
         Raises:
             NotFound: a run is unknown, or no run was evaluated under the protocol.
+            InvalidInput: the baseline is none of the runs.
         """
+        if baseline is not None and baseline not in run_ids:
+            raise InvalidInput(f"the baseline {baseline} is none of the compared runs", "name one of them")
         runs, values, protocols = self._store.read(lambda t: _read(t, run_ids))
         chosen = _chosen(protocols, runs, protocol)
         fingerprint = None if chosen is None else chosen.fingerprint
@@ -486,6 +504,7 @@ class RunComparisons:
             settings=setting_lines([[self._settings_of(run) for run in column.runs] for column in columns]),
             metrics=metric_lines(columns, shown, unmarked),
             unmarked=unmarked,
+            baseline=next((place for place, column in enumerate(columns) if baseline in column.run_ids), 0),
         )
 
     def repeats(self, run: RunRecord, most: int) -> tuple[int, ...]:

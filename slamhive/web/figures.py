@@ -220,6 +220,58 @@ def sweep_json(sweep: SweepView, sensor: str) -> dict[str, Any]:
     }
 
 
+@dataclass(frozen=True, slots=True)
+class ComparedRun:
+    """A run as a comparison draws it. All runs of a comparison count time from the same timestamp."""
+
+    run_id: int
+    name: str
+    colour: str
+    series: RunSeries
+
+
+COMPARED_POINTS = 12_000
+"""The paths of a comparison have no more poses together, so that twenty runs weigh no more than a few."""
+
+
+def compared_figures(runs: Sequence[ComparedRun]) -> dict[str, Figure]:
+    """The plots of several runs on common axes, each trace with the number of its ``run``.
+
+    A path is drawn if it was aligned to the ground truth, since others lie in frames of their own. Of CPU and memory,
+    what counts from the start of a run is left out beside what counts from that of the recording.
+    """
+    figures: dict[str, Figure] = {}
+    most = max(200, COMPARED_POINTS // max(1, len(runs)))
+    for shown in runs:
+        series = shown.series
+        own = curve_figures(series, shown.name, shown.colour)
+        if series.estimate is not None and series.aligned:
+            path = series.estimate.thinned(most)
+            estimate = ShownEstimate(shown.name, path, shown.colour, None, series.start_s)
+            own |= {f"path_{plane}": _plane_figure(plane, None, estimate) for plane in PLANES}
+        for key, figure in own.items():
+            known = figures.setdefault(key, {"data": [], "layout": figure["layout"]})
+            if known["layout"]["xaxis"]["title"] == figure["layout"]["xaxis"]["title"]:
+                known["data"] += [_of_run(shown, trace) for trace in figure["data"] if trace.get("name") not in _ENDS]
+    truth = next((shown.series.groundtruth for shown in runs if shown.series.groundtruth is not None), None)
+    if truth is not None:
+        points = _short(truth.thinned(most).positions_m)
+        for plane in PLANES:
+            if f"path_{plane}" in figures:
+                figures[f"path_{plane}"]["data"].append(_truth_line(plane, points))
+    one_axis = _with_one_time_axis(figures, [shown.series for shown in runs])
+    return {key: with_dark_colours(figure) for key, figure in one_axis.items()}
+
+
+def _of_run(shown: ComparedRun, trace: Figure) -> Figure:
+    """A trace that says of which run it is; crosses of dropped frames get its colour."""
+    found = {**trace, "run": shown.run_id}
+    if found.get("meta") == THEMED:
+        del found["meta"]
+        found["marker"] = {**found["marker"], "color": shown.colour}
+    return found
+
+
 def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
     """The caption of each plot: number of points and how they were processed."""
     texts: dict[str, str] = {}
@@ -301,8 +353,7 @@ def _plane_figure(plane: str, groundtruth: PathSeries | None, estimate: ShownEst
         if len(bridges):
             traces.append(_plane_line(plane, bridges, name=_LOST, line=_bridge_line(colour, 1.2)))
     if groundtruth is not None:
-        points = _short(groundtruth.positions_m)
-        traces.append(_plane_line(plane, points, name="ground truth", line={"dash": "dash", "width": 1.2}, meta=THEMED))
+        traces.append(_truth_line(plane, _short(groundtruth.positions_m)))
     traces += _plane_ends(plane, groundtruth, estimate)
     layout = {
         "xaxis": {"title": {"text": f"{AXES[first]} [m]"}, "constrain": "domain"},
@@ -316,6 +367,10 @@ def _plane_line(plane: str, points: np.ndarray[Any, Any], **look: Any) -> Figure
     first, second = PLANES[plane]
     x, y = points[:, first], points[:, second]
     return _trace(x, y, mode="lines", hovertemplate=_plane_hover(plane), **look)
+
+
+def _truth_line(plane: str, points: np.ndarray[Any, Any]) -> Figure:
+    return _plane_line(plane, points, name="ground truth", line={"dash": "dash", "width": 1.2}, meta=THEMED)
 
 
 def _plane_ends(plane: str, groundtruth: PathSeries | None, estimate: ShownEstimate | None) -> list[Figure]:
@@ -429,6 +484,8 @@ def _with_dropped(figure: Figure, dropped_s: Array) -> Figure:
     return {**figure, "data": [*figure["data"], crosses]}
 
 
+_ENDS = ("start", "end")
+"""Names of the markers of a path."""
 _LOST = "tracking lost"
 """Label of the dotted lines between the pieces of an estimate."""
 

@@ -314,7 +314,7 @@ def test_selected_runs_are_compared(browsing: Page) -> None:
     assert browsing.locator("#why-not").inner_text() == "Select another run to compare."
     browsing.get_by_label("Run 2", exact=True).check()
     compare.click()
-    browsing.wait_for_selector("[data-figure=path_2d][data-drawn]", timeout=60_000)
+    browsing.wait_for_selector("[data-figure=path][data-drawn]", timeout=60_000)
     assert browsing.url.endswith("/compare?run=1&run=2") or "runs=1,2" in browsing.url
 
 

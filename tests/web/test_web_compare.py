@@ -42,11 +42,10 @@ def test_the_better_value_is_marked_and_differing_parameters_come_first(compared
 def test_all_plots_come_with_the_figures(compared: Web):
     found = compared.client.get("/compare/figures.json?runs=1,6").json
     assert found is not None
-    assert set(found["figures"]) == {"path_2d", "error", "cpu", "memory", "latency"}
-    assert found["reasons"] == {}
+    assert set(found["figures"]) == {"path_xy", "path_xz", "path_yz", "error", "cpu", "memory", "latency", "dropped"}
     ranges = [found["figures"][name]["layout"]["xaxis"]["range"] for name in ("error", "cpu", "memory", "latency")]
     assert all(span == ranges[0] for span in ranges)
-    names = [trace["name"] for trace in found["figures"]["path_2d"]["data"] if trace["mode"] == "lines"]
+    names = [trace["name"] for trace in found["figures"]["path_xy"]["data"] if trace["mode"] == "lines"]
     assert names == ["run 1, eye-slam-stereo", "run 6, eye-slam-stereo", "ground truth"]
 
 
@@ -62,6 +61,45 @@ def test_usage_is_drawn_for_runs_of_another_protocol_too(compared: Web, monkeypa
     names = {key: [trace["name"] for trace in found["figures"][key]["data"]] for key in ("error", "cpu")}
     assert len(names["error"]) == 2
     assert len(names["cpu"]) == 3
+
+
+@pytest.mark.integration
+def test_the_page_says_where_a_run_is_worse_and_leads_there(compared: Web):
+    evaluation = compared.hive.runs.folder(6).evaluation(PROTOCOL.fingerprint)
+    rows = (evaluation / "errors.csv").read_text().splitlines()
+    changed = [
+        f"{stamp},0.7" + ("," + rest if rest else "")
+        for stamp, _, *more in (row.split(",") for row in rows[1:])
+        for rest in [",".join(more)]
+        if 1010.0 <= float(stamp) <= 1012.0
+    ]
+    kept = [row for row in rows[1:] if not 1010.0 <= float(row.split(",")[0]) <= 1012.0]
+    (evaluation / "errors.csv").write_text("\n".join([rows[0], *sorted(kept + changed)]) + "\n")
+    text = compared.client.get("/compare?runs=1,6").text
+    assert "Run 6 is worse than run 1 from 10 to 12 s: error 0.7 m (" in text
+    assert "Run 1 is better than run 6 from 10 to 12 s" in compared.client.get("/compare?runs=1,6&baseline=6").text
+    found = compared.client.get("/compare/figures.json?runs=1,6").get_json()
+    assert 1010.0 <= found["timeline"]["worst_s"] <= 1012.0
+    assert {trace.get("run") for trace in found["figures"]["error"]["data"]} == {1, 6}
+
+
+@pytest.mark.integration
+def test_differences_count_from_the_baseline(compared: Web):
+    for baseline, cells in ((1, ["★ better: 0.04567", "+0.454"]), (6, ["★ better: −0.454", "0.5000"])):
+        text = compared.client.get(f"/compare?runs=1,6&baseline={baseline}").text
+        row = re.search(r"ATE RMSE.*?</tr>", text, re.DOTALL)
+        assert row is not None
+        shown = [
+            re.sub(r"<span class=\"under\">.*?</span>|<[^>]+>", "", cell) for cell in re.findall(r"<td.*?</td>", row[0])
+        ]
+        assert shown == cells
+
+
+@pytest.mark.integration
+def test_a_moment_is_told_for_each_run(compared: Web):
+    content = compared.client.get("/compare/moment.json?runs=1,6&timestamp=1005").get_json()
+    assert [line[:6] for line in content["words"].splitlines()] == ["Run 1:", "Run 6:"]
+    assert content["views"]
 
 
 @pytest.mark.integration
@@ -111,14 +149,16 @@ def test_a_view_only_server_only_says_what_is_missing(web: Web, tmp_path, compil
 def test_a_run_without_an_evaluation_does_not_hide_the_plots_of_others(shown: Web):
     answer = shown.client.get("/compare/figures.json?runs=1,2,3")
     assert answer.status_code == 200
-    assert "path_2d" in answer.get_json()["figures"]
+    content = answer.get_json()
+    assert "path_xy" in content["figures"]
+    assert "Not shown, because not evaluated under this protocol: runs 2, 3." in content["captions"]["error"]
 
 
 def test_runs_that_are_not_evaluated_say_so_in_place_of_plots(shown: Web):
     assert "None of these runs is evaluated" in shown.client.get("/compare?runs=2,5").text
-    answer = shown.client.get("/compare/figures.json?runs=2,5")
-    assert answer.status_code == 400
-    assert "None of the 2 runs has been evaluated" in answer.text
+    content = shown.client.get("/compare/figures.json?runs=2,5").get_json()
+    assert "error" not in content["figures"]
+    assert content["reasons"]["error"] == "No run here has been evaluated under a common protocol."
 
 
 @pytest.mark.parametrize(
@@ -131,6 +171,8 @@ def test_runs_that_are_not_evaluated_say_so_in_place_of_plots(shown: Web):
         ("runs=" + ",".join(map(str, range(1, 22))), 400, "21 runs cannot be compared"),
         ("runs=1,2,1", 400, "run 1 is named twice"),
         ("runs=1,2&protocol=nope", 404, "no run here was evaluated under protocol 'nope'"),
+        ("runs=1,2&baseline=3", 400, "the baseline 3 is none of the compared runs; name one of them"),
+        ("runs=1,2&baseline=x", 400, "run 'x' is not allowed"),
         ("runs=1,2&group=x", 400, "group 'x' is not allowed"),
     ],
 )

@@ -252,11 +252,16 @@ class Moment:
         return self.timestamp_s if self.frame is None else self.frame.timestamp_s
 
 
-def moment_at(run: RunRecord, folder: RunFolder, timestamp_s: float) -> Moment:
-    """Read the moment ``timestamp_s`` from the files of a run; unreadable files say nothing."""
+def moment_at(run: RunRecord, folder: RunFolder, timestamp_s: float, fingerprint: str | None = None) -> Moment:
+    """Read the moment ``timestamp_s`` from the files of a run; unreadable files say nothing.
+
+    The error is that under the current protocol, or the one with this fingerprint.
+    """
     error_m = None
-    if run.protocol is not None:
-        path = folder.evaluation(run.protocol.fingerprint) / "errors.csv"
+    if fingerprint is None and run.protocol is not None:
+        fingerprint = run.protocol.fingerprint
+    if fingerprint is not None:
+        path = folder.evaluation(fingerprint) / "errors.csv"
         errors = read_numeric_columns(path, ("timestamp", "ape_m"), LIMIT_BYTES)
         row = _nearest(errors, timestamp_s)
         error_m = None if row is None else _known(row[1])

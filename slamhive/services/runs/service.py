@@ -225,9 +225,9 @@ class RunService(StoredRuns):
         """Where the map of a run lies in :meth:`scene`, without reading what else is shown there."""
         return self._frames.get(run, self.folder(run.id), None if run.protocol is None else run.protocol.fingerprint)
 
-    def moment(self, run_id: int, timestamp_s: float) -> Moment:
-        """The error and the frame of a run at a header timestamp."""
-        return moment_at(self.get(run_id), self.folder(run_id), timestamp_s)
+    def moment(self, run_id: int, timestamp_s: float, fingerprint: str | None = None) -> Moment:
+        """The error, under the current protocol or the one with this fingerprint, and the frame at a timestamp."""
+        return moment_at(self.get(run_id), self.folder(run_id), timestamp_s, fingerprint)
 
 
 def _requests(

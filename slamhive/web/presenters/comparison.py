@@ -14,12 +14,15 @@ from slamhive.analysis.report import Plot
 from slamhive.domain.metrics import Direction, Group, Metric
 from slamhive.domain.names import plural
 from slamhive.services.run_comparison import Figure, RunColumn, RunComparison
+from slamhive.services.run_differences import RunDifference, differences, from_start
+from slamhive.services.runs import RunSeries, RunService
+from slamhive.web.figures import ComparedRun, best_plane, compared_figures, timeline
 from slamhive.web.formatting import DASH, DisplayUnit, TableCell, display_unit, significant
 
 _PLACES = {
-    "trajectories_xy": "path_2d",
-    "trajectories_xz": "path_2d",
-    "trajectories_yz": "path_2d",
+    "trajectories_xy": "path_xy",
+    "trajectories_xz": "path_xz",
+    "trajectories_yz": "path_yz",
     "trajectory_error": "error",
     "usage_cpu": "cpu",
     "usage_memory": "memory",
@@ -28,11 +31,12 @@ _PLACES = {
 """{key of a plot: its place on the page}; other plots of the analysis are not shown."""
 _OVER_TIME = ("error", "cpu", "memory", "latency")
 _PLACES_OF_FORM = {
-    "trajectories": ("path_2d", "error"),
+    "trajectories": ("path", "error"),
     "usage": ("cpu", "memory"),
     "latency": ("latency",),
 }
 _PARAMETER = "parameter."
+_BETTER = {Direction.LOWER: "lower is better", Direction.HIGHER: "higher is better"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +69,15 @@ class ComparedMetric:
     best: int | None
 
 
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A sentence about a run, and the time of the recording in s that it is about, None for all of it."""
+
+    run: int
+    words: str
+    peak_s: float | None
+
+
 def heads(compared: RunComparison) -> list[Head]:
     """The heads, with the colours that the plots use."""
     return [
@@ -90,25 +103,137 @@ def metric_groups(compared: RunComparison) -> dict[str, list[ComparedMetric]]:
     accuracy = [line for line in compared.metrics if line.metric.needs_protocol]
     groups = {group.value: [line for line in accuracy if line.metric.group is group] for group in Group}
     groups["measured during the run"] = [line for line in compared.metrics if not line.metric.needs_protocol]
-    better = {Direction.LOWER: "lower is better", Direction.HIGHER: "higher is better"}
     found: dict[str, list[ComparedMetric]] = {}
     for name, lines in groups.items():
         for line in lines:
             metric, unit = line.metric, display_unit(line.metric)
             cells = tuple(_metric_cell(figure, unit, metric) for figure in line.figures)
-            row = ComparedMetric(metric, unit.unit, better.get(metric.direction, ""), cells, line.best)
+            row = ComparedMetric(metric, unit.unit, _BETTER.get(metric.direction, ""), cells, line.best)
             found.setdefault(name, []).append(row)
     return found
 
 
+HEADLINES = (
+    *("ate.rmse", "rpe.rmse", "ate_rot.rmse", "tracked_fraction", "frames.dropped_fraction", "latency.p95"),
+    *("deadline.missed_fraction", "cpu.mean", "ram.max", "duration"),
+)
+"""Metrics that the table of differences shows; the table of all metrics has the others."""
+
+
+def differing_metrics(compared: RunComparison) -> list[ComparedMetric]:
+    """The main metrics in which the columns differ, as differences to the baseline with the value below each."""
+    rows = []
+    known = {line.metric.key: line for line in compared.metrics}
+    for line in (known[key] for key in HEADLINES if key in known and known[key].differs):
+        unit, base = display_unit(line.metric), line.figures[compared.baseline]
+        cells = tuple(
+            _difference_cell(figure, base, unit, line.metric, is_baseline=place == compared.baseline)
+            for place, figure in enumerate(line.figures)
+        )
+        rows.append(ComparedMetric(line.metric, unit.unit, _BETTER.get(line.metric.direction, ""), cells, line.best))
+    return rows
+
+
 def address_args(compared: RunComparison) -> dict[str, str]:
-    """The arguments of the permanent address, without the protocol."""
+    """The arguments of the permanent address, without the protocol and the baseline."""
     runs = ",".join(str(run.id) for run in compared.runs)
     return {"runs": runs} | ({"group": "configuration"} if compared.grouped else {})
 
 
-def figures(plots: Sequence[Plot]) -> dict[str, Any]:
-    """``figures``, ``captions`` and ``reasons`` by place on the page; plots over the same time share their range."""
+def series_of(compared: RunComparison, runs: RunService) -> list[tuple[int, RunSeries]]:
+    """Each run with what is known of it over time under the common protocol, all on the clock of the baseline.
+
+    Runs of another dataset than the baseline are left out: their moments are others.
+    """
+    base = compared.columns[compared.baseline].runs[0]
+    fingerprint = None if compared.protocol is None else compared.protocol.fingerprint
+    read = {run.id: runs.series(run.id, fingerprint) for run in compared.runs if run.dataset == base.dataset}
+    start_s = read[base.id].start_s
+    return [(run, series if start_s is None else from_start(series, start_s)) for run, series in read.items()]
+
+
+def story(compared: RunComparison, series: Sequence[tuple[int, RunSeries]]) -> list[Told]:
+    """Where each run differs from the baseline the most, the largest error first; empty for grouped repeats."""
+    if compared.grouped or compared.protocol is None:
+        return []
+    base = compared.columns[compared.baseline].runs[0].id
+    having = {run: data for run, data in series if run in compared.protocol.runs}
+    if base not in having:
+        return []
+    others = [(run, data) for run, data in having.items() if run != base]
+    found = differences((base, having[base]), others)
+    told = [_told(entry, base) for entry in found]
+    same = [run for run, _ in others if run not in {entry.run for entry in told}]
+    return [*told, *(Told(run, f"Run {run} is as good as run {base} all the time.", None) for run in same)]
+
+
+def _told(entry: RunDifference, base: int) -> Told:
+    subject = entry.other if entry.run == base else entry.run
+    return Told(subject, entry.words(subject), entry.peak_s)
+
+
+def single_figures(compared: RunComparison, series: Sequence[tuple[int, RunSeries]]) -> dict[str, Any]:
+    """The plots of single runs by place on the page, with captions, reasons for missing ones, and their moments."""
+    colours = {head.column.runs[0].id: head.colour for head in heads(compared)}
+    names = {run.id: f"run {run.id}, {run.algorithm}" for run in compared.runs}
+    shown = [ComparedRun(run, names[run], colours[run], data) for run, data in series]
+    drawn = compared_figures(shown)
+    told = story(compared, series)
+    label = "" if compared.protocol is None else compared.protocol.label
+    without = sorted({run.id for run in compared.runs} - {run for run, _ in series})
+    elsewhere = f" Not shown, because of another dataset: {runs_words(without)}." if without else ""
+    lacking = [run for run, data in series if data.error is None]
+    unjudged = f" Not shown, because not evaluated under this protocol: {runs_words(lacking)}." if lacking else ""
+    track = next((data.groundtruth or data.estimate for _, data in series if data.aligned), None)
+    return {
+        "figures": drawn,
+        "captions": {
+            "path": f"Aligned with {label}. Ground truth dashed.{unjudged}{elsewhere}",
+            "error": f"Distance from the estimate to the ground truth; {label}.{unjudged}{elsewhere}",
+            "latency": f"From arrival to result; crosses are dropped frames.{elsewhere}",
+            "dropped": f"Frames that the algorithm was too slow to take.{elsewhere}",
+            "cpu": f"Cores summed, player included.{elsewhere}",
+            "memory": f"Player included.{elsewhere}",
+        },
+        "reasons": {
+            "estimate": _UNJUDGED,
+            "error": _UNJUDGED,
+            "dropped": "No frame was dropped.",
+            **dict.fromkeys(("latency", "cpu", "memory"), "these runs have no data for this plot"),
+        },
+        "timeline": _timeline(
+            [data for _, data in series], next((entry.peak_s for entry in told if entry.peak_s), None)
+        ),
+        "best_plane": "xy" if track is None else best_plane(track),
+    }
+
+
+_UNJUDGED = "No run here has been evaluated under a common protocol."
+
+
+def runs_words(runs: Sequence[int]) -> str:
+    """``run 3``, or ``runs 3, 5``."""
+    return f"{'run' if len(runs) == 1 else 'runs'} {', '.join(map(str, runs))}"
+
+
+def _timeline(series: Sequence[RunSeries], peak_s: float | None) -> dict[str, Any] | None:
+    """The time that the plots of several runs share; the worst moment is where two runs differ the most."""
+    known = [entry for entry in map(timeline, series) if entry is not None]
+    if not known:
+        return None
+    origin_s = known[0]["origin_s"]
+    worst = [entry["worst_s"] for entry in known if entry["worst_s"] is not None]
+    return {
+        "origins": {key: origin_s for entry in known for key in entry["origins"]},
+        "origin_s": origin_s,
+        "from_s": min(entry["from_s"] for entry in known),
+        "until_s": max(entry["until_s"] for entry in known),
+        "worst_s": origin_s + peak_s if peak_s is not None else next(iter(worst), None),
+    }
+
+
+def grouped_figures(plots: Sequence[Plot]) -> dict[str, Any]:
+    """The same for repeats that are folded into mean and band, as an analysis draws them."""
     charts = {_PLACES[chart.key]: chart for plot in plots for chart in plot.charts if chart.key in _PLACES}
     drawn = {place: _figure(chart) for place, chart in charts.items()}
     for axis in {charts[place].x for place in _OVER_TIME if place in charts}:
@@ -117,11 +242,15 @@ def figures(plots: Sequence[Plot]) -> dict[str, Any]:
         for place in places if spans else ():
             drawn[place]["layout"]["xaxis"]["range"] = [min(low for low, _ in spans), max(high for _, high in spans)]
     filled = {place: plot for plot in plots for place in _PLACES_OF_FORM.get(plot.form, ())}
+    plane = next((place.removeprefix("path_") for place in charts if place.startswith("path_")), "xy")
+    captions = {"path" if place.startswith("path_") else place: chart.caption for place, chart in charts.items()}
+    reasons = {place: _reason(plot) for place, plot in filled.items() if place not in captions}
     return {
         "figures": drawn,
-        "captions": {place: " ".join([chart.caption, *filled[place].exclusions]) for place, chart in charts.items()},
-        "reasons": {place: _reason(plot) for place, plot in filled.items() if place not in drawn},
-        "best_plane": "xy",
+        "captions": {place: " ".join([text, *filled[place].exclusions]) for place, text in captions.items()},
+        "reasons": {"estimate" if place == "path" else place: text for place, text in reasons.items()},
+        "timeline": None,
+        "best_plane": plane,
     }
 
 
@@ -132,10 +261,10 @@ def _reason(plot: Plot) -> str:
 
 
 def _figure(chart: Chart) -> dict[str, Any]:
-    """The plot without a height of its own, which the page decides. One legend is enough for all plots."""
+    """The plot without a height of its own, which the page decides. The chips of the page name the lines."""
     figure = plotly_figure(chart)
     figure["layout"].pop("height", None)
-    figure["layout"]["showlegend"] = _PLACES[chart.key] == "path_2d"
+    figure["layout"]["showlegend"] = False
     return figure
 
 
@@ -154,6 +283,18 @@ def _note(column: RunColumn, *, grouped: bool) -> str:
             [plural(len(column.runs), "run"), *(f"{count} {word}" for word, count in counts.items() if count)]
         )
     return "failed" if column.failed else ""
+
+
+def _difference_cell(
+    figure: Figure | None, base: Figure | None, unit: DisplayUnit, metric: Metric, *, is_baseline: bool
+) -> TableCell:
+    """The difference to the baseline, with the value as a note; the value itself for the baseline."""
+    value = _metric_cell(figure, unit, metric)
+    if is_baseline or figure is None or base is None:
+        return value
+    change = (figure.mean - base.mean) * unit.factor
+    text = "same" if figure.shown == base.shown else f"{'+' if change > 0 else '−'}{significant(abs(change), 3)}"
+    return TableCell(text, value.exact, note=f"{value.text} {f'({value.note})' if value.note else ''}".strip())
 
 
 def _metric_cell(figure: Figure | None, unit: DisplayUnit, metric: Metric) -> TableCell:

@@ -6,7 +6,7 @@ from flask import Blueprint, Response, jsonify, make_response, redirect, render_
 from flask import url_for as address
 
 from slamhive.base.errors import InvalidInput
-from slamhive.services.run_comparison import RunComparison, analysis_text, plots_of, read_run_ids
+from slamhive.services.run_comparison import RunComparison, analysis_text, plots_of, read_run_id, read_run_ids
 from slamhive.web.context import hive
 from slamhive.web.presenters import comparison as presenter
 from slamhive.web.presenters.scripts import comparison_scripts
@@ -23,6 +23,7 @@ def show() -> Response:
         chosen = ",".join(map(str, sorted(read_run_ids(request.args.getlist("run")))))
         return make_response(redirect(address("compare.show", runs=chosen, group=_group() or None), 303))
     compared = asked_comparison()
+    series = [] if compared.grouped else presenter.series_of(compared, hive().runs)
     return make_response(
         render_template(
             "compare/show.html",
@@ -30,6 +31,9 @@ def show() -> Response:
             heads=presenter.heads(compared),
             settings=presenter.setting_rows(compared),
             metrics=presenter.metric_groups(compared),
+            differing=presenter.differing_metrics(compared),
+            told=presenter.story(compared, series),
+            base=compared.columns[compared.baseline].runs[0],
             args=presenter.address_args(compared),
             analysis=analysis_text(compared),
             scripts=comparison_scripts([run.id for run in compared.runs], hive().settings, grouped=compared.grouped),
@@ -41,13 +45,21 @@ def show() -> Response:
 def figures() -> Response:
     """The plots of a comparison, with captions and the reasons for missing ones."""
     compared = asked_comparison()
-    return make_response(jsonify(presenter.figures(plots_of(compared, hive().analyses))))
+    if compared.grouped:
+        return make_response(jsonify(presenter.grouped_figures(plots_of(compared, hive().analyses))))
+    return make_response(jsonify(presenter.single_figures(compared, presenter.series_of(compared, hive().runs))))
 
 
 def asked_comparison() -> RunComparison:
     """The comparison that the address asks for; raises InvalidInput or NotFound."""
     run_ids = read_run_ids(request.args.getlist("runs"))
-    return hive().run_comparisons.of(run_ids, request.args.get("protocol") or None, grouped=bool(_group()))
+    baseline = request.args.get("baseline") or None
+    return hive().run_comparisons.of(
+        run_ids,
+        request.args.get("protocol") or None,
+        grouped=bool(_group()),
+        baseline=None if baseline is None else read_run_id(baseline),
+    )
 
 
 def _group() -> str:

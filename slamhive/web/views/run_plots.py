@@ -160,6 +160,21 @@ def comparison() -> Response:
     return _answer("Comparison of runs", [*paths, *truth], None, list(filter(None, notes)), z_up=is_z_up(dataset))
 
 
+@scenes_blueprint.get("/compare/moment.json")
+def comparison_moment() -> Response:
+    """The error and the frame of each run at ``timestamp``, and what the sensors of the baseline saw."""
+    services = hive()
+    compared = asked_comparison()
+    base = compared.columns[compared.baseline].runs[0]
+    fingerprint = None if compared.protocol is None else compared.protocol.fingerprint
+    timestamp_s = asked_timestamp_s()
+    here = [record for record in compared.runs if record.dataset == base.dataset]
+    found = {record.id: services.runs.moment(record.id, timestamp_s, fingerprint) for record in here}
+    lines = [f"Run {run_id}: {scenes.words(moment)}" for run_id, moment in found.items()]
+    views = scenes.sensor_views(services, base, found[base.id].shown_at_s)
+    return make_response(jsonify(words="\n".join(lines), views=views))
+
+
 @scenes_blueprint.get("/datasets/<name>/scene.json")
 def dataset(name: str) -> Response:
     """The ground truth of a dataset, and where the points of its reference map can be had."""
