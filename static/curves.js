@@ -2,7 +2,7 @@
 // on axes of numbers. Plots of one page whose axes have the same title share their cursor and their zoom.
 "use strict";
 (() => {
-  const { element, inks, list, offersLog, plain, savePicture, short, whenPrinting, withTable } = slamhivePlots;
+  const { element, inks, list, offersLog, plain, savePicture, short, toggleTable, whenPrinting, withTable } = slamhivePlots;
   const CLICK_PX = 4;
   const LEFT_PX = 58;
   const DASHES = { dash: [6, 4], dot: [2, 3] };
@@ -76,6 +76,7 @@
     ctx.save();
     ctx.strokeStyle = typeof stroke === "function" ? stroke(u, place) : stroke;
     ctx.lineWidth = 1.2 * devicePixelRatio;
+    ctx.setLineDash([]);
     ctx.beginPath();
     data[place].forEach((value, row) => {
       if (value === null || value === undefined) return;
@@ -110,6 +111,7 @@
     ctx.save();
     ctx.strokeStyle = inks().text;
     ctx.lineWidth = 1.5 * devicePixelRatio;
+    ctx.setLineDash([]);
     ctx.beginPath();
     ctx.moveTo(x, bbox.top);
     ctx.lineTo(x, bbox.top + bbox.height);
@@ -285,6 +287,7 @@
       button.setAttribute("aria-pressed", isLog);
       tools.append(button);
     }
+    tools.append(tool("Table", "Data as a table", () => toggleTable(place)));
     tools.append(tool("PNG", "Save this plot as a picture", () => save(entry)));
     head.append(element("span", title.y, { class: "plot-title" }), entry.readout, tools);
     place.replaceChildren(head, entry.body);
@@ -391,6 +394,7 @@
     if (!entry) return;
     entry.hidden = runs;
     entry.curves.forEach(({ run }, at) => { if (run !== undefined) entry.u.setSeries(at + 1, { show: !runs.has(run) }); });
+    tell(entry);
   }
 
   function again() {

@@ -59,10 +59,10 @@
     const place = document.querySelector("[data-no-plots]");
     if (!place) return;
     const titles = {};
-    for (const panel of document.querySelectorAll("[data-shown-with-data][hidden]")) {
+    for (const panel of document.querySelectorAll("[data-shown-with-data][hidden]:not([data-shown-with-data=''])")) {
       const key = panel.querySelector("[data-figure]").dataset.figure;
       const reason = content.reasons[key === "path" ? "estimate" : key] || "This run has no data for it.";
-      (titles[reason] ??= []).push(panel.querySelector("h2").textContent);
+      (titles[reason] ??= []).push(panel.dataset.shownWithData);
     }
     place.textContent = Object.entries(titles).map(([reason, names]) => `No plot of ${names.join(", ")}: ${reason}`).join(" ");
     place.hidden = !place.textContent;
@@ -85,7 +85,7 @@
       button.setAttribute("aria-pressed", button.dataset.view === plane);
       button.disabled = !content.figures.path_xy;
     }
-    for (const button of document.querySelectorAll("[data-worst]")) button.hidden = (timeline()?.worst_s ?? null) === null;
+    for (const button of document.querySelectorAll("button[data-worst]")) button.hidden = (timeline()?.worst_s ?? null) === null;
     mark();
   }
 
@@ -134,7 +134,12 @@
         drawAll();
       });
     }
-    for (const button of document.querySelectorAll("[data-worst]")) button.addEventListener("click", () => announce(timeline().worst_s));
+    document.addEventListener("click", (event) => {
+      const asked = event.target.closest("[data-worst]");
+      if (!asked || (timeline()?.worst_s ?? null) === null || event.ctrlKey || event.metaKey || event.shiftKey) return;
+      event.preventDefault();
+      announce(timeline().worst_s);
+    });
     load();
     setInterval(() => { if (document.querySelector("[data-active]")) load(); }, WHILE_ACTIVE_MS);
   });

@@ -2,12 +2,13 @@
 // that knows its errors is coloured by them; one that knows its times shows where the body is at the chosen moment.
 "use strict";
 (() => {
-  const { element, inks, list, numbers, plain, savePicture, short, whenPrinting, withTable } = slamhivePlots;
+  const { element, inks, list, numbers, plain, savePicture, short, toggleTable, whenPrinting, withTable } = slamhivePlots;
   const PADDING = { left: 46, right: 12, top: 10, bottom: 34 };
   const NEAR_PX = 24;
   const CLICK_PX = 4;
   const LEVELS = 24;
   const TICK_PX = 70;
+  const COLOURED = 0.95;
   const STEPS = [1, 2, 5, 10];
   const DASHES = { dash: [7, 5], dot: [2, 4] };
   const FONT = "11px system-ui, sans-serif";
@@ -300,13 +301,13 @@
     return button;
   }
 
-  /** The scale of the errors: a bar from 0 to the largest one. */
+  /** The scale of the errors: a bar from 0 to the largest one that has a colour of its own. */
   function scaleBar(entry) {
     const bar = element("span", "", { class: "plot-ramp" });
     const ramp = element("i");
     const stops = Array.from({ length: 8 }, (_, place) => colourAt(place / 7));
     ramp.style.background = `linear-gradient(to right, ${stops.join(",")})`;
-    bar.append("error 0", ramp, `${short(Number(entry.most.toPrecision(3)))} m`);
+    bar.append("error 0", ramp, `${entry.beyond ? "≥ " : ""}${short(Number(entry.most.toPrecision(3)))} m`);
     return bar;
   }
 
@@ -320,6 +321,7 @@
       entry.resetButton,
       tool("+", "Zoom in (Ctrl and wheel)", () => zoom(entry, 1.4)),
       tool("−", "Zoom out (Ctrl and wheel)", () => zoom(entry, 1 / 1.4)),
+      tool("Table", "Data as a table", () => toggleTable(entry.place)),
       tool("PNG", "Save this plot as a picture", () => save(entry)),
     );
     if (entry.most > 0) head.append(scaleBar(entry));
@@ -349,7 +351,9 @@
   function redraw(entry) {
     entry.lines = entry.figure.data.map((trace) => lineOf(trace, entry.figure));
     const errors = entry.lines.flatMap((line) => (line.errors ? [...line.errors].filter(Number.isFinite) : []));
-    entry.most = errors.reduce((one, other) => Math.max(one, other), 0);
+    // A few poses that are far away would make all others look alike.
+    entry.most = errors.sort((one, other) => one - other)[Math.floor(COLOURED * (errors.length - 1))] ?? 0;
+    entry.beyond = errors.length > 0 && errors[errors.length - 1] > entry.most;
     const view = entry.resetButton && !entry.resetButton.hidden ? entry.view : null;
     frame(entry);
     entry.view = view;

@@ -96,6 +96,13 @@
     if (details.open) fill(details, details.figure);
   }
 
+  /** Opens or closes the table below a plot. */
+  function toggleTable(place) {
+    const details = place.nextElementSibling;
+    details.open = !details.open;
+    if (details.open) details.querySelector("summary").focus();
+  }
+
   const MOST_ZEROS = 0.05;
   const checked = new WeakMap();
 
@@ -144,5 +151,5 @@
     link.click();
   }
 
-  window.slamhivePlots = { dark, inks, numbers, list, plain, short, element, withTable, offersLog, plotly, preferred, savePicture, whenPrinting };
+  window.slamhivePlots = { dark, inks, numbers, list, plain, short, element, withTable, offersLog, plotly, preferred, savePicture, toggleTable, whenPrinting };
 })();

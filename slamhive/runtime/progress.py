@@ -21,11 +21,13 @@ class Progress:
         self._file_at_s = self._line_at_s = time.monotonic()
         self._tracked_at_s: float | None = None
         self._untracked_s: float | None = None
+        self._dropped = 0
         self._write(0.0, 0)
 
     def update(self, frames: int, stamp_s: float, fraction: float, dropped: int, tracked: bool | None) -> None:
         """``frames`` are over, up to the time ``stamp_s`` and the share ``fraction`` of the recording."""
         self._note(stamp_s, tracked)
+        self._dropped = dropped
         now_s = time.monotonic()
         if now_s - self._file_at_s >= _FILE_EVERY_S:
             self._file_at_s = now_s
@@ -49,7 +51,12 @@ class Progress:
     def _write(self, fraction: float, frames: int) -> None:
         """Renamed into place, but not flushed to the disk: the content is out of date in half a second anyway."""
         aside = self._path.with_name(f".{self._path.name}")
-        content = {"fraction": round(min(fraction, 1.0), 4), "frames": frames, "untracked_s": self._untracked_s}
+        content = {
+            "fraction": round(min(fraction, 1.0), 4),
+            "frames": frames,
+            "dropped": self._dropped,
+            "untracked_s": self._untracked_s,
+        }
         aside.write_text(json_text(content), encoding="ascii")
         os.replace(aside, self._path)  # noqa: PTH105
 

@@ -17,6 +17,7 @@ from slamhive.documents.protocol import ComparedColumn, ComparedMetric, Comparis
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.metrics import Direction, Metric, with_unknown
 from slamhive.domain.names import plural
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import RunState
 from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
 from slamhive.domain.trust import TrustLevel
@@ -449,6 +450,47 @@ def _text(value: object) -> str:
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
+# A run among its repeats.
+
+
+@dataclass(frozen=True, slots=True)
+class RepeatStanding:
+    """A run among its repeats: ``runs`` ascending, itself included, and its neighbours, None at the ends.
+
+    ``place`` is 1 for the smallest ATE among the ``judged`` ones, which are good and of the same protocol; None if the
+    run is not one of them.
+    """
+
+    runs: tuple[int, ...]
+    previous: int | None
+    next: int | None
+    place: int | None
+    judged: int
+
+
+def standing_of(run: RunRecord, repeats: Sequence[RunRecord]) -> RepeatStanding:
+    """Rank a run by its ATE among its ``repeats``, which include it."""
+    numbers = tuple(sorted(entry.id for entry in repeats))
+    at = numbers.index(run.id)
+    fingerprint = None if run.protocol is None else run.protocol.fingerprint
+    errors_m = {
+        entry.id: entry.metrics["ate.rmse"]
+        for entry in repeats
+        if entry.metrics and "ate.rmse" in entry.metrics and entry.outcome is Outcome.GOOD
+        if entry.protocol is not None and entry.protocol.fingerprint == fingerprint
+    }
+    place = None
+    if run.id in errors_m:
+        place = 1 + sum(other < errors_m[run.id] for other in errors_m.values())
+    return RepeatStanding(
+        runs=numbers,
+        previous=numbers[at - 1] if at else None,
+        next=numbers[at + 1] if at + 1 < len(numbers) else None,
+        place=place,
+        judged=len(errors_m),
+    )
+
+
 # The comparison.
 
 _MOST_NAMED = 5
@@ -506,6 +548,11 @@ class RunComparisons:
             unmarked=unmarked,
             baseline=next((place for place, column in enumerate(columns) if baseline in column.run_ids), 0),
         )
+
+    def standing(self, run: RunRecord, most: int) -> RepeatStanding:
+        """The place of a run among the newest runs of its configuration, at most ``most`` of them."""
+        runs = self._store.read(lambda t: t.runs.get_many(self.repeats(run, most), with_metrics=True))
+        return standing_of(run, runs)
 
     def repeats(self, run: RunRecord, most: int) -> tuple[int, ...]:
         """A run and the newest other runs of its configuration, at most ``most``."""

@@ -68,7 +68,12 @@ def test_a_run_leaves_everything_the_contract_names(tmp_path: Path) -> None:
     names = {"about.json", "finished", "frames.csv", "playback.json", "progress.json", "traj.txt"}
     assert {path.name for path in result.iterdir()} == names
     assert len((result / "traj.txt").read_text().splitlines()) == 11
-    assert json.loads((result / "progress.json").read_text()) == {"fraction": 1.0, "frames": 10, "untracked_s": None}
+    assert json.loads((result / "progress.json").read_text()) == {
+        "fraction": 1.0,
+        "frames": 10,
+        "dropped": 0,
+        "untracked_s": None,
+    }
     assert json.loads((result / "playback.json").read_text())["frames_total"] == 10
     newest = max(result.iterdir(), key=lambda path: path.stat().st_mtime_ns)
     assert newest.name == "finished"

@@ -264,7 +264,7 @@ def test_a_plot_has_a_table_that_says_the_same(chromium: Browser, archive: str) 
         page.goto("/runs/1", wait_until="load")
         page.wait_for_selector("[data-figure=error][data-drawn]", timeout=60_000)
         table = page.locator("[data-figure=error] + details.plot-table")
-        table.locator("summary").press("Enter")
+        page.locator("[data-figure=error]").get_by_role("button", name="Table").press("Enter")
         table.locator("tbody tr").first.wait_for()
         assert table.locator("thead th").all_inner_texts()[:3] == [
             "Series",

@@ -213,6 +213,8 @@ class RunProgress:
     cpu_cores: float | None
     memory_bytes: int | None
     text: str
+    dropped: int | None = None
+    """Frames that were dropped so far; None before the recording plays."""
 
 
 def run_progress(run: RunRecord, folder: RunFolder, now: datetime, duration_s: float | None) -> RunProgress | None:
@@ -238,7 +240,14 @@ def run_progress(run: RunRecord, folder: RunFolder, now: datetime, duration_s: f
         cpu_cores=cpu_cores,
         memory_bytes=memory_bytes,
         text=_doing(run, folder) if fraction is None else f"{fraction:.0%} of the recording",
+        dropped=_dropped(folder),
     )
+
+
+def _dropped(folder: RunFolder) -> int | None:
+    content = read_untrusted_json(folder.progress, _PROGRESS_LIMIT_BYTES) or {}
+    count = measured_number(content.get("dropped"))
+    return None if count is None else int(count)
 
 
 def untracked_s(folder: RunFolder) -> float | None:

@@ -386,7 +386,7 @@ def snapshot(hive: Hive) -> dict[str, Any]:
 def progress_json(progress: RunProgress | None) -> dict[str, Any]:
     """Progress as texts for the page; ``percent`` is None while unknown."""
     if progress is None:
-        return {"percent": None, "text": "", "elapsed": DASH, "left": DASH, "cpu": DASH, "memory": DASH}
+        return {"percent": None, "text": "", "elapsed": DASH, "left": DASH, "cpu": DASH, "memory": DASH, "dropped": ""}
     cores = progress.cpu_cores
     return {
         "percent": None if progress.fraction is None else round(100 * progress.fraction, 1),
@@ -395,4 +395,5 @@ def progress_json(progress: RunProgress | None) -> dict[str, Any]:
         "left": duration(progress.left_s),
         "cpu": DASH if cores is None else f"{cores:.2f} cores",
         "memory": size(progress.memory_bytes),
+        "dropped": "" if progress.dropped is None else f"{plural(progress.dropped, 'frame')} dropped",
     }

@@ -17,6 +17,7 @@ from slamhive.domain.run import REMEDIES, RunState
 from slamhive.domain.trust import DISTURBED
 from slamhive.domain.verdict import Verdict, VerdictKind, not_evaluable
 from slamhive.services.evaluations import NOT_EVALUATED, ToolFigures, presets
+from slamhive.services.run_comparison import RepeatStanding
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.web.columns import ColumnKind, ListColumn
 from slamhive.web.formatting import (
@@ -72,6 +73,60 @@ class RunMetricRow:
     cell: TableCell
     unit: str
     sample: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """A number to read at a glance: ``text`` with its unit, and a ``note`` below; ``exact`` on hover."""
+
+    title: str
+    text: str
+    unit: str
+    note: str
+    exact: str = ""
+
+
+def tiles(run: RunRecord, standing: RepeatStanding) -> list[Tile]:
+    """The six numbers that say how a run went; none before it has any."""
+    values = run.metrics or {}
+    if not values:
+        return []
+    judged = "not evaluated" if run.protocol is None else "not known"
+    fed = "not known of imported runs" if run.executor == IMPORTED else "not reported by the algorithm"
+    known = values.get
+    losses, dropped = known("tracking.losses"), known("frames.dropped")
+    median_s, ram_bytes = known("latency.median"), known("ram.max")
+    notes = {
+        "ate.rmse": _place_words(standing),
+        "rpe.rmse": described("rpe.rmse").sample(values),
+        "tracked_fraction": "" if losses is None else plural(int(losses), "loss", "losses"),
+        "frames.dropped_fraction": "" if dropped is None else plural(int(dropped), "frame"),
+        "latency.p95": "" if median_s is None else f"median {significant(median_s, 3)} s",
+        "cpu.mean": "" if ram_bytes is None else f"RAM {significant(ram_bytes * 1e-6, 3)} MB at most",
+    }
+    missing = {"ate.rmse": judged, "rpe.rmse": judged, "tracked_fraction": judged, "cpu.mean": "not sampled"}
+    found = []
+    for key, note in notes.items():
+        metric, value = described(key), known(key)
+        title = "CPU mean and RAM" if key == "cpu.mean" else metric.label
+        if value is None:
+            found.append(Tile(title, DASH, "", missing.get(key, fed)))
+            continue
+        unit = display_unit(metric)
+        exact = f"{metric.definition} {value!r} {metric.unit}".strip()
+        found.append(Tile(title, significant(value * unit.factor, 3), unit.unit, note, exact))
+    return found
+
+
+def _place_words(standing: RepeatStanding) -> str:
+    """``2nd best of 5 repeats``."""
+    if standing.place is None or standing.judged < 2:
+        return "no good repeat to compare with"
+    if standing.place == 1:
+        return f"best of {standing.judged} repeats"
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(standing.place % 10, "th")
+    ending = "th" if standing.place % 100 in {11, 12, 13} else ending
+    return f"{standing.place}{ending} best of {standing.judged} repeats"
 
 
 def rows(runs: Iterable[RunRecord], columns: Iterable[ListColumn], algorithms: Iterable[Algorithm]) -> list[ListRow]:

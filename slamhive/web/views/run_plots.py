@@ -31,7 +31,7 @@ from slamhive.web.presenters.scenes import (
 )
 from slamhive.web.small_plots import error_image
 from slamhive.web.views.compare import asked_comparison
-from slamhive.web.views.runs import RUN_ID
+from slamhive.web.views.runs import LOG_TAIL_BYTES, RUN_ID
 
 blueprint = Blueprint("run_plots", __name__, url_prefix="/runs")
 
@@ -86,6 +86,12 @@ def asked_timestamp_s() -> float:
             f"give a header timestamp in s, up to {LATEST_TIMESTAMP_S:g}",
         )
     return timestamp_s
+
+
+@blueprint.get(f"/{RUN_ID}/log.json")
+def log_tail(run_id: int) -> Response:
+    """The end of the log of a run, for its page while it is going on."""
+    return make_response(jsonify(log=hive().runs.log(run_id, LOG_TAIL_BYTES)))
 
 
 @blueprint.get(f"/{RUN_ID}/figures/<figure>.csv")

@@ -31,6 +31,7 @@ from slamhive.filters.syntax import FilterError
 from slamhive.services.evaluations import ToolFigures, evaluation_notes
 from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import MOST_RUNS
+from slamhive.services.run_differences import odd_stretch
 from slamhive.services.runs import list_downloads, open_download
 from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord
 from slamhive.web.columns import SPARK_AFTER, column, settings_of
@@ -181,6 +182,7 @@ def show(run_id: int) -> str:
     tools = _tools(services, run)
     notes = evaluation_notes(services.runs.folder(run_id), None if chosen is None else chosen.fingerprint)
     record = services.runs.record(run_id)
+    standing = services.run_comparisons.standing(run, MOST_RUNS)
     match = catalogue.match_of_run(services, record, run.configuration_id)
     downloads = list_downloads(services.runs.folder(run_id), _fingerprints(evaluations))
     return render_template(
@@ -202,7 +204,9 @@ def show(run_id: int) -> str:
         accuracy=presenter.accuracy_rows(run, choices, services.current_protocols.figures(run_id)),
         hints=notes.hints,
         missing=presenter.missing_by_reason(notes.missing),
-        repeats=services.run_comparisons.repeats(run, MOST_RUNS),
+        standing=standing,
+        tiles=presenter.tiles(run, standing),
+        odd=odd_stretch(services.runs.series(run_id)) if run.state is RunState.SUCCEEDED else None,
         tools=presenter.tool_rows(tools),
         tools_waiting=presenter.waiting(tools),
         measured=presenter.metric_rows(run, needs_protocol=False),
