@@ -278,7 +278,7 @@ def test_a_plot_has_a_table_that_says_the_same(chromium: Browser, archive: str) 
 
 def test_a_failed_run_says_once_which_plots_are_missing(chromium: Browser, archive: str) -> None:
     with faultless(chromium, archive) as page:
-        page.goto(f"/runs/{world.RUNS['failed']}", wait_until="load")
+        page.goto(f"/runs/{world.RUNS['failed']}#overview", wait_until="load")
         missing = page.locator("[data-no-plots]")
         missing.wait_for()
         assert "No plot of Trajectory: The run has left no trajectory that can be read." in missing.inner_text()
