@@ -100,7 +100,7 @@
     const { origin_s: origin, from_s: from, worst_s: worst } = timeline();
     const asked = Number.parseFloat(new URLSearchParams(location.search).get("t"));
     if (Number.isFinite(asked)) return announce(origin + asked);
-    chosen = worst ?? from;
+    window.slamhiveMoment = chosen = worst ?? from;
     return document.dispatchEvent(new CustomEvent("moment", { detail: chosen }));
   }
 
@@ -146,7 +146,7 @@
   document.addEventListener("moment", ({ detail }) => {
     if (!timeline()) return;
     if (chosen !== detail) keepInAddress("t", String(Number((detail - timeline().origin_s).toFixed(3))));
-    chosen = detail;
+    window.slamhiveMoment = chosen = detail;
     mark();
   });
   document.addEventListener("hideruns", ({ detail }) => {

@@ -21,7 +21,8 @@
     const part = named?.closest("[data-tab]") ?? (location.hash ? null : first);
     if (!part) return;
     show(part);
-    if (named && named !== part) named.scrollIntoView();
+    if (named === part) window.scrollTo(0, 0);
+    else named?.scrollIntoView();
   }
 
   for (const link of links) {

@@ -27,7 +27,8 @@ export class Playback {
     document.addEventListener("moment", ({ detail }) => {
       if (!this.announcing) this.set(detail - scene.from_s);
     });
-    this.set(0);
+    // A view that is opened later starts at the moment that the page shows.
+    this.set((window.slamhiveMoment ?? scene.from_s) - scene.from_s);
   }
 
   set(time_s) {

@@ -140,6 +140,15 @@ def test_time_moves_the_marks_and_the_plots(opened: Callable[..., Page]) -> None
     panel.get_by_role("button", name="Pause").click()
 
 
+def test_a_view_starts_at_the_moment_that_the_page_shows(chromium: Browser, server: str) -> None:
+    with faultless(chromium, server) as page:
+        page.goto(f"/runs/{DONE}?t=7.5", wait_until="load")
+        page.wait_for_selector("[data-figure=error][data-moment='7.5']", timeout=60_000)
+        page.get_by_role("button", name="Open 3D view").click()
+        page.wait_for_selector("[data-viewer][data-ready]", timeout=60_000)
+        assert float(page.locator("[data-time-of-view]").input_value()) == pytest.approx(7.5, abs=0.02)
+
+
 def test_the_keyboard_does_everything(opened: Callable[..., Page]) -> None:
     page = opened(f"/runs/{DONE}", reduced_motion="reduce")
     panel = page.locator("[data-viewer]")

@@ -233,6 +233,7 @@ def run_progress(run: RunRecord, folder: RunFolder, now: datetime, duration_s: f
         elif fraction > 0.01:
             left_s = elapsed_s * (1 / fraction - 1)
     cpu_cores, memory_bytes = _last_sample(folder)
+    dropped = measured_number((read_untrusted_json(folder.progress, _PROGRESS_LIMIT_BYTES) or {}).get("dropped"))
     return RunProgress(
         fraction=fraction,
         elapsed_s=elapsed_s,
@@ -240,14 +241,8 @@ def run_progress(run: RunRecord, folder: RunFolder, now: datetime, duration_s: f
         cpu_cores=cpu_cores,
         memory_bytes=memory_bytes,
         text=_doing(run, folder) if fraction is None else f"{fraction:.0%} of the recording",
-        dropped=_dropped(folder),
+        dropped=None if dropped is None else int(dropped),
     )
-
-
-def _dropped(folder: RunFolder) -> int | None:
-    content = read_untrusted_json(folder.progress, _PROGRESS_LIMIT_BYTES) or {}
-    count = measured_number(content.get("dropped"))
-    return None if count is None else int(count)
 
 
 def untracked_s(folder: RunFolder) -> float | None:

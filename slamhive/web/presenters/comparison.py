@@ -14,7 +14,7 @@ from slamhive.analysis.report import Plot
 from slamhive.domain.metrics import Direction, Group, Metric
 from slamhive.domain.names import plural
 from slamhive.services.run_comparison import Figure, RunColumn, RunComparison
-from slamhive.services.run_differences import RunDifference, differences, from_start
+from slamhive.services.run_differences import differences, from_start
 from slamhive.services.runs import RunSeries, RunService
 from slamhive.web.figures import ComparedRun, best_plane, compared_figures, timeline
 from slamhive.web.formatting import DASH, DisplayUnit, TableCell, display_unit, significant
@@ -162,14 +162,10 @@ def story(compared: RunComparison, series: Sequence[tuple[int, RunSeries]]) -> l
         return []
     others = [(run, data) for run, data in having.items() if run != base]
     found = differences((base, having[base]), others)
-    told = [_told(entry, base) for entry in found]
+    subjects = [(entry.other if entry.run == base else entry.run, entry) for entry in found]
+    told = [Told(run, entry.words(run), entry.peak_s) for run, entry in subjects]
     same = [run for run, _ in others if run not in {entry.run for entry in told}]
     return [*told, *(Told(run, f"Run {run} is as good as run {base} all the time.", None) for run in same)]
-
-
-def _told(entry: RunDifference, base: int) -> Told:
-    subject = entry.other if entry.run == base else entry.run
-    return Told(subject, entry.words(subject), entry.peak_s)
 
 
 def single_figures(compared: RunComparison, series: Sequence[tuple[int, RunSeries]]) -> dict[str, Any]:
