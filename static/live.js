@@ -47,6 +47,8 @@
     let swapped = false;
     for (const old of document.querySelectorAll("[data-swap]")) {
       const fresh = page.getElementById(old.id);
+      // What was watched has ended, and the page is another one by now.
+      if (!fresh && "refresh" in old.dataset) { location.reload(); return; }
       if (!fresh || fresh.innerHTML === old.innerHTML) continue;
       if (old.querySelector("[data-editing]")) continue;
       if (old.contains(document.activeElement) && /^(SELECT|INPUT)$/.test(document.activeElement.tagName)) continue;

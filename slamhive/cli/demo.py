@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import click
 
-from slamhive.base import strict_yaml
 from slamhive.base.clock import monotonic_s
-from slamhive.base.errors import NotFound, SlamHiveError
+from slamhive.base.errors import SlamHiveError
 from slamhive.base.machine import slowness
 from slamhive.cli.experiments import print_report
 from slamhive.cli.output import progress_bar, tell
 from slamhive.cli.waiting import experiment_to_end
 from slamhive.domain.outcome import Outcome
 from slamhive.domain.placement import Remaining
-from slamhive.domain.sensors import SensorKind
 from slamhive.executors.base import ImageMissing
-from slamhive.experiments.file import parse_experiment
-from slamhive.recordings.room import RoomOptions
-from slamhive.services.experiments import ConfigurationStanding, ExperimentSource, varying
+from slamhive.services.demo import DATASET, demo_algorithms, demo_source, is_rendered, render
+from slamhive.services.experiments import ConfigurationStanding, varying
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 
@@ -170,10 +165,6 @@ def _mean(took: Sequence[tuple[DemoPhase, float]]) -> _Factor:
     return _Factor(sum(value / variance for value, variance in found) / precision, 1 / precision)
 
 
-FILE = "docs/examples/room-demo.yaml"
-DATASET = "room"
-SEED = 1
-
 # What phases take on two cores of the reference with a fast network; Phases finds out how it is here.
 BUILD_S = 60.0
 RENDER_S_FOR_1_S = 1.0
@@ -190,8 +181,7 @@ def run_demo(hive: Hive, seconds: float) -> None:
     began = monotonic_s()
     executor, reason = hive.executors.default()
     tell(f"executor: {reason}")
-    text = (hive.catalogue.project_root / FILE).read_text(encoding="utf-8")
-    asked = [str(name) for name in parse_experiment(text, FILE).algorithms.values]
+    asked = demo_algorithms(hive)
     packages = list(dict.fromkeys(hive.catalogue.algorithm(name).package.name for name in asked))
     phases = _phases(hive, executor, packages, seconds)
     algorithms = buildable(hive, executor, asked, phases)
@@ -200,13 +190,11 @@ def run_demo(hive: Hive, seconds: float) -> None:
         hive.evaluations.prepare(lambda line: show(0.0, line[:60]))
         show(1.0, "ready")
     with phases.next() as show:
-        if _rendered(hive, seconds):
+        if is_rendered(hive, seconds):
             show(1.0, "is there already, used again")
         else:
-            options = RoomOptions(name=DATASET, duration_s=seconds, seed=SEED)
-            hive.catalogue.render_room(options, show, replace=True)
-    source = _source(hive, strict_yaml.parse(text, FILE), algorithms, executor)
-    status = hive.experiments.start(source, executor)
+            render(hive, seconds, show)
+    status = hive.experiments.start(demo_source(hive, algorithms, executor), executor)
     if status.standing is ConfigurationStanding.FINISHED:
         tell(f"experiment {status.name} has run already, its results are shown again")
     experiment_to_end(hive, status.name, on_end=_announce, title=f"step {phases.count} of {phases.count}, runs")
@@ -217,23 +205,14 @@ def run_demo(hive: Hive, seconds: float) -> None:
         raise click.exceptions.Exit(1)
 
 
-def _source(hive: Hive, content: dict[str, Any], algorithms: Sequence[str], executor: str) -> ExperimentSource:
-    """The experiment with the algorithms that can be run here, under a name that goes with them and with the data."""
-    heard = {entry.kind for name in algorithms for entry in hive.catalogue.algorithm(name).inputs}
-    left_out = () if SensorKind.CAMERA in heard else ("steps", "linked", "where")
-    parts = [hive.catalogue.dataset(DATASET).checksum, executor, *algorithms]
-    name = f"{content['name']}-{hashlib.sha256(' '.join(parts).encode()).hexdigest()[:6]}"
-    kept = {key: value for key, value in content.items() if key not in left_out}
-    return ExperimentSource(strict_yaml.dump({**kept, "name": name, "algorithms": list(algorithms)}), FILE)
-
-
 def _phases(hive: Hive, executor: str, packages: Sequence[str], seconds: float) -> Phases:
     """Plan the phases of the demo, with the time that each takes on two cores of the reference and a fast network."""
     chosen = hive.executors.get(executor)
     there = {name: chosen.identity(hive.catalogue.package(name)) is not None for name in packages}
     builds = [DemoPhase(f"building {name}", 1.0 if there[name] else BUILD_S, "build") for name in packages]
     evaluation = DemoPhase("building the evaluation", 1.0 if all(there.values()) else BUILD_S, "build")
-    room = DemoPhase(f"rendering {DATASET}", 1.0 if _rendered(hive, seconds) else RENDER_S_FOR_1_S * seconds, "render")
+    render_s = 1.0 if is_rendered(hive, seconds) else RENDER_S_FOR_1_S * seconds
+    room = DemoPhase(f"rendering {DATASET}", render_s, "render")
     count = len(packages) + 1
     runs = DemoPhase("runs", count * (seconds + AROUND_A_RUN_S), "run", count * seconds)
     phases = Phases([*builds, evaluation, room, runs], slowness=slowness())
@@ -265,14 +244,6 @@ def buildable(hive: Hive, executor: str, algorithms: Sequence[str], phases: Phas
     if not found:
         raise ImageMissing("none of the demo's algorithms can be run on this machine", "slamhive doctor says why")
     return found
-
-
-def _rendered(hive: Hive, seconds: float) -> bool:
-    """Return whether the room is there, and as long as it is to be."""
-    try:
-        return abs(hive.catalogue.dataset(DATASET).duration_s - seconds) < 0.5
-    except NotFound:
-        return False
 
 
 def _announce(run: RunRecord) -> None:

@@ -1,4 +1,4 @@
-"""Long work on datasets and uploads that a request starts, one piece at a time in the background."""
+"""Long work on datasets, uploads and the demo that a request starts, one piece at a time in the background."""
 
 from __future__ import annotations
 
@@ -18,12 +18,15 @@ from slamhive.documents.imports import (
     RunsUpload,
 )
 from slamhive.domain.configuration import Variant
+from slamhive.services.demo import start_demo
 from slamhive.services.hive import Hive
 from slamhive.services.runs import check_dataset_files
 
 logger = logging.getLogger(__name__)
 
 Progress = Callable[[float, str], None]
+DEMO = "the demo"
+"""What is worked on while the demo is prepared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +161,20 @@ class DatasetChecker(Background):
         check_dataset_files(dataset)
         dataset.check_recorded()
         began = self.begin(LongWork(dataset.name), lambda progress: self._hive.dataset_checks.check(dataset, progress))
+        self._hive.store.note_act()
+        return began
+
+
+class DemoWork(Background):
+    """Prepares the demo and starts its experiment, whose runs a worker does."""
+
+    def __init__(self, hive: Hive) -> None:
+        super().__init__(hive, "demo", "{} is being prepared")
+
+    def start(self) -> threading.Thread:
+        """Start preparing; raises Conflict while it is under way, Forbidden on a view-only server."""
+        self._hive.check_writable()
+        began = self.begin(LongWork(DEMO), lambda progress: start_demo(self._hive, progress))
         self._hive.store.note_act()
         return began
 

@@ -1,16 +1,20 @@
-"""The dashboard, and the events that keep open pages up to date."""
+"""The first page, and the events that keep open pages up to date."""
 
 from __future__ import annotations
 
-from flask import Blueprint, Response, jsonify, make_response, render_template
+from flask import Blueprint, Response, jsonify, make_response, redirect, render_template
+from flask import url_for as address
 
 from slamhive.base.errors import Unavailable
+from slamhive.domain.accounts import Action
 from slamhive.domain.run import RunState
 from slamhive.filters.words import matching
 from slamhive.services.experiments import ConfigurationStanding
 from slamhive.store.records import RunSort
 from slamhive.web.columns import column
-from slamhive.web.context import callers, hive, live_hub
+from slamhive.web.context import caller, callers, demo_work, hive, live_hub
+from slamhive.web.long_work import DEMO
+from slamhive.web.presenters import home
 from slamhive.web.presenters.experiments import active_runs, progress_json
 from slamhive.web.presenters.runs import rows
 from slamhive.web.views.experiments import with_time_left
@@ -21,43 +25,62 @@ RESULT_COLUMNS = (
     "id",
     "algorithm",
     "dataset",
-    "variant",
     "parameters",
     "outcome",
-    "ended_at",
     "ate.rmse",
     "tracked_fraction",
+    "ended_at",
 )
-QUEUE_COLUMNS = ("id", "algorithm", "dataset", "variant", "parameters", "created_at")
 LIST_LENGTH = 10
+MOST_ON_COVER = 50
 GOING_ON = (ConfigurationStanding.STORING, ConfigurationStanding.ACTIVE, ConfigurationStanding.PAUSED)
 ENDED_STATES = tuple(state for state in RunState if state.ended)
 
 
 @blueprint.get("/")
 def index() -> str:
-    """Show the queue, active runs and the latest results."""
+    """Show what is going on, what needs somebody, and the latest answers; the cover of an archive; the way to begin."""
     services = hive()
+    view_only = Action.CHANGE not in caller().may
+    counts = services.runs.counts()
+    total = sum(counts.values())
+    experiments = services.experiments.list()
+    if view_only and caller().role is None:
+        return render_template(
+            "dashboard/cover.html",
+            cover=home.cover(services, total),
+            experiments=experiments[:MOST_ON_COVER],
+            more=max(0, len(experiments) - MOST_ON_COVER),
+            cards=home.answer_cards(services, experiments),
+        )
+    if not total and not experiments:
+        return render_template("dashboard/begin.html", demo=demo_work().latest(DEMO))
     algorithms = services.catalogue.algorithms()
     ended = services.runs.page(matching(states=ENDED_STATES), RunSort("ended_at"), None, LIST_LENGTH)
-    queued = services.runs.page(matching(states=(RunState.QUEUED,)), RunSort("id", descending=False), None, LIST_LENGTH)
-    counts = services.runs.counts()
+    queued = services.runs.page(matching(states=(RunState.QUEUED,)), RunSort("id", descending=False), None, 1)
+    active = [(run, progress_json(services.runs.progress(run.id))) for run in active_runs(services)]
+    cards = home.answer_cards(services, experiments)
     return render_template(
         "dashboard/index.html",
-        counts=counts,
-        total=sum(counts.values()),
-        unevaluated=services.searches.unevaluated(),
-        worker_alive=services.worker_alive(),
-        experiments=with_time_left(entry for entry in services.experiments.list() if entry.standing in GOING_ON),
-        active=[(run, progress_json(services.runs.progress(run.id))) for run in active_runs(services)],
-        queued=queued,
-        queued_rows=rows(queued.records, map(column, QUEUE_COLUMNS), algorithms),
-        queue_columns=[column(key) for key in QUEUE_COLUMNS],
-        ended=ended,
+        headline=home.headline(len(active), queued.total),
+        worker_missing=bool(queued.total) and not view_only and not services.worker_alive(),
+        going_on=with_time_left(entry for entry in experiments if entry.standing in GOING_ON)[:LIST_LENGTH],
+        active=active,
+        queued=queued.total,
+        needs=[] if view_only else home.needs(services, experiments, cards),
+        cards=cards,
+        more_experiments=max(0, len(experiments) - len(cards)),
+        ended_total=ended.total,
         ended_rows=rows(ended.records, map(column, RESULT_COLUMNS), algorithms),
         result_columns=[column(key) for key in RESULT_COLUMNS],
-        has_datasets=bool(services.catalogue.datasets()),
     )
+
+
+@blueprint.post("/demo")
+def demo() -> Response:
+    """Start the demo: builds, a recording, and an experiment on it."""
+    demo_work().start()
+    return make_response(redirect(address("dashboard.index"), 303))
 
 
 @blueprint.get("/events")

@@ -114,7 +114,7 @@ def entries() -> Response:
 
 
 def _found(text: str) -> dict[str, list[tuple[Found, str]]]:
-    """Things with a meaning, with its address, by the title of its kind."""
+    """Things with a meaning, with their addresses, by the title of their kind."""
     found = dict(find(hive(), text))
     if pages := best(text, help_pages.entries()):
         found[FoundKind.HELP] = pages

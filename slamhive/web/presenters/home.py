@@ -1,0 +1,219 @@
+"""The first page: what needs somebody, the latest answers, and the cover of an archive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import timedelta
+from pathlib import Path
+
+from slamhive.base.clock import utc_now
+from slamhive.domain.bibliography import Reference
+from slamhive.domain.outcome import Outcome
+from slamhive.domain.run import FailureReason, RunState
+from slamhive.filters.binding import read_search
+from slamhive.services.experiments import Certainty, ConfigurationStanding, ExperimentAnswer, ExperimentStatus
+from slamhive.services.hive import Hive
+from slamhive.store import RunRecord
+from slamhive.web.formatting import plural, thousands
+from slamhive.web.presenters import rankings
+from slamhive.web.presenters.experiments import failures_in_words
+
+LATEST = 6
+"""So many experiments are answered on the first page, the newest."""
+LOOKED_AT = 12
+"""Experiments that are looked at for what needs somebody."""
+DOTS = 3
+"""Rows of the strip on a card."""
+_MOST_DISTURBED = 500
+_RECENT = timedelta(days=7)
+ABOUT = "about.md"
+"""The file in the data root that describes an archive to its visitors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """Something that needs somebody, with the one button that helps.
+
+    Attributes:
+        mark: The outcome or the trust whose colour and shape it has.
+        words: A sentence.
+        button: The words of the button.
+        endpoint: The page, or what the button posts to if ``posts``.
+        arguments: Of its address.
+        fields: Of the web form.
+    """
+
+    mark: str
+    words: str
+    button: str
+    endpoint: str
+    arguments: Mapping[str, str] = field(default_factory=dict)
+    fields: Sequence[tuple[str, str]] = ()
+    posts: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerCard:
+    """An experiment with its answer, and the strip of its first ranking; None while no run has ended."""
+
+    status: ExperimentStatus
+    answer: ExperimentAnswer
+    ranking: rankings.RankingView | None
+
+    @property
+    def mark(self) -> str:
+        """The class of its badge."""
+        return {Certainty.SEPARATED: "outcome-good", Certainty.OPEN: "outcome-queued"}.get(
+            self.answer.certainty, "trust-limited" if self.answer.certainty.undecided else ""
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Cover:
+    """The cover of an archive: its description in Markdown, how much it holds, and the works to cite."""
+
+    about: str
+    runs: int
+    algorithms: int
+    datasets: int
+    references: tuple[Reference, ...]
+
+
+def headline(active: int, queued: int) -> str:
+    """The title of the page: ``2 runs in progress, 13 queued``."""
+    parts = ([f"{plural(active, 'run')} in progress"] if active else []) + (
+        [f"{thousands(queued)} queued" if active else f"{plural(queued, 'run')} queued"] if queued else []
+    )
+    return ", ".join(parts) or "Nothing is running"
+
+
+def answer_cards(services: Hive, experiments: Sequence[ExperimentStatus]) -> list[AnswerCard]:
+    """The newest experiments with runs that have ended, each with its answer."""
+    found = [entry for entry in experiments if entry.cells <= rankings.LARGEST and entry.ended][:LATEST]
+    return [_card(services, entry) for entry in found]
+
+
+def _card(services: Hive, status: ExperimentStatus) -> AnswerCard:
+    axes = {axis: len(values) for axis, values in services.experiments.axes(status.name).items()}
+    by_algorithm = axes.get("algorithm", 0) > 1
+    telling = [axis for axis in rankings.naming_axes(axes) if axes[axis] > 1]  # a card has no room for the others
+    views = rankings.of_experiment(services, status, telling, by_algorithm=by_algorithm)
+    return AnswerCard(status, services.experiments.answer(status.name), next(iter(views), None))
+
+
+def needs(services: Hive, experiments: Sequence[ExperimentStatus], cards: Sequence[AnswerCard]) -> list[Need]:
+    """What needs somebody, the worst first."""
+    looked_at = [entry for entry in experiments if entry.standing is not ConfigurationStanding.CANCELLED][:LOOKED_AT]
+    found = [need for entry in looked_at for need in _failed(entry)]
+    found += _failed_alone(services)
+    found += [need for entry in looked_at if entry.disturbed for need in _disturbed(services, entry)]
+    if unevaluated := services.searches.unevaluated():
+        are = "is" if unevaluated == 1 else "are"
+        found.append(
+            Need(
+                "outcome-unjudged",
+                f"{plural(unevaluated, 'run')} {are} not evaluated",
+                f"Evaluate {thousands(unevaluated)}",
+                "selected_runs.evaluate",
+                fields=(("all", "1"),),
+            )
+        )
+    return found + [need for card in cards for need in _undecided(card)]
+
+
+def _failed(status: ExperimentStatus) -> Iterator[Need]:
+    why = failures_in_words(status.failures)
+    if status.ended_badly:
+        yield Need(
+            "outcome-failed",
+            f"{plural(status.ended_badly, 'run')} of {status.name} failed: {why}",
+            "Try again",
+            "experiments.act",
+            {"name": status.name, "action": "retry-failed"},
+        )
+    elif failed := status.counts[Outcome.FAILED]:
+        yield Need(
+            "outcome-failed",
+            f"{plural(failed, 'run')} of {status.name} failed: {why}",
+            "See why",
+            "runs.index",
+            {"where": f"experiment = {status.name} and not verdict = good"},
+            posts=False,
+        )
+
+
+def _failed_alone(services: Hive) -> Iterator[Need]:
+    """Failed runs of the last days that no experiment counts and nobody has repeated."""
+    since = (utc_now() - _RECENT).date().isoformat()
+    text = f"state = failed and missing experiment and ended_at >= {since}"
+    records = services.runs.page(read_search(text, services.searches.vocabulary()), limit=_MOST_DISTURBED).records
+    repeated = _repeated(services, records)
+    failed = [run for run in records if run.id not in repeated and run.reason is not FailureReason.LOST]
+    if failed:
+        yield Need(
+            "outcome-failed",
+            f"{plural(len(failed), 'run')} failed in the last week",
+            "See why",
+            "runs.index",
+            {"where": text},
+            posts=False,
+        )
+
+
+def _disturbed(services: Hive, status: ExperimentStatus) -> Iterator[Need]:
+    text = f"experiment = {status.name} and disturbed = true"
+    records = services.runs.page(read_search(text, services.searches.vocabulary()), limit=_MOST_DISTURBED).records
+    repeated = _repeated(services, records)
+    wanted = [run.id for run in records if run.id not in repeated and run.state is RunState.SUCCEEDED]
+    if wanted:
+        yield Need(
+            "trust-limited",
+            f"{plural(len(wanted), 'run')} of {status.name} measured while the machine was busy with something else",
+            f"Run {thousands(len(wanted))} again",
+            "selected_runs.retry",
+            fields=tuple(("run", str(number)) for number in wanted),
+        )
+
+
+def _repeated(services: Hive, records: Sequence[RunRecord]) -> frozenset[int]:
+    """Those of the runs that another run repeats."""
+    if not records:
+        return frozenset()
+    later = services.runs.page(
+        read_search(f"id >= {min(run.id for run in records)}", services.searches.vocabulary()), limit=_MOST_DISTURBED
+    ).records
+    return frozenset(run.retry_of for run in later if run.retry_of is not None)
+
+
+def _undecided(card: AnswerCard) -> Iterator[Need]:
+    more = card.answer.more_repeats
+    if card.answer.certainty.undecided and more and card.status.standing is ConfigurationStanding.FINISHED:
+        yield Need(
+            "trust-limited",
+            f"{card.status.name} is not decided: {card.answer.certainty.value}",
+            f"Add {plural(more, 'repeat')}",
+            "experiments.act",
+            {"name": card.status.name, "action": "add-repeats"},
+            (("count", str(more)),),
+        )
+
+
+def cover(services: Hive, total: int) -> Cover:
+    """The cover of an archive."""
+    algorithms, datasets = services.searches.names()
+    return Cover(
+        about=_about(services.settings.data / ABOUT),
+        runs=total,
+        algorithms=len(algorithms),
+        datasets=len(datasets),
+        references=services.citations.of_names(algorithms, datasets),
+    )
+
+
+def _about(path: Path) -> str:
+    """The description; empty without one, or if it is no text."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return ""
