@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from slamhive.web.access import Callers
     from slamhive.web.limits import RateLimit, SignInLimits
     from slamhive.web.live import LiveHub
-    from slamhive.web.long_work import DatasetChecker, DemoWork, UploadWork, VariantMaker
+    from slamhive.web.long_work import DatasetChecker, DatasetFetcher, DemoWork, UploadWork, VariantMaker
     from slamhive.web.oidc import IdentityProvider
 
 EXTENSION = "slamhive"
@@ -22,6 +22,7 @@ BUDGET_EXTENSION = "slamhive-budget"
 LIVE_EXTENSION = "slamhive-live"
 VARIANTS_EXTENSION = "slamhive-variants"
 CHECKS_EXTENSION = "slamhive-dataset-checks"
+FETCH_EXTENSION = "slamhive-fetch"
 DEMO_EXTENSION = "slamhive-demo"
 PROVIDER_EXTENSION = "slamhive-oidc"
 UPLOADS_EXTENSION = "slamhive-uploads"
@@ -54,6 +55,11 @@ def variant_maker() -> VariantMaker:
 def dataset_checker() -> DatasetChecker:
     """The background checker of datasets."""
     return cast("DatasetChecker", current_app.extensions[CHECKS_EXTENSION])
+
+
+def dataset_fetcher() -> DatasetFetcher:
+    """The background download of public sequences."""
+    return cast("DatasetFetcher", current_app.extensions[FETCH_EXTENSION])
 
 
 def demo_work() -> DemoWork:

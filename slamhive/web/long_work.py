@@ -19,6 +19,7 @@ from slamhive.documents.imports import (
 )
 from slamhive.domain.configuration import Variant
 from slamhive.services.demo import start_demo
+from slamhive.services.fetching import FetchRequest
 from slamhive.services.hive import Hive
 from slamhive.services.runs import check_dataset_files
 
@@ -76,6 +77,11 @@ class Background:
         if work is None or work.dataset != dataset or (work.done and work.problem is None):
             return None
         return work
+
+    @property
+    def present(self) -> LongWork | None:
+        """The latest work, whatever it is on; None before the first."""
+        return self._latest
 
     def _run(self, work: LongWork, task: Callable[[Progress], object]) -> None:
         self._note(carried_out(self._hive, work, task, self._note))
@@ -161,6 +167,29 @@ class DatasetChecker(Background):
         check_dataset_files(dataset)
         dataset.check_recorded()
         began = self.begin(LongWork(dataset.name), lambda progress: self._hive.dataset_checks.check(dataset, progress))
+        self._hive.store.note_act()
+        return began
+
+
+class DatasetFetcher(Background):
+    """Fetches one sequence of the catalogue at a time: a second download would only slow the first."""
+
+    def __init__(self, hive: Hive) -> None:
+        super().__init__(hive, "fetch", "{} is being fetched")
+
+    def start(self, sequence: str, *, accept_licence: bool) -> threading.Thread:
+        """Start fetching COLLECTION/SEQUENCE, after all checks that need no net.
+
+        Raises InvalidInput if something has to be done by hand before, Conflict while another one is fetched.
+        """
+        request = FetchRequest((sequence,), accept_licence=accept_licence)
+        plans = self._hive.fetching.plan(request)
+
+        def fetch(progress: Progress) -> None:
+            for _ in self._hive.fetching.perform(plans, request, progress):
+                pass
+
+        began = self.begin(LongWork(plans[0].sequence.full_name), fetch)
         self._hive.store.note_act()
         return began
 

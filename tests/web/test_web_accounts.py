@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from flask.testing import FlaskClient
+from werkzeug.test import TestResponse
 
 from slamhive.base.errors import TooManyRequests, Unauthenticated
 from slamhive.base.settings import Auth, Mode
@@ -493,3 +495,64 @@ def test_the_first_page_says_how_the_first_account_is_made(empty: Web) -> None:
     client = create_app(empty.hive, host="0.0.0.0").test_client()
     assert client.get("/").location == "/login"
     assert "slamhive account add NAME --role admin" in client.get("/login").text
+
+
+def posted(client: FlaskClient, path: str, **fields: str) -> TestResponse:
+    """Post a form of the page of accounts."""
+    return client.post(path, data={"csrf_token": token_of(client, "/accounts"), **fields})
+
+
+def password_in(page: str) -> str:
+    return page.partition("The password of <b>")[2].partition("<code")[2].partition(">")[2].partition("</code>")[0]
+
+
+@pytest.mark.integration
+def test_an_admin_adds_an_account_whose_password_is_shown_once(site: AccountWeb) -> None:
+    admin = site.of(Role.ADMIN)
+    answer = posted(admin, "/accounts", name="nora", role="reader")
+    assert answer.headers["Cache-Control"] == "no-store"
+    password = password_in(answer.text)
+    assert len(password) >= 20
+    assert site.sign_in("nora", password)[1].status_code == 303
+    assert password not in admin.get("/accounts").text
+    assert posted(admin, "/accounts", name="nora", role="reader").status_code == 409
+    refused = posted(admin, "/accounts", name="Nora Key", role="reader")
+    assert refused.status_code == 400
+    assert "is not allowed" in refused.text
+    assert posted(admin, "/accounts", name="nils", role="owner").status_code in {400, 404}
+
+
+@pytest.mark.integration
+def test_an_admin_changes_roles_and_passwords_and_disables_accounts(site: AccountWeb) -> None:
+    admin = site.of(Role.ADMIN)
+    first = password_in(posted(admin, "/accounts", name="olga", role="reader").text)
+    olga, _ = site.sign_in("olga", first)
+    posted(admin, "/accounts/olga/role", role="member")
+    assert olga.get("/runs/new").status_code == 200
+    second = password_in(posted(admin, "/accounts/olga/password").text)
+    assert olga.get("/runs").status_code == 302, "her sessions have ended"
+    assert site.sign_in("olga", first)[1].status_code == 401
+    olga, _ = site.sign_in("olga", second)
+    posted(admin, "/accounts/olga/disable")
+    assert olga.get("/runs").status_code == 302
+    assert "disabled" in admin.get("/accounts").text
+    posted(admin, "/accounts/olga/enable")
+    site.forget_failures()
+    assert site.sign_in("olga", second)[1].status_code == 303
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("change", ["role", "password", "disable"])
+def test_nobody_locks_themselves_out(site: AccountWeb, change: str) -> None:
+    answer = posted(site.of(Role.ADMIN), f"/accounts/{NAMES[Role.ADMIN]}/{change}", role="reader")
+    assert answer.status_code == 409
+    assert "your own account" in answer.text.lower()
+
+
+@pytest.mark.integration
+def test_an_admin_revokes_a_token_of_somebody_else(site: AccountWeb) -> None:
+    hive = site.web.hive
+    key, _ = hive.accounts.create_token(NAMES[Role.MEMBER], TokenRequest("nightly", [Scope.READ], 30))
+    assert posted(site.of(Role.MEMBER), f"/accounts/tokens/{key.id}/revoke").status_code == 403
+    assert posted(site.of(Role.ADMIN), f"/accounts/tokens/{key.id}/revoke").status_code == 303
+    assert key.id not in {token.id for token in hive.accounts.tokens()}

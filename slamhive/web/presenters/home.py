@@ -103,7 +103,7 @@ def _card(services: Hive, status: ExperimentStatus) -> AnswerCard:
 
 
 def needs(services: Hive, experiments: Sequence[ExperimentStatus], cards: Sequence[AnswerCard]) -> list[Need]:
-    """What needs somebody, the worst first."""
+    """List what needs somebody, the worst first."""
     looked_at = [entry for entry in experiments if entry.standing is not ConfigurationStanding.CANCELLED][:LOOKED_AT]
     found = [need for entry in looked_at for need in _failed(entry)]
     found += _failed_alone(services)

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import secrets
 from urllib.parse import urlsplit
 
 from flask import Blueprint, Response, current_app, flash, make_response, redirect, render_template, request, session
 from flask import url_for as address
 
 from slamhive.base.bounds import whole_number
-from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, TooManyRequests, Unauthenticated
+from slamhive.base.errors import (
+    Conflict,
+    InvalidInput,
+    NotFound,
+    SlamHiveError,
+    TooManyRequests,
+    Unauthenticated,
+    unknown,
+)
 from slamhive.base.settings import NewAccounts
 from slamhive.domain.accounts import Action, Role, Scope
 from slamhive.services.accounts import LONGEST_TOKEN_DAYS, TokenRequest
@@ -190,10 +199,104 @@ _LARGEST_ID = 2**31 - 1
 
 
 @administration_blueprint.get("/accounts")
-def accounts() -> str:
+def accounts() -> Response:
     """List the accounts and their API tokens."""
+    return _accounts()
+
+
+@administration_blueprint.post("/accounts")
+def add_account() -> Response:
+    """Add an account. The page shows its password once."""
+    try:
+        role = _role()
+        password = new_password()
+        added = hive().accounts.add(request.form.get("name", "").strip(), role, password)
+    except SlamHiveError as error:
+        return make_response(_accounts(error), status_of(error))
+    return _accounts(secret_of=added.name, secret=password)
+
+
+@administration_blueprint.post("/accounts/<name>/role")
+def change_role(name: str) -> Response:
+    """Give an account another role."""
+    _refuse_own(name)
+    changed = hive().accounts.set_role(name, _role())
+    flash(f"{changed.name} is {changed.role.value} now.", "success")
+    return _to_accounts()
+
+
+@administration_blueprint.post("/accounts/<name>/password")
+def replace_password(name: str) -> Response:
+    """Replace the password of an account. The page shows it once; the sessions of the account end."""
+    _refuse_own(name)
+    password = new_password()
+    changed = hive().accounts.set_password(name, password)
+    return _accounts(secret_of=changed.name, secret=password)
+
+
+@administration_blueprint.post("/accounts/<name>/disable")
+def disable_account(name: str) -> Response:
+    """Disable an account: its sessions end, and its tokens are refused."""
+    _refuse_own(name)
+    hive().accounts.disable(name)
+    flash(f"{name} is disabled.", "info")
+    return _to_accounts()
+
+
+@administration_blueprint.post("/accounts/<name>/enable")
+def enable_account(name: str) -> Response:
+    """Let an account be used again."""
+    hive().accounts.enable(name)
+    flash(f"{name} is enabled.", "success")
+    return _to_accounts()
+
+
+@administration_blueprint.post("/accounts/tokens/<int(max=2147483647):token_id>/revoke")
+def revoke_any_token(token_id: int) -> Response:
+    """End an API token of any account."""
+    revoked = hive().accounts.revoke(token_id)
+    flash(f"Token {revoked.name} is revoked.", "info")
+    return _to_accounts()
+
+
+def new_password() -> str:
+    """Make a password that nobody has chosen, with 120 random bits."""
+    return secrets.token_urlsafe(15)
+
+
+def _accounts(error: SlamHiveError | None = None, secret_of: str = "", secret: str = "") -> Response:
     services = hive().accounts
-    return render_template("accounts/index.html", accounts=services.list(), tokens=services.tokens())
+    response = make_response(
+        render_template(
+            "accounts/index.html",
+            accounts=services.list(),
+            tokens=services.tokens(),
+            roles=list(Role),
+            error=error,
+            secret_of=secret_of,
+            secret=secret,
+        )
+    )
+    if secret:
+        response.headers["Cache-Control"] = "no-store"
+    return response
+
+
+def _role() -> Role:
+    text = request.form.get("role", "")
+    if text not in list(Role):
+        raise unknown("role", text, list(Role))
+    return Role(text)
+
+
+def _refuse_own(name: str) -> None:
+    """Raise Conflict for one's own account: the last admin could lock everybody out."""
+    if name == caller().account:
+        raise Conflict("your own account cannot be changed here", "ask another admin, or use slamhive account")
+
+
+def _to_accounts() -> Response:
+    return make_response(redirect(address("administration.accounts"), 303))
 
 
 @administration_blueprint.get("/audit")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from itertools import groupby
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, url_for
 
 from slamhive.analysis.chart import OKABE_ITO
 from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.documents.catalogue import public_sequence
 from slamhive.documents.model import load
 from slamhive.domain.configuration import Variant
 from slamhive.domain.dataset import Dataset
@@ -15,7 +17,7 @@ from slamhive.filters.words import matching
 from slamhive.recordings.views import FrameView
 from slamhive.services.datasets import strip_times_s
 from slamhive.store.records import RunSort
-from slamhive.web.context import dataset_checker, hive, variant_maker
+from slamhive.web.context import dataset_checker, dataset_fetcher, hive, variant_maker
 from slamhive.web.figures import sweep_json
 from slamhive.web.presenters.catalogue import ground_truth_figures, lacking, step_kinds
 from slamhive.web.presenters.scripts import dataset_scripts
@@ -43,20 +45,34 @@ def index() -> str:
 
 @public_blueprint.get("")
 def index_of_public() -> str:
-    """List public sequences that all words of the address fit, with the command that fetches each."""
+    """List public sequences that all words of the address fit, by collection, with what is fetched now."""
     words = request.args.get("words", "").strip()
-    sequences, problem = [], ""
+    services = hive()
+    found, problem = [], ""
     try:
-        sequences = hive().fetching.search(words.split())
+        found = services.fetching.collections.search(words.split())
     except NotFound as error:
         problem = str(error)
+    here = {dataset.name for dataset in services.catalogue.datasets()}
+    entries = [(pair[0].name, public_sequence(*pair), pair[1].dataset_name) for pair in found]
     return render_template(
         "datasets/public.html",
         words=words,
-        sequences=sequences,
+        groups=[(name, list(group)) for name, group in groupby(entries, lambda entry: entry[0])],
+        total=len(entries),
+        here=here,
         problem=problem,
-        unverified=any(entry.unverified for entry in sequences),
+        unverified=any(entry.unverified for _, entry, _ in entries),
+        work=dataset_fetcher().present,
     )
+
+
+@public_blueprint.post("/fetch")
+def fetch() -> Response:
+    """Start fetching a sequence. The page shows its progress."""
+    sequence = request.form.get("sequence", "")
+    dataset_fetcher().start(sequence, accept_licence=bool(request.form.get("accept")))
+    return make_response(redirect(url_for("public_datasets.index_of_public"), 303))
 
 
 @blueprint.get("/<name>")
