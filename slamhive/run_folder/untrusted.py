@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from slamhive.base.bounds import parse_json_object
 from slamhive.base.errors import InvalidInput
-from slamhive.base.tree import DEEPEST_FOLDERS, FolderEntry, walk
+from slamhive.base.tree import DEEPEST_FOLDERS, walk
 from slamhive.run_folder.folder import RunFolder
 
 FloatArray = npt.NDArray[np.float64]
@@ -188,7 +188,12 @@ def survey(folder: RunFolder, limits: DiskLimits) -> Survey:
             kind = strange_kind(entry.status, owner)
             if kind is not None and part == folder.result:
                 found.strange[kind] += 1
-            found.exceeded = _exceeded(found, entry, limits)
+            if entry.is_folder and not entry.entered:
+                found.exceeded = f"a folder that is closed, or inside more than {DEEPEST_FOLDERS} others"
+            elif limits.size_bytes is not None and found.size_bytes > limits.size_bytes:
+                found.exceeded = f"more than {limits.size_bytes / 1e6:.0f} MB, files with holes counted whole"
+            elif limits.files is not None and found.files > limits.files:
+                found.exceeded = f"more than {limits.files} files and folders"
             if found.exceeded is not None:
                 return found
     return found
@@ -264,16 +269,6 @@ def _kept(folder: RunFolder, limits: DiskLimits) -> set[str]:
 def _size_bytes(status: os.stat_result) -> int:
     """The larger of what a copy takes and what the file takes here: it may have holes, or blocks that are not used."""
     return max(status.st_size, status.st_blocks * _BLOCK_BYTES)
-
-
-def _exceeded(found: Survey, entry: FolderEntry, limits: DiskLimits) -> str | None:
-    if entry.is_folder and not entry.entered:
-        return f"a folder that is closed, or inside more than {DEEPEST_FOLDERS} others"
-    if limits.size_bytes is not None and found.size_bytes > limits.size_bytes:
-        return f"more than {limits.size_bytes / 1e6:.0f} MB, files with holes counted whole"
-    if limits.files is not None and found.files > limits.files:
-        return f"more than {limits.files} files and folders"
-    return None
 
 
 def _owner(folder: Path) -> int | None:

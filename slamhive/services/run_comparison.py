@@ -538,12 +538,17 @@ class RunComparisons:
         columns = _columns(runs, evaluated, grouped=grouped)
         shown = {run: {**values[run].get(None, {}), **found} for run, found in evaluated.items()}
         unmarked = unmarked_parts(runs, mixed_trajectories=bool(mixed_trajectories(runs, chosen)))
+        settings: list[list[dict[str, str]]] = []
+        for column in columns:
+            folders = [RunFolder(self._runs_folder / str(run.id)) for run in column.runs]
+            records = [folder.read_record() if folder.record.exists() else {} for folder in folders]
+            settings.append([settings_of(run, record) for run, record in zip(column.runs, records, strict=True)])
         return RunComparison(
             columns=columns,
             grouped=grouped,
             protocols=protocols,
             protocol=chosen,
-            settings=setting_lines([[self._settings_of(run) for run in column.runs] for column in columns]),
+            settings=setting_lines(settings),
             metrics=metric_lines(columns, shown, unmarked),
             unmarked=unmarked,
             baseline=next((place for place, column in enumerate(columns) if baseline in column.run_ids), 0),
@@ -559,10 +564,6 @@ class RunComparisons:
         latest = self._store.read(lambda t: t.configuration_book.latest_runs(run.configuration_id, most))
         others = [other for other in latest if other != run.id]
         return tuple(sorted([run.id, *others[: most - 1]]))
-
-    def _settings_of(self, run: RunRecord) -> dict[str, str]:
-        folder = RunFolder(self._runs_folder / str(run.id))
-        return settings_of(run, folder.read_record() if folder.record.exists() else {})
 
 
 def _read(

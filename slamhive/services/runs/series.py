@@ -152,7 +152,28 @@ def run_series(run: RunRecord, folder: RunFolder, fingerprint: str | None = None
         times_s = frames.dropped_timestamps_s() - latency.origin_s
         kept = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), MAX_POINTS)).astype(np.int64))
         dropped_s = times_s[kept]
-    explanations = _explanations(run)
+    if run.protocol is None:
+        unevaluated = "The run has not been evaluated."
+    elif run.metrics is not None and "ate.rmse" not in run.metrics:
+        unevaluated = "The dataset has relations and no ground-truth trajectory."
+    else:
+        unevaluated = "The evaluation left no files to draw; evaluate again."
+    if run.state.ended:
+        unsampled = "CPU and memory were not sampled."
+        no_path = "The run has left no trajectory that can be read."
+        no_times = "The algorithm does not report when it takes and finishes a frame."
+    else:
+        unsampled = "CPU and memory have not been sampled yet."
+        no_path = "The trajectory is written at the end of the run."
+        no_times = "Frame times are written at the end of the run."
+    explanations = {
+        "estimate": no_path,
+        "groundtruth": unevaluated,
+        "error": unevaluated,
+        "cpu": unsampled,
+        "memory": unsampled,
+        "latency": no_times,
+    }
     pose_errors_m = None
     if estimate is not None and errors is not None:
         pose_errors_m = nearest_values(errors[:, 0], errors[:, 1], estimate.times_s, SAME_TIME_S)
@@ -195,31 +216,6 @@ def gap_of(evaluation: Path) -> float:
 def read_errors(evaluation: Path) -> Array | None:
     """Timestamp in s and position error in m of each matched pose, shape (n, 2); None if there are none."""
     return _columns(evaluation / "errors.csv", ("timestamp", "ape_m"))
-
-
-def _explanations(run: RunRecord) -> dict[str, str]:
-    """Why data are missing, by kind."""
-    if run.protocol is None:
-        evaluation = "The run has not been evaluated."
-    elif run.metrics is not None and "ate.rmse" not in run.metrics:
-        evaluation = "The dataset has relations and no ground-truth trajectory."
-    else:
-        evaluation = "The evaluation left no files to draw; evaluate again."
-    sampled = "CPU and memory were not sampled." if run.state.ended else "CPU and memory have not been sampled yet."
-    if run.state.ended:
-        estimate = "The run has left no trajectory that can be read."
-        latency = "The algorithm does not report when it takes and finishes a frame."
-    else:
-        estimate = "The trajectory is written at the end of the run."
-        latency = "Frame times are written at the end of the run."
-    return {
-        "estimate": estimate,
-        "groundtruth": evaluation,
-        "error": evaluation,
-        "cpu": sampled,
-        "memory": sampled,
-        "latency": latency,
-    }
 
 
 def read_dataset_path(dataset: Dataset) -> PathSeries | None:
