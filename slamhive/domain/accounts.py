@@ -271,6 +271,9 @@ class Viewer:
 ANYBODY = Viewer()
 """A visitor who has not signed in."""
 
+WITHOUT_ACCOUNTS = Viewer(signed_in=True)
+"""A visitor where nobody has an account: sees what the team sees, and nothing that is private."""
+
 
 def viewer_of(audience: str) -> Viewer | None:
     """Somebody who sees what each member of an audience sees, and no more; None for admins, who see everything."""

@@ -22,6 +22,7 @@ from slamhive.domain.accounts import (
     EVERYTHING,
     NOBODY_MAY,
     VISITOR_MAY,
+    WITHOUT_ACCOUNTS,
     Action,
     Caller,
     Role,
@@ -236,11 +237,13 @@ class Callers:
     def viewer(self, caller: Caller) -> Viewer | None:
         """The viewer that ``caller`` is for runs, experiments and analyses; None sees everything.
 
-        Visitors of a view-only server see what is public, if the installation has accounts.
+        Visitors of a view-only server see what is public; without accounts, all that is not private.
         """
         if self.needed:
             return None if caller.role is Role.ADMIN else Viewer(caller.account, signed_in=caller.role is not None)
-        return ANYBODY if self._hive.settings.mode is Mode.VIEW_ONLY and self._accounts_in_use() else None
+        if self._hive.settings.mode is not Mode.VIEW_ONLY:
+            return None
+        return ANYBODY if self._accounts_in_use() else WITHOUT_ACCOUNTS
 
     def watch(self) -> Callable[[], bool]:
         """A function that says, also after this request, whether its caller would still be let in."""

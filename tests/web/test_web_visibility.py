@@ -277,10 +277,13 @@ def test_a_view_only_server_shows_what_is_public(filled: Path, compiled: Path, t
             assert [secret for secret in SECRETS if secret in answer] == [], address
 
 
-def test_without_accounts_everybody_sees_everything(filled: Path, compiled: Path, tmp_path: Path) -> None:
+def test_view_only_without_accounts_hides_what_is_private(filled: Path, compiled: Path, tmp_path: Path) -> None:
     shutil.copytree(filled, tmp_path, symlinks=True, dirs_exist_ok=True)
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
     hive.store.write(lambda t: t.sharing.share_runs({1: Sharing(None, Visibility.PRIVATE)}))
     web = world.make_web(hive, compiled)
-    assert len(web.client.get("/api/v1/runs").get_json()["runs"]) == len(world.RUNS)
+    listed = [run["id"] for run in web.client.get("/api/v1/runs").get_json()["runs"]]
+    assert len(listed) == len(world.RUNS) - 1
+    assert 1 not in listed
+    assert web.client.get("/runs/1").status_code == 404
     hive.close()

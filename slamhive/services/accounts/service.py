@@ -16,6 +16,7 @@ from slamhive.domain.accounts import (
     ANYBODY,
     LOOPBACK_HOSTS,
     MAY,
+    WITHOUT_ACCOUNTS,
     Caller,
     Identity,
     Role,
@@ -314,10 +315,12 @@ def accounts_needed(settings: Settings, host: str) -> bool:
 
 @contextmanager
 def published(store: Store, *, unpublished: bool = False) -> Iterator[None]:
-    """In the block, this thread finds only what is public, if the installation has accounts.
+    """In the block, this thread finds only what is public; in an installation without accounts, all but private runs.
 
     ``unpublished``: it finds everything all the same.
     """
-    hides = not unpublished and store.read(lambda t: t.accounts.in_use())
-    with store.seen_by(ANYBODY if hides else store.viewer):
+    viewer = store.viewer
+    if not unpublished:
+        viewer = ANYBODY if store.read(lambda t: t.accounts.in_use()) else WITHOUT_ACCOUNTS
+    with store.seen_by(viewer):
         yield
