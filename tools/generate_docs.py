@@ -32,7 +32,7 @@ from slamhive.documents.imports import Import
 from slamhive.documents.machines import CloudPlanDocument, CloudStatus
 from slamhive.documents.model import json_schema
 from slamhive.documents.protocol import ComparisonDocument, ProtocolsDocument, ToolMetrics
-from slamhive.documents.question import Decision
+from slamhive.documents.question import Decision, SearchStanding
 from slamhive.documents.record import RunFile
 from slamhive.documents.run import EvaluationDocument, RunWith
 from slamhive.documents.submission import Submission
@@ -234,6 +234,7 @@ DOCUMENTS: dict[str, Any] = {
     "report-brief": ReportBrief,
     "run": RunWith,
     "run-record": RunFile,
+    "search": SearchStanding,
     "stored-analysis": StoredAnalysis,
     "tool-metrics": ToolMetrics,
     "variant": CachedVariant,

@@ -15,7 +15,7 @@ from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.meanings import id_option
 from slamhive.cli.output import messages, print_json, print_table, progress_bar, tell
-from slamhive.cli.questions import decide
+from slamhive.cli.questions import decide, optimise
 from slamhive.cli.sharing import share_experiment, visibility_option
 from slamhive.cli.visible import confirm, say, write_out
 from slamhive.cli.waiting import experiment_to_end
@@ -466,6 +466,7 @@ def _counting(title: str) -> Iterator[Progress]:
 
 experiment.add_command(share_experiment)
 experiment.add_command(decide)
+experiment.add_command(optimise)
 
 
 COMMANDS = (experiment,)

@@ -1,7 +1,8 @@
-"""``slamhive experiment decide``: an experiment that runs only what its answer takes."""
+"""``slamhive experiment decide`` and ``optimise``: experiments that run only what their answer takes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,18 +18,28 @@ from slamhive.experiments.file import parse_experiment
 from slamhive.services.experiments import ExperimentSource
 
 if TYPE_CHECKING:
-    from slamhive.documents.question import Decision
+    from slamhive.documents.question import Decision, SearchStanding
+    from slamhive.services.hive import Hive
 
 UNDECIDED = 3
 """The exit code of a gate that cannot decide, too."""
 
 
+def _options(command: Callable[..., None]) -> Callable[..., None]:
+    """The argument and options of both commands."""
+    for option in (
+        pass_cli,
+        json_option,
+        click.option("--no-wait", is_flag=True, help="Only start it; a worker takes it to its end."),
+        click.option("--executor", help="As for `slamhive experiment start`."),
+        click.argument("file", type=click.Path(path_type=Path)),
+    ):
+        command = option(command)
+    return command
+
+
 @click.command("decide", short_help="Find the best candidate with few runs")
-@click.argument("file", type=click.Path(path_type=Path))
-@click.option("--executor", help="As for `slamhive experiment start`.")
-@click.option("--no-wait", is_flag=True, help="Only start it; a worker takes it to its end.")
-@json_option
-@pass_cli
+@_options
 def decide(cli: CliContext, file: Path, executor: str | None, no_wait: bool, as_json: bool) -> None:
     """Find out which candidate of FILE is best, with no more runs than that takes.
 
@@ -36,22 +47,68 @@ def decide(cli: CliContext, file: Path, executor: str | None, no_wait: bool, as_
     the same command goes on. The exit code is 3 if the budget does not suffice to decide.
     """
     hive = cli.hive()
+    name = _taken_to_its_end(hive, file, ExperimentQuestion.DECIDE, executor, no_wait)
+    found = hive.questions.decision(name)
+    print_json(found.content) if as_json else print_decision(found)
+    if found.answer is QuestionAnswer.UNDECIDED:
+        raise click.exceptions.Exit(UNDECIDED)
+
+
+@click.command("optimise", short_help="Search the combinations for the best")
+@_options
+def optimise(cli: CliContext, file: Path, executor: str | None, no_wait: bool, as_json: bool) -> None:
+    """Search the combinations of FILE for the best one, with no more runs than that takes.
+
+    The section `optimise` of FILE says what is to be best, what a run must keep, how near is near enough, and the
+    budget. After a kill, the same command goes on. The exit code is 3 if the budget is spent before it is near enough.
+    """
+    hive = cli.hive()
+    name = _taken_to_its_end(hive, file, ExperimentQuestion.OPTIMISE, executor, no_wait)
+    found = hive.questions.search(name)
+    print_json(found.content) if as_json else print_search(found)
+    if found.answer is QuestionAnswer.UNDECIDED:
+        raise click.exceptions.Exit(UNDECIDED)
+
+
+def _taken_to_its_end(hive: Hive, file: Path, question: ExperimentQuestion, executor: str | None, no_wait: bool) -> str:
+    """Start the experiment in a file, and wait unless asked not to; returns its name."""
     hive.check_writable()
     source = ExperimentSource.read(file)
-    asked = parse_experiment(source.text, source.name)
-    if asked.question is not ExperimentQuestion.DECIDE:
-        raise InvalidInput(f"{file} has no section decide", "docs/deciding.md shows one")
+    if parse_experiment(source.text, source.name).question is not question:
+        raise InvalidInput(f"{file} has no section {question}", "docs/deciding.md shows one")
     name = hive.experiments.start(source, executor).name
     hive.questions.unfinished(name)
     if not no_wait:
         experiment_to_end(hive, name)
-    found = hive.questions.decision(name)
-    if as_json:
-        print_json(found.content)
-    else:
-        print_decision(found)
-    if found.answer is QuestionAnswer.UNDECIDED:
-        raise click.exceptions.Exit(UNDECIDED)
+    return name
+
+
+def print_search(found: SearchStanding) -> None:
+    """Print the candidates that may be best, what matters, and the answer."""
+    unit = f" {found.unit}" if found.unit else ""
+    heads = ("candidate", "runs", "failed", f"{found.label}{unit}", "from", "to", "failing")
+    rows = [
+        (
+            entry.label,
+            entry.runs,
+            entry.failed or None,
+            f"{entry.expected:.4g}",
+            f"{entry.low:.4g}",
+            f"{entry.high:.4g}",
+            f"{entry.failing:.0%}",
+        )
+        for entry in found.candidates
+    ]
+    if rows:
+        print_table(heads, rows, right=heads[1:])
+        say(f"what matters: {', '.join(f'{entry.axis} {entry.share:.0%}' for entry in found.importance)}")
+    for note in found.notes:
+        tell(note)
+    say(f"{found.experiment}: {found.words}")
+    if found.expected_gain is not None and found.answer is not QuestionAnswer.BEST:
+        say(f"going on may gain {found.expected_gain:.1%} on average")
+    if found.next:
+        say(f"next: {found.next}")
 
 
 def print_decision(found: Decision) -> None:

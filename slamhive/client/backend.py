@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
     from slamhive.documents.challenge import ChallengeSubmission
     from slamhive.documents.imports import ImportedDocument
-    from slamhive.documents.question import Decision
+    from slamhive.documents.question import Decision, SearchStanding
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility
     from slamhive.domain.finding import FoundAction
@@ -116,6 +116,9 @@ class Backend(Protocol):
 
     def decision(self, name: str) -> Decision:
         """State of an experiment that finds out which candidate is best; raises InvalidInput for any other one."""
+
+    def search(self, name: str) -> SearchStanding:
+        """State of an experiment that searches for the best candidate; raises InvalidInput for any other one."""
 
     def cells(self, name: str) -> Iterator[experiment_schema.CellDocument]:
         """The configurations of an experiment with their runs and metrics, read in pages."""

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from slamhive.documents import api_answers
     from slamhive.documents import experiment as experiment_schema
-    from slamhive.documents.question import Decision
+    from slamhive.documents.question import Decision, SearchStanding
     from slamhive.domain.accounts import Visibility
 
 
@@ -52,6 +52,11 @@ class Experiment:
     def decision(self) -> Decision:
         """State of an experiment that finds out which candidate is best; raises InvalidInput for any other one."""
         return self._backend.decision(self.name)
+
+    @property
+    def search(self) -> SearchStanding:
+        """State of an experiment that searches for the best candidate; raises InvalidInput for any other one."""
+        return self._backend.search(self.name)
 
     def refresh(self) -> Experiment:
         """The experiment as it is now."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
     from slamhive.documents.challenge import ChallengeSubmission
     from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument
-    from slamhive.documents.question import Decision
+    from slamhive.documents.question import Decision, SearchStanding
     from slamhive.documents.run import RunDocument, RunWith
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility
@@ -244,6 +244,10 @@ class HttpBackend:
     def decision(self, name: str) -> Decision:
         """Implement :meth:`~slamhive.client.backend.Backend.decision`."""
         return self._send(requests.decision(name))
+
+    def search(self, name: str) -> SearchStanding:
+        """Implement :meth:`~slamhive.client.backend.Backend.search`."""
+        return self._send(requests.search(name))
 
     def cells(self, name: str) -> Iterator[CellDocument]:
         """Implement :meth:`~slamhive.client.backend.Backend.cells`."""

@@ -16,7 +16,7 @@ from slamhive.documents.challenge import ImageEntry
 from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument
 from slamhive.documents.imports import DatasetUpload, ImportedDocument, RunsUpload
 from slamhive.documents.model import parse
-from slamhive.documents.question import Decision
+from slamhive.documents.question import Decision, SearchStanding
 from slamhive.documents.run import RunDocument, RunWith
 from slamhive.services.data_root import DataRoot
 from slamhive.services.hive import Hive, check_indexed, open_hive
@@ -169,6 +169,10 @@ class LocalBackend:
     def decision(self, name: str) -> Decision:
         """Implement :meth:`~slamhive.client.backend.Backend.decision`."""
         return self._hive.questions.decision(name)
+
+    def search(self, name: str) -> SearchStanding:
+        """Implement :meth:`~slamhive.client.backend.Backend.search`."""
+        return self._hive.questions.search(name)
 
     def cells(self, name: str) -> Iterator[CellDocument]:
         """Implement :meth:`~slamhive.client.backend.Backend.cells`."""

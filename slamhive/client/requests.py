@@ -32,7 +32,7 @@ from slamhive.documents.challenge import ChallengeSubmission, ChallengeSubmissio
 from slamhive.documents.experiment import ExperimentStatusDocument
 from slamhive.documents.imports import Upload
 from slamhive.documents.model import Document, dump
-from slamhive.documents.question import Decision
+from slamhive.documents.question import Decision, SearchStanding
 from slamhive.documents.run import RunDocument, RunWith
 from slamhive.documents.submission import Submission
 from slamhive.documents.validation import STATUS
@@ -181,6 +181,11 @@ def experiment(name: str) -> Request[ExperimentStatusDocument]:
 def decision(name: str) -> Request[Decision]:
     """State of an experiment that finds out which candidate is best."""
     return _get(f"/experiments/{quote(name, safe='')}/decision", Decision)
+
+
+def search(name: str) -> Request[SearchStanding]:
+    """State of an experiment that searches for the best of many candidates."""
+    return _get(f"/experiments/{quote(name, safe='')}/search", SearchStanding)
 
 
 def cells(name: str, after: str | None) -> Request[CellPageDocument]:

@@ -48,3 +48,51 @@ class Decision(Document):
     candidates: Annotated[tuple[DecisionCandidate, ...], described("The best first.")]
     next: Annotated[str, described("What comes next, and why.")]
     notes: Annotated[tuple[str, ...], described("What was left out, and why.")]
+
+
+class SearchedCandidate(Document):
+    """One of the candidates that may be best."""
+
+    label: Annotated[str, described("What sets it apart.")]
+    values: Values
+    cells: Annotated[dict[str, int], described("The number of its configuration in the experiment, by dataset.")]
+    runs: Annotated[int, described("Runs that have ended and count.")]
+    failed: Annotated[int, described("Those of them that failed, or broke a limit.")]
+    expected: Annotated[float, described("Expected typical value, failed runs included.")]
+    low: Annotated[float, described("The smaller end of an interval that holds it with 95 %.")]
+    high: Annotated[float, described("The larger end.")]
+    failing: Annotated[float, described("Expected share of failed runs.")]
+
+
+class AxisImportance(Document):
+    """The influence of one axis of a search."""
+
+    axis: str
+    share: Annotated[float, described("Share of the variance over all candidates that it explains alone.")]
+
+
+class SearchStanding(Document):
+    """State of an experiment that searches for the best of many candidates."""
+
+    experiment: str
+    question: ExperimentQuestion
+    answer: QuestionAnswer
+    words: Annotated[str, described("The answer in one sentence.")]
+    metric: str
+    label: Annotated[str, described("The metric in words.")]
+    unit: str
+    limits: Annotated[tuple[str, ...], described("What a run must keep.")]
+    within: Annotated[float, described("How near to the truly best is near enough, as a share.")]
+    confidence: float
+    gap: Annotated[
+        float | None, described("How far the best one is from the truly best at most, as a share; null if unknown.")
+    ]
+    expected_gain: Annotated[float | None, described("What going on may gain on average, as a share; null if unknown.")]
+    budget: str
+    runs: Annotated[int, described("Runs so far, those that wait included.")]
+    combinations: Annotated[int, described("All combinations with all datasets.")]
+    datasets: tuple[str, ...]
+    candidates: Annotated[tuple[SearchedCandidate, ...], described("Those that may be best, the best first.")]
+    importance: Annotated[tuple[AxisImportance, ...], described("The axes that vary, the most important first.")]
+    next: Annotated[str, described("What comes next, and why.")]
+    notes: Annotated[tuple[str, ...], described("What was left out, and why.")]

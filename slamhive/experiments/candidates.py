@@ -12,6 +12,8 @@ from slamhive.experiments.experiment import Experiment
 
 DATASET = "dataset"
 ALGORITHM = "algorithm"
+LEAST_SEARCH_RUNS = 24
+"""A search makes so many runs at random places before it can say anything of the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +41,7 @@ def candidates_of(cells: Iterable[tuple[int, Mapping[str, Value]]]) -> tuple[Exp
 
 def check_candidates(experiment: Experiment, candidates: Iterable[ExperimentCandidate]) -> None:
     """Raise InvalidInput, naming the place, unless the plan of ``experiment`` can be followed with these candidates."""
-    plan = experiment.decide
+    plan = experiment.plan
     if plan is None:
         return
     found = list(candidates)
@@ -56,10 +58,12 @@ def check_candidates(experiment: Experiment, candidates: Iterable[ExperimentCand
             f"{plan.place}: there is nothing to choose: {found[0].label} is the only candidate",
             "give two algorithms, or two values of a parameter or step",
         )
-    least = 2 * len(found) * len(datasets)
+    least, each = 2 * len(found) * len(datasets), "2 runs of each"
+    if experiment.optimise is not None:
+        least, each = min(LEAST_SEARCH_RUNS, len(found)), "the first runs"
     if plan.budget.runs is not None and plan.budget.runs < least:
         raise InvalidInput(
-            f"{plan.place}: the budget of {plan.budget.words} is too small for one look: 2 runs of each of "
+            f"{plan.place}: the budget of {plan.budget.words} is too small for one look: {each} of "
             f"{len(found)} candidates on {plural(len(datasets), 'dataset')} are {least}",
             "raise it, or compare fewer",
         )

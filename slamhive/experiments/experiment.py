@@ -132,6 +132,41 @@ class DecidePlan:
 
 
 @dataclass(frozen=True, slots=True)
+class MetricLimit:
+    """A value of a metric that a run may have at most, or at least; in the metric's unit."""
+
+    metric: str
+    at_most: bool
+    value: float
+
+    def broken_by(self, value: float) -> bool:
+        """Tell if a run with ``value`` breaks it."""
+        return value > self.value if self.at_most else value < self.value
+
+
+@dataclass(frozen=True, slots=True)
+class OptimisePlan:
+    """The search for the best of many candidates. A candidate is a combination of everything but the dataset.
+
+    Attributes:
+        metric: Its typical value is to be the best.
+        budget: Of all runs.
+        limits: A run that breaks one counts as failed.
+        within: The search ends when the best one is so near to the truly best, as a share.
+        confidence: Of that.
+        worst: The value that a failed run counts as, in the metric's unit. None takes one from the good runs.
+    """
+
+    metric: str
+    budget: RunBudget
+    place: YamlPlace
+    limits: tuple[MetricLimit, ...] = ()
+    within: float = 0.05
+    confidence: float = 0.95
+    worst: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Experiment:
     """The content of an experiment file.
 
@@ -139,7 +174,7 @@ class Experiment:
     ``same_cpu``: all runs are measured on one CPU model.
     The combinations are algorithms x datasets x steps x parameters x playback, each of them run with every seed,
     ``repeats`` times. ``algorithms`` and ``datasets`` are axes of names. ``map`` is the number or uid of the run whose
-    map all runs start with. With ``decide`` it chooses by itself which combinations run, and how often.
+    map all runs start with. With ``decide`` or ``optimise`` it chooses itself which combinations run, and how often.
     """
 
     name: str
@@ -164,11 +199,25 @@ class Experiment:
     sensors: tuple[SensorChoice, ...] = ()
     map: str | None = None
     decide: DecidePlan | None = None
+    optimise: OptimisePlan | None = None
 
     @property
     def question(self) -> ExperimentQuestion | None:
         """The kind of its question, if it chooses its runs itself."""
-        return None if self.decide is None else ExperimentQuestion.DECIDE
+        if self.decide is not None:
+            return ExperimentQuestion.DECIDE
+        return None if self.optimise is None else ExperimentQuestion.OPTIMISE
+
+    @property
+    def plan(self) -> DecidePlan | OptimisePlan | None:
+        """The plan for its question."""
+        return self.decide or self.optimise
+
+    @property
+    def question_metrics(self) -> tuple[str, ...]:
+        """The metrics that its question is about."""
+        limits = () if self.optimise is None else self.optimise.limits
+        return () if self.plan is None else (self.plan.metric, *(limit.metric for limit in limits))
 
     @property
     def options(self) -> dict[str, Any]:
@@ -193,6 +242,7 @@ _LATER: tuple[tuple[str, object], ...] = (
     ("sensors", ()),
     ("map", None),
     ("decide", None),
+    ("optimise", None),
     *((option.name, option.default) for option in fields(Limits) if option.name not in _FIRST_LIMITS),
 )
 """Fields that came later, at their defaults: experiments that were stored before keep their hash."""

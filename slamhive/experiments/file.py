@@ -45,6 +45,8 @@ from slamhive.experiments.experiment import (
     Experiment,
     ExperimentAxis,
     Link,
+    MetricLimit,
+    OptimisePlan,
     ParameterAxis,
     PlaybackAxes,
     SensorChoice,
@@ -60,6 +62,7 @@ from slamhive.filters.fields import number, units_of
 
 _SEED, _RATE = OPTIONS["seed"], OPTIONS["playback_rate"]
 _NAME = re.compile(NAME_PATTERN)
+_LIMIT = re.compile(r"([\w.]+)\s*(<=|>=)\s*(.+)")
 
 _SCALAR_SCHEMA: dict[str, Any] = {"type": ["number", "string", "boolean"]}
 _MATRIX_SCHEMA: dict[str, Any] = {"type": "array", "items": {"type": "number"}, "minItems": 1}
@@ -222,6 +225,21 @@ class DecideModel(_Model):
     )
 
 
+class OptimiseModel(_Model):
+    """The search for the best of many candidates: the experiment chooses its runs, and stops when it is near enough."""
+
+    metric: str = Field(default="ate.rmse", description="What is to be the best: its typical value.")
+    budget: str = Field(description="Of all runs: 300 runs, 8 h.")
+    limits: list[str] = Field(
+        default_factory=list, description="What a run must keep, else it counts as failed: cpu.mean <= 2."
+    )
+    within: float | str = Field(default=0.05, description="How near to the truly best is near enough: 5%.")
+    confidence: float = Field(default=0.95, ge=0.5, le=0.999, description="Of being so near.")
+    worst: float | str | None = Field(
+        default=None, description="What a failed run counts as: 1 m. Else twice the worst good value, or 0 for a share."
+    )
+
+
 class ExperimentModel(_Model):
     """An experiment: what is combined with what. Every combination becomes one configuration."""
 
@@ -260,6 +278,7 @@ class ExperimentModel(_Model):
     executor: Executor = None
     priority: Priority = 0
     decide: DecideModel | None = Field(default=None, description="Run only what it takes to find the best candidate.")
+    optimise: OptimiseModel | None = Field(default=None, description="Search the combinations instead of running all.")
 
 
 def parse_experiment(text: str, source: str = "experiment.yaml") -> Experiment:
@@ -318,19 +337,15 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
         priority=model.priority,
         sensors=tuple(SensorChoice(role, name, places.of("sensors", role)) for role, name in model.sensors.items()),
         decide=None if model.decide is None else _decide(model.decide, model, places),
+        optimise=None if model.optimise is None else _optimise(model.optimise, model, places),
     )
 
 
 def _decide(decide: DecideModel, model: ExperimentModel, places: strict_yaml.Places) -> DecidePlan:
-    if model.repeats != 1:
-        raise InvalidInput(
-            f"{places.of('repeats')}: the experiment decides how often each combination runs", "leave out repeats"
-        )
+    _check_alone(model, places)
     key = "metric"
     try:
-        compared = metric(decide.metric)
-        if compared.direction is Direction.NEUTRAL:
-            raise InvalidInput(f"no direction of {compared.key} is better", "use another metric")
+        compared = _compared(decide.metric)
         key = "budget"
         budget = read_budget(decide.budget)
         key = "difference"
@@ -340,6 +355,51 @@ def _decide(decide: DecideModel, model: ExperimentModel, places: strict_yaml.Pla
     except SlamHiveError as error:
         raise at(places.of("decide", key), error) from None
     return DecidePlan(compared.key, difference, budget, places.of("decide"), decide.error, worst)
+
+
+def _optimise(optimise: OptimiseModel, model: ExperimentModel, places: strict_yaml.Places) -> OptimisePlan:
+    _check_alone(model, places)
+    key = "metric"
+    try:
+        compared = _compared(optimise.metric)
+        key = "budget"
+        budget = read_budget(optimise.budget)
+        key = "limits"
+        limits = tuple(map(_limit, optimise.limits))
+        key = "within"
+        within = number(str(optimise.within), "")
+        if within is None or not 0 < within <= 1:
+            raise InvalidInput(f"{optimise.within!r} is no share", "write 5%, or 0.05")
+        key = "worst"
+        worst = None if optimise.worst is None else _amount(optimise.worst, compared)
+    except SlamHiveError as error:
+        raise at(places.of("optimise", key), error) from None
+    return OptimisePlan(compared.key, budget, places.of("optimise"), limits, within, optimise.confidence, worst)
+
+
+def _check_alone(model: ExperimentModel, places: strict_yaml.Places) -> None:
+    if model.decide is not None and model.optimise is not None:
+        raise InvalidInput(f"{places.of('optimise')}: an experiment has one question", "keep decide, or optimise")
+    if model.repeats != 1:
+        raise InvalidInput(
+            f"{places.of('repeats')}: the experiment decides how often each combination runs", "leave out repeats"
+        )
+
+
+def _compared(key: str) -> Metric:
+    compared = metric(key)
+    if compared.direction is Direction.NEUTRAL:
+        raise InvalidInput(f"no direction of {compared.key} is better", "use another metric")
+    return compared
+
+
+def _limit(text: str) -> MetricLimit:
+    """``ram.max <= 1 GB``, ``tracked_fraction >= 90%``."""
+    found = _LIMIT.fullmatch(text.strip())
+    if found is None:
+        raise InvalidInput(f"{text!r} is no limit", "write METRIC <= VALUE, or METRIC >= VALUE")
+    limited = metric(found[1])
+    return MetricLimit(limited.key, found[2] == "<=", _amount(found[3], limited))
 
 
 def _difference(written: float | str, compared: Metric) -> Margin:

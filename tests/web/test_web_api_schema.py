@@ -29,7 +29,14 @@ from tests.web.web_world import Web, make_web
 pytestmark = pytest.mark.integration
 
 EXAMPLES = 4
-NOTHING_THERE = {"dataset_check", "analysis_report", "dataset_frame", "dataset_sweep", "experiment_decision"}
+NOTHING_THERE = {
+    "dataset_check",
+    "analysis_report",
+    "dataset_frame",
+    "dataset_sweep",
+    "experiment_decision",
+    "experiment_search",
+}
 """Nobody has checked the dataset, no worker has computed the analysis, the recording holds no images or points, and the
 experiment has no question."""
 LOOKING_FIRST = sorted(TABLE.operations, key=attrgetter("method"))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.documents.question import Decision
+from slamhive.documents.question import Decision, SearchStanding
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from tests.services.test_questions import TWO, noisy, play
+from tests.services.test_searching_experiments import MANY
+from tests.services.test_searching_experiments import noisy as searched_error_m
 from tests.web.web_world import Web
 
 pytestmark = pytest.mark.integration
@@ -44,3 +46,14 @@ def test_an_experiment_without_a_question_has_no_such_page(web: Web):
     assert web.client.get("/experiments/two/question").status_code == 400
     assert web.client.get("/api/v1/experiments/two/decision").status_code == 400
     assert web.client.get("/experiments/none/question").status_code == 404
+
+
+def test_a_search_has_its_page_and_its_answer(web: Web):
+    web.hive.experiments.start(ExperimentSource(MANY))
+    assert "Nothing is known yet." in web.client.get("/experiments/many/question").text
+    play(web.hive, searched_error_m, "many")
+    found = SearchStanding.read(web.client.get("/api/v1/experiments/many/search").json)
+    page = web.client.get("/experiments/many/question").text
+    assert found.words in page
+    assert "Candidates that may be best" in page
+    assert web.client.get("/api/v1/experiments/many/decision").status_code == 400

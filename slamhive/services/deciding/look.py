@@ -78,12 +78,11 @@ class QuestionLook:
 def look_at(t: Transaction, record: ExperimentRecord) -> QuestionLook:
     """Read the runs of ``record`` with the metrics that its question is about."""
     experiment = parse_experiment(record.source, f"experiment {record.name}")
-    metrics = () if experiment.decide is None else (experiment.decide.metric,)
     cells = t.experiments.cells(record.id, 0, None)
     candidates = candidates_of((cell.number, cell.values) for cell in cells)
     found: list[CellRun] = []
     if cells:
-        found = t.experiments.cell_runs(record.id, cells[0].number, cells[-1].number, metrics)
+        found = t.experiments.cell_runs(record.id, cells[0].number, cells[-1].number, experiment.question_metrics)
     unfinished = set(t.experiments.unfinished(record.id))
     dataset_of = {cell: dataset for candidate in candidates for dataset, cell in candidate.cells.items()}
     protocols: dict[str, Counter[str]] = defaultdict(Counter)

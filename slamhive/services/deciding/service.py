@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
-from slamhive.documents.question import Decision
+from slamhive.documents.question import Decision, SearchStanding
+from slamhive.experiments.experiment import DecidePlan
 from slamhive.store import Transaction
 from slamhive.store.records import ExperimentState
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from slamhive.base.settings import Settings
     from slamhive.services.deciding.decide import DecisionStep
     from slamhive.services.deciding.look import QuestionLook
+    from slamhive.services.deciding.optimise import SearchStep
     from slamhive.services.experiments import ExperimentService
     from slamhive.store import Store
 
@@ -49,6 +51,20 @@ class Questions:
         self._not_before_s: dict[str, float] = {}
 
     def decision(self, name: str) -> Decision:
+        """State of an experiment that compares; raises NotFound, or InvalidInput for one without that question."""
+        found = self.standing(name)
+        if not isinstance(found, Decision):
+            raise InvalidInput(f"experiment {name} searches", "slamhive experiment optimise shows how it stands")
+        return found
+
+    def search(self, name: str) -> SearchStanding:
+        """State of an experiment that searches; raises NotFound, or InvalidInput for one without that question."""
+        found = self.standing(name)
+        if isinstance(found, Decision):
+            raise InvalidInput(f"experiment {name} compares", "slamhive experiment decide shows how it stands")
+        return found
+
+    def standing(self, name: str) -> Decision | SearchStanding:
         """State of the experiment; raises NotFound, or InvalidInput for one without a question."""
         return self._step(self._look(name)).decision
 
@@ -119,14 +135,18 @@ class Questions:
             if record.question is None:
                 raise InvalidInput(
                     f"experiment {name} has no question: it runs all of its combinations",
-                    "a section decide in its file asks one",
+                    "a section decide or optimise in its file asks one",
                 )
             return look_at(t, record)
 
         return self._store.read(work)
 
-    def _step(self, look: QuestionLook) -> DecisionStep:
+    def _step(self, look: QuestionLook) -> DecisionStep | SearchStep:
         from slamhive.services.deciding.decide import next_decision  # noqa: PLC0415 - loads scipy
+        from slamhive.services.deciding.optimise import next_search  # noqa: PLC0415 - the same
 
-        assert look.experiment.decide is not None
-        return next_decision(look, look.experiment.decide, self._settings.worker_slots)
+        plan = look.experiment.plan
+        assert plan is not None
+        if isinstance(plan, DecidePlan):
+            return next_decision(look, plan, self._settings.worker_slots)
+        return next_search(look, plan, self._settings.worker_slots)

@@ -351,7 +351,7 @@ def add_repeats(context: ExperimentContext, name: str, count: int, progress: Pro
 
 def check_question(context: ExperimentContext, experiment: Experiment, expansion: Expansion) -> None:
     """Raise InvalidInput, naming the place, unless the question of ``experiment`` can be answered."""
-    plan = experiment.decide
+    plan = experiment.plan
     if plan is None:
         return
     check_candidates(experiment, planned_candidates(context, experiment))

@@ -40,7 +40,7 @@ from slamhive.documents.experiment import (
     ExperimentStatusDocument,
     GridDocument,
 )
-from slamhive.documents.question import Decision
+from slamhive.documents.question import Decision, SearchStanding
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.sharing import SharingChange
 from slamhive.services.stored_analyses import MEDIA_TYPES
@@ -115,6 +115,12 @@ def experiment_grid(name: str) -> GridAnswer:
 def experiment_decision(name: str) -> Decision:
     """State of an experiment that finds out which candidate is best."""
     return hive().questions.decision(name)
+
+
+@TABLE.get(Section.EXPERIMENTS, "/experiments/{name}/search", SearchStanding)
+def experiment_search(name: str) -> SearchStanding:
+    """State of an experiment that searches for the best of many candidates."""
+    return hive().questions.search(name)
 
 
 @TABLE.post(Section.EXPERIMENTS, "/experiments/{name}/{action}", ExperimentStatusDocument, status=202)
