@@ -89,12 +89,11 @@ def evaluate(cli: CliContext, /, run_ids: tuple[int, ...], as_json: bool, **opti
         tell(none)
         print_json([]) if as_json else None
         return
-    evaluation_ids = service.queue(wanted, asked, Artefacts.PLOTS if options["plots"] else Artefacts.FILES)
+    artefacts = Artefacts.PLOTS if options["plots"] else Artefacts.FILES
+    evaluation_ids = service.queue(wanted, asked, artefacts, makes_current=options["current"])
     ended = evaluate_to_end(service, list(dict.fromkeys([*waiting, *evaluation_ids])))
     place = {run_id: index for index, run_id in enumerate(wanted)}
     ended.sort(key=lambda record: (place.get(record.run_id, -1), record.id))
-    if options["current"]:
-        hive.current_protocols.make_current(ended)
     _report(hive, ended, as_json=as_json)
     if any(record.reason is not None for record in ended):
         raise click.exceptions.Exit(1)

@@ -307,6 +307,7 @@ class AskedLine(Document):
     protocol: StatedProtocol
     artefacts: str
     asked: Annotated[tuple[int, ...], described("Numbers of the runs.")]
+    makes_current: Annotated[bool, described("Whether lists show the metrics of this protocol from then on.")] = False
 
 
 class EndedLine(Document):

@@ -199,7 +199,7 @@ class Hive:
         """The protocol whose metrics are shown."""
         from slamhive.services.evaluations import CurrentProtocols
 
-        return CurrentProtocols(self.store, self.evaluations, self.settings.runs_folder)
+        return CurrentProtocols(self.settings, self.store, self.evaluations)
 
     @cached_property
     def run_comparisons(self) -> RunComparisons:

@@ -35,12 +35,13 @@ class NewRow(Generic[T]):
 
 @dataclass(frozen=True, slots=True)
 class AskedEvaluations:
-    """Evaluations that were queued together."""
+    """Evaluations that were queued together. ``makes_current``: lists show their metrics from then on."""
 
     protocol: Protocol
     artefacts: Artefacts
     at: datetime
     run_ids: Sequence[int]
+    makes_current: bool = False
 
 
 @dataclass

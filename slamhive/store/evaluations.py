@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -12,6 +14,7 @@ from sqlalchemy.exc import IntegrityError
 from slamhive.base.errors import Conflict, NotFound
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunState
+from slamhive.domain.side_by_side import ProtocolUse
 from slamhive.evaluation.job import Artefacts, EvaluationResult
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.changes import AskedEvaluations, changes_of
@@ -35,10 +38,17 @@ class EvaluationRepository(LeaseQueue[int]):
     released = EvaluationState.QUEUED
 
     def queue(
-        self, run_ids: Iterable[int], protocol: domain.Protocol, now: datetime, artefacts: Artefacts = Artefacts.FILES
+        self,
+        run_ids: Iterable[int],
+        protocol: domain.Protocol,
+        now: datetime,
+        artefacts: Artefacts = Artefacts.FILES,
+        *,
+        makes_current: bool = False,
     ) -> list[int]:
         """Queue an evaluation for each run, unless one waits or works already; their ids, in the order of the runs.
 
+        ``makes_current``: their success makes the protocol the current one, also of those that wait already.
         Raises NotFound for an unknown run and Conflict for one that did not succeed.
         """
         wanted = list(run_ids)
@@ -52,7 +62,13 @@ class EvaluationRepository(LeaseQueue[int]):
             if states[run_id] is not RunState.SUCCEEDED:
                 raise Conflict(f"run {run_id} is {states[run_id]}", "only a run that succeeded can be evaluated")
         protocol_id = CatalogueRepository(self._connection).put_protocol(protocol)
-        values = {"state": EvaluationState.QUEUED, "artefacts": artefacts, "created_at": now, "attempt": 0}
+        values = {
+            "state": EvaluationState.QUEUED,
+            "artefacts": artefacts,
+            "created_at": now,
+            "attempt": 0,
+            "makes_current": makes_current,
+        }
         keys = {"protocol_id": protocol_id, "open": 1}
         ids: dict[int, int] = {}
         for part in chunks(list(dict.fromkeys(wanted))):
@@ -65,7 +81,11 @@ class EvaluationRepository(LeaseQueue[int]):
             except IntegrityError:  # another process queues the same at the same time
                 for run_id in part:
                     ids[run_id] = get_or_insert(self._connection, EvaluationRow, {"run_id": run_id, **keys}, values)[0]
-        changes_of(self._connection).asked_evaluations.append(AskedEvaluations(protocol, artefacts, now, list(ids)))
+        if makes_current:
+            for part in chunks(list(ids.values())):
+                self._connection.execute(update(_TABLE).where(_TABLE.c.id.in_(part)).values(makes_current=True))
+        asked = AskedEvaluations(protocol, artefacts, now, list(ids), makes_current)
+        changes_of(self._connection).asked_evaluations.append(asked)
         return [ids[run_id] for run_id in wanted]
 
     def _open_ids(self, run_ids: Sequence[int], protocol_id: int) -> dict[int, int]:
@@ -88,8 +108,9 @@ class EvaluationRepository(LeaseQueue[int]):
     def finish(self, evaluation_id: int, owner: str, result: EvaluationResult, now: datetime) -> bool:
         """File the result; a success stores the metrics. The run and its repeats get new verdicts.
 
-        Returns whether the protocol has become the run's current one: that of its first success, until :meth:`use`
-        chooses another. May be repeated. Raises LeaseLost if another worker holds the evaluation now.
+        Returns whether the protocol has become the run's current one: that of its first success, until :meth:`use` or
+        an evaluation that ``makes_current`` chooses another. May be repeated. Raises LeaseLost if another worker holds
+        the evaluation now.
         """
         row = self._connection.execute(select(_TABLE).where(_TABLE.c.id == evaluation_id)).one_or_none()
         if row is None:
@@ -104,8 +125,12 @@ class EvaluationRepository(LeaseQueue[int]):
             runs, protocols = RunRow.__table__, ProtocolRow.__table__
             definition = select(protocols.c.definition).where(protocols.c.id == row.protocol_id)
             # Only ``traj.txt`` decides: a protocol of another trajectory would change what lists show of the run.
-            if "trajectory" not in self._connection.execute(definition).scalar_one():
-                first = update(runs).where(runs.c.id == row.run_id, runs.c.current_protocol_id.is_(None))
+            chosen = update(runs).where(runs.c.id == row.run_id)
+            if row.makes_current:
+                self._connection.execute(chosen.values(current_protocol_id=row.protocol_id))
+                became_current = True
+            elif "trajectory" not in self._connection.execute(definition).scalar_one():
+                first = chosen.where(runs.c.current_protocol_id.is_(None))
                 became_current = changed(self._connection, first.values(current_protocol_id=row.protocol_id)) == 1
             MetricRepository(self._connection).follow_protocols([row.run_id])
         VerdictRepository(self._connection).renew([row.run_id], row.protocol_id)
@@ -149,6 +174,42 @@ class EvaluationRepository(LeaseQueue[int]):
         )
         rows = self._connection.execute(query)
         return [(domain.protocol_from_content(definition), runs) for definition, runs in rows]
+
+    def uses(self, run_ids: Iterable[int]) -> list[ProtocolUse]:
+        """What the current errors of these runs depend on, with the number of runs; unevaluated runs are left out."""
+        runs, protocols = RunRow.__table__, ProtocolRow.__table__
+        found: Counter[ProtocolUse] = Counter()
+        for part in chunks(list(run_ids)):
+            query = (
+                select(protocols.c.fingerprint, protocols.c.label, runs.c.trajectory, func.count())
+                .join(protocols, protocols.c.id == runs.c.current_protocol_id)
+                .where(runs.c.id.in_(part))
+                .group_by(protocols.c.fingerprint, protocols.c.label, runs.c.trajectory)
+            )
+            for fingerprint, label, trajectory, count in self._connection.execute(query):
+                found[ProtocolUse(fingerprint, label, trajectory, 0)] += count
+        return [replace(use, runs=count) for use, count in found.items()]
+
+    def definitions(self, fingerprints: Collection[str]) -> dict[str, domain.Protocol]:
+        """{fingerprint: protocol}; unknown ones are left out."""
+        query = select(ProtocolRow.fingerprint, ProtocolRow.definition).where(
+            ProtocolRow.fingerprint.in_(sorted(fingerprints)), ProtocolRow.id != MEASURED_PROTOCOL_ID
+        )
+        rows = self._connection.execute(query)
+        return {fingerprint: domain.protocol_from_content(definition) for fingerprint, definition in rows}
+
+    def having(self, run_ids: Iterable[int], fingerprint: str) -> set[int]:
+        """Those of these runs with metrics under a protocol."""
+        found: set[int] = set()
+        for part in chunks(list(run_ids)):
+            query = (
+                select(_TABLE.c.run_id)
+                .join(ProtocolRow, ProtocolRow.id == _TABLE.c.protocol_id)
+                .where(_TABLE.c.run_id.in_(part), _TABLE.c.state == EvaluationState.SUCCEEDED)
+                .where(ProtocolRow.fingerprint == fingerprint)
+            )
+            found.update(self._column(query))
+        return found
 
     def unevaluated_run_ids(self) -> list[int]:
         """Runs that succeeded and have no successful, queued or running evaluation; oldest first."""

@@ -142,10 +142,10 @@ class LedgerRepository(Repository):
         definitions: dict[int, Any] = {}
         for row in self._connection.execute(query):
             definitions[row.protocol_id] = row.definition
-            together[row.protocol_id, row.artefacts, row.created_at].append(row.run_id)
+            together[row.protocol_id, row.artefacts, row.created_at, row.makes_current].append(row.run_id)
         return [
-            AskedEvaluations(domain.protocol_from_content(definitions[protocol]), artefacts, at, run_ids)
-            for (protocol, artefacts, at), run_ids in together.items()
+            AskedEvaluations(domain.protocol_from_content(definitions[protocol]), artefacts, at, run_ids, makes_current)
+            for (protocol, artefacts, at, makes_current), run_ids in together.items()
         ]
 
     # -- in --------------------------------------------------------------------------------------------------------
@@ -210,6 +210,7 @@ class LedgerRepository(Repository):
             "state": EvaluationState.QUEUED,
             "created_at": asked.at,
             "attempt": 0,
+            "makes_current": asked.makes_current,
         }
         if runs:
             rows = [{"run_id": run_id, "artefacts": asked.artefacts, **values} for run_id in runs]

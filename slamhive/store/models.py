@@ -300,7 +300,10 @@ class RunEventRow(TableBase):
 
 
 class EvaluationRow(TableBase):
-    """One evaluation of one run. ``open`` is 1 until it ends, then NULL: at most one is open."""
+    """One evaluation of one run. ``open`` is 1 until it ends, then NULL: at most one is open.
+
+    ``makes_current``: its success makes its protocol the current one of the run.
+    """
 
     __tablename__ = "evaluations"
     __table_args__ = (
@@ -322,6 +325,7 @@ class EvaluationRow(TableBase):
     attempt = column(Integer)
     lease_owner = optional(String(190))
     lease_expires_at = optional(UtcDateTime)
+    makes_current = column(Boolean, server_default=text("0"))
 
 
 class MetricRow(TableBase):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
@@ -20,6 +20,7 @@ from slamhive.domain.protocol import Protocol
 from slamhive.domain.question import ExperimentQuestion
 from slamhive.domain.roles import Chosen
 from slamhive.domain.run import NO_NOTES, FailureReason, Host, RunEvent, RunNotes, RunState
+from slamhive.domain.side_by_side import ProtocolUse
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.trust import Disturbance, Trust, judge_trust
 from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, not_evaluable
@@ -253,6 +254,15 @@ class RunRecord(RunOptions):
         if self.metrics is None:
             return None
         return trust_in(self.metrics, self.disturbance, self.state, self.executor, self.playback.mode)
+
+
+def protocol_uses(runs: Iterable[RunRecord]) -> list[ProtocolUse]:
+    """What the errors of these runs depend on; runs without errors are left out."""
+    return [
+        ProtocolUse(run.protocol.fingerprint, run.protocol.label, run.trajectory)
+        for run in runs
+        if run.protocol is not None
+    ]
 
 
 def trust_in(

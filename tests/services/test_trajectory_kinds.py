@@ -18,7 +18,6 @@ from slamhive.runtime.trajectory import Poses, Trajectories, write_trajectories
 from slamhive.services.evaluations.service import estimate_of, other_trajectories
 from slamhive.services.hive import Hive
 from slamhive.store import Lease
-from slamhive.web.presenters.search import trajectory_warning
 from tests.web import web_world as world
 
 pytestmark = pytest.mark.integration
@@ -100,9 +99,10 @@ def test_lists_that_mix_kinds_say_so(hive: Hive) -> None:
     runs = [finished_run(hive, kind) for kind in (LIVE, FINAL, None)]
     for run_id in runs:
         world.evaluate_run(hive, run_id)
-    records = [hive.runs.get(run_id) for run_id in runs]
-    assert "mixes final and live trajectories" in trajectory_warning(records)
-    assert trajectory_warning(records[1:]) == ""
+    mixed = hive.current_protocols.mixed(runs)
+    assert mixed is not None
+    assert mixed.words == "1 run uses the final trajectory, 1 the live trajectory, 1 an unstated one: not comparable."
+    assert hive.current_protocols.mixed(runs[1:]) is None
 
 
 def test_runs_are_shown_with_the_kind_that_was_judged(hive: Hive) -> None:

@@ -71,6 +71,7 @@ FORMS: Mapping[str, dict[str, str]] = {
     "runs.evaluate": {"protocol": ""},
     "runs.use_protocol": {"fingerprint": "0" * 32},
     "selected_runs.evaluate": {"run": "2", "all": "", "protocol": "", "compared": "1,2"},
+    "selected_runs.evaluate_together": {"where": "id < 3", "protocol": "0123456789ab", "back": "/runs"},
     "selected_runs.retry": {"run": "2"},
     "selected_runs.tag": {"run": "2", "add": "one two", "remove": "three"},
     "selected_runs.delete": {"run": "999"},

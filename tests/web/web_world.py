@@ -214,18 +214,20 @@ def write_usage(folder: RunFolder) -> None:
     folder.profiling.write_text("time,cpu_usage,memory_usage\n" + "\n".join(lines) + "\n")
 
 
-def evaluate_run(hive: Hive, run_id: int, ate_m: float = 0.04567, *, reason: str | None = None) -> None:
+def evaluate_run(
+    hive: Hive, run_id: int, ate_m: float = 0.04567, *, reason: str | None = None, protocol: Protocol = PROTOCOL
+) -> None:
     """File an evaluation of the run, with its files."""
     figures = {} if reason else {"ate.rmse": ate_m, "ate.max": 3 * ate_m, "rpe.rmse": 0.01, "tracked_fraction": 0.98}
-    result = EvaluationResult(str(run_id), PROTOCOL.fingerprint, reason, figures, 400, 398, "evo 1.0")
+    result = EvaluationResult(str(run_id), protocol.fingerprint, reason, figures, 400, 398, "evo 1.0")
 
     def work(transaction: Transaction) -> None:
-        (evaluation_id,) = transaction.evaluations.queue([run_id], PROTOCOL, NOW)
+        (evaluation_id,) = transaction.evaluations.queue([run_id], protocol, NOW)
         transaction.evaluations.claim(Lease("test", NOW, 30.0), runs=[run_id])
         transaction.evaluations.finish(evaluation_id, "test", result, NOW + timedelta(seconds=9))
 
     hive.store.write(work)
-    folder = hive.runs.folder(run_id).evaluation(PROTOCOL.fingerprint)
+    folder = hive.runs.folder(run_id).evaluation(protocol.fingerprint)
     folder.mkdir(parents=True)
     estimate, truth = loop_path(noise_m=0.02), loop_path()
     np.savetxt(folder / "traj.tum", estimate)

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.evaluations.current import NOT_EVALUATED, Comparisons, CurrentProtocols, ToolFigures
+    from slamhive.services.evaluations.current import (
+        NOT_EVALUATED,
+        Comparisons,
+        CurrentProtocols,
+        Together,
+        ToolFigures,
+    )
     from slamhive.services.evaluations.protocols import (
         SENSOR_FRAME,
         ProtocolService,

@@ -7,31 +7,64 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from slamhive.base.errors import Conflict, InvalidInput
+from slamhive.base.errors import Conflict, InvalidInput, NotFound
+from slamhive.base.settings import Settings
 from slamhive.domain.metrics import described
+from slamhive.domain.names import plural
 from slamhive.domain.protocol import Protocol, ProtocolRequest, exactly
+from slamhive.domain.run import RunState
+from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, mixed_protocols
 from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.evaluation.job import Artefacts
 from slamhive.evaluation.presets import PRESETS, Preset
 from slamhive.run_folder.folder import RunFolder
+from slamhive.services.datasets import check_writable
 from slamhive.services.evaluations.service import Evaluations, evaluation_notes
 from slamhive.store import Store
 from slamhive.store.records import EvaluationRecord, EvaluationState, ProtocolLabel, RunRecord
+
+
+@dataclass(frozen=True, slots=True)
+class Together:
+    """What brought runs under one protocol.
+
+    Attributes:
+        switched: How many had metrics under it, which lists show now.
+        queued: The ids of the evaluations that will make it current.
+        left_out: How many did not succeed, and so have nothing to evaluate.
+    """
+
+    switched: int
+    queued: tuple[int, ...]
+    left_out: int
+
+    @property
+    def words(self) -> str:
+        """What was done, in one or two sentences."""
+        parts = []
+        if self.queued:
+            parts.append(f"{plural(len(self.queued), 'evaluation')} queued; their errors replace those shown here.")
+        if self.switched:
+            parts.append(f"{plural(self.switched, 'run')} had been evaluated under this protocol and now show it.")
+        if self.left_out:
+            parts.append(f"{plural(self.left_out, 'run')} left out: only a run that succeeded can be evaluated.")
+        return " ".join(parts) or "All of these runs are under this protocol already."
 
 
 class CurrentProtocols:
     """Chooses the current protocol of runs, in the database and in their folders.
 
     Args:
+        settings: Whether anything may be changed, and where the run folders lie.
         store: Runs and metrics.
-        evaluations: Resolves a protocol request for a run.
-        runs_folder: The run folders.
+        evaluations: Queues evaluations, and resolves a protocol request for a run.
     """
 
-    def __init__(self, store: Store, evaluations: Evaluations, runs_folder: Path) -> None:
+    def __init__(self, settings: Settings, store: Store, evaluations: Evaluations) -> None:
+        self._settings = settings
         self._store = store
         self._evaluations = evaluations
-        self._runs_folder = runs_folder
+        self._runs_folder = settings.runs_folder
 
     def figures(self, run_id: int) -> dict[str, dict[str, float]]:
         """The metrics of a run under each protocol: {fingerprint: {metric key: value}}."""
@@ -55,18 +88,47 @@ class CurrentProtocols:
         for run_id, fingerprint in chosen:
             if fingerprint not in self.figures(run_id):
                 raise Conflict(f"run {run_id} has no metrics under protocol {asked.name}", "evaluate it first")
-        self._use_each(chosen)
-
-    def make_current(self, ended: Iterable[EvaluationRecord]) -> None:
-        """Use the protocols of ended evaluations, like :meth:`use`; failed ones change nothing."""
-        self._use_each((entry.run_id, entry.protocol.fingerprint) for entry in ended if entry.reason is None)
-
-    def _use_each(self, chosen: Iterable[tuple[int, str]]) -> None:
         by_fingerprint: dict[str, list[int]] = defaultdict(list)
         for run_id, fingerprint in chosen:
             by_fingerprint[fingerprint].append(run_id)
-        for fingerprint, run_ids in by_fingerprint.items():
-            self.use(run_ids, fingerprint)
+        for fingerprint, members in by_fingerprint.items():
+            self.use(members, fingerprint)
+
+    def together(self, run_ids: Iterable[int], fingerprint: str) -> Together:
+        """Bring runs under one protocol: use it for those with metrics under it, and queue the others that succeeded.
+
+        A queued evaluation makes the protocol current when it succeeds. Raises NotFound for an unknown protocol,
+        InvalidInput for one that does not fit a run; nothing is changed then.
+        """
+        check_writable(self._settings)
+        asked = exactly(self._known(fingerprint), fingerprint)
+        wanted = list(dict.fromkeys(run_ids))
+        runs = self._store.read(lambda t: t.runs.get_many(wanted))
+        done = self._store.read(lambda t: t.evaluations.having(wanted, fingerprint))
+        current = {run.id for run in runs if run.protocol is not None and run.protocol.fingerprint == fingerprint}
+        lacking = [run.id for run in runs if run.id not in done and run.state is RunState.SUCCEEDED]
+        queued = self._evaluations.queue(lacking, asked, makes_current=True) if lacking else []
+        switched = sorted(done - current)
+        self.use(switched, fingerprint)
+        return Together(len(switched), tuple(queued), len(wanted) - len(done) - len(lacking))
+
+    def mixed(self, run_ids: Iterable[int]) -> MixedProtocols | None:
+        """The protocols of these runs if their errors are not comparable, with the one that all can have."""
+        return self.mixed_among(self._store.read(lambda t: t.evaluations.uses(run_ids)))
+
+    def mixed_among(self, uses: Iterable[ProtocolUse]) -> MixedProtocols | None:
+        """The same for runs whose protocols are known."""
+        found = list(uses)
+        fingerprints = {use.fingerprint for use in found}
+        if len(fingerprints) < 2:
+            return mixed_protocols(found)
+        return mixed_protocols(found, self._store.read(lambda t: t.evaluations.definitions(fingerprints)))
+
+    def _known(self, fingerprint: str) -> Protocol:
+        found = self._store.read(lambda t: t.evaluations.definitions([fingerprint]))
+        if fingerprint not in found:
+            raise NotFound(f"unknown protocol {fingerprint[:40]!r}", "slamhive protocol list shows them")
+        return found[fingerprint]
 
     def as_evaluated(self, ended: Iterable[EvaluationRecord]) -> list[RunRecord]:
         """The runs of these evaluations, in order, each with the metrics of its evaluation."""

@@ -164,8 +164,12 @@ class Evaluations:
         run_ids: Iterable[int] | None,
         asked: ProtocolRequest | str | None = None,
         artefacts: Artefacts = Artefacts.FILES,
+        *,
+        makes_current: bool = False,
     ) -> list[int]:
         """Queue an evaluation of each run, or with None of each that has none; returns the ids of the evaluations.
+
+        ``makes_current``: lists show the metrics of this protocol as soon as it has been evaluated.
 
         ``asked`` is a protocol or the name of one. None means the one that the run was submitted with, or else the
         default for its sensors, and the same for each other trajectory that the run left. Raises NotFound for an
@@ -193,7 +197,7 @@ class Evaluations:
             lambda t: [
                 evaluation_id
                 for protocol, members in by_protocol.items()
-                for evaluation_id in t.evaluations.queue(members, protocol, now, artefacts)
+                for evaluation_id in t.evaluations.queue(members, protocol, now, artefacts, makes_current=makes_current)
             ]
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 
 from slamhive.base.errors import SlamHiveError
@@ -149,7 +150,7 @@ class Missing:
             for asked in self._store.read(lambda t: t.ledger.open()):
                 new = [run for run in asked.run_ids if (run, asked.protocol.fingerprint, asked.at) not in told.asked]
                 if new:
-                    yield asked_line(AskedEvaluations(asked.protocol, asked.artefacts, asked.at, new))
+                    yield asked_line(replace(asked, run_ids=new))
 
     def _records(self, ids: list[int]) -> Iterator[ConfigurationRecord]:
         for part in _parts(ids):

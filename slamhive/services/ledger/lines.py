@@ -209,21 +209,26 @@ Key = tuple[int, str, datetime]
 
 @dataclass
 class LedgerEvaluations:
-    """All evaluations of the ledger: those ``asked`` for, with protocols, and those that have ``ended``, by run."""
+    """All evaluations of the ledger: those ``asked`` for, with protocols, and those that have ``ended``, by run.
+
+    ``asked`` holds what each leaves, and whether it makes its protocol the current one.
+    """
 
     protocols: dict[str, Protocol] = field(default_factory=dict)
-    asked: dict[Key, Artefacts] = field(default_factory=dict)
+    asked: dict[Key, tuple[Artefacts, bool]] = field(default_factory=dict)
     ended: dict[int, dict[Key, EndedEvaluation]] = field(default_factory=lambda: defaultdict(dict))
 
     def open(self) -> list[AskedEvaluations]:
         """Requested evaluations that have not ended, grouped as they were requested, oldest first."""
-        together: dict[tuple[datetime, str, Artefacts], list[int]] = defaultdict(list)
-        for (run_id, fingerprint, at), artefacts in self.asked.items():
+        together: dict[tuple[datetime, str, tuple[Artefacts, bool]], list[int]] = defaultdict(list)
+        for (run_id, fingerprint, at), how in self.asked.items():
             if (run_id, fingerprint, at) not in self.ended.get(run_id, ()):
-                together[at, fingerprint, artefacts].append(run_id)
+                together[at, fingerprint, how].append(run_id)
         return [
-            AskedEvaluations(self.protocols[fingerprint], artefacts, at, run_ids)
-            for (at, fingerprint, artefacts), run_ids in sorted(together.items(), key=lambda entry: entry[0][0])
+            AskedEvaluations(self.protocols[fingerprint], artefacts, at, run_ids, makes_current)
+            for (at, fingerprint, (artefacts, makes_current)), run_ids in sorted(
+                together.items(), key=lambda entry: entry[0][0]
+            )
         ]
 
     def of(self, run_id: int) -> list[EndedEvaluation]:
@@ -260,7 +265,8 @@ def _read(line: Line, found: LedgerEvaluations) -> None:
         asked = AskedLine.read(line)
         found.protocols[asked.protocol.fingerprint] = asked.protocol
         for run_id in asked.asked:
-            found.asked[run_id, asked.protocol.fingerprint, asked.at] = Artefacts(asked.artefacts)
+            how = (Artefacts(asked.artefacts), asked.makes_current)
+            found.asked[run_id, asked.protocol.fingerprint, asked.at] = how
         return
     ended = EndedLine.read(line)
     created_at, started_at, ended_at = ended.times

@@ -11,11 +11,13 @@ from urllib.parse import quote
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE, Metric
+from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse
+from slamhive.filters.binding import Search
 from slamhive.filters.fields import PARAMETER_PREFIX, VARIANT_PREFIX, FieldKind, Vocabulary
 from slamhive.filters.syntax import filter_text
 from slamhive.services.exports import by_protocol
 from slamhive.services.hive import Hive
-from slamhive.store.records import GroupRecord, ProtocolLabel, Repeats, RunRecord, SavedSearchRecord, Spread
+from slamhive.store.records import Count, GroupRecord, ProtocolLabel, Repeats, RunRecord, SavedSearchRecord, Spread
 from slamhive.web.columns import PINNED, ColumnKind, ListColumn, ListLook, all_columns, column, settings_of
 from slamhive.web.formatting import (
     DASH,
@@ -175,28 +177,15 @@ def with_repeats(rows: Sequence[GroupRow], columns: Sequence[GroupColumn], repea
     return [replace(row, sparks=tuple(spark(row, column) for column in columns)) for row in rows]
 
 
-def mixed_protocols(labels: Iterable[ProtocolLabel | None]) -> list[ProtocolLabel]:
-    """The protocols of a list by label, if it mixes errors of several; empty otherwise."""
-    several = {label.fingerprint: label for label in labels if label is not None}
-    return sorted(several.values(), key=lambda label: (label.label, label.fingerprint)) if len(several) > 1 else []
+def mixed_in(hive: Hive, search: Search, shown: Iterable[ProtocolUse], count: Count) -> MixedProtocols | None:
+    """The protocols of the runs that match, if their errors are not comparable.
 
-
-def protocol_warning(mixed: Sequence[ProtocolLabel]) -> str:
-    """The text before the links to each of these protocols; empty for none."""
-    if not mixed:
-        return ""
-    return f"This list mixes errors of {len(mixed)} protocols, which are not comparable. Show them under one:"
-
-
-def trajectory_warning(runs: Iterable[RunRecord]) -> str:
-    """A warning if a list mixes errors of several kinds of trajectory; empty otherwise."""
-    several = sorted({run.trajectory for run in runs if run.protocol is not None and run.trajectory is not None})
-    if len(several) < 2:
-        return ""
-    return (
-        f"This list mixes {' and '.join(kind.adjective for kind in several)} trajectories, which are not comparable. "
-        f"Filter by trajectory = {several[0]}, or evaluate under a protocol that names one."
-    )
+    Of very many runs, those on this page decide, as they do if the search names a protocol.
+    """
+    found = hive.current_protocols.mixed_among(shown)
+    if found is None or search.protocol is not None or not count.exact:
+        return found
+    return hive.current_protocols.mixed(hive.searches.run_ids(search)) or found
 
 
 def _spread_cell(metric: Metric, spread: Spread | None) -> TableCell:

@@ -10,10 +10,12 @@ from slamhive.base.errors import InvalidInput
 from slamhive.documents.api_requests import LARGEST_RUN_ID, MOST_RUNS
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.run import NotesChange, split_tags
+from slamhive.services.search_actions import MOST_OF_A_REQUEST
 from slamhive.services.sharing import SharingChange
 from slamhive.web.context import hive
 from slamhive.web.formatting import plural
 from slamhive.web.queries import filled
+from slamhive.web.views.accounts import is_own_address
 from slamhive.web.views.runs import list_address
 
 blueprint = Blueprint("selected_runs", __name__, url_prefix="/runs")
@@ -29,9 +31,29 @@ def evaluate() -> Response:
     if not runs and not request.form.get("all"):
         return _nothing_selected()
     wanted = None if request.form.get("all") else runs
-    queued = hive().evaluations.queue(wanted, request.form.get("protocol") or None)
+    protocol = request.form.get("protocol") or None
+    # A list shows one protocol of each run: the one that was just chosen. A comparison has a choice of its own.
+    shown = protocol is not None and not request.form.get("compared")
+    queued = hive().evaluations.queue(wanted, protocol, makes_current=shown)
     flash(f"{plural(len(queued), 'evaluation')} queued." if queued else "There is nothing to evaluate.", "info")
     return _to_list()
+
+
+@blueprint.post("/evaluate-together")
+def evaluate_together() -> Response:
+    """Evaluate all runs of a filter under one protocol, which lists then show. Goes back to the page that asked."""
+    hive().check_writable()
+    search = hive().searches.read(request.form.get("where", ""))
+    run_ids = hive().searches.run_ids(search)
+    if len(run_ids) > MOST_OF_A_REQUEST:
+        raise InvalidInput(
+            f"{plural(len(run_ids), 'run')} are too many for one request",
+            f"choose at most {MOST_OF_A_REQUEST}, or use slamhive evaluate --where on the server",
+        )
+    found = hive().current_protocols.together(run_ids, request.form.get("protocol", ""))
+    flash(found.words, "info")
+    back = request.form.get("back", "")
+    return make_response(redirect(back, 303)) if is_own_address(back) else _to_list()
 
 
 @blueprint.post("/retry")

@@ -1,0 +1,147 @@
+"""The one rule for runs that stand side by side: their errors compare under one protocol and one kind of trajectory."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from slamhive.domain.names import plural
+from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
+
+_FREEDOM = (
+    Alignment.NONE,
+    Alignment.SCALE,
+    Alignment.FIRST_POSE,
+    Alignment.YAW_POSITION,
+    Alignment.SE3,
+    Alignment.SIM3,
+)
+"""Alignments, from the one that moves an estimate the least."""
+_MOST_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ProtocolUse:
+    """What the errors of ``runs`` runs depend on: a protocol by fingerprint and label, and the trajectory judged."""
+
+    fingerprint: str
+    label: str
+    trajectory: TrajectoryKind | None
+    runs: int = 1
+
+    @property
+    def full_label(self) -> str:
+        """The label with the kind of the trajectory."""
+        return with_trajectory(self.label, self.trajectory)
+
+
+@dataclass(frozen=True, slots=True)
+class MixedProtocols:
+    """Runs side by side whose errors are not comparable.
+
+    ``uses`` are the protocols and kinds of trajectories, the most used first. ``common`` is the protocol that all of
+    the runs can be evaluated under, None where no protocol helps or none is known.
+    """
+
+    uses: tuple[ProtocolUse, ...]
+    common: ProtocolUse | None = None
+
+    @property
+    def words(self) -> str:
+        """The counts as a sentence: ``6 runs use Sim(3), 6 SE(3): not comparable``."""
+        return f"{self.counts}: not comparable."
+
+    @property
+    def counts(self) -> str:
+        """``6 runs use Sim(3), 6 SE(3)``; the other words of the protocols are the same."""
+        names = short_names([use.full_label for use in self.uses])
+        if self.only_trajectories:
+            kinds = [use.trajectory for use in self.uses]
+            names = ["an unstated one" if kind is None else f"the {kind.adjective} trajectory" for kind in kinds]
+        first, *others = self.uses[:_MOST_NAMED]
+        verb = "uses" if first.runs == 1 else "use"
+        told = [f"{plural(first.runs, 'run')} {verb} {names[0]}"]
+        told += [f"{use.runs} {name}" for use, name in zip(others, names[1:], strict=False)]
+        rest = sum(use.runs for use in self.uses[_MOST_NAMED:])
+        return ", ".join([*told, *([f"{rest} others"] if rest else [])])
+
+    @property
+    def only_trajectories(self) -> bool:
+        """True if one protocol judged live, final or keyframe trajectories."""
+        return len({use.fingerprint for use in self.uses}) == 1
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it, as an imperative."""
+        if self.only_trajectories:
+            return "compare runs of one kind of trajectory, or evaluate all under a protocol that names one"
+        if self.common is None:
+            return "evaluate all runs under one protocol"
+        command = f"slamhive evaluate RUNS --protocol {self.common.fingerprint} --current"
+        return f"evaluate all under {self.common_name}: {command}"
+
+    @property
+    def common_name(self) -> str:
+        """The short name of the common protocol, for a button; empty without one."""
+        if self.common is None:
+            return ""
+        labels = [use.label for use in self.uses if use.fingerprint != self.common.fingerprint]
+        return short_names([self.common.label, *labels])[0]
+
+
+def mixed_protocols(
+    uses: Iterable[ProtocolUse], definitions: Mapping[str, Protocol] | None = None
+) -> MixedProtocols | None:
+    """The protocols of runs side by side if they are not comparable; None if they are.
+
+    Args:
+        uses: What the errors of the runs depend on; runs without errors are left out.
+        definitions: {fingerprint: protocol}, from which the common one is chosen.
+    """
+    runs: Counter[ProtocolUse] = Counter()
+    for use in uses:
+        runs[replace(use, runs=0)] += use.runs
+    # A run may not say which kind its trajectory is. It then stands beside either kind.
+    stated = {use for use in runs if use.trajectory is not None}
+    groups = {use.full_label: use for use in (stated or runs)}
+    fingerprints = {use.fingerprint for use in runs}
+    if len(fingerprints) < 2 and len(groups) < 2:
+        return None
+    order = sorted(runs, key=lambda use: (-runs[use], use.full_label, use.fingerprint))
+    found = tuple(replace(use, runs=runs[use]) for use in order)
+    common = None
+    if len(fingerprints) > 1:
+        # A protocol that names a trajectory fits only the runs that left one of this kind.
+        known = [definitions[use.fingerprint] for use in found if definitions and use.fingerprint in definitions]
+        chosen = common_protocol(known)
+        common = next((use for use in found if chosen is not None and use.fingerprint == chosen.fingerprint), None)
+    return MixedProtocols(found, common)
+
+
+def common_protocol(protocols: Sequence[Protocol]) -> Protocol | None:
+    """The protocol that is fair to all runs: the one whose alignment removes the most.
+
+    A single camera does not see the scale, so its error under SE(3) says nothing. Under Sim(3) both errors mean
+    something. None if no alignment removes all that the others do.
+
+    Args:
+        protocols: Those in use, the most used first.
+    """
+    if not protocols:
+        return None
+    freest = max(protocols, key=lambda protocol: (protocol.trajectory is None, _FREEDOM.index(protocol.alignment)))
+    scales = {entry.alignment for entry in protocols} & {Alignment.SCALE, Alignment.SIM3}
+    moved = {entry.alignment for entry in protocols} - {Alignment.SCALE, Alignment.NONE}
+    return None if scales and moved and freest.alignment is not Alignment.SIM3 else freest
+
+
+def short_names(labels: Sequence[str]) -> list[str]:
+    """Each label without the words that all of them share, so that they differ and stay short."""
+    words = [label.split(", ") for label in labels]
+    shared = set.intersection(*map(set, words)) if len(set(labels)) > 1 else set()
+    short = [[word for word in entry if word not in shared] for entry in words]
+    if not all(short):  # one has all words of another, so the alignment tells them apart with what the other adds
+        short = [[entry[0], *(word for word in entry[1:] if word not in shared)] for entry in words]
+    return [", ".join(entry) for entry in short]

@@ -1,0 +1,91 @@
+"""The one rule for runs side by side: what is not comparable, in which words, and what would make it comparable."""
+
+from __future__ import annotations
+
+import pytest
+
+from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, common_protocol, mixed_protocols, short_names
+from slamhive.domain.trajectory_kind import TrajectoryKind
+
+SE3, SIM3 = Protocol(Alignment.SE3), Protocol(Alignment.SIM3)
+KNOWN = {protocol.fingerprint: protocol for protocol in (SE3, SIM3)}
+
+
+def use(protocol: Protocol, runs: int, trajectory: TrajectoryKind | None = None) -> ProtocolUse:
+    return ProtocolUse(protocol.fingerprint, protocol.label, trajectory, runs)
+
+
+def mixed(*uses: ProtocolUse) -> MixedProtocols:
+    found = mixed_protocols(uses, KNOWN)
+    assert found is not None
+    return found
+
+
+def test_runs_under_one_protocol_are_comparable():
+    assert mixed_protocols([use(SE3, 3), use(SE3, 4)], KNOWN) is None
+    assert mixed_protocols([], KNOWN) is None
+
+
+def test_a_mix_says_how_many_use_what_and_offers_the_freer_alignment():
+    found = mixed(use(SIM3, 4), use(SIM3, 2), use(SE3, 6))
+    assert found.words == "6 runs use SE(3), 6 Sim(3): not comparable."
+    assert found.common == use(SIM3, 6)
+    assert found.common_name == "Sim(3)"
+    assert found.remedy.endswith(f"slamhive evaluate RUNS --protocol {SIM3.fingerprint} --current")
+
+
+def test_the_most_used_comes_first_and_one_run_is_singular():
+    assert mixed(use(SIM3, 1), use(SE3, 7)).words == "7 runs use SE(3), 1 Sim(3): not comparable."
+    assert mixed_protocols([use(SIM3, 1), use(SE3, 1)]) is not None
+    assert mixed(use(SE3, 1), use(SIM3, 1)).words.startswith("1 run uses ")
+
+
+def test_live_and_final_trajectories_are_not_comparable_under_one_protocol():
+    found = mixed(use(SE3, 5, TrajectoryKind.LIVE), use(SE3, 6, TrajectoryKind.FINAL))
+    assert found.only_trajectories
+    assert found.common is None
+    assert found.words == "6 runs use the final trajectory, 5 the live trajectory: not comparable."
+
+
+def test_a_run_that_does_not_say_its_kind_stands_beside_either():
+    assert mixed_protocols([use(SE3, 5, TrajectoryKind.LIVE), use(SE3, 6)]) is None
+
+
+def test_a_protocol_that_names_its_trajectory_settles_the_kind():
+    named = Protocol(Alignment.SE3, trajectory=TrajectoryKind.LIVE)
+    assert mixed_protocols([use(named, 2, TrajectoryKind.FINAL), use(named, 2, TrajectoryKind.LIVE)]) is None
+
+
+@pytest.mark.parametrize(
+    ("alignments", "common"),
+    [
+        ("se3 sim3", "sim3"),
+        ("yaw_position se3", "se3"),
+        ("none first_pose yaw_position", "yaw_position"),
+        ("scale none", "scale"),
+        ("scale sim3", "sim3"),
+        ("scale se3", None),  # neither removes what the other does
+    ],
+)
+def test_the_common_protocol_removes_what_every_other_does(alignments: str, common: str | None):
+    chosen = common_protocol([Protocol(Alignment(name)) for name in alignments.split()])
+    assert (None if chosen is None else chosen.alignment) == common
+
+
+def test_of_equal_alignments_the_most_used_protocol_is_common():
+    other = Protocol(Alignment.SIM3, association_tolerance_s=0.02)
+    assert common_protocol([SE3, other, SIM3]) == other
+
+
+def test_names_drop_the_words_that_all_share():
+    other = Protocol(Alignment.SE3, association_tolerance_s=0.02)
+    assert short_names([SIM3.label, SE3.label]) == ["Sim(3)", "SE(3)"]
+    assert short_names([SIM3.label, other.label]) == ["Sim(3), association 0.01 s", "SE(3), association 0.02 s"]
+    assert short_names([SE3.label, f"{SE3.label}, live trajectory"]) == ["SE(3)", "SE(3), live trajectory"]
+
+
+def test_many_protocols_are_counted_and_not_named():
+    others = [Protocol(Alignment.SE3, association_tolerance_s=0.1 * number) for number in range(1, 6)]
+    words = mixed(*(use(protocol, 10 - place) for place, protocol in enumerate(others))).words
+    assert words.endswith("13 others: not comparable.")

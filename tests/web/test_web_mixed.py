@@ -1,0 +1,112 @@
+"""Runs side by side under several protocols: one banner on each page, whose button brings them under one."""
+
+from __future__ import annotations
+
+import re
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+from slamhive.base.settings import Mode
+from slamhive.domain.protocol import Alignment, Protocol
+from tests.web import web_world as world
+from tests.web.web_world import PROTOCOL, Web
+
+pytestmark = pytest.mark.quick
+
+SIM3 = Protocol(Alignment.SIM3)
+BANNER = re.compile(r"<div class=\"alert alert-warning mixed\".*?</div>", re.DOTALL)
+
+
+def mix(web: Web) -> tuple[list[int], list[int]]:
+    """Two runs under Sim(3) and three under SE(3), counting the one that is there."""
+    mono, stereo = world.add_runs(web.hive, 2, "eye-slam-mono"), world.add_runs(web.hive, 2)
+    for runs, protocol in ((mono, SIM3), (stereo, PROTOCOL)):
+        for run in runs:
+            world.finish_run(web.hive, run)
+            world.evaluate_run(web.hive, run, protocol=protocol)
+    return mono, [web.runs["done"], *stereo]
+
+
+def banner(web: Web, address: str) -> str:
+    found = BANNER.search(web.client.get(address).text)
+    return "" if found is None else found[0]
+
+
+def press(web: Web, text: str, **changed: str) -> str:
+    """Press the button of a banner; the address that it leads to."""
+    fields = dict(re.findall(r'name="(\w+)" value="([^"]*)"', text)) | changed
+    data = {name: unescape(value) for name, value in fields.items()}
+    action = re.search(r'action="([^"]+)"', text)
+    assert action is not None
+    answer = web.client.post(action[1], data=data)
+    assert answer.status_code == 303, answer.text
+    return str(answer.location)
+
+
+def test_a_list_says_how_many_use_what_and_offers_the_protocol_that_fits_all(web: Web) -> None:
+    _, stereo = mix(web)
+    for address in ("/runs", "/runs?group=configuration", "/runs?where=id > 0&sort=ate.rmse"):
+        text = banner(web, address)
+        assert "3 runs use SE(3), 2 Sim(3): not comparable." in text, address
+        assert "Evaluate all under Sim(3)</button>" in text
+    assert banner(web, "/runs?where=algorithm = eye-slam-mono") == ""
+    target = press(web, banner(web, "/runs?sort=ate.rmse"))
+    assert target == "/runs?sort=ate.rmse"
+    assert "4 evaluations queued" in web.client.get(target).text
+    waiting = {entry.run_id: entry.protocol for entry in web.hive.evaluations.waiting()}
+    assert waiting == dict.fromkeys([*stereo, web.runs["bare"]], SIM3)
+
+
+def test_the_new_results_are_shown_as_soon_as_they_are_there(web: Web) -> None:
+    _, stereo = mix(web)
+    press(web, banner(web, "/runs"))
+    for run in [*stereo, web.runs["bare"]]:
+        world.evaluate_run(web.hive, run, 0.02, protocol=SIM3)
+    assert banner(web, "/runs") == ""
+    shown = {web.hive.runs.get(run).protocol for run in stereo}
+    assert {label.fingerprint for label in shown if label is not None} == {SIM3.fingerprint}
+
+
+def test_runs_that_have_the_protocol_already_are_switched_without_an_evaluation(web: Web) -> None:
+    _, stereo = mix(web)
+    for run in stereo:
+        world.evaluate_run(web.hive, run, protocol=SIM3)
+    assert banner(web, "/runs") != ""
+    press(web, banner(web, "/runs"))
+    assert banner(web, "/runs") == ""
+
+
+def test_selected_runs_are_evaluated_under_the_chosen_protocol_which_lists_then_show(web: Web) -> None:
+    _, stereo = mix(web)
+    page = web.client.get("/runs").text
+    assert re.search(r'<select name="protocol".*?<option value="sim3">Sim\(3\)', page, re.DOTALL)
+    web.client.post("/runs/evaluate", data={"csrf_token": web.token, "run": stereo, "protocol": "sim3"})
+    assert {entry.protocol for entry in web.hive.evaluations.waiting()} == {SIM3}
+    for run in stereo:
+        world.evaluate_run(web.hive, run, 0.02, protocol=SIM3)
+    assert [run.protocol and run.protocol.label.partition(",")[0] for run in map(web.hive.runs.get, stereo)] == (
+        ["Sim(3)"] * 3
+    )
+
+
+def test_the_button_never_leads_to_another_server_and_names_a_bad_protocol(web: Web) -> None:
+    mix(web)
+    text = banner(web, "/runs")
+    assert press(web, text, back="//example.org/x") == "/runs"
+    data = {"csrf_token": web.token, "where": "", "protocol": "0123456789ab", "back": "/runs"}
+    answer = web.client.post("/runs/evaluate-together", data=data)
+    assert answer.status_code == 404
+    assert "Unknown protocol &#39;0123456789ab&#39;" in answer.text
+    assert web.client.post("/runs/evaluate-together", data={**data, "csrf_token": ""}).status_code == 400
+
+
+def test_a_view_only_server_says_it_without_a_button(web: Web, compiled: Path) -> None:
+    mix(web)
+    web.hive.close()
+    reading = world.make_web(world.make_hive(web.hive.settings.data.parent, Mode.VIEW_ONLY), compiled)
+    text = banner(reading, "/runs")
+    assert "not comparable" in text
+    assert "<form" not in text
+    reading.hive.close()
