@@ -24,7 +24,7 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class ProtocolUse:
-    """What the errors of ``runs`` runs depend on: a protocol by fingerprint and label, and the trajectory judged."""
+    """Protocol of the errors of ``runs`` runs, by fingerprint and label, and the trajectory that was judged."""
 
     fingerprint: str
     label: str
@@ -74,7 +74,7 @@ class MixedProtocols:
 
     @property
     def remedy(self) -> str:
-        """What to do about it, as an imperative."""
+        """The way out, as an imperative."""
         if self.only_trajectories:
             return "compare runs of one kind of trajectory, or evaluate all under a protocol that names one"
         if self.common is None:
@@ -97,7 +97,7 @@ def mixed_protocols(
     """The protocols of runs side by side if they are not comparable; None if they are.
 
     Args:
-        uses: What the errors of the runs depend on; runs without errors are left out.
+        uses: Protocols and trajectories of the runs; runs without errors are left out.
         definitions: {fingerprint: protocol}, from which the common one is chosen.
     """
     runs: Counter[ProtocolUse] = Counter()
@@ -142,6 +142,6 @@ def short_names(labels: Sequence[str]) -> list[str]:
     words = [label.split(", ") for label in labels]
     shared = set.intersection(*map(set, words)) if len(set(labels)) > 1 else set()
     short = [[word for word in entry if word not in shared] for entry in words]
-    if not all(short):  # one has all words of another, so the alignment tells them apart with what the other adds
+    if not all(short):  # one has all words of another, so the alignment is named too
         short = [[entry[0], *(word for word in entry[1:] if word not in shared)] for entry in words]
     return [", ".join(entry) for entry in short]

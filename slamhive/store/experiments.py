@@ -13,6 +13,7 @@ from sqlalchemy import ColumnElement, ScalarSelect, and_, func, insert, or_, sel
 from slamhive.base.errors import Conflict, unknown
 from slamhive.domain.accounts import Sharing
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.verdict import VerdictKind
 from slamhive.store.changes import changes_of
 from slamhive.store.metrics import CODES, VERDICT, MetricRepository, kind_of
@@ -405,12 +406,18 @@ class ExperimentValues(Repository):
     """Values that rank the configurations of an experiment. Runs that another run has replaced do not count."""
 
     def samples(self, experiment_id: int, metric: str) -> list[CellSample]:
-        """Of each cell, under the current protocols of its good runs."""
+        """Of each cell, under the current protocols of its good runs.
+
+        If both live and final trajectories were judged, they are apart, and the labels name them.
+        """
         verdict = _FIGURES.alias("verdict")
         is_verdict = and_(
             verdict.c.run_id == _RUNS.c.id, verdict.c.metric_id == _id_of(VERDICT), verdict.c.is_current == 1
         )
         value = _FIGURES.c.value
+        evaluated = (_RUNS.c.experiment_id == experiment_id, _RUNS.c.current_protocol_id.is_not(None))
+        stated = select(_RUNS.c.trajectory).where(*evaluated, _RUNS.c.trajectory.is_not(None)).distinct()
+        kinds = [_RUNS.c.trajectory] if len(self._column(stated)) > 1 else []
         query = (
             select(
                 _RUNS.c.cell,
@@ -419,6 +426,7 @@ class ExperimentValues(Repository):
                 func.count(),
                 func.avg(value),
                 func.avg(value * value),
+                *kinds,
             )
             .join_from(_RUNS, _FIGURES, _FIGURES.c.run_id == _RUNS.c.id)
             .join(ProtocolRow, ProtocolRow.id == _FIGURES.c.protocol_id)
@@ -427,11 +435,17 @@ class ExperimentValues(Repository):
             .where(_FIGURES.c.metric_id == _id_of(metric), _FIGURES.c.is_current == 1)
             .where(or_(verdict.c.value.is_(None), verdict.c.value <= CODES[VerdictKind.GOOD]))
             .where(~retried_runs(experiment_id))
-            .group_by(_RUNS.c.cell, ProtocolRow.fingerprint, ProtocolRow.label)
+            .group_by(_RUNS.c.cell, ProtocolRow.fingerprint, ProtocolRow.label, *kinds)
         )
         return [
-            CellSample(cell, ProtocolLabel(fingerprint, label), n, mean, sample_variance(n, mean, square))
-            for cell, fingerprint, label, n, mean, square in self._connection.execute(query)
+            CellSample(
+                cell,
+                ProtocolLabel(fingerprint, with_trajectory(label, kind[0] if kind else None)),
+                n,
+                mean,
+                sample_variance(n, mean, square),
+            )
+            for cell, fingerprint, label, n, mean, square, *kind in map(tuple, self._connection.execute(query))
         ]
 
     def judged_runs(self, experiment_id: int, cells: Sequence[int], most: int) -> dict[int, list[int]]:

@@ -257,7 +257,7 @@ class RunRecord(RunOptions):
 
 
 def protocol_uses(runs: Iterable[RunRecord]) -> list[ProtocolUse]:
-    """What the errors of these runs depend on; runs without errors are left out."""
+    """The protocols and trajectories behind the errors of these runs; runs without errors are left out."""
     return [
         ProtocolUse(run.protocol.fingerprint, run.protocol.label, run.trajectory)
         for run in runs

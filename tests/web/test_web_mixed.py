@@ -91,6 +91,22 @@ def test_selected_runs_are_evaluated_under_the_chosen_protocol_which_lists_then_
     )
 
 
+def test_a_comparison_and_the_editor_of_analyses_say_the_same(web: Web) -> None:
+    mono, stereo = mix(web)
+    runs = ",".join(map(str, [*mono, *stereo]))
+    text = banner(web, f"/compare?runs={runs}")
+    assert "3 runs use SE(3), 2 Sim(3): not comparable." in text
+    assert press(web, text).startswith("/compare?runs=")
+    assert banner(web, f"/compare?runs={','.join(map(str, stereo))}") == ""
+    assert "3 runs use SE(3), 2 Sim(3): not comparable." in banner(web, "/analyses/new")
+    yaml = f"name: both\nselect: {{runs: {{runs: [{runs}]}}}}\nforms: [{{form: by_algorithm}}]\n"
+    answer = web.client.post("/analyses/check", data={"csrf_token": web.token, "yaml": yaml}).get_json()
+    assert (answer["ok"], answer["message"]) == (False, "both: 3 runs use SE(3), 2 Sim(3): not comparable.")
+    named = yaml + f"protocol: {SIM3.fingerprint}\n"
+    answer = web.client.post("/analyses/check", data={"csrf_token": web.token, "yaml": named}).get_json()
+    assert answer["message"] == "both: valid."
+
+
 def test_the_button_never_leads_to_another_server_and_names_a_bad_protocol(web: Web) -> None:
     mix(web)
     text = banner(web, "/runs")

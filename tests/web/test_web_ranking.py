@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import partial
 
 import pytest
+from sqlalchemy import Update, update
 
+from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource, RankedCell, Ranking
 from slamhive.services.experiments.ranking import BEST, WORST
+from slamhive.store import Transaction
+from slamhive.store.models import RunRow
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
@@ -194,3 +200,60 @@ def test_the_grid_shows_a_metric_as_a_heat_map_under_one_protocol(web: Web) -> N
     assert 'class="heat-6"' in page
     assert "1 failed" in page
     assert web.client.get("/experiments/ranked?metric=magic").status_code == 404
+
+
+def test_configurations_under_several_protocols_are_all_listed_and_none_has_a_place(web: Web) -> None:
+    start(web, (500, 600, 700), repeats=2)
+    end(web, 1, (0.1, 0.11))
+    end(web, 2, (0.2, 0.21))
+    (cell,) = web.hive.experiments.cells("ranked", 2, 1).cells
+    sim3 = Protocol(Alignment.SIM3)
+    for run in cell.runs:
+        world.finish_run(web.hive, run.id)
+        world.evaluate_run(web.hive, run.id, 0.01, protocol=sim3)
+    found = ranked(web)
+    assert order(found.best) == [(1, None), (2, None), (3, None)]
+    assert (found.waiting, found.other_runs) == (0, 2)
+    page = web.client.get("/experiments/ranked").text
+    text = section(web)
+    assert "no run has been evaluated" not in text
+    assert "2 of 2 under Sim(3)" in text
+    assert "4 runs use SE(3), 2 Sim(3): not comparable." in page
+    assert "Evaluate all under Sim(3)</button>" in page
+    assert "No answer: errors under several protocols" in page
+    for number in (1, 2):
+        (cell,) = web.hive.experiments.cells("ranked", number - 1, 1).cells
+        for run in cell.runs:
+            world.evaluate_run(web.hive, run.id, 0.1 * number, protocol=sim3)
+    web.hive.current_protocols.together(web.hive.searches.find("experiment = ranked"), sim3.fingerprint)
+    assert [place for _, place in order(ranked(web).best)] == [1, 2, 3]
+
+
+def _execute(change: Update, t: Transaction) -> None:
+    t.runs._connection.execute(change)
+
+
+def test_live_and_final_trajectories_have_no_common_order(web: Web) -> None:
+    start(web, (500, 600), repeats=2)
+    end(web, 1, (0.1, 0.11))
+    end(web, 2, (0.2, 0.21))
+    for number, kind in ((1, TrajectoryKind.LIVE), (2, TrajectoryKind.FINAL)):
+        (cell,) = web.hive.experiments.cells("ranked", number - 1, 1).cells
+        runs = RunRow.__table__
+        change = update(runs).where(runs.c.id.in_([run.id for run in cell.runs])).values(trajectory=kind)
+        web.hive.store.write(partial(_execute, change))
+    assert [place for _, place in order(ranked(web).best)] == [None, None]
+    page = web.client.get("/experiments/ranked").text
+    assert "2 runs use the final trajectory, 2 the live trajectory: not comparable." in page
+
+
+def test_runs_that_were_evaluated_without_a_value_are_not_called_unevaluated(web: Web) -> None:
+    start(web, (500, 600), repeats=2)
+    end(web, 1, (0.1, 0.11))
+    (cell,) = web.hive.experiments.cells("ranked", 1, 1).cells
+    for run in cell.runs:
+        world.finish_run(web.hive, run.id)
+        world.evaluate_run(web.hive, run.id, None)
+    text = section(web)
+    assert "1 configuration evaluated without ATE RMSE" in text
+    assert "no run has been evaluated" not in text

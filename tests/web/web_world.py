@@ -215,10 +215,11 @@ def write_usage(folder: RunFolder) -> None:
 
 
 def evaluate_run(
-    hive: Hive, run_id: int, ate_m: float = 0.04567, *, reason: str | None = None, protocol: Protocol = PROTOCOL
+    hive: Hive, run_id: int, ate_m: float | None = 0.04567, *, reason: str | None = None, protocol: Protocol = PROTOCOL
 ) -> None:
     """File an evaluation of the run, with its files."""
-    figures = {} if reason else {"ate.rmse": ate_m, "ate.max": 3 * ate_m, "rpe.rmse": 0.01, "tracked_fraction": 0.98}
+    errors_m = {} if ate_m is None else {"ate.rmse": ate_m, "ate.max": 3 * ate_m, "rpe.rmse": 0.01}
+    figures = {} if reason else {**errors_m, "tracked_fraction": 0.98}
     result = EvaluationResult(str(run_id), protocol.fingerprint, reason, figures, 400, 398, "evo 1.0")
 
     def work(transaction: Transaction) -> None:

@@ -76,6 +76,14 @@ class AnalysisService:
         )
         return analysis.name
 
+    def mixed_runs(self, text: str) -> tuple[int, ...]:
+        """The runs of an analysis that takes the current errors of each run; none if it names a protocol.
+
+        Raises as :meth:`read` and :meth:`compute`.
+        """
+        analysis = self.read(text)
+        return () if analysis.protocol is not None else self._selected(analysis)
+
     def read_file(self, path: Path, ids: Mapping[str, str] | None = None) -> Analysis:
         """The same from a file."""
         return self.read(read_text(path), str(path), ids)

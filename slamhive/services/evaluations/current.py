@@ -26,7 +26,7 @@ from slamhive.store.records import EvaluationRecord, EvaluationState, ProtocolLa
 
 @dataclass(frozen=True, slots=True)
 class Together:
-    """What brought runs under one protocol.
+    """Result of bringing runs under one protocol.
 
     Attributes:
         switched: How many had metrics under it, which lists show now.
@@ -40,7 +40,7 @@ class Together:
 
     @property
     def words(self) -> str:
-        """What was done, in one or two sentences."""
+        """The result in one or two sentences."""
         parts = []
         if self.queued:
             parts.append(f"{plural(len(self.queued), 'evaluation')} queued; their errors replace those shown here.")

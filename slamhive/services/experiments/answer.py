@@ -146,6 +146,9 @@ def answer_on(dataset: str, entries: RankEntries, names: Mapping[int, str]) -> D
     """The answer on one dataset. ``names``: {cell: what it is compared as}; the first cell of a name stands for it."""
     competitors = _competitors(entries, names)
     waiting = list(dict.fromkeys(name for number in entries.waiting if (name := names[number]) not in competitors))
+    if entries.other_runs:
+        text = "No answer: errors under several protocols, or of live and final trajectories, are not comparable."
+        return DatasetAnswer(dataset, Certainty.OPEN, (), None, None, text)
     good = {name: entry for name, entry in competitors.items() if entry.good is not None}
     if not good:
         lost = sum(entry.lost for entry in entries.ended)

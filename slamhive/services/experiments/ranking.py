@@ -30,7 +30,8 @@ class RankedCell:
     """A configuration. ``place`` is None with fewer than two good runs.
 
     ``runs`` are those that succeeded or failed and were not replaced by another run. ``lost`` of them failed or were
-    cancelled. ``good`` have a value under the protocol of the ranking; None if it has none.
+    cancelled. ``good`` have a value under the protocol of the ranking; None if it has none. ``other`` are then good
+    runs under another protocol, or with another kind of trajectory.
     """
 
     place: int | None
@@ -39,14 +40,17 @@ class RankedCell:
     lost: int
     total: int
     runs: tuple[RunRecord, ...]
+    other: CellSample | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Ranking:
     """The configurations on one dataset.
 
-    ``protocol`` is that of the most good runs; ``other_runs`` good runs have another one and are left out. Between
-    ``best`` and ``worst``, ``between`` configurations are left out. Of ``waiting``, no run has ended.
+    ``protocol`` is that of the most good runs; ``other_runs`` good runs have another one. If there are any, no
+    configuration has a place: their errors are not comparable. Between ``best`` and ``worst``, ``between``
+    configurations are left out. Of ``waiting``, no run has been evaluated or has failed. ``without`` have been
+    evaluated, without a value.
     """
 
     dataset: str
@@ -56,16 +60,21 @@ class Ranking:
     between: int
     waiting: int
     other_runs: int
+    without: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class RankEntry:
-    """A configuration by number: its good runs under the protocol of the ranking, and failed or cancelled ones."""
+    """A configuration by number: its good runs under the protocol of the ranking, and failed or cancelled ones.
+
+    ``other``: good runs under another protocol, where there are none under that of the ranking.
+    """
 
     number: int
     good: CellSample | None
     lost: int
     total: int
+    other: CellSample | None = None
 
     @property
     def ranked(self) -> bool:
@@ -74,19 +83,24 @@ class RankEntry:
 
     @property
     def key(self) -> tuple[int, int, float, int]:
-        """Configurations with a place come first, then those with one good run, then those without."""
-        n, mean = (0, 0.0) if self.good is None else (self.good.n, self.good.mean)
-        return -min(n, 2), self.lost, mean, self.number
+        """Configurations with a place come first, then those with one good run, of another protocol, and with none."""
+        if self.good is None:
+            return int(self.other is None), self.lost, 0.0, self.number
+        return -min(self.good.n, 2), self.lost, self.good.mean, self.number
 
 
 @dataclass(frozen=True, slots=True)
 class RankEntries:
-    """The configurations on one dataset, as :class:`Ranking`: ``ended`` in order, the numbers of ``waiting`` ones."""
+    """The configurations on one dataset, as :class:`Ranking`: ``ended`` in order, the numbers of ``waiting`` ones.
+
+    ``without`` are the numbers of those that were evaluated without a value; they are among those that wait.
+    """
 
     protocol: ProtocolLabel | None
     other_runs: int
     ended: list[RankEntry]
     waiting: list[int]
+    without: frozenset[int] = frozenset()
 
 
 def rankings(t: Transaction, record: ExperimentRecord, table: AxisTable, *, by_algorithm: bool) -> list[Ranking]:
@@ -130,6 +144,7 @@ def _entries(numbers: Sequence[int], samples: Mapping[int, Sequence[CellSample]]
             weights[sample.protocol] += sample.n
     protocol = weights.most_common(1)[0][0] if weights else None
     entries = []
+    evaluated: set[int] = set()
     for number in numbers:
         good = next((sample for sample in samples.get(number, ()) if sample.protocol == protocol), None)
         phases: Counter[Outcome] = Counter()
@@ -142,19 +157,23 @@ def _entries(numbers: Sequence[int], samples: Mapping[int, Sequence[CellSample]]
                 good,
                 phases[Outcome.FAILED] + phases[Outcome.LOST] + phases[Outcome.CANCELLED],
                 phases.total(),
+                next(iter(samples.get(number, ())), None) if good is None else None,
             )
         )
-    ended = sorted((entry for entry in entries if entry.good is not None or entry.lost), key=lambda entry: entry.key)
-    waiting = [entry.number for entry in entries if entry.good is None and not entry.lost]
+        if phases[Outcome.GOOD]:
+            evaluated.add(number)
+    ended = [entry for entry in entries if entry.good is not None or entry.other is not None or entry.lost]
+    waiting = [entry.number for entry in entries if entry not in ended]
     others = weights.total() - (weights[protocol] if protocol else 0)
-    return RankEntries(protocol, others, ended, waiting)
+    without = frozenset(evaluated.intersection(waiting))
+    return RankEntries(protocol, others, sorted(ended, key=lambda entry: entry.key), waiting, without)
 
 
 def _ranking(t: Transaction, experiment_id: int, dataset: str, entries: RankEntries) -> Ranking | None:
     order = entries.ended
     if not order:
         return None
-    places = _places(order)
+    places = _places(() if entries.other_runs else order)
     few = len(order) <= BEST + WORST
     shown = order if few else [*order[:BEST], *order[-WORST:]]
     numbers = [entry.number for entry in shown]
@@ -165,18 +184,21 @@ def _ranking(t: Transaction, experiment_id: int, dataset: str, entries: RankEntr
     }
     ranked = tuple(
         RankedCell(
-            places[entry.number],
+            places.get(entry.number),
             cells[entry.number],
             entry.good,
             entry.lost,
             entry.total,
             tuple(records[run] for run in runs.get(entry.number, ())),
+            entry.other,
         )
         for entry in shown
     )
     best, worst = (ranked, ()) if few else (ranked[:BEST], ranked[BEST:])
     between = len(order) - len(shown)
-    return Ranking(dataset, entries.protocol, best, worst, between, len(entries.waiting), entries.other_runs)
+    without = len(entries.without.intersection(entries.waiting))
+    waiting = len(entries.waiting) - without
+    return Ranking(dataset, entries.protocol, best, worst, between, waiting, entries.other_runs, without)
 
 
 def _places(order: Iterable[RankEntry]) -> dict[int, int | None]:

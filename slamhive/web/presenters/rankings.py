@@ -10,6 +10,7 @@ from statistics import fmean
 from slamhive.analysis.chart import algorithm_colours
 from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.domain.parameters import Value
+from slamhive.domain.side_by_side import short_names
 from slamhive.domain.trust import TrustLevel
 from slamhive.services.experiments import RANKED_BY, ExperimentStatus, RankedCell, Ranking
 from slamhive.services.hive import Hive
@@ -148,7 +149,9 @@ def _notes(ranking: Ranking) -> Iterable[str]:
     if ranking.waiting:
         yield f"of {plural(ranking.waiting, 'configuration')}, no run has been evaluated or has failed yet"
     if ranking.other_runs:
-        yield f"{plural(ranking.other_runs, 'good run')} under other protocols are left out"
+        yield f"{plural(ranking.other_runs, 'good run')} of another protocol or trajectory, so nothing has a place"
+    if ranking.without:
+        yield f"{plural(ranking.without, 'configuration')} evaluated without {CATALOGUE[RANKED_BY].label}"
 
 
 def _row(
@@ -159,10 +162,14 @@ def _row(
     values = _values(ranked, ranking)
     failed = _failed(ranked)
     good = [run for run, _ in values]
-    n = 0 if ranked.good is None else ranked.good.n
+    counted = ranked.good or ranked.other
+    n = 0 if counted is None else counted.n
+    under = ""
+    if ranked.good is None and ranked.other is not None and ranking.protocol is not None:
+        under = f" under {short_names([ranked.other.protocol.label, ranking.protocol.label])[0]}"
     name = configuration_name(ranked.cell.values, axes) or ranked.cell.name
     texts = [significant(value * shown.factor, 3) for _, value in values]
-    drawn = f"{shown.unit}: {', '.join(texts)}" if texts else "no good run"
+    drawn = f"{shown.unit}: {', '.join(texts)}" if texts else "no good run of this protocol" if under else "no good run"
     beside = []
     for key in BESIDE:
         measured = [run.metrics[key] for run in good if run.metrics and key in run.metrics]
@@ -183,7 +190,7 @@ def _row(
             for run, place in zip(failed, failure_places(len(failed)), strict=False)
         ),
         mean=_mean(metric, ranked),
-        good=f"{thousands(n)} of {thousands(ranked.total)}",
+        good=f"{thousands(n)} of {thousands(ranked.total)}{under}",
         failed=ranked.lost,
         beside=tuple(beside),
         trust=_trust(good),
@@ -202,6 +209,7 @@ def _values(ranked: RankedCell, ranking: Ranking) -> list[tuple[RunRecord, float
         and run.protocol is not None
         and ranking.protocol is not None
         and run.protocol.fingerprint == ranking.protocol.fingerprint
+        and (not ranking.other_runs or run.protocol.label == ranking.protocol.label)
         and run.verdict is not None
         and not run.verdict.failed
     ]

@@ -13,6 +13,7 @@ from slamhive.base.errors import Forbidden, InvalidInput, NotFound, SlamHiveErro
 from slamhive.base.settings import Mode
 from slamhive.domain.accounts import Action, Visibility
 from slamhive.domain.bibliography import bibtex
+from slamhive.services.search_actions import MOST_OF_A_REQUEST
 from slamhive.services.sharing import SharingChange
 from slamhive.services.stored_analyses import (
     FIGURES,
@@ -84,7 +85,25 @@ def check() -> Response:
         found = _LINE.search(error.message)
         line = int(found[1]) if found else None
         return make_response(jsonify(ok=False, message=error.message, remedy=error.remedy, line=line, plots=plots))
+    mixed = _mixed(text)["mixed"]
+    if mixed is not None:
+        words, remedy = f"{name}: {mixed.words}", mixed.remedy
+        return make_response(jsonify(ok=False, message=words, remedy=remedy, line=None, plots=plots))
     return make_response(jsonify(ok=True, message=f"{name}: valid.", remedy=None, line=None, plots=plots))
+
+
+def _mixed(text: str) -> dict[str, Any]:
+    """The protocols of the runs of an analysis if no plot may draw their errors together, and the filter of the runs.
+
+    Very many runs have no filter: their numbers would make the page too large.
+    """
+    try:
+        runs = hive().analyses.mixed_runs(text)
+    except SlamHiveError:
+        runs = ()  # the selection has a fault of its own, which the check or the report names
+    found = hive().current_protocols.mixed(runs)
+    where = f"id in ({', '.join(map(str, runs))})" if len(runs) <= MOST_OF_A_REQUEST else None
+    return {"mixed": None if found is None or found.only_trajectories else found, "where": where}
 
 
 @blueprint.post("/previews")
@@ -256,6 +275,7 @@ def _editor(
         offered=offered,
         taken=_taken(),
         most_bytes=MAX_TEXT_BYTES,
+        **_mixed(text),
     )
 
 
@@ -273,7 +293,8 @@ def _checked(text: str) -> Response:
         name = hive().stored_analyses.check(text)
     except InvalidInput as error:
         return make_response(_editor(text, error), status_of(error))
-    return make_response(_editor(text, notice=f"{name}: valid."))
+    mixed = _mixed(text)["mixed"]
+    return make_response(_editor(text, notice=f"{name}: {mixed.words if mixed else 'valid.'}"))
 
 
 def _text() -> str:

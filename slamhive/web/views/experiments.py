@@ -19,6 +19,7 @@ from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.executors.registry import EXECUTORS
 from slamhive.experiments.file import parse_experiment
+from slamhive.filters.syntax import FilterComparison, Sign, Word, filter_text
 from slamhive.services.experiments import (
     METRICS,
     ConfigurationStanding,
@@ -99,6 +100,8 @@ def show(name: str) -> str:
         failing=experiments.is_failing(status),
         answer=experiments.answer(name) if small else None,
         question=question(status.description, stated_values(parse_experiment(experiments.source(name).text))),
+        mixed=hive().current_protocols.mixed(hive().searches.find(_where(name))) if small else None,
+        where=_where(name),
         tab=tab,
         tabs=TABS,
         **_TAB_WORDS[tab](status),
@@ -106,6 +109,11 @@ def show(name: str) -> str:
 
 
 TABS = {"ranking": "Ranking", "grid": "Grid", "runs": "Runs", "report": "Report", "setup": "Setup"}
+
+
+def _where(name: str) -> str:
+    """The filter of the runs of an experiment."""
+    return filter_text(FilterComparison(Word("experiment"), Sign.EQUAL, (Word(name),)))
 
 
 def _tab(args: MultiDict[str, str], status: ExperimentStatus) -> str:
