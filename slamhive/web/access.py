@@ -69,7 +69,9 @@ RULES = {
         ),
         AccessRule(change=Action.SUBMIT),
     ),
-    **dict.fromkeys(("configurations", "dashboard", "datasets", "experiment_builder", "experiments", "help"), STANDARD),
+    **dict.fromkeys(
+        ("configurations", "dashboard", "datasets", "experiment_builder", "experiments", "help", "imports"), STANDARD
+    ),
     **dict.fromkeys(("finding", "public_datasets", "questions", "run_plots", "runs", "searches"), STANDARD),
     **dict.fromkeys(("scenes", "search_actions", "selected_runs", "start", "trash"), STANDARD),
     "analyses.create": AccessRule(change=Action.ANALYSE),

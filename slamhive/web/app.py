@@ -48,6 +48,7 @@ from slamhive.web.views import (
     dashboard,
     datasets,
     experiments,
+    imports,
     nodes,
     questions,
     run_plots,
@@ -64,6 +65,7 @@ MOST_UPLOAD_BYTES = 1_000_000
 BODY_LIMITS = {
     **{f"{api.blueprint.name}.{name}": most for name, most in api.TABLE.body_limits.items()},
     f"{challenges.blueprint.name}.submit": MOST_SENT_BYTES,
+    f"{imports.blueprint.name}.look": imports.MOST_SENT_BYTES,
 }
 """{endpoint: the most bytes of its body}, where that is more than :data:`MOST_UPLOAD_BYTES`."""
 MOST_STREAMS = 8
@@ -91,6 +93,7 @@ _BLUEPRINTS = (
     search.blueprint,
     search.finding_blueprint,
     analyses.blueprint,
+    imports.blueprint,
     help_pages.blueprint,
     api.blueprint,
     api_docs.blueprint,

@@ -23,7 +23,11 @@ FOR_EVERYBODY = {
     *("static", "bootstrap.static", "assets.plotly_js", "dashboard.health"),
     *("accounts.form", "accounts.sign_in"),
 }
-FOR_ADMINS = {"administration.accounts", "administration.audit"}
+FOR_ADMINS = {
+    *("administration.accounts", "administration.audit", "administration.add_account", "administration.change_role"),
+    *("administration.replace_password", "administration.disable_account", "administration.enable_account"),
+    "administration.revoke_any_token",
+}
 CHANGED_BY_ADMINS = {
     "trash.empty",
     "api.empty_trash",

@@ -91,7 +91,6 @@ def test_a_sequence_is_fetched_by_one_button_with_its_progress(public: Web, monk
 def test_a_download_that_fails_says_why_and_leaves_no_dataset(public: Web, monkeypatch: pytest.MonkeyPatch) -> None:
     def perform(*_: object) -> Iterator[None]:
         raise Unavailable("cvg.cit.tum.de does not answer", "try again later")
-        yield None
 
     monkeypatch.setattr(Fetching, "perform", perform)
     wanted = {"csrf_token": token_of(public), "sequence": "tum-rgbd/fr1_xyz"}

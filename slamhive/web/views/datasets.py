@@ -48,11 +48,11 @@ def index_of_public() -> str:
     """List public sequences that all words of the address fit, by collection, with what is fetched now."""
     words = request.args.get("words", "").strip()
     services = hive()
-    found, problem = [], ""
+    problem = ""
     try:
         found = services.fetching.collections.search(words.split())
     except NotFound as error:
-        problem = str(error)
+        found, problem = (), str(error)
     here = {dataset.name for dataset in services.catalogue.datasets()}
     entries = [(pair[0].name, public_sequence(*pair), pair[1].dataset_name) for pair in found]
     return render_template(

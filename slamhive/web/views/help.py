@@ -29,6 +29,7 @@ OF_PAGE = {
     "search_actions": "search",
     "selected_runs": "search",
     "trash": "web",
+    "imports": "importing-runs",
     "nodes": "web",
     "challenges": "challenges",
     "searches": "search",
