@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -50,7 +49,29 @@ def thinned(chart: Chart) -> Chart:
         every = -(-count // SPACE_MOST)
         marks = tuple(_chosen(mark, np.arange(0, len(mark.x), every)) if mark in clouds else mark for mark in marks)
     elif chart.z is None and count > DENSITY_FROM:
-        marks = (*_dense(clouds, chart), *(mark for mark in marks if not isinstance(mark, Points) or not len(mark.x)))
+        dense: list[Mark] = []
+        grid = grid_of(clouds, chart)
+        rows, columns = len(grid.y_edges) - 1, len(grid.x_edges) - 1
+        binned = [_Binned(mark, _cells(mark, chart, grid)) for mark in clouds if len(mark.x)]
+        counts = np.zeros(rows * columns, dtype=int)
+        for entry in binned:
+            counts += np.bincount(entry.cells[entry.cells >= 0], minlength=rows * columns)
+        sparse = _apart(counts.reshape(rows, columns)).ravel()
+        groups: dict[str, list[_Binned]] = {}
+        for entry in binned:
+            groups.setdefault(entry.mark.group or entry.mark.name, []).append(entry)
+        most = int(counts[~sparse].max(initial=1))
+        for name, entries in groups.items():
+            held = np.zeros(rows * columns, dtype=int)
+            for entry in entries:
+                held += np.bincount(entry.cells[entry.cells >= 0], minlength=rows * columns)
+            held[sparse] = 0
+            colour = entries[0].mark.colour
+            dense.append(Density(name, grid.x_edges, grid.y_edges, held.reshape(rows, columns), most, colour, name))
+        for entry in binned:
+            apart = np.flatnonzero((entry.cells >= 0) & sparse[entry.cells])
+            dense.append(_chosen(entry.mark, apart))
+        marks = (*dense, *(mark for mark in marks if not isinstance(mark, Points) or not len(mark.x)))
         return replace(chart, marks=marks, x=_numbered(chart.x), y=_numbered(chart.y))
     return replace(chart, marks=marks)
 
@@ -93,30 +114,6 @@ class _Binned:
     mark: Points
     cells: Array
     """The cell of each point, -1 for points outside."""
-
-
-def _dense(clouds: list[Points], chart: Chart) -> Iterator[Mark]:
-    grid = grid_of(clouds, chart)
-    rows, columns = len(grid.y_edges) - 1, len(grid.x_edges) - 1
-    binned = [_Binned(mark, _cells(mark, chart, grid)) for mark in clouds if len(mark.x)]
-    counts = np.zeros(rows * columns, dtype=int)
-    for entry in binned:
-        counts += np.bincount(entry.cells[entry.cells >= 0], minlength=rows * columns)
-    sparse = _apart(counts.reshape(rows, columns)).ravel()
-    groups: dict[str, list[_Binned]] = {}
-    for entry in binned:
-        groups.setdefault(entry.mark.group or entry.mark.name, []).append(entry)
-    most = int(counts[~sparse].max(initial=1))
-    for name, entries in groups.items():
-        held = np.zeros(rows * columns, dtype=int)
-        for entry in entries:
-            held += np.bincount(entry.cells[entry.cells >= 0], minlength=rows * columns)
-        held[sparse] = 0
-        colour = entries[0].mark.colour
-        yield Density(name, grid.x_edges, grid.y_edges, held.reshape(rows, columns), most, colour, name)
-    for entry in binned:
-        apart = np.flatnonzero((entry.cells >= 0) & sparse[entry.cells])
-        yield _chosen(entry.mark, apart)
 
 
 def _cells(mark: Points, chart: Chart, grid: Grid) -> Array:

@@ -196,7 +196,11 @@ def _cells(axes: Any, mark: Cells, _chart: Chart) -> None:
     beside = EngFormatter(unit="B") if mark.unit == "bytes" else None
     axes.get_figure().colorbar(image, ax=axes, label=plain(titled(mark.label, mark.unit)), format=beside)
     axes.grid(visible=False)
-    points = _cell_text_points(axes, mark)
+    # As large as the longest line allows.
+    longest = max((len(line) for row in mark.texts for text in row for line in text.split("\n")), default=0)
+    axes_points = float(axes.bbox.width * 72 / axes.get_figure().dpi)
+    cell_points: float = axes_points * _MAP_SHARE / mark.values.shape[1]
+    points = min(_LARGEST_CELL_TEXT, max(_SMALLEST_CELL_TEXT, cell_points / (_LETTER_WIDTH * max(longest, 1))))
     for row, texts in enumerate(mark.texts):
         for column, text in enumerate(texts):
             value = mark.values[row, column]
@@ -210,14 +214,6 @@ def _cells(axes: Any, mark: Cells, _chart: Chart) -> None:
                 fontsize=points,
                 color="white" if dark else "black",
             )
-
-
-def _cell_text_points(axes: Any, mark: Cells) -> float:
-    """The size of the text in cells, in points: as large as the longest line allows."""
-    longest = max((len(line) for row in mark.texts for text in row for line in text.split("\n")), default=0)
-    axes_points = float(axes.bbox.width * 72 / axes.get_figure().dpi)
-    cell_points: float = axes_points * _MAP_SHARE / mark.values.shape[1]
-    return min(_LARGEST_CELL_TEXT, max(_SMALLEST_CELL_TEXT, cell_points / (_LETTER_WIDTH * max(longest, 1))))
 
 
 def _segments(axes: Any, mark: Segments, _chart: Chart) -> None:
@@ -353,7 +349,16 @@ def print_chart(chart: Chart, ending: str, font: Font | None = None) -> bytes:
     look = {**_LOOK, **_FONTS[font or ("serif" if ending in PAPER_FORMATS else "sans")], "font.size": sheet.text}
     with _lock, mpl.rc_context(look):  # the settings of matplotlib are global
         figure = _captioned(chart, sheet) if sheet.worded else _bare(chart, sheet)
-        _settle_layout(figure)
+        # Rounded, as the last digits of the layout solver are random.
+        engine = figure.get_layout_engine()
+        assert engine is not None, "set by the caller"
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+        for part in figure.subfigs:  # they contain legends and titles
+            part.bbox_relative.set_points(np.round(part.bbox_relative.get_points(), 9))
+        for axes in figure.axes:
+            left, bottom, width, height = (round(value, 9) for value in axes.get_position(original=True).bounds)
+            axes.set_position((left, bottom, width, height))
         buffer = io.BytesIO()
         metadata = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(file_format)
         figure.savefig(buffer, format=file_format, dpi=DOTS_PER_INCH, metadata=metadata)
@@ -386,19 +391,6 @@ def _around_inches(figure: Figure, plot: SubFigure) -> float:
     labels = plot.axes[-1].xaxis.get_tightbbox()
     boxes = [legend.get_window_extent() for legend in plot.legends] + ([] if labels is None else [labels])
     return float(sum(box.height for box in boxes)) / figure.dpi
-
-
-def _settle_layout(figure: Figure) -> None:
-    """Compute the layout, and round it: the last digits of the layout solver are random."""
-    engine = figure.get_layout_engine()
-    assert engine is not None, "set by the caller"
-    engine.execute(figure)
-    figure.set_layout_engine("none")
-    for part in figure.subfigs:  # they contain legends and titles
-        part.bbox_relative.set_points(np.round(part.bbox_relative.get_points(), 9))
-    for axes in figure.axes:
-        left, bottom, width, height = (round(value, 9) for value in axes.get_position(original=True).bounds)
-        axes.set_position((left, bottom, width, height))
 
 
 def _numbered_clips(svg: bytes) -> bytes:

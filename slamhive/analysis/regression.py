@@ -205,7 +205,12 @@ def rank_equivalence(sample: Sample, margin: Margin) -> Evidence:
     recorded value is no sample. It is taken as a claim, and the median of the repeats is tested against it.
     """
     if len(sample.baseline) == 1:
-        return _of_claim(float(sample.baseline[0]), sample.candidate, margin)
+        claimed = float(sample.baseline[0])
+        if not len(sample.candidate):
+            return Evidence(1.0, 1.0)
+        above, below = with_allowance(np.array([claimed]), margin), with_allowance(sample.candidate, margin)
+        beyond = min(_p_most(sample.candidate > above), _p_most(below < claimed))
+        return Evidence(min(1.0, 2 * beyond), max(_p_most(sample.candidate < above), _p_most(below > claimed)))
     swapped = Sample(sample.candidate, sample.baseline)
     return _both_ways(rank_evidence(sample, margin), rank_evidence(swapped, margin))
 
@@ -234,15 +239,6 @@ def median_interval(values: Numbers) -> Interval | None:
 
 def _both_ways(first: Evidence, second: Evidence) -> Evidence:
     return Evidence(min(1.0, 2 * min(first.worse, second.worse)), max(first.within, second.within))
-
-
-def _of_claim(claimed: float, values: Numbers, margin: Margin) -> Evidence:
-    """The sign test of the median of ``values`` at both ends of the margin. A value at an end speaks for no side."""
-    if not len(values):
-        return Evidence(1.0, 1.0)
-    above, below = with_allowance(np.array([claimed]), margin), with_allowance(values, margin)
-    beyond = min(_p_most(values > above), _p_most(below < claimed))
-    return Evidence(min(1.0, 2 * beyond), max(_p_most(values < above), _p_most(below > claimed)))
 
 
 def _p_most(hits: NDArray[np.bool_]) -> float:

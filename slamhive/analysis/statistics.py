@@ -266,27 +266,19 @@ def rank_test(scores: Numbers, test: str = "nemenyi", significance: float = 0.05
         p_value = float(scipy.stats.friedmanchisquare(*scores.T).pvalue)
     p_value = 1.0 if math.isnan(p_value) else p_value  # scipy divides 0 by 0 where all scores are tied
     if test == "wilcoxon-holm":
-        return RankTest(mean_ranks, p_value, None, _wilcoxon_holm(scores), significance)
+        pairs = list(combinations(range(scores.shape[1]), 2))
+        differences = [scores[:, first] - scores[:, second] for first, second in pairs]
+        p_values = holm([_signed_ranks(entry) for entry in differences])
+        return RankTest(mean_ranks, p_value, None, dict(zip(pairs, p_values, strict=True)), significance)
     # Demsar's equation 4 has q / sqrt(2) times sqrt(k(k+1) / 6N), hence 12: q is the studentized range itself here.
     unit = math.sqrt(competitors * (competitors + 1) / (12 * blocks))
     critical = float(scipy.stats.studentized_range.ppf(1 - significance, competitors, np.inf)) * unit
-    return RankTest(mean_ranks, p_value, critical, _nemenyi(mean_ranks, unit), significance)
-
-
-def _nemenyi(mean_ranks: Numbers, unit: float) -> dict[tuple[int, int], float]:
     pairs = list(combinations(range(len(mean_ranks)), 2))
     distances = [abs(mean_ranks[first] - mean_ranks[second]) / unit for first, second in pairs]
     # Each takes milliseconds, and most are equal, because ranks are counted.
     distinct, places = np.unique(np.round(distances, 12), return_inverse=True)
-    p_values = scipy.stats.studentized_range.sf(distinct, len(mean_ranks), np.inf)[places]
-    return dict(zip(pairs, map(float, p_values), strict=True))
-
-
-def _wilcoxon_holm(scores: Numbers) -> dict[tuple[int, int], float]:
-    """Wilcoxon's signed-rank test of each pair, with Holm's correction."""
-    pairs = list(combinations(range(scores.shape[1]), 2))
-    differences = [scores[:, first] - scores[:, second] for first, second in pairs]
-    return dict(zip(pairs, holm([_signed_ranks(entry) for entry in differences]), strict=True))
+    of_pairs = map(float, scipy.stats.studentized_range.sf(distinct, len(mean_ranks), np.inf)[places])
+    return RankTest(mean_ranks, p_value, critical, dict(zip(pairs, of_pairs, strict=True)), significance)
 
 
 def _signed_ranks(differences: Numbers) -> float:
@@ -444,10 +436,23 @@ def explain_variance(codes: Mapping[str, Codes], values: Numbers) -> Effects:
     mains: list[Term] = [(name,) for name in codes]
     related = {pair: _nested(codes[pair[0]], codes[pair[1]]) for pair in combinations(codes, 2)}
     possible = [pair for pair, nested in related.items() if not nested]
-    pairs = _affordable(_Design(codes, values, mains), possible)
+    # Not all interactions may be affordable: those of the strongest factors, as long as degrees of freedom remain.
+    design = _Design(codes, values, mains)
+    left = {term[0]: design.fit([term]).residual for term in design.terms}
+    columns = sum(map(design.levels, design.terms))
+    rank = design.fit(design.terms).rank
+    pairs = []
+    for first, second in sorted(possible, key=lambda pair: left[pair[0]] + left[pair[1]]):
+        levels = design.levels((first,)), design.levels((second,))
+        freedom = (levels[0] - 1) * (levels[1] - 1)
+        if columns + levels[0] * levels[1] <= MOST_COLUMNS and rank + freedom < design.count:
+            pairs.append((first, second))
+            columns, rank = columns + levels[0] * levels[1], rank + freedom
     design = _Design(codes, values, [*mains, *pairs])
     full = design.fit(design.terms)
-    noise = _mean_square(full, len(values))
+    # A model with as many parameters as there are values leaves nothing to estimate the noise from.
+    freedom = len(values) - full.rank
+    noise = 0.0 if full.residual == 0 else full.residual / freedom if freedom > 0 else None
     shares = {term: _share(design, term, noise) for term in design.terms}
     beyond = 0.0 if full.residual == 0 else None  # without a residual, other interactions explain nothing
     return Effects(
@@ -541,29 +546,6 @@ def _shared(design: _Design, full: _Fit) -> float:
     own = sum(_own(design, term)[0] for term in design.terms)
     rest = (design.total - full.residual - own) / design.total
     return rest if rest > _RELATIVE_ZERO * len(design.terms) else 0.0
-
-
-def _mean_square(full: _Fit, count: int) -> float | None:
-    """The residual variance; None if the model has as many parameters as there are values."""
-    if full.residual == 0:
-        return 0.0
-    freedom = count - full.rank
-    return full.residual / freedom if freedom > 0 else None
-
-
-def _affordable(design: _Design, pairs: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """The interactions to model: those of the strongest factors, as long as degrees of freedom remain."""
-    left = {term[0]: design.fit([term]).residual for term in design.terms}
-    columns = sum(map(design.levels, design.terms))
-    rank = design.fit(design.terms).rank
-    chosen = []
-    for first, second in sorted(pairs, key=lambda pair: left[pair[0]] + left[pair[1]]):
-        levels = design.levels((first,)), design.levels((second,))
-        freedom = (levels[0] - 1) * (levels[1] - 1)
-        if columns + levels[0] * levels[1] <= MOST_COLUMNS and rank + freedom < design.count:
-            chosen.append((first, second))
-            columns, rank = columns + levels[0] * levels[1], rank + freedom
-    return chosen
 
 
 def _joint(codes: Sequence[Codes]) -> Codes:

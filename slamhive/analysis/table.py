@@ -323,8 +323,10 @@ def make_table(
     for key, values in parameters.items():
         entries = list(values)
         numeric = all(entry is None or _is_number(entry) for entry in entries)
-        shown = [_as_number(entry) if numeric else None if entry is None else str(entry) for entry in entries]
-        extra[key] = np.array(shown, dtype=float) if numeric else np.array(shown, dtype=object)
+        if numeric:
+            extra[key] = np.array([np.nan if entry is None else entry for entry in entries], dtype=float)
+        else:
+            extra[key] = np.array([None if entry is None else str(entry) for entry in entries], dtype=object)
         columns[key] = Column(key, key, ColumnKind.PARAMETER, numeric=numeric)
     words = list(attributes)
     for kind in ATTRIBUTE_KINDS if words else ():
@@ -382,7 +384,3 @@ def _text(value: object) -> str:
 
 def _is_number(entry: object) -> bool:
     return isinstance(entry, int | float | np.number)
-
-
-def _as_number(entry: object) -> float:
-    return float(entry) if isinstance(entry, int | float | np.number) else float("nan")

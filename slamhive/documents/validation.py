@@ -90,7 +90,15 @@ def _sentence(first: Mapping[str, Any], path: tuple[int | str, ...], model: type
     if first["type"] == _EXPLAINED:
         return f"{place}: {first['msg']}"
     if first["type"] in _UNKNOWN_KEY:
-        known = _known_keys(model, path[:-1])
+        annotation: Any = model
+        for part in path[:-1]:
+            keys = _keys(annotation)
+            if keys is not None:
+                annotation = _inner(keys.get(str(part)))
+            else:
+                inside = [inner for inner in get_args(annotation) if inner is not Ellipsis]
+                annotation = _inner(inside[-1]) if inside else None
+        known = list(_keys(annotation) or ())
         hint = f"; {nearest(str(path[-1]), known)}" if known else ""
         return f"unknown key {place!r}{hint}"
     wanted = "has a type that is not allowed here" if path != _shown(first["loc"]) else _saying(first)
@@ -126,19 +134,6 @@ def _saying(problem: Mapping[str, Any]) -> str:
         return f"must have at most {plural(context['max_length'], 'entry', 'entries')}, not {context['actual_length']}"
     message: str = problem["msg"]
     return _SAYINGS.get(kind) or message.removeprefix("Value error, ").replace("Input should be", "must be")
-
-
-def _known_keys(model: type[Any] | None, path: tuple[int | str, ...]) -> list[str]:
-    """The keys that are allowed at ``path`` below ``model``."""
-    annotation: Any = model
-    for part in path:
-        keys = _keys(annotation)
-        if keys is not None:
-            annotation = _inner(keys.get(str(part)))
-        else:
-            inside = [part for part in get_args(annotation) if part is not Ellipsis]
-            annotation = _inner(inside[-1]) if inside else None
-    return list(_keys(annotation) or ())
 
 
 def _keys(annotation: Any) -> Mapping[str, Any] | None:

@@ -112,9 +112,12 @@ def _entry(work: str, name: str, taken: dict[str, str]) -> str:
     plain = _MARKED_DOI.sub("", work)
     found = next(filter(None, (pattern.match(plain) for pattern in _WORKS)), None)
     if found is None:
-        kind, key, fields = _as_it_is(plain, name)
+        years = re.findall(r"\b(?:19|20)\d\d\b", plain)
+        fields = {"title": f"{{{latex(name)}}}", "howpublished": latex(plain)}
+        kind, key, fields = "misc", _letters(name), fields | ({"year": years[-1]} if years else {})
     else:
-        authors = _people(found["authors"])
+        listed = re.sub(r",? et al\.?$", ", others", found["authors"]).replace(" and ", ", ")
+        authors = [name for name in listed.split(", ") if name]
         kind, venue = _venue(found["venue"])
         fields = {"author": latex(" and ".join(authors)), "title": f"{{{latex(found['title'])}}}"}
         fields |= venue | {"year": found["year"]}
@@ -127,13 +130,6 @@ def _entry(work: str, name: str, taken: dict[str, str]) -> str:
     key = _free(key, taken)
     taken[key] = same
     return f"@{kind}{{{key},\n{content}}}\n"
-
-
-def _as_it_is(work: str, name: str) -> tuple[str, str, dict[str, str]]:
-    """Kind, key and fields of a text that does not name authors, title and year."""
-    years = re.findall(r"\b(?:19|20)\d\d\b", work)
-    fields = {"title": f"{{{latex(name)}}}", "howpublished": latex(work)}
-    return "misc", _letters(name), fields | ({"year": years[-1]} if years else {})
 
 
 def _first_word(title: str) -> str:
@@ -156,11 +152,6 @@ def _venue(text: str | None) -> tuple[str, dict[str, str]]:
         if _JOURNAL.search(text)
         else ("inproceedings", {"booktitle": latex(text)})
     )
-
-
-def _people(text: str) -> list[str]:
-    listed = re.sub(r",? et al\.?$", ", others", text).replace(" and ", ", ")
-    return [name for name in listed.split(", ") if name]
 
 
 def _letters(text: str) -> str:

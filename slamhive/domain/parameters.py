@@ -182,7 +182,13 @@ class Parameter:
     def parse(self, raw: object) -> Value:
         """Turn text (CLI, form) or a YAML value into the typed value; raise InvalidInput naming key, value, remedy."""
         value = self._typed(raw)
-        self._check_range(raw, value)
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, str | bool):
+                continue
+            too_small = self.minimum is not None and number < self.minimum
+            too_large = self.maximum is not None and number > self.maximum
+            if too_small or too_large:
+                raise self._refuse(raw)
         return value
 
     @property
@@ -270,16 +276,6 @@ class Parameter:
         parts = raw if isinstance(raw, list | tuple) else str(raw).strip().strip("[]").split(",")
         return tuple(self._as_float(part) for part in parts)
 
-    def _check_range(self, raw: object, value: Value) -> None:
-        numbers = value if isinstance(value, tuple) else (value,)
-        for number in numbers:
-            if isinstance(number, str | bool):
-                continue
-            too_small = self.minimum is not None and number < self.minimum
-            too_large = self.maximum is not None and number > self.maximum
-            if too_small or too_large:
-                raise self._refuse(raw)
-
 
 def find_parameter(parameters: Sequence[Parameter], name: str) -> Parameter | None:
     """The parameter whose own key or general name is ``name``; the key wins."""
@@ -307,14 +303,11 @@ def parse_settings(owner: str, parameters: tuple[Parameter, ...], settings: Mapp
         given[parameter.key] = (name, value)
     values = default_values(parameters)
     for entry in parameters:
-        if entry.key in given and (not _may_be_left_out(entry) or given[entry.key][1] != ""):
+        # An empty text does not set what may be left out: a sensor gives it, or the check of the run asks for it.
+        may_be_left_out = entry.source is not None or entry.must_be_given
+        if entry.key in given and not (may_be_left_out and given[entry.key][1] == ""):
             values[entry.key] = entry.parse(given[entry.key][1])
     return {entry.key: values[entry.key] for entry in parameters if entry.key in values}
-
-
-def _may_be_left_out(parameter: Parameter) -> bool:
-    """An empty text does not set it: a sensor gives the value, or the check of the run asks for one."""
-    return parameter.source is not None or parameter.must_be_given
 
 
 def default_values(parameters: Iterable[Parameter]) -> dict[str, Value]:
@@ -332,16 +325,15 @@ def check_stored(owner: str, parameters: Sequence[Parameter], values: Mapping[st
     for key, value in values.items():
         if key not in known:
             raise InvalidInput(f"{owner} has no parameter {key!r} any more, {key}={value!r} is stored", _OUTDATED)
-        _check_still_fits(owner, known[key], value)
+        parameter = known[key]
+        try:
+            fits = parameter.parse(value) == value and isinstance(value, bool) == (parameter.type is ParameterType.BOOL)
+        except InvalidInput:
+            fits = False
+        if not fits:
+            raise InvalidInput(
+                f"{parameter.key}={value!r} is stored, {owner} now wants {parameter.expectation}", _OUTDATED
+            )
     for key, parameter in known.items():
         if key not in values and parameter.source is None:
             raise InvalidInput(f"{owner} has a new parameter {key!r}, for which no value is stored", _OUTDATED)
-
-
-def _check_still_fits(owner: str, parameter: Parameter, value: Value) -> None:
-    try:
-        fits = parameter.parse(value) == value and isinstance(value, bool) == (parameter.type is ParameterType.BOOL)
-    except InvalidInput:
-        fits = False
-    if not fits:
-        raise InvalidInput(f"{parameter.key}={value!r} is stored, {owner} now wants {parameter.expectation}", _OUTDATED)

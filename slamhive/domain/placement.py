@@ -63,7 +63,13 @@ def place(groups: Sequence[DataRuns], nodes: int) -> list[NodePlan]:
         groups: The runs, each data in one group.
         nodes: How many nodes there are, at least 1.
     """
-    sorted_groups = _longest_first(groups)
+    # The group with the longest run comes first: what is placed last has to fill the gaps.
+    sorted_runs = [
+        (group, sorted((duration_s, index) for index, duration_s in enumerate(group.durations_s)))
+        for group in groups
+        if group.durations_s
+    ]
+    sorted_groups = sorted(sorted_runs, key=lambda entry: (-entry[1][-1][0], entry[0].data))
     too_early_s = lower_bound_s(groups, nodes)
     end_s = max(too_early_s, _ENOUGH)
     best = _fill(sorted_groups, nodes, end_s)
@@ -123,40 +129,27 @@ _Sorted = list[tuple[DataRuns, list[tuple[float, int]]]]
 """Each group with its runs as (duration, index), the shortest first."""
 
 
-def _longest_first(groups: Sequence[DataRuns]) -> _Sorted:
-    found = [
-        (group, sorted((duration_s, index) for index, duration_s in enumerate(group.durations_s)))
-        for group in groups
-        if group.durations_s
-    ]
-    return sorted(found, key=lambda entry: (-entry[1][-1][0], entry[0].data))
-
-
 def _fill(groups: _Sorted, nodes: int, end_s: float) -> list[NodePlan] | None:
     """Put all runs on nodes so that none works longer than ``end_s``; None if they do not fit this way."""
     plans = [NodePlan() for _ in range(nodes)]
     for group, runs in groups:
         waiting = list(runs)
         for plan in sorted(plans, key=lambda plan: plan.busy_s):
-            _fill_node(plan, group, waiting, end_s)
+            # Each time the longest run that fits.
+            room_s = end_s - plan.busy_s - group.transfer_s
+            taken = len(plan.runs)
+            while (fitting := bisect_right(waiting, (room_s, len(group.durations_s)))) > 0:
+                duration_s, index = waiting.pop(fitting - 1)
+                plan.runs.append(PlacedRun(group.data, index, duration_s))
+                room_s -= duration_s
+            if len(plan.runs) > taken:
+                plan.data.append(group.data)
+                plan.busy_s = end_s - room_s
             if not waiting:
                 break
         if waiting:
             return None
     return plans
-
-
-def _fill_node(plan: NodePlan, group: DataRuns, waiting: list[tuple[float, int]], end_s: float) -> None:
-    """Move runs from ``waiting`` to the node, each time the longest that fits."""
-    room_s = end_s - plan.busy_s - group.transfer_s
-    taken = len(plan.runs)
-    while (fitting := bisect_right(waiting, (room_s, len(group.durations_s)))) > 0:
-        duration_s, index = waiting.pop(fitting - 1)
-        plan.runs.append(PlacedRun(group.data, index, duration_s))
-        room_s -= duration_s
-    if len(plan.runs) > taken:
-        plan.data.append(group.data)
-        plan.busy_s = end_s - room_s
 
 
 # Which runs should follow each other: those with the same variant of a dataset, and among them the same image.

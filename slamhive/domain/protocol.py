@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Any
 
@@ -202,7 +202,15 @@ class Protocol:
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            self._check_number(entry)
+            if "minimum" not in entry.metadata:
+                continue
+            minimum, maximum = entry.metadata["minimum"], entry.metadata["maximum"]
+            value = getattr(self, entry.name)
+            for number in value if isinstance(value, tuple) else (value,):
+                if number is not None and not minimum <= number <= maximum:
+                    raise InvalidInput(f"{entry.name} {number!r} is not allowed", f"use {minimum:g} to {maximum:g}")
+            if isinstance(value, int) and entry.name not in _COUNTS:
+                object.__setattr__(self, entry.name, float(value))  # 1 and 1.0 are one protocol
         if len(self.segment_lengths_m) > MOST_SEGMENT_LENGTHS:
             raise InvalidInput(
                 f"segment_lengths_m has {len(self.segment_lengths_m)} lengths", f"give {MOST_SEGMENT_LENGTHS} at most"
@@ -229,17 +237,6 @@ class Protocol:
             )
         if len(stretches) > 2 * MOST_STRETCHES:
             raise InvalidInput(f"leave_out_s has {len(stretches) // 2} stretches", f"give {MOST_STRETCHES} at most")
-
-    def _check_number(self, entry: Field[Any]) -> None:
-        if "minimum" not in entry.metadata:
-            return
-        minimum, maximum = entry.metadata["minimum"], entry.metadata["maximum"]
-        value = getattr(self, entry.name)
-        for number in value if isinstance(value, tuple) else (value,):
-            if number is not None and not minimum <= number <= maximum:
-                raise InvalidInput(f"{entry.name} {number!r} is not allowed", f"use {minimum:g} to {maximum:g}")
-        if isinstance(value, int) and entry.name not in _COUNTS:
-            object.__setattr__(self, entry.name, float(value))  # 1 and 1.0 are one protocol
 
     @property
     def fingerprint(self) -> str:

@@ -165,7 +165,21 @@ def judge(metrics: Mapping[str, float], rule: FailureRule = DEFAULT_RULE) -> Ver
     dated = TRACKED_PATH not in metrics and TRACKED_FRACTION in metrics
     kind, words = _lost(metrics, rule, dated=dated) or _diverged(metrics, rule) or (VerdictKind.GOOD, "")
     if kind is VerdictKind.GOOD:
-        words = _good_words(metrics)
+        if ERROR not in metrics and RELATION_ERROR_PER_MOTION in metrics:
+            matched, moved = metrics.get(RELATIONS_MATCHED, 1.0), metrics[RELATION_ERROR_PER_MOTION]
+            error_m = metrics[RELATION_RMSE]
+            words = (
+                f"The run ended well, with poses for {100 * matched:.3g} % of the relations. "
+                f"Their translation errors have an RMSE of {error_m:.3g} m ({moved:.3g} % of their motion)."
+            )
+        elif ERROR not in metrics:
+            words = "The run ended well and was evaluated. There is no ground-truth trajectory that could tell more."
+        else:
+            share, percent = metrics.get(TRACKED_PATH), metrics.get(ERROR_PER_PATH)
+            tracked = "" if share is None else f" and tracked {100 * share:.3g} % of the path"
+            apart = "" if percent is None else f" ({percent:.3g} % of the path)"
+            repeats = "" if ERROR_OVER_REPEATS in metrics else " There are too few repeats to tell an outlier."
+            words = f"The run ended well{tracked} with an ATE RMSE of {metrics[ERROR]:.3g} m{apart}.{repeats}"
     return Verdict(kind, f"{words} {_DATED}" if dated else words, dated)
 
 
@@ -224,7 +238,14 @@ def _lost(metrics: Mapping[str, float], rule: FailureRule, *, dated: bool) -> tu
 def _diverged(metrics: Mapping[str, float], rule: FailureRule) -> tuple[VerdictKind, str] | None:
     error_m = metrics.get(ERROR)
     if error_m is None:
-        return _diverged_from_relations(metrics, rule)
+        error_m, percent = metrics.get(RELATION_RMSE), metrics.get(RELATION_ERROR_PER_MOTION)
+        most = rule.ate_extent_above_percent
+        if error_m is None or percent is None or most is None or percent <= most or error_m <= SMALLEST_DIVERGENCE_M:
+            return None
+        return VerdictKind.DIVERGED_FAR, (
+            f"The run diverged: the translation errors of its relations have an RMSE of {error_m:.3g} m, which is "
+            f"{percent:.3g} % of the error of an estimate that never moves; {most:g} % are allowed."
+        )
     found = f"The run diverged: its ATE RMSE of {error_m:.3g} m is"
     if rule.ate_rmse_above_m is not None and error_m > rule.ate_rmse_above_m:
         return VerdictKind.DIVERGED_FAR, f"{found} above {rule.ate_rmse_above_m:g} m."
@@ -240,34 +261,6 @@ def _diverged(metrics: Mapping[str, float], rule: FailureRule) -> tuple[VerdictK
         words = f"{found} {ratio:.3g} times the median of its repeats; {limit:.3g} times are allowed."
         return VerdictKind.DIVERGED_OUTLIER, words
     return None
-
-
-def _diverged_from_relations(metrics: Mapping[str, float], rule: FailureRule) -> tuple[VerdictKind, str] | None:
-    error_m, percent = metrics.get(RELATION_RMSE), metrics.get(RELATION_ERROR_PER_MOTION)
-    most = rule.ate_extent_above_percent
-    if error_m is None or percent is None or most is None or percent <= most or error_m <= SMALLEST_DIVERGENCE_M:
-        return None
-    return VerdictKind.DIVERGED_FAR, (
-        f"The run diverged: the translation errors of its relations have an RMSE of {error_m:.3g} m, which is "
-        f"{percent:.3g} % of the error of an estimate that never moves; {most:g} % are allowed."
-    )
-
-
-def _good_words(metrics: Mapping[str, float]) -> str:
-    if ERROR not in metrics and RELATION_ERROR_PER_MOTION in metrics:
-        matched, moved = metrics.get(RELATIONS_MATCHED, 1.0), metrics[RELATION_ERROR_PER_MOTION]
-        error_m = metrics[RELATION_RMSE]
-        return (
-            f"The run ended well, with poses for {100 * matched:.3g} % of the relations. "
-            f"Their translation errors have an RMSE of {error_m:.3g} m ({moved:.3g} % of their motion)."
-        )
-    if ERROR not in metrics:
-        return "The run ended well and was evaluated. There is no ground-truth trajectory that could tell more."
-    share, percent = metrics.get(TRACKED_PATH), metrics.get(ERROR_PER_PATH)
-    tracked = "" if share is None else f" and tracked {100 * share:.3g} % of the path"
-    apart = "" if percent is None else f" ({percent:.3g} % of the path)"
-    repeats = "" if ERROR_OVER_REPEATS in metrics else " There are too few repeats to tell an outlier."
-    return f"The run ended well{tracked} with an ATE RMSE of {metrics[ERROR]:.3g} m{apart}.{repeats}"
 
 
 def _either(parts: list[str]) -> str:

@@ -76,7 +76,14 @@ class PartFile:
         except BlockingIOError:
             os.close(self._file)
             raise Conflict(f"{target.name} is being downloaded by another process", "wait for it to end") from None
-        self._read_list()
+        try:
+            content = json.loads(self._list.read_text(encoding="utf-8"))
+            done = [(int(start), int(end)) for start, end in content.pop("done")]
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return
+        size = os.fstat(self._file).st_size
+        if all(0 <= start < end <= size for start, end in done):
+            self._done, self._origin = _merged(done), content
 
     @property
     def done_bytes(self) -> int:
@@ -159,16 +166,6 @@ class PartFile:
 
     def _truncate(self) -> None:
         os.ftruncate(self._file, 0)
-
-    def _read_list(self) -> None:
-        try:
-            content = json.loads(self._list.read_text(encoding="utf-8"))
-            done = [(int(start), int(end)) for start, end in content.pop("done")]
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            return
-        size = os.fstat(self._file).st_size
-        if all(0 <= start < end <= size for start, end in done):
-            self._done, self._origin = _merged(done), content
 
 
 @contextmanager
@@ -391,7 +388,20 @@ class _Transfer:
         self._parts.begin(remote, trusted=self._file.checksum is not None)
         try:
             if remote.ranges and remote.size_bytes is not None:
-                self._receive_spans(remote, remote.size_bytes)
+                waiting: queue.SimpleQueue[Span] = queue.SimpleQueue()
+                for span in self._parts.missing(remote.size_bytes, self._pace.span_bytes):
+                    waiting.put(span)
+                self._stop.clear()
+                with ThreadPoolExecutor(self._pace.connections, thread_name_prefix="download") as pool:
+                    work = [pool.submit(self._work, remote, waiting) for _ in range(self._pace.connections)]
+                    try:
+                        self._watch(work, remote.size_bytes)
+                    finally:
+                        self._stop.set()
+                # That the others were stopped says less than the error that made them stop.
+                errors = filter(None, (future.exception() for future in work))
+                for error in sorted(errors, key=lambda error: isinstance(error, _Stopped)):
+                    raise error
             else:
                 self._patiently(lambda: self._receive_stream(web, remote))
         finally:
@@ -415,20 +425,6 @@ class _Transfer:
 
         receive_whole(web, remote, receive)
 
-    def _receive_spans(self, remote: Remote, size_bytes: int) -> None:
-        waiting: queue.SimpleQueue[Span] = queue.SimpleQueue()
-        for span in self._parts.missing(size_bytes, self._pace.span_bytes):
-            waiting.put(span)
-        self._stop.clear()
-        with ThreadPoolExecutor(self._pace.connections, thread_name_prefix="download") as pool:
-            work = [pool.submit(self._work, remote, waiting) for _ in range(self._pace.connections)]
-            try:
-                self._watch(work, size_bytes)
-            finally:
-                self._stop.set()
-        for error in sorted(filter(None, (future.exception() for future in work)), key=_stopped):
-            raise error
-
     def _watch(self, work: list[Future[None]], size_bytes: int) -> None:
         """Report until all are done, or one has failed."""
         running = True
@@ -445,6 +441,7 @@ class _Transfer:
                 self._receive_one(web, remote, waiting.get_nowait())
 
     def _receive_one(self, web: Web, remote: Remote, span: Span) -> None:
+        """Receive the rest of a span; another attempt begins where the last one ended."""
         place, end = span
 
         def receive(at: int, data: bytes) -> None:
@@ -481,10 +478,6 @@ class _Transfer:
 
 class _Stopped(Unavailable):
     """Another thread has failed."""
-
-
-def _stopped(error: BaseException) -> bool:
-    return isinstance(error, _Stopped)
 
 
 def check_space(folder: Path, needed_bytes: int, what: str) -> None:

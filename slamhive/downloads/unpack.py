@@ -58,7 +58,18 @@ class Member:
 def members(path: Path, kind: FileKind) -> Iterator[Member]:
     """The members of an archive in its order; raises InvalidInput if it is damaged, encrypted or of another kind."""
     if kind is FileKind.ZIP:
-        yield from _zip_members(path)
+        with zipfile.ZipFile(path) as archive:
+            for info in archive.infolist():
+                # Only archives that were made on Unix hold the kind of a file.
+                mode = (info.external_attr >> 16) & _TYPE_BITS if info.create_system == _UNIX else 0
+                found = MemberKind.FOLDER if info.is_dir() else MemberKind(_ZIP_KINDS.get(mode, "device"))
+                if info.flag_bits & 1:
+                    raise InvalidInput(f"{path.name} is encrypted", "unpack it by hand")
+                if found is not MemberKind.FILE:
+                    yield Member(info.filename, found, None)
+                    continue
+                with archive.open(info) as content:
+                    yield Member(info.filename, found, content)
     elif kind is FileKind.TAR:
         yield from _tar_members(path)
     else:
@@ -103,26 +114,6 @@ def damage_explained(path: Path) -> Iterator[None]:
         raise InvalidInput(f"{path.name} is damaged: {error.strerror or error}", "download it again") from None
 
 
-def _zip_members(path: Path) -> Iterator[Member]:
-    with zipfile.ZipFile(path) as archive:
-        for info in archive.infolist():
-            kind = _zip_kind(info)
-            if info.flag_bits & 1:
-                raise InvalidInput(f"{path.name} is encrypted", "unpack it by hand")
-            if kind is not MemberKind.FILE:
-                yield Member(info.filename, kind, None)
-                continue
-            with archive.open(info) as content:
-                yield Member(info.filename, kind, content)
-
-
-def _zip_kind(info: zipfile.ZipInfo) -> MemberKind:
-    if info.is_dir():
-        return MemberKind.FOLDER
-    mode = (info.external_attr >> 16) & _TYPE_BITS if info.create_system == _UNIX else 0
-    return MemberKind(_ZIP_KINDS.get(mode, "device"))
-
-
 def _tar_members(path: Path) -> Iterator[Member]:
     ended = False
 
@@ -140,18 +131,16 @@ def _tar_members(path: Path) -> Iterator[Member]:
 
     with tarfile.open(path, "r|*", tarinfo=Header) as archive:
         for info in archive:
-            yield Member(info.name, _tar_kind(info), archive.extractfile(info) if info.isreg() else None)
+            if info.isreg():
+                kind = MemberKind.FILE
+            elif info.isdir():
+                kind = MemberKind.FOLDER
+            else:
+                kind = MemberKind.LINK if info.issym() or info.islnk() else MemberKind.DEVICE
+            yield Member(info.name, kind, archive.extractfile(info) if info.isreg() else None)
             archive.members = []  # type: ignore[attr-defined] # tarfile keeps all of them, which may be millions
     if not ended:
         raise InvalidInput(f"{path.name} is damaged: it ends early", "download it again")
-
-
-def _tar_kind(info: tarfile.TarInfo) -> MemberKind:
-    if info.isreg():
-        return MemberKind.FILE
-    if info.isdir():
-        return MemberKind.FOLDER
-    return MemberKind.LINK if info.issym() or info.islnk() else MemberKind.DEVICE
 
 
 _PIECE_BYTES = 1024 * 1024

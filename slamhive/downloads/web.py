@@ -121,7 +121,12 @@ class Web:
             if response.status_code not in _REDIRECTS:
                 return response
             response.close()
-            asked = _next_address(asked, response.headers.get("Location", ""))
+            location = response.headers.get("Location", "")
+            following = urljoin(asked, location)
+            parts = urlsplit(following)
+            if parts.scheme not in {"http", "https"} or not parts.hostname:
+                raise Refused(f"{asked} redirects to {location[:200]!r}, which is no http or https address")
+            asked = following
         raise Refused(f"{address} redirects more than {MOST_REDIRECTS} times")
 
 
@@ -169,14 +174,6 @@ def explained(address: str) -> Iterator[None]:
 def _no_password(request: Any) -> Any:
     """Stands in for the passwords of ``~/.netrc``, which requests would send."""
     return request
-
-
-def _next_address(address: str, location: str) -> str:
-    following = urljoin(address, location)
-    parts = urlsplit(following)
-    if parts.scheme not in {"http", "https"} or not parts.hostname:
-        raise Refused(f"{address} redirects to {location[:200]!r}, which is no http or https address")
-    return following
 
 
 def _wait_s(text: str | None) -> float | None:

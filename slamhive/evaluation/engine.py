@@ -122,7 +122,10 @@ def evaluate(task: EvaluationTask, references: References) -> Evaluated | Evalua
             paired = pair(reference, estimate, task.protocol, task.files, uncertainty_m=task.uncertainty_m)
             matched_poses = len(paired.aligned)
             found = all_metrics(paired)
-        _check_essential(found, ESSENTIAL_WITHOUT_TRUTH if paired is None else ESSENTIAL)
+        key = ESSENTIAL_WITHOUT_TRUTH if paired is None else ESSENTIAL
+        if key not in found.values:
+            reason = found.missing.get(key, "no evaluator computed it")
+            return failed_result(task, f"{key}: {reason}", ENGINE, poses=poses, matched_poses=matched_poses)
     except InvalidInput as error:
         return failed_result(task, str(error), ENGINE, poses=poses, matched_poses=matched_poses)
     result = EvaluationResult(
@@ -157,12 +160,6 @@ def _finite(found: MetricValues) -> MetricValues:
     values = {key: float(value) for key, value in found.values.items() if math.isfinite(value)}
     missing = {key: TOO_FAR_OFF for key in found.values if key not in values} | dict(found.missing)
     return MetricValues(values, missing, found.archives)
-
-
-def _check_essential(found: MetricValues, key: str) -> None:
-    """Raise InvalidInput if the metric ``key`` is missing."""
-    if key not in found.values:
-        raise InvalidInput(f"{key}: {found.missing.get(key, 'no evaluator computed it')}")
 
 
 def _metrics_of(evaluator: Evaluator, paired: Paired) -> MetricValues:

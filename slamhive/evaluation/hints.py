@@ -6,7 +6,7 @@ Little is tried on a pair that looks right, so this costs a few per cent of an e
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,7 +136,15 @@ def mistaken_convention(fit: Fit) -> Hint | None:
     alike = [
         entry for entry in explained if entry.mistake.key == best.mistake.key and entry.left <= AMBIGUOUS * best.left
     ]
-    return _hint(fit, [min(same, key=lambda entry: entry.left) for same in _by_owner(alike)])
+    entries = [min(same, key=lambda entry: entry.left) for same in _by_owner(alike)]
+    owners = " or ".join(_OWNERS[entry.of_truth] for entry in entries)
+    remedies = [(entry.mistake.truth_remedy or "") if entry.of_truth else entry.mistake.remedy for entry in entries]
+    best = min(entries, key=lambda entry: entry.left)
+    return Hint(
+        best.mistake.key,
+        f"{best.mistake.found.format(owners)}: {_collapse_words(fit, best.undone)}.",
+        "; or ".join(remedies),
+    )
 
 
 def _tried(fit: Fit) -> Iterator[_Explanation]:
@@ -155,17 +163,6 @@ def _by_owner(entries: Iterable[_Explanation]) -> list[list[_Explanation]]:
     """Explanations by the estimate, then those by the ground truth; empty groups are left out."""
     found = list(entries)
     return [part for of_truth in (False, True) if (part := [entry for entry in found if entry.of_truth is of_truth])]
-
-
-def _hint(fit: Fit, entries: Sequence[_Explanation]) -> Hint:
-    owners = " or ".join(_OWNERS[entry.of_truth] for entry in entries)
-    remedies = [(entry.mistake.truth_remedy or "") if entry.of_truth else entry.mistake.remedy for entry in entries]
-    best = min(entries, key=lambda entry: entry.left)
-    return Hint(
-        best.mistake.key,
-        f"{best.mistake.found.format(owners)}: {_collapse_words(fit, best.undone)}.",
-        "; or ".join(remedies),
-    )
 
 
 _OWNERS = {False: "the estimate", True: "the ground truth"}
@@ -210,10 +207,6 @@ def _collapse_words(fit: Fit, undone: Fit) -> str:
     return "with that undone " + " and ".join(words)
 
 
-def _rolled(places: int) -> Undo:
-    return lambda poses: Poses(poses.stamps_s, poses.positions_m, np.roll(poses.quats_xyzw, places, axis=1))
-
-
 def _inverted(poses: Poses) -> Poses:
     """T_body_world for T_world_body: R^T and -R^T p."""
     positions_m = -np.einsum("nji,nj->ni", rotations_from_quats(poses.quats_xyzw), poses.positions_m)
@@ -236,7 +229,7 @@ def _order(read_as: str, places: int) -> Mistake:
         "quaternion_order",
         "The quaternions of {} seem to stand in another order than they are read in",
         f"write the estimate as qx qy qz qw, or import it again with --quaternion-order {read_as}",
-        _rolled(places),
+        lambda poses: Poses(poses.stamps_s, poses.positions_m, np.roll(poses.quats_xyzw, places, axis=1)),
         f"write the ground truth as qx qy qz qw, or import it again with --groundtruth-quaternion-order {read_as}",
     )
 
@@ -284,9 +277,9 @@ def find_hints(paired: Paired, values: Mapping[str, float]) -> tuple[Hint, ...]:
     ate_m = values.get("ate.rmse")
     if ate_m is None:
         return ()
-    unit = _time_unit(paired)
-    if unit is not None:
-        return (unit,)
+    misread = misread_unit(paired.estimate.stamps_s, paired.reference.stamps_s)
+    if misread is not None:
+        return (Hint("time_unit", f"{misread.sentence}.", misread.remedy),)
     fit = fit_poses(
         thinned(paired.matched_reference), thinned(paired.matched_estimate), rotations=paired.rotations_known
     )
@@ -319,12 +312,6 @@ def _sparse(paired: Paired) -> Hint | None:
         f"{paired.protocol.association_tolerance_s:g} s.",
         remedy,
     )
-
-
-def _time_unit(paired: Paired) -> Hint | None:
-    """Timestamps that hardly overlap, and would in another unit."""
-    found = misread_unit(paired.estimate.stamps_s, paired.reference.stamps_s)
-    return None if found is None else Hint("time_unit", f"{found.sentence}.", found.remedy)
 
 
 LEAST_TILT_DEG = 20.0
@@ -361,7 +348,11 @@ def _time_offset(paired: Paired, fit: Fit, ate_m: float) -> Hint | None:
     protocol = paired.protocol
     if protocol.offset_search_s > 0 or protocol.association is Association.INDEX:
         return None
-    guess_s = _guessed_offset_s(paired, suspicious=ate_m > SUSPICIOUS_SHARE * fit.size_m)
+    small_s, share = _first_order_offset_s(paired)
+    if share < ALONG_MOTION and ate_m <= SUSPICIOUS_SHARE * fit.size_m:
+        return None
+    coarse_s = coarse_offset(paired.reference, paired.estimate, OFFSET_WITHIN_S, by_turning=paired.rotations_known)
+    guess_s = coarse_s or (small_s if share >= ALONG_MOTION else None)
     if guess_s is None or not _falls_to(_ate_with_offset_m(paired, guess_s), LARGE_OFFSET_COLLAPSE * ate_m):
         return None
     offset_s = _refined_offset_s(paired, guess_s)
@@ -382,16 +373,6 @@ def _time_offset(paired: Paired, fit: Fit, ate_m: float) -> Hint | None:
 
 def _falls_to(left_m: float | None, most_m: float) -> bool:
     return left_m is not None and left_m <= most_m
-
-
-def _guessed_offset_s(paired: Paired, *, suspicious: bool) -> float | None:
-    """The offset that the rates of motion suggest, or a small one; None if the error gives no reason to search."""
-    small_s, share = _first_order_offset_s(paired)
-    if share < ALONG_MOTION and not suspicious:
-        return None
-    by_turning = paired.rotations_known
-    coarse_s = coarse_offset(paired.reference, paired.estimate, OFFSET_WITHIN_S, by_turning=by_turning)
-    return coarse_s or (small_s if share >= ALONG_MOTION else None)
 
 
 def _first_order_offset_s(paired: Paired) -> tuple[float, float]:

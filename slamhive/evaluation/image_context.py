@@ -147,7 +147,18 @@ class EvaluationContext:
         Raises Unavailable if a file is missing, or the disk refuses.
         """
         try:
-            self._stage_own(folder, certificates)
+            inside = folder / "package" / "slamhive"
+            for made in (folder / "ca-certificates", folder / "plugins", inside):
+                made.mkdir(parents=True)
+            for name in _SCRIPTS:
+                shutil.copyfile(self._scripts / name, folder / name)
+            (inside / "base").mkdir()
+            for name in _MODULES:
+                shutil.copyfile(_CODE / name, inside / name)
+            for name in _PACKAGES:
+                shutil.copytree(_CODE / name, inside / name, ignore=shutil.ignore_patterns("__pycache__"))
+            for certificate in certificates:
+                shutil.copyfile(certificate, folder / "ca-certificates" / certificate.name)
             for plugin in self._plugins:
                 requirements = "".join(f"{line}\n" for line in plugin.requirements)
                 (folder / "plugins" / f"{plugin.name}.txt").write_text(requirements, encoding="utf-8")
@@ -157,20 +168,6 @@ class EvaluationContext:
                     path.write_bytes(content)
         except OSError as error:
             raise Unavailable(f"the evaluation image cannot be prepared: {error}", "check space and rights") from None
-
-    def _stage_own(self, folder: Path, certificates: Iterable[Path]) -> None:
-        inside = folder / "package" / "slamhive"
-        for made in (folder / "ca-certificates", folder / "plugins", inside):
-            made.mkdir(parents=True)
-        for name in _SCRIPTS:
-            shutil.copyfile(self._scripts / name, folder / name)
-        (inside / "base").mkdir()
-        for name in _MODULES:
-            shutil.copyfile(_CODE / name, inside / name)
-        for name in _PACKAGES:
-            shutil.copytree(_CODE / name, inside / name, ignore=shutil.ignore_patterns("__pycache__"))
-        for certificate in certificates:
-            shutil.copyfile(certificate, folder / "ca-certificates" / certificate.name)
 
 
 def _hash(parts: Iterable[str]) -> str:

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from types import UnionType
-from typing import Any
 
 from slamhive.base.bounds import parse_json_object
 from slamhive.base.errors import InvalidInput, SlamHiveError
@@ -105,14 +104,50 @@ def failed_result(
 
 def job_to_json(tasks: Sequence[EvaluationTask]) -> str:
     """The text of ``job.json``."""
-    return json.dumps({"format": 1, "tasks": [_task_to_json(task) for task in tasks]}, indent=1)
+    return json.dumps(
+        {
+            "format": 1,
+            "tasks": [
+                {
+                    "id": task.id,
+                    "estimate": str(task.estimate),
+                    "reference": None if task.reference is None else str(task.reference),
+                    "output": str(task.output),
+                    "protocol": task.protocol.content,
+                    "T_body_sensor": list(task.T_body_sensor),
+                    "artefacts": task.artefacts.value,
+                    "positions_only": task.positions_only,
+                    "files": {name: str(path) for name, path in task.files.items()},
+                    "lever_arm_m": None if task.lever_arm_m is None else list(task.lever_arm_m),
+                    "uncertainty_m": task.uncertainty_m,
+                }
+                for task in tasks
+            ],
+        },
+        indent=1,
+    )
 
 
 def job_from_json(text: str) -> tuple[EvaluationTask, ...]:
     """Read ``job.json``; raises InvalidInput if it is not one."""
     try:
         content = parse_json_object(text, "job.json")
-        return tuple(_task_from_json(entry) for entry in content["tasks"])
+        return tuple(
+            EvaluationTask(
+                id=entry["id"],
+                estimate=Path(entry["estimate"]),
+                reference=None if entry["reference"] is None else Path(entry["reference"]),
+                output=Path(entry["output"]),
+                protocol=protocol_from_content(entry["protocol"]),
+                T_body_sensor=tuple(entry["T_body_sensor"]),
+                artefacts=Artefacts(entry["artefacts"]),
+                positions_only=entry["positions_only"],
+                files={name: Path(path) for name, path in entry["files"].items()},
+                lever_arm_m=None if entry["lever_arm_m"] is None else tuple(entry["lever_arm_m"]),
+                uncertainty_m=entry["uncertainty_m"],
+            )
+            for entry in content["tasks"]
+        )
     except SlamHiveError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -153,35 +188,3 @@ _RESULT_TYPES: dict[str, type | UnionType] = {
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _task_to_json(task: EvaluationTask) -> dict[str, Any]:
-    return {
-        "id": task.id,
-        "estimate": str(task.estimate),
-        "reference": None if task.reference is None else str(task.reference),
-        "output": str(task.output),
-        "protocol": task.protocol.content,
-        "T_body_sensor": list(task.T_body_sensor),
-        "artefacts": task.artefacts.value,
-        "positions_only": task.positions_only,
-        "files": {name: str(path) for name, path in task.files.items()},
-        "lever_arm_m": None if task.lever_arm_m is None else list(task.lever_arm_m),
-        "uncertainty_m": task.uncertainty_m,
-    }
-
-
-def _task_from_json(entry: dict[str, Any]) -> EvaluationTask:
-    return EvaluationTask(
-        id=entry["id"],
-        estimate=Path(entry["estimate"]),
-        reference=None if entry["reference"] is None else Path(entry["reference"]),
-        output=Path(entry["output"]),
-        protocol=protocol_from_content(entry["protocol"]),
-        T_body_sensor=tuple(entry["T_body_sensor"]),
-        artefacts=Artefacts(entry["artefacts"]),
-        positions_only=entry["positions_only"],
-        files={name: Path(path) for name, path in entry["files"].items()},
-        lever_arm_m=None if entry["lever_arm_m"] is None else tuple(entry["lever_arm_m"]),
-        uncertainty_m=entry["uncertainty_m"],
-    )

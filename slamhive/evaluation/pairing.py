@@ -15,8 +15,8 @@ from slamhive.evaluation.references import TruthReference
 from slamhive.trajectory.alignment import align
 from slamhive.trajectory.association import associate, sparse_truth
 from slamhive.trajectory.evidence import misread_unit
-from slamhive.trajectory.model import FloatArray, Poses, Trajectory
-from slamhive.trajectory.mounting import FrameOffset, fit_offset
+from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.mounting import fit_offset
 from slamhive.trajectory.offset import position_misfit, search_offset, turning_misfit
 from slamhive.trajectory.orientation import lacking
 from slamhive.trajectory.transforms import move_sensor
@@ -77,8 +77,25 @@ def pair(
     if protocol.frame_fit is not None:
         if without:
             raise InvalidInput(f"a frame is fitted by orientations of the estimate: {without}", "leave out frame_fit")
-        fitted = _fitted(reference, matched_reference, matched_estimate, protocol)
-        T_fitted = _pose_of(fitted, protocol.frame_fit)
+        fit = protocol.frame_fit
+        if not reference.rotations_known and fit is not FrameFit.LEVER_ARM:
+            raise InvalidInput(
+                f"frame_fit {fit} needs orientations, and the ground truth holds positions only", "use lever_arm"
+            )
+        chosen = np.unique(np.linspace(0, len(matched_reference) - 1, FITTED_POSES).astype(np.intp))
+        fitted = fit_offset(
+            matched_reference.take(chosen),
+            matched_estimate.take(chosen),
+            oriented=reference.rotations_known,
+            scaled=protocol.alignment in (Alignment.SIM3, Alignment.SCALE),
+            arm=fit is not FrameFit.ROTATION,
+        )
+        # Only the part that the protocol fits counts.
+        T_fitted = np.eye(4)
+        if fit is not FrameFit.LEVER_ARM:
+            T_fitted[:3, :3] = fitted.rotation
+        if fit is not FrameFit.ROTATION:
+            T_fitted[:3, 3] = fitted.arm_m
         T_body_estimate = T_body_estimate @ T_fitted
         if reference.rotations_known:
             truth = move_sensor(truth, T_fitted)
@@ -120,33 +137,6 @@ def without_stretches(truth: Trajectory, protocol: Protocol) -> Trajectory:
         raise InvalidInput("leave_out_s leaves out the whole ground truth", "name shorter stretches")
     kept = truth.take(np.flatnonzero(~inside))
     return Trajectory(kept.stamps_s, kept.positions_m, kept.quats_xyzw)
-
-
-def _fitted(reference: TruthReference, truth: Poses, estimate: Poses, protocol: Protocol) -> FrameOffset:
-    """The constant transform between the frames; raises InvalidInput where the protocol's fit is not possible."""
-    fit = protocol.frame_fit
-    if not reference.rotations_known and fit is not FrameFit.LEVER_ARM:
-        raise InvalidInput(
-            f"frame_fit {fit} needs orientations, and the ground truth holds positions only", "use lever_arm"
-        )
-    chosen = np.unique(np.linspace(0, len(truth) - 1, FITTED_POSES).astype(np.intp))
-    return fit_offset(
-        truth.take(chosen),
-        estimate.take(chosen),
-        oriented=reference.rotations_known,
-        scaled=protocol.alignment in (Alignment.SIM3, Alignment.SCALE),
-        arm=fit is not FrameFit.ROTATION,
-    )
-
-
-def _pose_of(fitted: FrameOffset, fit: FrameFit) -> FloatArray:
-    """The part of the transform that is fitted, shape (4, 4)."""
-    T = np.eye(4)
-    if fit is not FrameFit.LEVER_ARM:
-        T[:3, :3] = fitted.rotation
-    if fit is not FrameFit.ROTATION:
-        T[:3, 3] = fitted.arm_m
-    return T
 
 
 def find_offset(reference: TruthReference, estimate: Trajectory, protocol: Protocol) -> float:

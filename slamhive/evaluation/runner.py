@@ -85,7 +85,17 @@ class EvaluationRunner:
             else:
                 collected.add(failed_result(task, problem, _ENGINE_NOT_REACHED))
         if ready:
-            how_it_ended = self._run_batch(ready, scratch, collected, stopping, cores)
+            job_path = scratch / "job.json"
+            inside, mounts = _place(ready, job_path, isolated=self._starter.isolated)
+            write_aside(job_path, job_to_json(inside))
+            batch = EvaluationBatch(
+                job=mounts[0].target,
+                mounts=mounts,
+                scratch=scratch,
+                timeout_s=START_TIMEOUT_S + TASK_TIMEOUT_S * len(ready),
+                cores=cores,
+            )
+            how_it_ended = self._starter.run_batch(batch, collected.add_line, stopping)
             collected.take_files(ready)
             without = [task for task in ready if task.id not in collected.results]
             # A signal to all processes of a systemd unit may reach the evaluation before it reaches us.
@@ -94,26 +104,6 @@ class EvaluationRunner:
                 for task in without:
                     collected.add(failed_result(task, reason, _ENGINE_NOT_REACHED))
         return [collected.results[task.id] for task in tasks if task.id in collected.results]
-
-    def _run_batch(
-        self,
-        tasks: Sequence[EvaluationTask],
-        scratch: Path,
-        collected: _Collected,
-        stopping: threading.Event,
-        cores: tuple[int, ...] | None,
-    ) -> str | None:
-        job_path = scratch / "job.json"
-        inside, mounts = _place(tasks, job_path, isolated=self._starter.isolated)
-        write_aside(job_path, job_to_json(inside))
-        batch = EvaluationBatch(
-            job=mounts[0].target,
-            mounts=mounts,
-            scratch=scratch,
-            timeout_s=START_TIMEOUT_S + TASK_TIMEOUT_S * len(tasks),
-            cores=cores,
-        )
-        return self._starter.run_batch(batch, collected.add_line, stopping)
 
 
 class _Collected:

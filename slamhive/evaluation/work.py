@@ -77,7 +77,9 @@ def _write_files(task: EvaluationTask, evaluated: Evaluated, paired: Paired) -> 
         write_aside(task.output / f"{name}.zip", _result_archive(result, task.id))
     write_aside(task.output / ALIGNED_FILE, _tum(paired.aligned))
     write_aside(task.output / REFERENCE_FILE, _tum(paired.reference))
-    write_aside(task.output / ERRORS_FILE, _errors_csv(paired, evaluated.archives["ape"]))
+    rows = np.column_stack((paired.aligned.stamps_s, evaluated.archives["ape"].np_arrays["error_array"]))
+    errors_csv = "timestamp,ape_m\n" + ("%.9f,%.9f\n" * len(rows)) % tuple(rows.ravel().tolist())
+    write_aside(task.output / ERRORS_FILE, errors_csv)
     if task.artefacts is Artefacts.PLOTS:
         # Plotting loads Matplotlib and evo's settings, which metrics alone do not need.
         from slamhive.evaluation.plots import write_plots  # noqa: PLC0415
@@ -97,11 +99,6 @@ def load_libraries(tasks: Iterable[EvaluationTask]) -> None:
 
 def _tum(poses: Poses) -> str:
     return format_tum(poses.stamps_s, poses.positions_m, poses.quats_xyzw)
-
-
-def _errors_csv(paired: Paired, ape: Result) -> str:
-    rows = np.column_stack((paired.aligned.stamps_s, ape.np_arrays["error_array"]))
-    return "timestamp,ape_m\n" + ("%.9f,%.9f\n" * len(rows)) % tuple(rows.ravel().tolist())
 
 
 def _result_archive(result: Result, name: str) -> bytes:
@@ -155,7 +152,7 @@ def main(arguments: Sequence[str], emit: Callable[[str], None]) -> int:
     except SlamHiveError as error:
         sys.stderr.write(f"{error}\n")
         return 1
-    for result in evaluate_all(tasks, _usable_cores()):
+    for result in evaluate_all(tasks, len(os.sched_getaffinity(0))):
         emit(result_to_json(result))
     return 0
 
@@ -223,10 +220,6 @@ def _end_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if str(os.getppid()) != parent:  # it was killed before
         os._exit(ENDED_BY_SIGTERM)
-
-
-def _usable_cores() -> int:
-    return len(os.sched_getaffinity(0))
 
 
 def _end(_number: int, _frame: FrameType | None) -> None:

@@ -243,7 +243,22 @@ def bind(
     experiment: Experiment, view: CatalogueView, algorithm: Algorithm, dataset: Dataset, shared: Resolved
 ) -> ParameterPair:
     """The axes of ``experiment`` that apply to ``algorithm`` on ``dataset``; raises errors that name the place."""
-    parameters = _parameter_axes(experiment, algorithm)
+    parameters: list[tuple[ExperimentAxis, Parameter]] = []
+    taken: dict[str, ExperimentAxis] = {}
+    for axis in experiment.parameters:
+        if axis.algorithm not in (None, algorithm.name, algorithm.label):
+            continue
+        parameter = find_parameter(algorithm.parameters, axis.key)
+        if parameter is None:
+            continue
+        if parameter.key in taken:
+            raise InvalidInput(
+                f"{axis.place}: {taken[parameter.key].name} and {axis.name} both set {parameter.key} of "
+                f"{algorithm.name}",
+                "keep one of them",
+            )
+        taken[parameter.key] = axis
+        parameters.append((axis, parameter))
     chosen = _chosen(experiment, algorithm, dataset)
     try:
         assigned = algorithm.assign(dataset, chosen)
@@ -258,11 +273,19 @@ def bind(
     axes: dict[str, BoundAxis] = {}
     for step in steps:
         axes.update({axis.name: BoundAxis(axis.values, axis.place) for axis in step.declaration.options})
-    for axis, parameter in parameters:
-        axes[axis.name] = BoundAxis(axis.values, axis.place, parameter)
+    for varied, parameter in parameters:
+        axes[varied.name] = BoundAxis(varied.values, varied.place, parameter)
     modes = tuple(mode.value for mode in experiment.playback.modes)
     axes[PLAYBACK_MODE] = BoundAxis(modes, experiment.place)
     axes[PLAYBACK_RATE] = BoundAxis(experiment.playback.rates, experiment.place)
+    # The other names that conditions may use: keys of parameters, and STEP.OPTION.
+    aliases: dict[str, str] = {}
+    for varied, parameter in parameters:
+        aliases[parameter.key] = varied.name
+        if parameter.general is not None:
+            aliases[parameter.general] = varied.name
+    for step in steps:
+        aliases.update({f"{step.declaration.name}.{option}": name for option, name in step.options.items()})
     return ParameterPair(
         algorithm=algorithm,
         dataset=dataset,
@@ -270,7 +293,7 @@ def bind(
         parameters={axis.name: parameter.key for axis, parameter in parameters},
         steps=steps,
         fixed=_fixed(algorithm, dataset),
-        aliases=_aliases(steps, parameters),
+        aliases={alias: name for alias, name in aliases.items() if alias != name},
         rules=view.steps,
         variants=shared.setdefault(_treatment(dataset, steps), {}),
         sensors=chosen,
@@ -316,17 +339,6 @@ def _fixed(algorithm: Algorithm, dataset: Dataset) -> dict[str, Value]:
     return fixed
 
 
-def _aliases(steps: Sequence[BoundStep], parameters: Sequence[tuple[ExperimentAxis, Parameter]]) -> dict[str, str]:
-    aliases: dict[str, str] = {}
-    for axis, parameter in parameters:
-        aliases[parameter.key] = axis.name
-        if parameter.general is not None:
-            aliases[parameter.general] = axis.name
-    for step in steps:
-        aliases.update({f"{step.declaration.name}.{option}": name for option, name in step.options.items()})
-    return {alias: name for alias, name in aliases.items() if alias != name}
-
-
 def _sensors(
     experiment: Experiment,
     view: CatalogueView,
@@ -356,26 +368,6 @@ def _sensors(
 def _roles(experiment: Experiment, view: CatalogueView) -> set[str]:
     names = [str(name) for name in experiment.algorithms.values]
     return {entry.role for name in names for entry in view.algorithms[name].inputs}
-
-
-def _parameter_axes(experiment: Experiment, algorithm: Algorithm) -> list[tuple[ExperimentAxis, Parameter]]:
-    bound: list[tuple[ExperimentAxis, Parameter]] = []
-    taken: dict[str, ExperimentAxis] = {}
-    for axis in experiment.parameters:
-        if axis.algorithm not in (None, algorithm.name, algorithm.label):
-            continue
-        parameter = find_parameter(algorithm.parameters, axis.key)
-        if parameter is None:
-            continue
-        if parameter.key in taken:
-            raise InvalidInput(
-                f"{axis.place}: {taken[parameter.key].name} and {axis.name} both set {parameter.key} of "
-                f"{algorithm.name}",
-                "keep one of them",
-            )
-        taken[parameter.key] = axis
-        bound.append((axis, parameter))
-    return bound
 
 
 def _groups(experiment: Experiment, axes: Mapping[str, BoundAxis]) -> Iterator[AxisGroup]:

@@ -54,24 +54,6 @@ def bind_all(experiment: Experiment, view: CatalogueView) -> tuple[list[Paramete
 
     Raises NotFound and InvalidInput that name the place.
     """
-    _check_catalogue(experiment, view)
-    axes = _axes_by_name(experiment)
-    _check_parameters(experiment, view)
-    _check_links(experiment, axes)
-    conditions = Filter(experiment, _condition_names(experiment, view, axes))
-    shared: Resolved = {}
-    pairs = [
-        bind(experiment, view, view.algorithms[str(algorithm)], view.datasets[str(dataset)], shared)
-        for algorithm in experiment.algorithms.values
-        for dataset in experiment.datasets.values
-        if not conditions.excludes({"algorithm": algorithm, "dataset": dataset})
-    ]
-    _check_steps(experiment, view, pairs)
-    _check_roles(experiment, view)
-    return pairs, conditions
-
-
-def _check_catalogue(experiment: Experiment, view: CatalogueView) -> None:
     for axis, kind, known in (
         (experiment.algorithms, "algorithm", list(view.algorithms)),
         (experiment.datasets, "dataset", list(view.datasets)),
@@ -81,6 +63,41 @@ def _check_catalogue(experiment: Experiment, view: CatalogueView) -> None:
                 raise at(axis.place, unknown(kind, str(name), known))
     if not experiment.datasets.values:
         raise InvalidInput(f"{experiment.datasets.place}: the filter has not been replaced by names of datasets")
+    axes = _axes_by_name(experiment)
+    _check_parameters(experiment, view)
+    linked: set[str] = set()
+    for link in experiment.links:
+        word = "tied" if link.equal else "linked"
+        for name in link.axes:
+            if name not in axes:
+                raise at(link.place, unknown("axis", name, sorted(axes)))
+            if name in linked:
+                raise InvalidInput(f"{link.place}: {name} is linked or tied more than once")
+            linked.add(name)
+        lengths = {name: len(axes[name].values) for name in link.axes}
+        if len(set(lengths.values())) > 1:
+            text = ", ".join(f"{name} has {length}" for name, length in lengths.items())
+            raise InvalidInput(f"{link.place}: {word} axes need equally many values; {text}")
+        if link.equal and len({axes[name].values for name in link.axes}) > 1:
+            raise InvalidInput(
+                f"{link.place}: tied axes need the same values; those of {' and '.join(link.axes)} differ",
+                "use linked for values that differ and move together",
+            )
+    conditions = Filter(experiment, _condition_names(experiment, view, axes))
+    shared: Resolved = {}
+    pairs = [
+        bind(experiment, view, view.algorithms[str(algorithm)], view.datasets[str(dataset)], shared)
+        for algorithm in experiment.algorithms.values
+        for dataset in experiment.datasets.values
+        if not conditions.excludes({"algorithm": algorithm, "dataset": dataset})
+    ]
+    _check_steps(experiment, view, pairs)
+    names = [str(name) for name in experiment.algorithms.values]
+    roles = sorted({entry.role for name in names for entry in view.algorithms[name].inputs})
+    for choice in experiment.sensors:
+        if choice.role not in roles:
+            raise at(choice.place, unknown(f"role of {', '.join(names)}", choice.role, roles))
+    return pairs, conditions
 
 
 def _axes_by_name(experiment: Experiment) -> dict[str, ExperimentAxis]:
@@ -111,27 +128,6 @@ def _check_parameters(experiment: Experiment, view: CatalogueView) -> None:
             raise at(axis.place, unknown(f"parameter of {', '.join(owners)}", axis.key, sorted(known)))
 
 
-def _check_links(experiment: Experiment, axes: Mapping[str, ExperimentAxis]) -> None:
-    linked: set[str] = set()
-    for link in experiment.links:
-        word = "tied" if link.equal else "linked"
-        for name in link.axes:
-            if name not in axes:
-                raise at(link.place, unknown("axis", name, sorted(axes)))
-            if name in linked:
-                raise InvalidInput(f"{link.place}: {name} is linked or tied more than once")
-            linked.add(name)
-        lengths = {name: len(axes[name].values) for name in link.axes}
-        if len(set(lengths.values())) > 1:
-            text = ", ".join(f"{name} has {length}" for name, length in lengths.items())
-            raise InvalidInput(f"{link.place}: {word} axes need equally many values; {text}")
-        if link.equal and len({axes[name].values for name in link.axes}) > 1:
-            raise InvalidInput(
-                f"{link.place}: tied axes need the same values; those of {' and '.join(link.axes)} differ",
-                "use linked for values that differ and move together",
-            )
-
-
 def _condition_names(experiment: Experiment, view: CatalogueView, axes: Mapping[str, ExperimentAxis]) -> frozenset[str]:
     names = {"algorithm", "dataset", PLAYBACK_MODE, PLAYBACK_RATE, *axes}
     names |= {f"{step.name}.{axis.option}" for step in experiment.steps for axis in step.options}
@@ -149,15 +145,6 @@ def _varied(parameter: Parameter, algorithm: str, experiment: Experiment) -> boo
     """Tell if the experiment sets the parameter. If not, its sensor does, and conditions cannot know the value."""
     axes = (axis for axis in experiment.parameters if axis.algorithm in (None, algorithm))
     return any(axis.key in (parameter.key, parameter.general) for axis in axes)
-
-
-def _check_roles(experiment: Experiment, view: CatalogueView) -> None:
-    """Every role that a sensor is chosen for belongs to one of the algorithms."""
-    names = [str(name) for name in experiment.algorithms.values]
-    roles = sorted({entry.role for name in names for entry in view.algorithms[name].inputs})
-    for choice in experiment.sensors:
-        if choice.role not in roles:
-            raise at(choice.place, unknown(f"role of {', '.join(names)}", choice.role, roles))
 
 
 def _check_steps(experiment: Experiment, view: CatalogueView, pairs: list[ParameterPair]) -> None:

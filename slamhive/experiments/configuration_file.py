@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -161,17 +161,17 @@ def _published(config: RunConfig, view: CatalogueView) -> ImportedConfigurations
         variant=resolve_variant(view.steps, dataset, steps),
     )
     algorithm.package.check_playback(configuration.playback)
-    configuration = _without_known(configuration, algorithm, seen_dataset(view.steps, dataset, configuration.variant))
+    bound = match_of(
+        algorithm,
+        seen_dataset(view.steps, dataset, configuration.variant),
+        configuration.parameters,
+        configuration.sensors,
+    ).bound
+    same = {entry.key for entry in bound if entry.found is not None and entry.found == entry.value}
+    chosen = {key: value for key, value in configuration.parameters.items() if key not in same}
+    configuration = replace(configuration, parameters=chosen)
     ours = build_run_config(algorithm, dataset, configuration, config.run_id, config.seed)
     return ImportedConfigurations(configuration, config.seed, tuple(_notes(config, ours, algorithm)))
-
-
-def _without_known(configuration: Configuration, algorithm: Algorithm, seen: Dataset) -> Configuration:
-    """``configuration`` without values that the sensors give anyway: only others are the user's."""
-    bound = match_of(algorithm, seen, configuration.parameters, configuration.sensors).bound
-    same = {entry.key for entry in bound if entry.found is not None and entry.found == entry.value}
-    kept = {key: value for key, value in configuration.parameters.items() if key not in same}
-    return replace(configuration, parameters=kept)
 
 
 def _steps(dataset: Dataset, kind: str, option: str, factors: Mapping[str, Scalar]) -> Iterator[VariantStep]:
@@ -186,13 +186,12 @@ def _steps(dataset: Dataset, kind: str, option: str, factors: Mapping[str, Scala
         by_factor.setdefault(factor, []).append(sensors[topic.lstrip("/")])
     named = {sensors.get(topic.lstrip("/")) for topic in factors}
     for factor, names in by_factor.items():
-        shared = _sharing_pixels(dataset, names) if kind == "resolution" else ()
+        shared = (
+            tuple(sensor.name for sensor in dataset.sensors if sensor.calibration.get("registered_to") in names)
+            if kind == "resolution"
+            else ()
+        )
         yield VariantStep(kind, (*names, *(name for name in shared if name not in named)), {option: factor})
-
-
-def _sharing_pixels(dataset: Dataset, cameras: Sequence[str]) -> tuple[str, ...]:
-    """Depth sensors registered to these cameras: published files scale images alone, but both need one size."""
-    return tuple(sensor.name for sensor in dataset.sensors if sensor.calibration.get("registered_to") in cameras)
 
 
 def _notes(config: RunConfig, ours: RunConfig, algorithm: Algorithm) -> Iterator[str]:

@@ -223,13 +223,10 @@ class _Binder:
                 word.place,
             )
         if meaning.name == "owner" and word.text == ME:
-            return self._me(word)
+            if not self._vocabulary.me:
+                raise self._refusal("nobody has signed in here", "name the account: owner = NAME", word.place)
+            return self._vocabulary.me
         return word.text
-
-    def _me(self, word: Word) -> str:
-        if not self._vocabulary.me:
-            raise self._refusal("nobody has signed in here", "name the account: owner = NAME", word.place)
-        return self._vocabulary.me
 
     def _choice(self, meaning: Field, leaf: FilterComparison) -> Condition:
         """Resolve patterns to a list of known values."""

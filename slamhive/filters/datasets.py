@@ -63,7 +63,11 @@ def matching_datasets(text: str, datasets: Sequence[Dataset]) -> tuple[Dataset, 
     Names are ``dataset``, ``duration`` (s), ``groundtruth``, ``recording``, ``sensor`` (the set-ups that a dataset can
     serve), ``attribute`` and the properties of attributes. A word alone is an attribute.
     """
-    vocabulary = _DatasetNames(_setups(datasets), attributes_of(datasets))
+    setups: dict[str, tuple[str, ...]] = {setup.value: () for setup in SensorSetup}
+    for dataset in datasets:
+        for setup in setups_of(Counter(sensor.kind for sensor in dataset.sensors)):
+            setups[setup.value] = (*setups[setup.value], dataset.name)
+    vocabulary = _DatasetNames(setups, attributes_of(datasets))
     tree = bind(parse_filter(text, example=EXAMPLE), text, vocabulary).tree
     return tuple(dataset for dataset in datasets if tree is None or _fits(tree, dataset))
 
@@ -86,14 +90,6 @@ class _DatasetNames(Vocabulary):
 
     def nearest(self, name: str) -> str:
         return nearest(name, list(self.names()))
-
-
-def _setups(datasets: Iterable[Dataset]) -> dict[str, tuple[str, ...]]:
-    found: dict[str, tuple[str, ...]] = {setup.value: () for setup in SensorSetup}
-    for dataset in datasets:
-        for setup in setups_of(Counter(sensor.kind for sensor in dataset.sensors)):
-            found[setup.value] = (*found[setup.value], dataset.name)
-    return found
 
 
 def _fits(tree: Tree[Condition], dataset: Dataset) -> bool:

@@ -112,15 +112,13 @@ def _kind(token: FilterToken, kind_before: str, before: FilterToken, following: 
     if token.kind == "word" and text in KEYWORDS:
         negates_in = text == "not" and kind_before in _NAMES and following.text.lower() == "in"
         return "NOT_IN" if negates_in else text.upper()
-    if token.kind == "word" and text in PRESENCE and (following.kind == "text" or _is_plain_word(following)):
+    # "has" and "missing" are words like any others unless a name follows.
+    names = following.kind == "text" or (following.kind == "word" and following.text.lower() not in KEYWORDS)
+    if token.kind == "word" and text in PRESENCE and names:
         return "PRESENCE"
     if token.kind == "word" and token.text in UNITS and kind_before in _NAMES and is_number(before.text):
         return "UNIT"
     return _TERMINALS.get(token.kind, "WORD")
-
-
-def _is_plain_word(token: FilterToken) -> bool:
-    return token.kind == "word" and token.text.lower() not in KEYWORDS
 
 
 def _check_limits(text: str, tree: Filter, title: str) -> None:

@@ -36,7 +36,10 @@ def in_words(search: Search) -> str:
 
 def _words(condition: Condition) -> str:
     field, sign = condition.field, condition.sign
-    name = field.name if field.source is Source.PARAMETER else _lower(field.label)
+    # Abbreviations such as ATE keep their capitals within a sentence.
+    name = field.label if field.label[:2].isupper() else field.label[:1].lower() + field.label[1:]
+    if field.source is Source.PARAMETER:
+        name = field.name
     if sign in {Sign.HAS, Sign.MISSING}:
         return f"{'with' if sign is Sign.HAS else 'without'} {name}"
     if field.kind is FieldKind.TIME:
@@ -85,11 +88,6 @@ def _span(condition: Condition) -> str:
 def _moment(at: datetime) -> str:
     midnight = at.hour == at.minute == at.second == at.microsecond == 0
     return at.strftime("%Y-%m-%d") if midnight else at.strftime("%Y-%m-%d %H:%M:%S UTC")
-
-
-def _lower(label: str) -> str:
-    """A label in lower case, except for abbreviations."""
-    return label if label[:2].isupper() else label[:1].lower() + label[1:]
 
 
 # Builds searches in code.

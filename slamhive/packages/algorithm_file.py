@@ -301,7 +301,13 @@ def load_algorithms(folder: Path) -> tuple[Algorithm, ...]:
             f"{folder} lacks {MAPPING_SCRIPT}", "the container contract starts it; see docs/container-contract.md"
         )
     if model.image == "standard":
-        _check_standard_image(path, model.base)
+        if (path.parent / "Dockerfile").exists():
+            raise InvalidInput(f"{path}: image: standard, but there is a Dockerfile", "remove the one or the other")
+        if model.base is Base.ROS1 and not (path.parent / COMPILE_STAGE).is_file():
+            raise InvalidInput(
+                f"{path}: image: standard with base: ros1, but there is no {COMPILE_STAGE}",
+                "add the stage that compiles the nodes, as in algorithms/aloam",
+            )
     package = AlgorithmPackage(
         name=model.package,
         folder=folder,
@@ -350,16 +356,6 @@ def _pinned_image(path: Path, text: str) -> PinnedImage | None:
         raise InvalidInput(f"{path}: image: {error.message}", f"{error.remedy}, or own, or standard") from None
 
 
-def _check_standard_image(path: Path, base: Base) -> None:
-    if (path.parent / "Dockerfile").exists():
-        raise InvalidInput(f"{path}: image: standard, but there is a Dockerfile", "remove the one or the other")
-    if base is Base.ROS1 and not (path.parent / COMPILE_STAGE).is_file():
-        raise InvalidInput(
-            f"{path}: image: standard with base: ros1, but there is no {COMPILE_STAGE}",
-            "add the stage that compiles the nodes, as in algorithms/aloam",
-        )
-
-
 def _check_names(path: Path, model: _PackageModel) -> None:
     """All names that become paths, labels, keys of the configuration or elements of a page are plain."""
     named = [("package", model.package)]
@@ -406,13 +402,13 @@ def _algorithm(path: Path, package: AlgorithmPackage, mode: str, model: _ModeMod
         requires=tuple(entry for entry in _requirements(path, whole) if entry.source.role in model.inputs),
         bounds=tuple(_bound(path, dataset, bound, parameters) for dataset, bound in bounds.items()),
         map_input=model.map_input,
-        lidar=_lidar_needs(whole.lidar, model.lidar),
+        lidar=LidarNeeds(
+            **{
+                **whole.lidar.model_dump(),
+                **({} if model.lidar is None else model.lidar.model_dump(exclude_unset=True)),
+            }
+        ),
     )
-
-
-def _lidar_needs(package: _LidarModel, mode: _LidarModel | None) -> LidarNeeds:
-    """Join both; the mode wins over the package."""
-    return LidarNeeds(**{**package.model_dump(), **({} if mode is None else mode.model_dump(exclude_unset=True))})
 
 
 def _bound(path: Path, dataset: str, model: _BoundModel, parameters: tuple[Parameter, ...]) -> Bound:

@@ -143,29 +143,24 @@ def load_collection(path: Path) -> Collection:
     if model.name != path.stem:
         raise InvalidInput(f"{path}: name {model.name!r} differs from the file's", "rename the one or the other")
     try:
-        return _collection(model)
+        return Collection(
+            name=model.name,
+            title=model.title,
+            homepage=model.homepage,
+            licence=model.licence,
+            citation=" ".join(model.citation.split()),
+            importer=model.importer,
+            options=model.options,
+            needs=tuple(
+                Need(need.kind, need.text, need.address or "", need.variable or "", need.host or "")
+                for need in model.needs
+            ),
+            unverified=model.unverified,
+            note=" ".join(model.note.split()),
+            sequences=tuple(_sequence(model, name, own or SequenceModel()) for name, own in model.sequences.items()),
+        )
     except InvalidInput as error:
         raise InvalidInput(f"{path}: {error.message}", error.remedy) from None
-
-
-def _collection(model: CollectionModel) -> Collection:
-    return Collection(
-        name=model.name,
-        title=model.title,
-        homepage=model.homepage,
-        licence=model.licence,
-        citation=" ".join(model.citation.split()),
-        importer=model.importer,
-        options=model.options,
-        needs=tuple(_need(need) for need in model.needs),
-        unverified=model.unverified,
-        note=" ".join(model.note.split()),
-        sequences=tuple(_sequence(model, name, own or SequenceModel()) for name, own in model.sequences.items()),
-    )
-
-
-def _need(model: NeedModel) -> Need:
-    return Need(model.kind, model.text, model.address or "", model.variable or "", model.host or "")
 
 
 def _sequence(model: CollectionModel, name: str, own: SequenceModel) -> Sequence:

@@ -121,8 +121,8 @@ def load_dataset(folder: Path) -> Dataset:
         "relations": model.relations,
     }
     for kind, file in files.items():
-        if file is not None:
-            _check_plain_file(path, kind, file)
+        if file is not None and (PurePosixPath(file).name != file or file in {"", ".", ".."}):
+            raise InvalidInput(f"{path}: {kind} file {file!r} must be a plain file name in the dataset folder")
     if model.groundtruth is None and model.bag is None and model.relations is None:
         raise InvalidInput(f"{path}: it has neither a bag nor a groundtruth nor relations", "give one of them at least")
     _check_sensors(path, model.sensors)
@@ -232,8 +232,3 @@ def _check_sensors(path: Path, sensors: list[_SensorModel]) -> None:
             raise InvalidInput(f"{path}: sensor {sensor.name} lacks calibration {', '.join(missing)}")
         if sensor.kind in _CAMERAS:
             camera_model(_calibration(sensor), f"{path}: sensor {sensor.name}")
-
-
-def _check_plain_file(path: Path, kind: str, name: str) -> None:
-    if PurePosixPath(name).name != name or name in {"", ".", ".."}:
-        raise InvalidInput(f"{path}: {kind} file {name!r} must be a plain file name in the dataset folder")

@@ -63,7 +63,15 @@ def base_images(dockerfile: str, base: str, project_root: Path) -> tuple[BaseIma
     """The parts of ``base`` that the text of a Dockerfile declares. Raises InvalidInput if a part cannot be read."""
     declared = _ARGUMENT.findall(dockerfile)
     folders = {part: project_root / f"docker/{base}/{part.lower()}" for part in declared}
-    return tuple(_base_image(base, folder, project_root) for folder in folders.values() if _is_part(folder))
+    images = []
+    for folder in folders.values():
+        if (folder / "Dockerfile").is_file():
+            needs = base_images(read_dockerfile(folder / "Dockerfile"), base, project_root)
+            whole = "".join([hash_files(folder), *(image.content for image in needs)])
+            content = f"sha256:{hashlib.sha256(whole.encode()).hexdigest()}"
+            part = folder.name
+            images.append(BaseImage(f"slam-hive-base:{base}-{part}", f"{part.upper()}_IMAGE", folder, needs, content))
+    return tuple(images)
 
 
 def source_archives(dockerfile: str) -> tuple[str, ...]:
@@ -82,17 +90,6 @@ def stage_sources(dockerfile: str, archives: Path | None, target: Path) -> None:
     for name in source_archives(dockerfile) if archives else ():
         if archives is not None and (archives / name).is_file():
             shutil.copy(archives / name, target)
-
-
-def _is_part(folder: Path) -> bool:
-    return (folder / "Dockerfile").is_file()
-
-
-def _base_image(base: str, folder: Path, project_root: Path) -> BaseImage:
-    part = folder.name
-    needs = base_images(read_dockerfile(folder / "Dockerfile"), base, project_root)
-    content = hashlib.sha256("".join([hash_files(folder), *(image.content for image in needs)]).encode()).hexdigest()
-    return BaseImage(f"slam-hive-base:{base}-{part}", f"{part.upper()}_IMAGE", folder, needs, f"sha256:{content}")
 
 
 HOST_CERTIFICATES = Path("/usr/local/share/ca-certificates")

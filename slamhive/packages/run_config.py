@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, Variant
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.matching import Match, match_of
-from slamhive.domain.parameters import Value
+from slamhive.domain.matching import match_of
 from slamhive.domain.sensors import Sensor
 from slamhive.runtime.config import RunConfig
 
@@ -43,14 +41,30 @@ def build_run_config(
     sensors = match.sensors
     dataset_parameters: dict[str, Any] = {}
     for role, sensor in sensors.items():
-        dataset_parameters.update(_sensor_parameters(role, sensor))
+        calibration = {f"{role}_{key}": value for key, value in sensor.calibration.items()}
+        dataset_parameters.update(
+            {
+                **calibration,
+                f"{role}_rate_hz": sensor.rate_hz,
+                f"{role}_T_body_sensor": sensor.T_body_sensor,
+            }
+        )
     values = match.values(configuration.parameters)
+    # Launch arguments that published scripts pass on: those that name topics, and no others.
+    topics = {entry.role: entry for entry in algorithm.topics}
+    remap: dict[str, str] = {}
+    for entry in match.remaps:
+        topic = topics.get(entry.role)
+        if topic is None:
+            remap[entry.role] = entry.seen
+        elif topic.argument is not None:
+            remap[topic.argument] = entry.seen
     return RunConfig(
         algorithm=algorithm.name,
         dataset=dataset.name,
         algorithm_parameters=values,
         dataset_parameters=dataset_parameters,
-        algorithm_remap=_algorithm_remap(algorithm, match),
+        algorithm_remap=remap,
         dataset_remap={entry.seen: entry.recorded for entry in match.remaps},
         dataset_frequency={sensor.topic: _every(sensor, source) for sensor in sensors.values()},
         dataset_resolution={
@@ -60,34 +74,19 @@ def build_run_config(
         },
         algorithm_attribute=algorithm.setup.value,
         dataset_attribute=", ".join(dataset.attributes) or None,
-        general_parameter={"save_map": 0, **_general_parameters(algorithm, values)},
+        general_parameter={
+            "save_map": 0,
+            **{
+                parameter.general: values[parameter.key]
+                for parameter in algorithm.parameters
+                if parameter.general is not None and parameter.key in values
+            },
+        },
         run_id=run_id,
         seed=seed,
         playback_mode=configuration.playback.mode.value,
         playback_rate=configuration.playback.rate,
     )
-
-
-def _algorithm_remap(algorithm: Algorithm, match: Match) -> dict[str, str]:
-    """Launch arguments that published scripts pass on: those that name topics, and no others."""
-    topics = {entry.role: entry for entry in algorithm.topics}
-    remap: dict[str, str] = {}
-    for entry in match.remaps:
-        topic = topics.get(entry.role)
-        if topic is None:
-            remap[entry.role] = entry.seen
-        elif topic.argument is not None:
-            remap[topic.argument] = entry.seen
-    return remap
-
-
-def _general_parameters(algorithm: Algorithm, values: Mapping[str, Value]) -> dict[str, Value]:
-    """The values of parameters that have a general name, under that name."""
-    return {
-        parameter.general: values[parameter.key]
-        for parameter in algorithm.parameters
-        if parameter.general is not None and parameter.key in values
-    }
 
 
 def _every(sensor: Sensor, source: Dataset | None) -> int:
@@ -99,12 +98,3 @@ def _image_scale(sensor: Sensor, variant: Variant) -> float:
     """The product of the factors that the sensor's images were scaled by."""
     steps = (step for step in variant if step.kind == "resolution" and sensor.name in step.sensors)
     return math.prod(float(step.options["scale"]) for step in steps)
-
-
-def _sensor_parameters(role: str, sensor: Sensor) -> dict[str, Any]:
-    calibration = {f"{role}_{key}": value for key, value in sensor.calibration.items()}
-    return {
-        **calibration,
-        f"{role}_rate_hz": sensor.rate_hz,
-        f"{role}_T_body_sensor": sensor.T_body_sensor,
-    }

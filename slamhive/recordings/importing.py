@@ -270,7 +270,12 @@ def perform(plan: ImportPlan, folder: Path, progress: Progress) -> Dataset:
             relations=None if plan.relations is None else RELATIONS_FILE,
             reference_map=None if plan.reference_map is None else plan.reference_map.name,
         )
-        _compare_checksum(plan.recording, dataset)
+        expected = plan.recording.checksum if isinstance(plan.recording, KeptRecording) else None
+        if expected not in {None, dataset.checksum}:
+            raise InvalidInput(
+                f"the recording has checksum {dataset.checksum}, but its dataset.yaml says {expected}",
+                "it was changed or damaged on the way: copy it again, or import the recording alone",
+            )
     _LOG.info("imported dataset %s", dataset.name)
     progress(1.0, "done")
     return dataset
@@ -280,7 +285,11 @@ def _record(
     new: NewDataset, recording: tuple[PlannedStream, ...] | KeptRecording | RewrittenRecording, progress: Progress
 ) -> None:
     if isinstance(recording, tuple):
-        _write_streams(new, recording, progress)
+        total = sum(len(stream.times_ns) for stream in recording)
+        with new.recording() as bag:
+            for number, (stream, index) in enumerate(_in_order(recording), start=1):
+                stream.write(bag, index)
+                progress(number / total, f"writing message {number} of {total}")
     elif isinstance(recording, KeptRecording):
         new.keep(recording.path, _part(progress, 0.0, _COPIED))
         if recording.check is not None:
@@ -288,23 +297,6 @@ def _record(
     else:
         with new.recording() as bag:
             recording.write(bag, progress)
-
-
-def _compare_checksum(recording: object, made: Dataset) -> None:
-    expected = recording.checksum if isinstance(recording, KeptRecording) else None
-    if expected not in {None, made.checksum}:
-        raise InvalidInput(
-            f"the recording has checksum {made.checksum}, but its dataset.yaml says {expected}",
-            "it was changed or damaged on the way: copy it again, or import the recording alone",
-        )
-
-
-def _write_streams(new: NewDataset, streams: Sequence[PlannedStream], progress: Progress) -> None:
-    total = sum(len(stream.times_ns) for stream in streams)
-    with new.recording() as bag:
-        for number, (stream, index) in enumerate(_in_order(streams), start=1):
-            stream.write(bag, index)
-            progress(number / total, f"writing message {number} of {total}")
 
 
 def _in_order(streams: Sequence[PlannedStream]) -> Iterator[tuple[PlannedStream, int]]:

@@ -142,9 +142,18 @@ def new_dataset_folder(folder: Path, needed_bytes: int) -> Iterator[Path]:
         descriptor = _lock(aside, folder)
         try:
             _empty(aside)
-            _check_space(folder, needed_bytes)
+            free = shutil.disk_usage(folder.parent).free
+            if free < needed_bytes + _SPARE_BYTES:
+                raise Unavailable(  # noqa: TRY301 - what is aside is removed whatever ends the block
+                    f"{folder.parent} has {free / 1e6:.0f} MB free, dataset {folder.name!r} needs about "
+                    f"{(needed_bytes + _SPARE_BYTES) / 1e6:.0f} MB",
+                    "free some space, or move the data root (SLAMHIVE_DATA)",
+                )
             yield aside
-            _rename(aside, folder)
+            # A dataset of this name that was put there by hand in the meantime is not to be replaced.
+            if folder.exists():
+                raise _taken(folder)  # noqa: TRY301 - what is aside is removed whatever ends the block
+            aside.rename(folder)
         except BaseException:
             shutil.rmtree(aside, ignore_errors=True)
             raise
@@ -262,22 +271,6 @@ def _empty(aside: Path) -> None:
             entry.unlink()
 
 
-def _check_space(folder: Path, needed_bytes: int) -> None:
-    free = shutil.disk_usage(folder.parent).free
-    if free < needed_bytes + _SPARE_BYTES:
-        raise Unavailable(
-            f"{folder.parent} has {free / 1e6:.0f} MB free, dataset {folder.name!r} needs about "
-            f"{(needed_bytes + _SPARE_BYTES) / 1e6:.0f} MB",
-            "free some space, or move the data root (SLAMHIVE_DATA)",
-        )
-
-
-def _rename(aside: Path, folder: Path) -> None:
-    if folder.exists():
-        raise _taken(folder)
-    aside.rename(folder)
-
-
 def _taken(folder: Path) -> Conflict:
     return Conflict(f"dataset {folder.name!r} exists already", "choose another name, or remove it first")
 
@@ -311,7 +304,7 @@ def in_order(tasks: Iterable[Ready[T] | Pending[T]]) -> Iterator[T]:
     """The results of ``tasks`` in their order; what a task raises is raised here."""
     waiting: deque[tuple[Ready[T] | Future[T], int]] = deque()
     held_bytes = 0
-    with ThreadPoolExecutor(_workers(), "in-order") as pool:
+    with ThreadPoolExecutor(max(2, len(os.sched_getaffinity(0))), "in-order") as pool:
         try:
             for task in tasks:
                 waiting.append((task if isinstance(task, Ready) else pool.submit(task.make), task.held_bytes))
@@ -343,7 +336,3 @@ def _is_ready(result: Ready[T] | Future[T]) -> bool:
 
 def _take(result: Ready[T] | Future[T]) -> T:
     return result.result if isinstance(result, Ready) else result.result()
-
-
-def _workers() -> int:
-    return max(2, len(os.sched_getaffinity(0)))

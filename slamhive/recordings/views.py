@@ -59,7 +59,13 @@ def frames_at(dataset: Dataset, sensor: Sensor, times_s: Iterable[float], width:
         pixels = convert(message, kind)
         if not isinstance(pixels, np.ndarray):
             raise InvalidInput(f"topic {sensor.topic} of sensor {sensor.name} holds {kind}, no images")
-        yield FrameView(time_s, _jpeg(_shrunk(_visible(pixels, sensor), width)))
+        pixels = _visible(pixels, sensor)
+        if pixels.shape[1] <= width:
+            shown = pixels
+        else:
+            height = max(1, round(pixels.shape[0] * width / pixels.shape[1]))
+            shown = np.asarray(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA))
+        yield FrameView(time_s, _jpeg(shown))
 
 
 def sweep_at(dataset: Dataset, sensor: Sensor, time_s: float) -> SweepView | None:
@@ -141,13 +147,6 @@ def _coloured(depth: Array) -> Array:
     coloured: Array = cv2.applyColorMap(near_is_high.astype(np.uint8), cv2.COLORMAP_TURBO)
     coloured[~known] = 0
     return coloured
-
-
-def _shrunk(pixels: Array, width: int) -> Array:
-    if pixels.shape[1] <= width:
-        return pixels
-    height = max(1, round(pixels.shape[0] * width / pixels.shape[1]))
-    return np.asarray(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA))
 
 
 def _jpeg(pixels: Array) -> bytes:

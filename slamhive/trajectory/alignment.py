@@ -119,7 +119,19 @@ def align_umeyama(estimate_m: FloatArray, reference_m: FloatArray, *, scaled: bo
     mean_estimate, mean_reference = estimate_m.mean(axis=0), reference_m.mean(axis=0)
     p, q = estimate_m - mean_estimate, reference_m - mean_reference
     U, d, Vt = np.linalg.svd(q.T @ p / len(p))
-    _check_rank(p, q, d)
+    # A cross-covariance of rank below 2 leaves the rotation open (Umeyama 1991, section III).
+    for name, centred in (("estimate", p), ("ground truth", q)):
+        if not centred.any():
+            raise InvalidInput(
+                f"alignment is not possible: the {name} stands still over the {len(p)} matched poses",
+                "choose the alignment 'none', or a run that moves",
+            )
+    if d[1] <= RANK_TOLERANCE * d[0]:
+        raise InvalidInput(
+            f"alignment is not possible: the {len(p)} matched poses lie on a straight line (rank below 2), "
+            "so the rotation about it is open",
+            "choose the alignment 'first_pose' or 'none' ('yaw_position' where z points up), or a run with a turn",
+        )
     S = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
     rotation = (U * S) @ Vt
     scale = float((d * S).sum() / (np.linalg.norm(p) ** 2 / len(p))) if scaled else 1.0
@@ -178,23 +190,3 @@ def _first_pose(estimate: Poses, reference: Poses) -> Similarity:
     R_estimate, R_reference = (rotations_from_quats(poses.quats_xyzw[:1])[0] for poses in (estimate, reference))
     rotation = R_reference @ R_estimate.T
     return Similarity(1.0, rotation, reference.positions_m[0] - rotation @ estimate.positions_m[0])
-
-
-def _check_rank(p: FloatArray, q: FloatArray, singular_values: FloatArray) -> None:
-    """Raise InvalidInput if a rotation between centred positions, shape (n, 3) each, cannot be determined.
-
-    Umeyama's alignment needs a cross-covariance of rank 2 (Umeyama 1991, section III): positions on one line leave
-    the rotation about the line open.
-    """
-    for name, centred in (("estimate", p), ("ground truth", q)):
-        if not centred.any():
-            raise InvalidInput(
-                f"alignment is not possible: the {name} stands still over the {len(p)} matched poses",
-                "choose the alignment 'none', or a run that moves",
-            )
-    if singular_values[1] <= RANK_TOLERANCE * singular_values[0]:
-        raise InvalidInput(
-            f"alignment is not possible: the {len(p)} matched poses lie on a straight line (rank below 2), "
-            "so the rotation about it is open",
-            "choose the alignment 'first_pose' or 'none' ('yaw_position' where z points up), or a run with a turn",
-        )

@@ -35,7 +35,13 @@ def associate(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
     """
     how = protocol.association
     if how is Association.INDEX:
-        return _by_index(reference, estimate)
+        if len(reference) != len(estimate):
+            raise InvalidInput(
+                f"poses are matched by index, but the estimate has {len(estimate)} and the ground truth "
+                f"{len(reference)}",
+                "choose an association by time, or a run that tracked every frame",
+            )
+        return reference, estimate
     if how is Association.INTERPOLATE:
         pair = interpolated(reference, estimate, protocol.interpolation_interval_s)
     elif how is Association.INTERPOLATE_ESTIMATE:
@@ -157,15 +163,6 @@ def _around(values: FloatArray, wanted: FloatArray) -> tuple[Indices, Indices, I
     lower, upper = np.maximum(above - 1, 0), np.minimum(above, len(values) - 1)
     nearer = np.sign(np.abs(values[lower] - wanted) - np.abs(values[upper] - wanted)).astype(np.intp)
     return lower, upper, nearer
-
-
-def _by_index(reference: Trajectory, estimate: Trajectory) -> tuple[Poses, Poses]:
-    if len(reference) != len(estimate):
-        raise InvalidInput(
-            f"poses are matched by index, but the estimate has {len(estimate)} and the ground truth {len(reference)}",
-            "choose an association by time, or a run that tracked every frame",
-        )
-    return reference, estimate
 
 
 def interpolated(trajectory: Trajectory, other: Trajectory, interval_s: float) -> tuple[Poses, Poses]:

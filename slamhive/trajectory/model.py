@@ -186,15 +186,12 @@ def repair(poses: Poses, how: Duplicates) -> Trajectory:
         first = poses.take(begins)
         return Trajectory(first.stamps_s, first.positions_m, first.quats_xyzw)
     counts = np.diff(np.append(begins, len(poses)))
+    # A quaternion and its negative are one orientation: all get the sign of the first.
+    firsts = np.repeat(poses.quats_xyzw[begins], counts, axis=0)
+    signs = np.where((firsts * poses.quats_xyzw).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+    sums = np.add.reduceat(signs * poses.quats_xyzw, begins, axis=0)
     return Trajectory(
         poses.stamps_s[begins],
         np.add.reduceat(poses.positions_m, begins, axis=0) / counts[:, None],
-        _mean_quats(poses.quats_xyzw, begins, counts),
+        np.asarray(sums / np.linalg.norm(sums, axis=1, keepdims=True)),
     )
-
-
-def _mean_quats(quats_xyzw: FloatArray, begins: np.ndarray, counts: np.ndarray) -> FloatArray:
-    first = np.repeat(quats_xyzw[begins], counts, axis=0)
-    signs = np.where((first * quats_xyzw).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
-    sums = np.add.reduceat(signs * quats_xyzw, begins, axis=0)
-    return np.asarray(sums / np.linalg.norm(sums, axis=1, keepdims=True))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 import os
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -136,7 +136,15 @@ def parse_table(data: bytes, name: str, columns: int, layout: str, *, more_colum
         return NumberTable(name, values[:, :columns], data)
     if more_columns:
         columns = max(columns, len(first.split()))
-    raise _first_bad_row(NumberTable(name, values, data), _rows(data, name), columns, layout)
+    unread = NumberTable(name, values, data)
+    for index, row in enumerate(_rows(data, name)):
+        words = row.split()
+        for word in words:
+            if not _is_number(word):
+                raise unread.error(index, f"{word[:_SHOWN_CHARACTERS]!r} is not a number", f"expected {layout}")
+        if len(words) != columns:
+            raise unread.error(index, f"{len(words)} columns instead of {columns}", f"expected {layout}")
+    raise InvalidInput(f"{name} is not a table of numbers", f"expected lines of {layout}")
 
 
 def _check_text(data: bytes, name: str, layout: str) -> None:
@@ -193,17 +201,6 @@ def _rows(data: bytes, name: str) -> Iterator[str]:
 def _is_row(line: str) -> bool:
     content = line.lstrip()
     return content != "" and content[0] != "#"
-
-
-def _first_bad_row(table: NumberTable, rows: Iterable[str], columns: int, layout: str) -> InvalidInput:
-    for index, row in enumerate(rows):
-        words = row.split()
-        for word in words:
-            if not _is_number(word):
-                return table.error(index, f"{word[:_SHOWN_CHARACTERS]!r} is not a number", f"expected {layout}")
-        if len(words) != columns:
-            return table.error(index, f"{len(words)} columns instead of {columns}", f"expected {layout}")
-    return InvalidInput(f"{table.name} is not a table of numbers", f"expected lines of {layout}")
 
 
 def _is_number(word: str) -> bool:

@@ -145,12 +145,9 @@ def interpolate(trajectory: Trajectory, stamps_s: FloatArray) -> Poses:
     interval_s = np.where(end_s > begin_s, end_s - begin_s, 1.0)  # two poses at one time: the later one counts
     part = np.where(end_s > begin_s, np.clip((stamps_s - begin_s) / interval_s, 0.0, 1.0), 1.0)[:, None]
     positions_m = (1 - part) * trajectory.positions_m[before] + part * trajectory.positions_m[before + 1]
-    quats_xyzw = _slerp(trajectory.quats_xyzw[before], trajectory.quats_xyzw[before + 1], part)
-    return Poses(stamps_s, positions_m, quats_xyzw)
-
-
-def _slerp(begin_xyzw: FloatArray, end_xyzw: FloatArray, part: FloatArray) -> FloatArray:
+    begin_xyzw, end_xyzw = trajectory.quats_xyzw[before], trajectory.quats_xyzw[before + 1]
     cosine = (begin_xyzw * end_xyzw).sum(axis=1, keepdims=True)
+    # A quaternion and its negative are one orientation: the nearer one gives the shorter way.
     end_xyzw = np.where(cosine < 0, -end_xyzw, end_xyzw)
     cosine = np.minimum(np.abs(cosine), 1.0)
     straight = cosine > _NEARLY_PARALLEL
@@ -160,4 +157,4 @@ def _slerp(begin_xyzw: FloatArray, end_xyzw: FloatArray, part: FloatArray) -> Fl
     of_end = np.where(straight, part, np.sin(part * angle) / sine)
     quats_xyzw = of_begin * begin_xyzw + of_end * end_xyzw
     quats_xyzw /= np.linalg.norm(quats_xyzw, axis=1, keepdims=True)
-    return np.asarray(quats_xyzw)
+    return Poses(stamps_s, positions_m, quats_xyzw)

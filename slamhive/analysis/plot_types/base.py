@@ -310,20 +310,18 @@ def summary_table(key: str, table: RunTable, metrics: Sequence[str], by: Sequenc
         cells: list[Cell] = [*map(plain_cell, names), *counts]
         for metric in metrics:
             factor = 1e-6 if table.column(metric).unit == "bytes" else 1.0
-            cells += _summary_cells(summarise(factor * good_values(group, metric)))
+            summary = summarise(factor * good_values(group, metric))
+            if summary is None:
+                cells += [None] * len(_SUMMARY)
+            else:
+                ends = (None, None) if summary.interval is None else (summary.interval.low, summary.interval.high)
+                cells += [summary.mean, summary.std, summary.median, *ends]
         rows.append(tuple(cells))
     return ResultTable(key, "Summary", tuple(columns), tuple(rows), caption=f"{table.rule_words} {_INTERVAL}")
 
 
 _SUMMARY = {"mean": "mean", "std": "std", "median": "median", "low": "95 % from", "high": "95 % to"}
 _INTERVAL = "95 %: bootstrap interval of the mean over runs, too narrow for fewer than 10 runs; std with divisor n - 1."
-
-
-def _summary_cells(summary: Summary | None) -> list[Cell]:
-    if summary is None:
-        return [None] * len(_SUMMARY)
-    ends = (None, None) if summary.interval is None else (summary.interval.low, summary.interval.high)
-    return [summary.mean, summary.std, summary.median, *ends]
 
 
 def plain_cell(value: object) -> Cell:

@@ -80,7 +80,11 @@ class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
             marks=tuple(_failure_rates(table, x, by)),
             caption=base.caption(table, len(table.frame), protocol),
         )
-        overall = _over_groups(table, options.metric, by)
+        overall = []
+        for algorithm, rows in table.frame.groupby("algorithm", sort=True):
+            values = [base.good_values(group, options.metric) for _, group in rows.groupby(by, sort=True)]
+            of_groups = np.array([group.mean() for group in values if len(group)])
+            overall.append(_Overall(str(algorithm), of_groups, len(rows), base.failed_count(rows)))
         several = bool(shown) and len(x.categories or ()) > 1
         over_groups = [_overall_chart(table, options, overall, protocol)] if several else []
         result = base.result_of(
@@ -183,15 +187,6 @@ class _Overall:
     @property
     def words(self) -> str:
         return f"{len(self.means)} groups, {100 * self.failed / self.runs:.0f} % failed"
-
-
-def _over_groups(table: RunTable, metric: str, by: str) -> list[_Overall]:
-    found = []
-    for algorithm, rows in table.frame.groupby("algorithm", sort=True):
-        values = [base.good_values(group, metric) for _, group in rows.groupby(by, sort=True)]
-        means = np.array([group.mean() for group in values if len(group)])
-        found.append(_Overall(str(algorithm), means, len(rows), base.failed_count(rows)))
-    return found
 
 
 def _overall_chart(

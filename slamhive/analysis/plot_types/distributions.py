@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from pydantic import Field
 
@@ -52,29 +50,28 @@ def _chart(table: RunTable, key: str, protocol: str | None, options: Distributio
     column = table.column(key)
     shown = base.with_values(table, [key])
     x = Axis(table.column(options.by).label, table.column(options.by).unit, categories=table.groups(options.by))
+    marks: list[Mark] = []
+    for algorithm, rows in table.good().dropna(subset=[key]).groupby("algorithm", sort=True):
+        marks.append(
+            Boxes(
+                name=str(algorithm),
+                categories=tuple(rows[options.by]),
+                values=base.number_column(rows, key),
+                runs=rows["run_id"].to_numpy(dtype=int),
+                colour=table.colours[str(algorithm)],
+            )
+        )
+    marks.extend(failed_marks(table, x, options.by))
     return Chart(
         key=f"distribution_{key}",
         title=options.title or f"{column.label} over runs",
         x=x,
         y=Axis(column.label, column.unit, log=base.spans_decades(base.number_column(shown, key))),
-        marks=tuple(_marks(table, key, x, options.by)),
+        marks=tuple(marks),
         caption=base.caption(
             table, len(shown), protocol, "Boxes: quartiles; whiskers: up to 1.5 times the interquartile range."
         ),
     )
-
-
-def _marks(table: RunTable, key: str, x: Axis, by: str) -> Iterator[Mark]:
-    shown = table.good().dropna(subset=[key])
-    for algorithm, rows in shown.groupby("algorithm", sort=True):
-        yield Boxes(
-            name=str(algorithm),
-            categories=tuple(rows[by]),
-            values=base.number_column(rows, key),
-            runs=rows["run_id"].to_numpy(dtype=int),
-            colour=table.colours[str(algorithm)],
-        )
-    yield from failed_marks(table, x, by)
 
 
 # Repeatability: all runs of one configuration, and how much their metrics differ.

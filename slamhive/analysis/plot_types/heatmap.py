@@ -48,7 +48,11 @@ class Heatmap(base.PlotType[HeatmapOptions]):
             base.with_values(table, [metric.key])
         x_values, y_values = (distinct_values(table.frame[key], key) for key in (options.x, options.y))
         parts = _parts(table, (options.x, options.y))
-        maps = _on_one_scale([_cells(part, options, (x_values, y_values)) for part in parts.values()])
+        maps = [_cells(part, options, (x_values, y_values)) for part in parts.values()]
+        values = np.concatenate([cells.values.ravel() for cells in maps])
+        finite = values[np.isfinite(values)]
+        span = (float(finite.min()), float(finite.max())) if len(finite) else None
+        maps = [replace(cells, log=base.spans_decades(values), span=span) for cells in maps]
         charts = [
             Chart(
                 key="_".join(filter(None, ("heatmap", algorithm))),
@@ -119,11 +123,3 @@ def _cells(table: RunTable, options: HeatmapOptions, values: tuple[list[object],
         unit=column.unit,
         lower_is_better=column.direction is not Direction.HIGHER,
     )
-
-
-def _on_one_scale(maps: list[Cells]) -> list[Cells]:
-    """The maps with one colour scale."""
-    values = np.concatenate([cells.values.ravel() for cells in maps])
-    finite = values[np.isfinite(values)]
-    span = (float(finite.min()), float(finite.max())) if len(finite) else None
-    return [replace(cells, log=base.spans_decades(values), span=span) for cells in maps]

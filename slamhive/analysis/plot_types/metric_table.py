@@ -66,7 +66,12 @@ def grid_table(table: RunTable, column: Column, by: str, title: str | None) -> R
             *(TableColumn(f"algorithm.{name}", name, figures=True) for name in algorithms),
         ),
         tuple((name, *(entry.text for entry in entries)) for name, entries in grid.items()),
-        caption=_caption(table, column, protocol, [entry for entries in grid.values() for entry in entries]),
+        caption=base.caption(
+            table,
+            len(table.good()),
+            protocol,
+            *_notes(column, [entry for entries in grid.values() for entry in entries]),
+        ),
         ranks=tuple((None, *ranks(entries, column.direction)) for entries in grid.values()),
     )
 
@@ -91,10 +96,6 @@ def ranks(entries: Sequence[_Entry], direction: Direction) -> list[int | None]:
     known = sorted(key for key in keys if key is not None)
     places = [None if key is None or known[0] == known[-1] else 1 + known.index(key) for key in keys]
     return [place if place in _MARKED else None for place in places]
-
-
-def _caption(table: RunTable, column: Column, protocol: str | None, entries: Sequence[_Entry]) -> str:
-    return base.caption(table, len(table.good()), protocol, *_notes(column, entries))
 
 
 def _notes(column: Column, entries: Sequence[_Entry]) -> Iterator[str]:
@@ -164,10 +165,17 @@ class MetricTable(base.PlotType[MetricTableOptions]):
             counts = len(group), base.failed_count(group)
             rows.append((*map(str, names), *counts, *(_cell(group, column) for column in columns), protocol))
         one = len(protocols) <= 1
+        named = (TableColumn(key, table.column(key).label, table.column(key).unit) for key in by)
         shown = ResultTable(
             "metrics",
             options.title or self.title,
-            (*_row_columns(table, by), *map(_heading, columns), *(() if one else (_PROTOCOL,))),
+            (
+                *named,
+                TableColumn("runs", "Runs"),
+                TableColumn("failed", "Failed"),
+                *map(_heading, columns),
+                *(() if one else (_PROTOCOL,)),
+            ),
             tuple(row[:-1] for row in rows) if one else tuple(rows),
             caption=base.caption(table, len(table.good()), " or ".join(sorted(protocols)) or None, _CAPTION),
         )
@@ -189,11 +197,6 @@ class MetricTable(base.PlotType[MetricTableOptions]):
 
 _PROTOCOL = TableColumn("protocol", "Protocol")
 _CAPTION = "Values: mean ± standard deviation (divisor n - 1) over the runs that did not fail."
-
-
-def _row_columns(table: RunTable, by: list[str]) -> tuple[TableColumn, ...]:
-    named = (TableColumn(key, table.column(key).label, table.column(key).unit) for key in by)
-    return (*named, TableColumn("runs", "Runs"), TableColumn("failed", "Failed"))
 
 
 def _heading(column: Column) -> TableColumn:

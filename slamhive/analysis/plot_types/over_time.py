@@ -21,7 +21,6 @@ from slamhive.analysis.plot_types.looks import (
     recording_starts,
 )
 from slamhive.analysis.report import PlotResult, ResultTable, TableColumn
-from slamhive.analysis.table import RunTable
 from slamhive.base.errors import InvalidInput
 
 _MOST_POINTS = 600
@@ -41,7 +40,11 @@ class Usage(base.PlotType[LineOptions]):
     def build(self, data: base.PlotData, options: LineOptions) -> PlotResult:
         """A plot of CPU and one of memory, a table of means and peaks, the samples."""
         table = data.table.require_runs()
-        startups_s = _startups(table)
+        # How long a run took from its start to its first frame, where that was measured.
+        startups_s: dict[int, float] = {}
+        if _STARTUP in table.frame:
+            pairs = zip(table.frame["run_id"], base.number_column(table.frame, _STARTUP), strict=True)
+            startups_s = {int(run): float(startup_s) for run, startup_s in pairs if np.isfinite(startup_s)}
         sampled, excluded = read_runs(
             data,
             table.frame["run_id"],
@@ -80,14 +83,6 @@ class Usage(base.PlotType[LineOptions]):
             _samples(sampled),
         )
         return base.result_of(table, None, charts, tables, excluded=excluded)
-
-
-def _startups(table: RunTable) -> dict[int, float]:
-    """{run: how long it took from its start to its first frame, in s}, where that was measured."""
-    if _STARTUP not in table.frame:
-        return {}
-    pairs = zip(table.frame["run_id"], base.number_column(table.frame, _STARTUP), strict=True)
-    return {int(run): float(startup_s) for run, startup_s in pairs if np.isfinite(startup_s)}
 
 
 def _time_axis(
@@ -178,22 +173,18 @@ class Latency(base.PlotType[LineOptions]):
             ),
             caption=base.caption(table, len(timed), None, how, FROM_FIRST_FRAME, "Dropped frames have none."),
         )
+        columns = (
+            TableColumn("run_id", "Run", links_run=True),
+            TableColumn("time_s", "Recording time", "s"),
+            TableColumn("latency_s", "Latency", "s"),
+        )
+        rows = tuple(
+            (entry.run_id, float(at - starts_s[entry.run_id]), float(latency))
+            for entry in timed
+            for at, latency in zip(entry.timestamps_s, entry.latencies_s, strict=True)
+        )
         tables = (
             base.raw_table("latency", table, sorted(self.reads), "Medians and percentiles"),
-            _latencies(timed, starts_s),
+            ResultTable("latency_samples", "Samples", columns, rows, raw=True),
         )
         return base.result_of(table, None, [chart], tables, excluded=excluded)
-
-
-def _latencies(timed: list[base.RunLatency], starts_s: Mapping[int, float]) -> ResultTable:
-    columns = (
-        TableColumn("run_id", "Run", links_run=True),
-        TableColumn("time_s", "Recording time", "s"),
-        TableColumn("latency_s", "Latency", "s"),
-    )
-    rows = tuple(
-        (entry.run_id, float(at - starts_s[entry.run_id]), float(latency))
-        for entry in timed
-        for at, latency in zip(entry.timestamps_s, entry.latencies_s, strict=True)
-    )
-    return ResultTable("latency_samples", "Samples", columns, rows, raw=True)

@@ -9,7 +9,7 @@ from slamhive.analysis.chart import Axis, Chart, Dimension, Parallel
 from slamhive.analysis.plot_types import base
 from slamhive.analysis.plot_types.looks import places_on, value_words
 from slamhive.analysis.report import PlotResult
-from slamhive.analysis.table import Column, RunTable
+from slamhive.analysis.table import Column
 from slamhive.base.errors import InvalidInput
 
 MOST_LINES = 20_000
@@ -36,7 +36,11 @@ class ParallelCoordinates(base.PlotType[ParallelOptions]):
         """One plot and its raw data."""
         table = data.table.require_runs()
         metric = table.numeric(options.metric, "the colour")
-        keys = options.dimensions or _default_dimensions(table)
+        # Without a choice: the first parameters that vary, and the algorithm if nothing does.
+        names = [name for name in ("algorithm", "dataset") if table.frame[name].nunique() > 1]
+        keys = options.dimensions or (
+            [*names, *(column.key for column in table.varied()[:MOST_PARAMETERS])] or ["algorithm"]
+        )
         columns = [table.column(key) for key in keys if key != metric.key]
         protocol = table.one_protocol([column.key for column in (*columns, metric)])
         shown = base.with_values(table, [metric.key])
@@ -60,12 +64,6 @@ class ParallelCoordinates(base.PlotType[ParallelOptions]):
         )
         raw = base.raw_table("parallel_raw", table, [*keys, metric.key])
         return base.result_of(table, protocol, (chart,), (raw,), lacking=[metric.key])
-
-
-def _default_dimensions(table: RunTable) -> list[str]:
-    """Algorithm, dataset and the first parameters that vary; the algorithm if nothing varies."""
-    names = [name for name in ("algorithm", "dataset") if table.frame[name].nunique() > 1]
-    return [*names, *(column.key for column in table.varied()[:MOST_PARAMETERS])] or ["algorithm"]
 
 
 def _dimension(column: Column, shown: pd.DataFrame) -> Dimension:

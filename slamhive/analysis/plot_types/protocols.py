@@ -13,7 +13,6 @@ from slamhive.analysis.chart import PALETTE, Axis, Boxes, Chart
 from slamhive.analysis.plot_types import base
 from slamhive.analysis.report import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import summarise
-from slamhive.analysis.table import RunTable
 from slamhive.base.errors import InvalidInput
 
 
@@ -39,7 +38,10 @@ class Protocols(base.PlotType[ProtocolsOptions]):
         column = table.numeric(options.metric, "a comparison")
         if not column.needs_protocol:
             raise InvalidInput(f"{column.key!r} does not depend on a protocol", "choose one that does: ate.rmse")
-        wide, labels = _wide(table, data.every_protocol, column.key)
+        every = data.every_protocol
+        chosen = every[(every["metric"] == column.key) & every["run_id"].isin(table.frame["run_id"])]
+        wide = chosen.pivot_table(index="run_id", columns="protocol", values="value", aggfunc="first")
+        labels = dict(zip(chosen["protocol"], chosen["protocol_label"], strict=True))
         if wide.shape[1] < 2:
             raise InvalidInput(
                 f"the selected runs were evaluated under {wide.shape[1]} protocol",
@@ -67,14 +69,6 @@ class Protocols(base.PlotType[ProtocolsOptions]):
         lacking = len(wide) - len(complete)
         notes = (f"{lacking} runs lack one of the protocols and are not shown.",) if lacking else ()
         return replace(base.result_of(table, None, (chart,), tables), notes=notes)
-
-
-def _wide(table: RunTable, every: pd.DataFrame, key: str) -> tuple[pd.DataFrame, dict[str, str]]:
-    """A table of runs by protocols, and the description of each protocol."""
-    chosen = every[(every["metric"] == key) & every["run_id"].isin(table.frame["run_id"])]
-    wide = chosen.pivot_table(index="run_id", columns="protocol", values="value", aggfunc="first")
-    labels = dict(zip(chosen["protocol"], chosen["protocol_label"], strict=True))
-    return wide, labels
 
 
 def _boxes(wide: pd.DataFrame, algorithms: pd.Series, labels: dict[str, str]) -> Iterator[Boxes]:

@@ -98,7 +98,25 @@ class Selector(base.PlotType[SelectorOptions]):
             table.numeric(bound.key, "a bound")
         rank = table.numeric(options.rank_by, "a ranking")
         protocol = table.one_protocol([rank.key, *(bound.key for bound in bounds)])
-        candidates = _candidates(table, bounds, options.rank_by)
+        frame = table.frame.assign(settings=settings_words(table))
+        kept = frame[FAILED].isna().to_numpy(dtype=bool)
+        for bound in bounds:
+            kept = kept & bound.holds(base.number_column(frame, bound.key))
+        frame = frame.assign(kept=kept)
+        candidates = []
+        for (algorithm, settings), rows in frame.groupby(["algorithm", "settings"], sort=True):
+            candidates.append(
+                RankedCandidate(
+                    algorithm=str(algorithm),
+                    configurations=tuple(int(entry) for entry in sorted(rows["configuration_id"].unique())),
+                    settings=str(settings),
+                    runs=len(rows),
+                    failed=base.failed_count(rows),
+                    kept=int(rows["kept"].sum()),
+                    datasets=int(rows["dataset"].nunique()),
+                    score=summarise(base.good_values(rows, options.rank_by)),
+                )
+            )
         chosen = [entry for entry in candidates if entry.score and entry.kept >= options.kept_share * entry.runs]
         sign = -1.0 if rank.direction is Direction.HIGHER else 1.0
         chosen.sort(
@@ -134,29 +152,6 @@ class Selector(base.PlotType[SelectorOptions]):
 def _bound_words(bound: SelectorBound, table: RunTable) -> str:
     column = table.column(bound.key)
     return f"{column.label} {bound.sign} {bound.limit:g} {column.unit}".rstrip()
-
-
-def _candidates(table: RunTable, bounds: list[SelectorBound], rank_by: str) -> list[RankedCandidate]:
-    frame = table.frame.assign(settings=settings_words(table))
-    kept = frame[FAILED].isna().to_numpy(dtype=bool)
-    for bound in bounds:
-        kept = kept & bound.holds(base.number_column(frame, bound.key))
-    frame = frame.assign(kept=kept)
-    found = []
-    for (algorithm, settings), rows in frame.groupby(["algorithm", "settings"], sort=True):
-        found.append(
-            RankedCandidate(
-                algorithm=str(algorithm),
-                configurations=tuple(int(entry) for entry in sorted(rows["configuration_id"].unique())),
-                settings=str(settings),
-                runs=len(rows),
-                failed=base.failed_count(rows),
-                kept=int(rows["kept"].sum()),
-                datasets=int(rows["dataset"].nunique()),
-                score=summarise(base.good_values(rows, rank_by)),
-            )
-        )
-    return found
 
 
 def _chart(chosen: list[RankedCandidate], rank: Column, title: str | None, text: str, table: RunTable) -> Chart:

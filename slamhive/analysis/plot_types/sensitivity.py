@@ -156,7 +156,8 @@ def breaking_points(table: RunTable, options: SensitivityOptions) -> Iterator[Br
         for value, group in groups:
             mean = _mean(group, options.metric)
             baseline = mean if baseline is None else baseline
-            why = _failing(group, options.failure_rate)
+            failed = base.failed_count(group)
+            why = f"{failed} of {len(group)} runs failed" if failed >= options.failure_rate * len(group) else ""
             if not why and (mean is None or baseline is None):
                 why = "no values"
             elif not why and _much_worse(mean, baseline, options.factor, higher_is_better=higher_is_better):
@@ -172,11 +173,6 @@ def breaking_points(table: RunTable, options: SensitivityOptions) -> Iterator[Br
 def _mean(rows: pd.DataFrame, metric: str) -> float | None:
     values = base.good_values(rows, metric)
     return float(values.mean()) if len(values) else None
-
-
-def _failing(rows: pd.DataFrame, failure_rate: float) -> str:
-    failed = base.failed_count(rows)
-    return f"{failed} of {len(rows)} runs failed" if failed >= failure_rate * len(rows) else ""
 
 
 def _much_worse(mean: float | None, baseline: float | None, factor: float, *, higher_is_better: bool) -> bool:

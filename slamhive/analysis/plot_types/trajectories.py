@@ -14,7 +14,6 @@ from slamhive.analysis.plot_types import base
 from slamhive.analysis.plot_types.looks import (
     FOLDED,
     RECORDING_TIME,
-    By,
     Curve,
     LineOptions,
     Looks,
@@ -65,7 +64,9 @@ class Trajectories(base.PlotType[TrajectoriesOptions]):
         )
         if not tracks:
             raise InvalidInput("no selected run has the files of an evaluated trajectory", "evaluate again, with files")
-        by = options.coloured_by or _fitting(tracks, table)
+        by = options.coloured_by or (
+            "run" if table.frame["algorithm"].nunique() == 1 and len(tracks) <= len(PALETTE) else "algorithm"
+        )
         truths = _ground_truths(tracks, table)
         text = base.caption(table, len(tracks), protocol, *_notes(dataset, tracks, truths))
         time, start_s = _time_axis(truths, recording_starts(data))
@@ -152,11 +153,6 @@ def _notes(dataset: str, tracks: list[base.RunTrack], truths: list[_GroundTruth]
         )
     if any(track.pieces[-1] for track in tracks):
         yield "Lines break where the estimate has a longer gap than the protocol allows."
-
-
-def _fitting(tracks: list[base.RunTrack], table: RunTable) -> By:
-    """A colour for each algorithm, or for each run if there are only a few runs of one algorithm."""
-    return "run" if table.frame["algorithm"].nunique() == 1 and len(tracks) <= len(PALETTE) else "algorithm"
 
 
 def _widest_plane(positions_m: Array) -> str:

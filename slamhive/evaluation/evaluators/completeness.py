@@ -66,17 +66,13 @@ class Robustness:
         if known_s == 0:
             reason = f"the poses of the ground truth are more than {gap_s:g} s apart, the gap threshold"
             return MetricValues(values, {"completeness.score": reason})
-        covered_s = score_seconds(paired.matched_reference.stamps_s, _errors_m(paired), gap_s, SCORE_LIMIT_M)
+        # The protocol may hold a pose where the estimate has none: it does not count as covered.
+        errors_m = np.linalg.norm(paired.aligned.positions_m - paired.matched_reference.positions_m, axis=1)
+        if paired.protocol.association is Association.HOLD:
+            stamps_s = paired.matched_reference.stamps_s
+            errors_m[~covers(paired.estimate.stamps_s, stamps_s, paired.protocol.gap_threshold_s)] = np.inf
+        covered_s = score_seconds(paired.matched_reference.stamps_s, np.asarray(errors_m), gap_s, SCORE_LIMIT_M)
         return MetricValues({**values, "completeness.score": covered_s / known_s})
-
-
-def _errors_m(paired: Paired) -> FloatArray:
-    """Errors of the matched poses; infinite where the protocol holds a pose although the estimate has none."""
-    errors_m = np.linalg.norm(paired.aligned.positions_m - paired.matched_reference.positions_m, axis=1)
-    if paired.protocol.association is Association.HOLD:
-        stamps_s = paired.matched_reference.stamps_s
-        errors_m[~covers(paired.estimate.stamps_s, stamps_s, paired.protocol.gap_threshold_s)] = np.inf
-    return np.asarray(errors_m)
 
 
 def count_losses(stamps_s: FloatArray, start_s: float, end_s: float, gap_s: float) -> int:

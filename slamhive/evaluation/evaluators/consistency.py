@@ -55,10 +55,19 @@ class Consistency:
         if path is None:
             return absent(self.keys, "the algorithm gives no covariances.txt")
         covariances = read_covariances(path)
-        own, theirs = _matched(paired, covariances)
+        # A covariance belongs to the pose with its timestamp.
+        stamps_s = paired.matched_estimate.stamps_s - paired.time_offset_s
+        after = np.searchsorted(covariances.stamps_s, stamps_s - _SAME_STAMP_S)
+        after = np.minimum(after, len(covariances.stamps_s) - 1)
+        own = np.flatnonzero(np.abs(covariances.stamps_s[after] - stamps_s) <= _SAME_STAMP_S)
+        theirs = after[own]
         if len(own) == 0:
             return absent(self.keys, "no covariance has the timestamp of a matched pose")
-        values = _nees("nees.position", _position_errors_m(paired)[own], covariances.matrices[theirs, :3, :3])
+        # In the world of the estimate, in whose units the covariances are.
+        transform = paired.transform
+        moved_m = paired.matched_reference.positions_m - transform.translation_m
+        errors_m = moved_m @ transform.rotation / transform.scale - paired.matched_estimate.positions_m
+        values = _nees("nees.position", errors_m[own], covariances.matrices[theirs, :3, :3])
         if not paired.rotations_known:
             return MetricValues(values, dict.fromkeys(self.keys[2:], paired.rotations_unknown))
         turns_rad = _rotation_errors_rad(paired, in_body=covariances.in_body)[own]
@@ -78,7 +87,14 @@ def read_covariances(path: Path) -> Covariances:
         data = read_bounded(path)
     except NotFound:
         raise InvalidInput(f"{path.name} does not exist") from None
-    in_body = _orientation_frame(data, path.name) == "body"
+    first = data.split(b"\n", 1)[0].strip()
+    stated = first.removeprefix(_HEADER).strip().decode("ascii", errors="replace") if first.startswith(_HEADER) else ""
+    if stated not in FRAMES:
+        raise InvalidInput(
+            f"{path.name} does not say which frame its rotation vectors are in",
+            "begin it with the line '# orientation: body' or '# orientation: world'",
+        )
+    in_body = stated == "body"
     table = parse_table(data, path.name, 22, LAYOUT)
     finite = np.isfinite(table.values).all(axis=1)
     if not finite.all():
@@ -95,33 +111,6 @@ def read_covariances(path: Path) -> Covariances:
         found = f"the covariance is not positive definite: its smallest eigenvalue is {smallest[row]:.3g}"
         raise table.error(row, found, "write covariances, of all six in the order x y z rx ry rz")
     return Covariances(stamps_s, matrices, in_body)
-
-
-def _orientation_frame(data: bytes, name: str) -> str:
-    first = data.split(b"\n", 1)[0].strip()
-    stated = first.removeprefix(_HEADER).strip().decode("ascii", errors="replace") if first.startswith(_HEADER) else ""
-    if stated not in FRAMES:
-        raise InvalidInput(
-            f"{name} does not say which frame its rotation vectors are in",
-            "begin it with the line '# orientation: body' or '# orientation: world'",
-        )
-    return stated
-
-
-def _matched(paired: Paired, covariances: Covariances) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of matched poses, and of the covariances with their timestamps."""
-    stamps_s = paired.matched_estimate.stamps_s - paired.time_offset_s
-    after = np.searchsorted(covariances.stamps_s, stamps_s - _SAME_STAMP_S)
-    after = np.minimum(after, len(covariances.stamps_s) - 1)
-    own = np.flatnonzero(np.abs(covariances.stamps_s[after] - stamps_s) <= _SAME_STAMP_S)
-    return own, after[own]
-
-
-def _position_errors_m(paired: Paired) -> FloatArray:
-    """True minus estimated positions in the world of the estimate, in whose units the covariances are, (n, 3)."""
-    transform = paired.transform
-    truth_m = (paired.matched_reference.positions_m - transform.translation_m) @ transform.rotation / transform.scale
-    return truth_m - paired.matched_estimate.positions_m
 
 
 def _rotation_errors_rad(paired: Paired, *, in_body: bool) -> FloatArray:

@@ -101,7 +101,11 @@ def _as_tum(paired: Paired) -> Result | None:
 
 def error_statistics(prefix: str, result: Result, protocol: Protocol, archive: str) -> MetricValues:
     """The statistics of evo's ``result`` as metrics ``<prefix>.<statistic>``, and the result as an archive."""
-    result.info["title"] = result.info["title"].replace("(not aligned)", _aligned_words(protocol))
+    # The poses are aligned before evo gets them, so its title says that they are not.
+    if protocol.alignment is not Alignment.NONE:
+        method = " Umeyama" if protocol.alignment in _BY_UMEYAMA else ""
+        words = f"(with {ALIGNMENT_LABELS[protocol.alignment]}{method} alignment)"
+        result.info["title"] = result.info["title"].replace("(not aligned)", words)
     values = {f"{prefix}.{name}": float(value) for name, value in result.stats.items()}
     return MetricValues(values, archives={archive: result})
 
@@ -134,13 +138,6 @@ def _pose_matrices(poses: Poses) -> list[np.ndarray]:
 
 def _to_evo(poses: Poses, matrices: list[np.ndarray], name: str) -> PoseTrajectory3D:
     return PoseTrajectory3D(poses.positions_m, poses_se3=matrices, timestamps=poses.stamps_s, name=name)
-
-
-def _aligned_words(protocol: Protocol) -> str:
-    if protocol.alignment is Alignment.NONE:
-        return "(not aligned)"
-    method = " Umeyama" if protocol.alignment in _BY_UMEYAMA else ""
-    return f"(with {ALIGNMENT_LABELS[protocol.alignment]}{method} alignment)"
 
 
 # Absolute errors besides those that evo computes: of orientations, and in relation to the path.

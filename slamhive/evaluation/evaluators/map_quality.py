@@ -361,7 +361,9 @@ def map_entropy(cloud: Cloud) -> float | None:
     centres_m = spread(cloud.points_m, ENTROPY_POINTS)
     total, count = 0.0, 0
     for start in range(0, len(centres_m), _CHUNK):
-        covariances = _neighbour_covariances(cloud, centres_m[start : start + _CHUNK])
+        lists = cloud.tree.query_ball_point(centres_m[start : start + _CHUNK], ENTROPY_RADIUS_M, return_sorted=False)
+        found = [np.cov(cloud.points_m[near].T, bias=True) for near in lists if len(near) >= ENTROPY_NEIGHBOURS]
+        covariances = np.reshape(found, (-1, 3, 3)) + ENTROPY_FLOOR_M**2 * np.eye(3)
         _, logarithms = np.linalg.slogdet(2 * np.pi * np.e * covariances)
         total, count = total + 0.5 * float(logarithms.sum()), count + len(covariances)
     return total / count if count else None
@@ -395,13 +397,6 @@ def spread(points_m: FloatArray, most: int) -> FloatArray:
     if len(points_m) <= most:
         return points_m
     return points_m[np.linspace(0, len(points_m) - 1, most).astype(np.intp)]
-
-
-def _neighbour_covariances(cloud: Cloud, centres_m: FloatArray) -> FloatArray:
-    """Covariances (divisor n) of the points around each centre that has enough of them, shape (m, 3, 3)."""
-    lists = cloud.tree.query_ball_point(centres_m, ENTROPY_RADIUS_M, return_sorted=False)
-    covariances = [np.cov(cloud.points_m[near].T, bias=True) for near in lists if len(near) >= ENTROPY_NEIGHBOURS]
-    return np.reshape(covariances, (-1, 3, 3)) + ENTROPY_FLOOR_M**2 * np.eye(3)
 
 
 @lru_cache(maxsize=1)

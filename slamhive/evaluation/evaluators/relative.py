@@ -231,7 +231,11 @@ class Compared:
 
     def _by_value(self, values: FloatArray, delta: float) -> Pairs:
         if self.protocol.rpe_pairs is RpePairs.TUM:
-            return _pairs_as_tum(values, delta, self.counts)
+            # The later one comes first, as the script sees the motion from there; the last pose ends no pair.
+            i = np.arange(len(values))
+            j = nearest_as_tum(values, values + delta)
+            kept = (j < len(values) - 1) & self.counts & self.counts[j]
+            return j[kept], i[kept]
         if self.protocol.rpe_pairs is RpePairs.ALL:
             return all_pairs(values, delta, _TOLERANCE * delta)
         return consecutive_pairs(values, delta)
@@ -246,17 +250,6 @@ def compare(paired: Paired) -> Compared:
     nearest = nearest_as_tum(truth_s, estimate.stamps_s)
     near = np.abs(truth_s[nearest] - estimate.stamps_s) <= _INTERVALS * np.median(np.diff(truth_s))
     return Compared(paired.protocol, paired.reference.take(nearest), estimate, near)
-
-
-def _pairs_as_tum(values: FloatArray, delta: float, counts: BoolArray) -> Pairs:
-    """Each pose with the one nearest to the delta further on, however far that is, unless it is the last.
-
-    The later one comes first: the script sees the motion from there.
-    """
-    i = np.arange(len(values))
-    j = nearest_as_tum(values, values + delta)
-    kept = (j < len(values) - 1) & counts & counts[j]
-    return j[kept], i[kept]
 
 
 def _has(key: str, suffix: str) -> bool:

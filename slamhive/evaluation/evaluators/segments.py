@@ -26,7 +26,7 @@ from slamhive.domain.metrics.trajectories import (
     SPREAD,
     length_name,
 )
-from slamhive.domain.protocol import Alignment, Association, Protocol, SegmentRule
+from slamhive.domain.protocol import Alignment, Association, SegmentRule
 from slamhive.evaluation.evaluators.base import KITTI_ESTIMATE, KITTI_REFERENCE, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.relative import (
     IndexArray,
@@ -99,8 +99,27 @@ class SegmentErrors:
 
     def evaluate(self, paired: Paired) -> MetricValues:
         """All are missing if the path has no segment of any length."""
-        whole_m = _whole_m(paired)
-        lengths = _lengths(paired.protocol, whole_m)
+        # Shares refer to the whole path in rpg_trajectory_evaluation, and to the matched poses elsewhere.
+        whole = paired.protocol.segment_rule is SegmentRule.RPG
+        whole_m = (paired.reference if whole else paired.matched_reference).path_length_m
+        if not paired.protocol.segment_lengths_m:
+            # Shares of the path are cut to centimetres, as rpg_trajectory_evaluation cuts them.
+            lengths = [
+                _Length(
+                    math.trunc(percent / 100 * whole_m * 100) / 100, f"{percent} % of the path", ratios=f".{percent}pct"
+                )
+                for percent in SEGMENT_PERCENTS
+            ]
+        else:
+            lengths = [
+                _Length(
+                    length_m,
+                    f"{length_m:g} m",
+                    ratios=f".{length_name(length_m)}" if length_m in SHORT_LENGTHS_M else None,
+                    spread=length_name(length_m) if length_m in LONG_LENGTHS_M else None,
+                )
+                for length_m in paired.protocol.segment_lengths_m
+            ]
         asked = (*_ratio_keys(""), *(key for length in lengths for key in length.keys))
         if not paired.rotations_known:
             return absent(asked, paired.rotations_unknown)
@@ -150,32 +169,6 @@ class SegmentDistances:
         }
         reason = f"the path of {whole_m:.4g} m has no such segment of a centimetre or more"
         return MetricValues(values, {key: reason for key in self.keys if key not in values})
-
-
-def _whole_m(paired: Paired) -> float:
-    """Length of the path that shares refer to."""
-    whole = paired.protocol.segment_rule is SegmentRule.RPG
-    return (paired.reference if whole else paired.matched_reference).path_length_m
-
-
-def _lengths(protocol: Protocol, whole_m: float) -> list[_Length]:
-    """The protocol's lengths, or shares of the path cut to centimetres, as rpg_trajectory_evaluation cuts them."""
-    if not protocol.segment_lengths_m:
-        return [
-            _Length(
-                math.trunc(percent / 100 * whole_m * 100) / 100, f"{percent} % of the path", ratios=f".{percent}pct"
-            )
-            for percent in SEGMENT_PERCENTS
-        ]
-    return [
-        _Length(
-            length_m,
-            f"{length_m:g} m",
-            ratios=f".{length_name(length_m)}" if length_m in SHORT_LENGTHS_M else None,
-            spread=length_name(length_m) if length_m in LONG_LENGTHS_M else None,
-        )
-        for length_m in protocol.segment_lengths_m
-    ]
 
 
 def _segments(paired: Paired, length_m: float) -> SegmentEvaluator:
@@ -323,7 +316,9 @@ def kitti_segments(T_reference: FloatArray, T_estimate: FloatArray) -> KittiSegm
 
 
 def _segment_ends(positions_m: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
-    path_m = _path_m(positions_m)
+    # In single precision, as trajectoryDistances of the devkit adds it up.
+    steps_m = np.linalg.norm(np.diff(positions_m, axis=0).astype(np.float32), axis=1)
+    path_m = np.concatenate((np.zeros(1, dtype=np.float32), np.cumsum(steps_m, dtype=np.float32)))
     firsts = np.arange(0, len(positions_m), KITTI_STEP)
     lengths_m = np.array(KITTI_LENGTHS_M, dtype=np.float32)
     ends_m = path_m[firsts, None] + lengths_m
@@ -332,12 +327,6 @@ def _segment_ends(positions_m: FloatArray) -> tuple[IndexArray, IndexArray, Floa
     all_firsts = np.broadcast_to(firsts[:, None], kept.shape)
     all_lengths_m = np.broadcast_to(np.array(KITTI_LENGTHS_M, dtype=np.float64), kept.shape)
     return all_firsts[kept], lasts[kept], all_lengths_m[kept]
-
-
-def _path_m(positions_m: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
-    """Path length to each pose, accumulated in single precision as by ``trajectoryDistances`` of the devkit."""
-    steps_m = np.linalg.norm(np.diff(positions_m, axis=0).astype(np.float32), axis=1)
-    return np.concatenate((np.zeros(1, dtype=np.float32), np.cumsum(steps_m, dtype=np.float32)))
 
 
 def _matrices(poses: Poses) -> FloatArray:

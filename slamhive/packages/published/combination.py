@@ -99,7 +99,9 @@ def read_combinations(text: str, source: str) -> tuple[list[Combination], list[t
     for part in parts_of(lines):
         written = list(_written(lines, part))
         if len(written) == 1 and _TITLE.fullmatch(written[0][1].strip()):
-            found.append(_titled(written[0][0], written[0][1].strip()))
+            title = written[0][1].strip()
+            algorithm, dataset, *_ = title.split("+")
+            found.append(Combination(title, written[0][0], algorithm, dataset))
         elif not found:
             before += written
         else:
@@ -110,11 +112,6 @@ def read_combinations(text: str, source: str) -> tuple[list[Combination], list[t
             "one begins with ALGORITHM+DATASET+PURPOSE between two lines of dashes",
         )
     return found, before
-
-
-def _titled(number: int, title: str) -> Combination:
-    algorithm, dataset, *_ = title.split("+")
-    return Combination(title, number, algorithm, dataset)
 
 
 def _written(lines: Sequence[str], part: Part) -> Iterator[tuple[int, str]]:

@@ -51,7 +51,18 @@ def read_dockerfile(text: str, folder: Path) -> DockerfileFacts:
     users = [entry.rest.split()[0].partition(":")[0] for entry in last if entry.word == "USER" and entry.rest.split()]
     homes = {name: entry.line for entry in reversed(last) for name in homes_in(entry.rest)}
     missing = [(source, entry.line) for entry in instructions for source in _sources(entry) if _lacks(folder, source)]
-    links = _empty_links(folder)
+    # Submodules of Git that were not fetched: downloads, and clones of one level, lack them.
+    root = folder.resolve()
+    links: list[PurePosixPath] = []
+    for repository in (root, *root.parents):
+        try:
+            text = (repository / ".gitmodules").read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            text = ""
+        places = [repository / match[1] for match in _SUBMODULE.finditer(text)]
+        links += [PurePosixPath(place.relative_to(root)) for place in places if _is_empty_inside(place, root)]
+        if (repository / ".git").exists():
+            break
     empty = {
         place: entry.line
         for entry in reversed(instructions)
@@ -116,22 +127,6 @@ def _json_words(text: str) -> list[str]:
     except (ValueError, RecursionError):
         return []
     return [word for word in words if isinstance(word, str)] if isinstance(words, list) else []
-
-
-def _empty_links(folder: Path) -> list[PurePosixPath]:
-    """The submodules of Git below ``folder`` that were not fetched: downloads, and clones of one level, lack them."""
-    root = folder.resolve()
-    found: list[PurePosixPath] = []
-    for repository in (root, *root.parents):
-        try:
-            text = (repository / ".gitmodules").read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            text = ""
-        places = [repository / match[1] for match in _SUBMODULE.finditer(text)]
-        found += [PurePosixPath(place.relative_to(root)) for place in places if _is_empty_inside(place, root)]
-        if (repository / ".git").exists():
-            break
-    return found
 
 
 def _is_empty_inside(place: Path, root: Path) -> bool:

@@ -67,7 +67,8 @@ def draft_parameters(folder: ForeignFolder, facts: FolderFacts, roles: tuple[str
             yield DraftParameter(name, "string", help_text, said_by, default=f"/{topics[name]}")
             continue
         source = source_of(name, roles)
-        help_text = _help(text) or f"{name} of {said_by}."
+        line = " ".join("".join(character if character.isprintable() else " " for character in text).split())
+        help_text = (line if len(line) <= _LONGEST_HELP else f"{line[: _LONGEST_HELP - 1]}…") or f"{name} of {said_by}."
         if source is not None:
             kind = types.get(name, source[1])
             yield DraftParameter(name, kind, help_text, said_by, source=source[0], general=general_name(name))
@@ -174,12 +175,6 @@ def _examples(folder: ForeignFolder) -> dict[str, Any]:
     return {key: value for key, value in values.items() if is_plain(value)} if isinstance(values, dict) else {}
 
 
-def _help(text: str) -> str:
-    """A comment as one line of printable text."""
-    line = " ".join("".join(character if character.isprintable() else " " for character in text).split())
-    return line if len(line) <= _LONGEST_HELP else f"{line[: _LONGEST_HELP - 1]}…"
-
-
 _LICENCES = (
     ("GNU AFFERO GENERAL PUBLIC LICENSE", "AGPL-3.0-or-later"),
     ("GNU LESSER GENERAL PUBLIC LICENSE", "LGPL-3.0-or-later"),
@@ -250,25 +245,6 @@ def draft(folder: ForeignFolder, facts: FolderFacts, request: DraftRequest) -> P
         problem = f"{SCRIPTS}/{MAPPING} is no Python 3 ({facts.mapping.problem}), but python3 starts it"
         out.notes.append(f"{problem}; keys may be missing here")
     roles = _roles(facts, request)
-    _write_head(out, folder, facts, request)
-    _write_mode(out, facts, request, roles)
-    _write_parameters(out, list(draft_parameters(folder, facts, tuple(roles))))
-    return PackageDraft("\n".join(out.lines) + "\n", tuple(out.unknown), tuple(out.notes))
-
-
-def _roles(facts: FolderFacts, request: DraftRequest) -> dict[str, SensorKind]:
-    """The roles of the mode, as the user says, else by the topics, else by the name of the folder."""
-    setup = request.setup or setup_of_roles(dict(facts.kinds)) or setup_of_name(request.name)
-    if setup is None:
-        found = ", ".join(f"{role} ({kind})" for role, kind in facts.kinds.items()) or "none"
-        raise InvalidInput(
-            f"the files of {request.name} do not show its sensors (found: {found})",
-            f"say them: --setup {'|'.join(SETUPS)}",
-        )
-    return dict(SETUPS[setup])
-
-
-def _write_head(out: _Lines, folder: ForeignFolder, facts: FolderFacts, request: DraftRequest) -> None:
     origin = request.origin
     out.add(f"# Drafted by `slamhive algorithm import` from {origin.words}.")
     out.add("# Please check it. `not known` marks what could not be found.")
@@ -289,6 +265,37 @@ def _write_head(out: _Lines, folder: ForeignFolder, facts: FolderFacts, request:
     out.add("imported:")
     for key, value in origin.content.items():
         out.add(f"  {key}: {json.dumps(value, ensure_ascii=True)}")
+    _write_mode(out, facts, request, roles)
+    parameters = list(draft_parameters(folder, facts, tuple(roles)))
+    out.add("parameters:" if parameters else "parameters: {}")
+    for entry in parameters:
+        out.add(f"  {entry.key}:", entry.said_by)
+        out.add(f"    type: {entry.type}")
+        if entry.choices:
+            out.add(f"    choices: {json.dumps(entry.choices, ensure_ascii=True)}")
+        if entry.source is not None:
+            out.add(f"    from: {entry.source}")
+        elif entry.default is not None:
+            out.add(f"    default: {json.dumps(entry.default, ensure_ascii=True)}", entry.note)
+        else:
+            out.add("    required: true", "not known: give a default instead, or a value with each run")
+            out.unknown.append(f"default of {entry.key}")
+        out.add(f"    help: {_quoted(entry.help)}")
+        if entry.general is not None:
+            out.add(f"    general: {entry.general}")
+    return PackageDraft("\n".join(out.lines) + "\n", tuple(out.unknown), tuple(out.notes))
+
+
+def _roles(facts: FolderFacts, request: DraftRequest) -> dict[str, SensorKind]:
+    """The roles of the mode, as the user says, else by the topics, else by the name of the folder."""
+    setup = request.setup or setup_of_roles(dict(facts.kinds)) or setup_of_name(request.name)
+    if setup is None:
+        found = ", ".join(f"{role} ({kind})" for role, kind in facts.kinds.items()) or "none"
+        raise InvalidInput(
+            f"the files of {request.name} do not show its sensors (found: {found})",
+            f"say them: --setup {'|'.join(SETUPS)}",
+        )
+    return dict(SETUPS[setup])
 
 
 def _write_mode(out: _Lines, facts: FolderFacts, request: DraftRequest, roles: dict[str, SensorKind]) -> None:
@@ -317,25 +324,6 @@ def _write_mode(out: _Lines, facts: FolderFacts, request: DraftRequest, roles: d
         if role not in known:
             out.add(f"    # not known: on which topic the algorithm gets {role}; without an entry it is /{role}")
             out.unknown.append(f"topic of {role}")
-
-
-def _write_parameters(out: _Lines, parameters: list[DraftParameter]) -> None:
-    out.add("parameters:" if parameters else "parameters: {}")
-    for entry in parameters:
-        out.add(f"  {entry.key}:", entry.said_by)
-        out.add(f"    type: {entry.type}")
-        if entry.choices:
-            out.add(f"    choices: {json.dumps(entry.choices, ensure_ascii=True)}")
-        if entry.source is not None:
-            out.add(f"    from: {entry.source}")
-        elif entry.default is not None:
-            out.add(f"    default: {json.dumps(entry.default, ensure_ascii=True)}", entry.note)
-        else:
-            out.add("    required: true", "not known: give a default instead, or a value with each run")
-            out.unknown.append(f"default of {entry.key}")
-        out.add(f"    help: {_quoted(entry.help)}")
-        if entry.general is not None:
-            out.add(f"    general: {entry.general}")
 
 
 def licence_of(text: str | None) -> str | None:

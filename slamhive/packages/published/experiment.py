@@ -111,13 +111,31 @@ class _Converter:
         for number, factors in self._from.changes.items():
             self._add_step(number, factors)
         for entry in self._from.ranges:
-            self._add_range(entry)
+            sensor, _, kind = entry.name.lower().partition(" ")
+            if sensor in _SENSORS and kind in ("frequency", "rate", "resolution"):
+                self._choose(entry, f"{sensor}_{RESOLUTION if kind == RESOLUTION else RATE}")
+                continue
+            parameter = self._parameter(entry.name)
+            if parameter is None:
+                self._note(f"line {entry.line}: {entry.name} is not converted, {self._lacks}")
+            elif self._allowed(parameter, entry.values, f"line {entry.line}"):
+                self._into.parameters[parameter.key] = " | ".join(entry.values)
+                self._into.sizes[parameter.key] = len(entry.values)
         for step in into.steps.values():
             into.sizes[step.name] = len(step.factors)
             for number in step.numbers:
                 self._add_values(step, number, self._from.changes[number])
         into.steps = {name: step for name, step in into.steps.items() if step.factors != [1.0]}
-        self._check_ties()
+        # A step on a kind of sensor keeps the ties of its own templates, and no others.
+        for numbers in self._from.tied:
+            steps = {(what.sensor, what.kind) for number in numbers if (what := changed(number, self._meanings))}
+            if len(steps) != 1 or any(changed(number, self._meanings) is None for number in numbers):
+                self._note(f"{', '.join(numbers)} are tied in the file, which is not converted")
+        for step in self._into.steps.values():
+            tied = any(set(step.numbers) <= set(numbers) for numbers in self._from.tied)
+            if len(step.numbers) > 1 and not tied:
+                words = " and ".join(step.numbers)
+                self._note(f"{words} are not tied in the file; here {step.name} treats all sensors alike")
         if into.bound:
             names = ", ".join(dict.fromkeys(into.bound))
             into.notes.append(f"{names}: not copied, {self._algorithm.name} gets them from the dataset and its steps")
@@ -137,23 +155,7 @@ class _Converter:
             place = self._from.places.of(number)
             self._note(f"{place}: {what.words} is not converted, {self._algorithm.name} uses no {what.sensor}")
             return
-        self._check_fit(number, what, factors)
-        name = f"{what.sensor}_{what.kind}"
-        first = self._into.steps.get(name)
-        if first is None:
-            self._into.steps[name] = _Step(name, _SENSORS[what.sensor], what, [number], list(factors))
-            return
-        if set(first.factors) != set(factors):
-            listed = [" | ".join(map(plain, entry)) for entry in (first.factors, factors)]
-            raise InvalidInput(
-                f"{self._from.places.of(number)}: {what.words} has the factors {listed[1]}, that of template "
-                f"{first.numbers[0]} has {listed[0]}",
-                "give both the same, or convert them apart",
-            )
-        first.numbers.append(number)
-
-    def _check_fit(self, number: str, what: ChangedValue, factors: Factors) -> None:
-        """Raise InvalidInput if the values show that a number means something else in this file."""
+        # The values may show that a number means something else in this file.
         known = {template: value_name(template, self._meanings) for values in factors.values() for template in values}
         scaled = [template for template, name in known.items() if name in RATES or name == WIDTH]
         fits = all(factor == int(factor) if what.kind is RATE else factor <= 1 for factor in factors)
@@ -167,18 +169,19 @@ class _Converter:
                 f"{self._from.places.of(number)}: the values of template {number} are not those of {what.words}",
                 f"say what it means here: --id {number}=imu_frequency, for instance",
             )
-
-    def _add_range(self, entry: Range) -> None:
-        sensor, _, kind = entry.name.lower().partition(" ")
-        if sensor in _SENSORS and kind in ("frequency", "rate", "resolution"):
-            self._choose(entry, f"{sensor}_{RESOLUTION if kind == RESOLUTION else RATE}")
+        name = f"{what.sensor}_{what.kind}"
+        first = self._into.steps.get(name)
+        if first is None:
+            self._into.steps[name] = _Step(name, _SENSORS[what.sensor], what, [number], list(factors))
             return
-        parameter = self._parameter(entry.name)
-        if parameter is None:
-            self._note(f"line {entry.line}: {entry.name} is not converted, {self._lacks}")
-        elif self._allowed(parameter, entry.values, f"line {entry.line}"):
-            self._into.parameters[parameter.key] = " | ".join(entry.values)
-            self._into.sizes[parameter.key] = len(entry.values)
+        if set(first.factors) != set(factors):
+            listed = [" | ".join(map(plain, entry)) for entry in (first.factors, factors)]
+            raise InvalidInput(
+                f"{self._from.places.of(number)}: {what.words} has the factors {listed[1]}, that of template "
+                f"{first.numbers[0]} has {listed[0]}",
+                "give both the same, or convert them apart",
+            )
+        first.numbers.append(number)
 
     def _choose(self, entry: Range, name: str) -> None:
         """Of the factors that have new values, the description may choose some, as factors or as rates in Hz."""
@@ -242,18 +245,6 @@ class _Converter:
             self._note(f"{place}: not converted, {error.message}")
             return False
         return True
-
-    def _check_ties(self) -> None:
-        """Note ties that the steps do not keep: a step on a kind of sensor keeps those of its own templates."""
-        for numbers in self._from.tied:
-            steps = {(what.sensor, what.kind) for number in numbers if (what := changed(number, self._meanings))}
-            if len(steps) != 1 or any(changed(number, self._meanings) is None for number in numbers):
-                self._note(f"{', '.join(numbers)} are tied in the file, which is not converted")
-        for step in self._into.steps.values():
-            tied = any(set(step.numbers) <= set(numbers) for numbers in self._from.tied)
-            if len(step.numbers) > 1 and not tied:
-                words = " and ".join(step.numbers)
-                self._note(f"{words} are not tied in the file; here {step.name} treats all sensors alike")
 
     def _uses(self, sensor: str) -> bool:
         return any(entry.kind.value == _SENSORS[sensor] for entry in self._algorithm.inputs)

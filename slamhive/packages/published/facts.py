@@ -162,9 +162,26 @@ def find_facts(folder: ForeignFolder) -> FolderFacts:
     scripts = {name: read_script(text) for name, text in folder.scripts.items() if name.endswith(".py")}
     mapping = scripts[MAPPING]
     templates = {name: text for name, text in folder.scripts.items() if _TEMPLATE.fullmatch(name)}
-    _check_files(folder.path, mapping)
-    placeholders = _placeholders(templates)
-    launches = _launches(folder.scripts, mapping)
+    named = [match[1] for text in mapping.texts for match in _NAMED_FILE.finditer(text)]
+    for name in dict.fromkeys([*mapping.reads, *named]):
+        if name in {"config.yaml", "config.yml"} or name.startswith(("dataset/", "result/")):
+            continue
+        if not (folder.path / SCRIPTS / name).exists():
+            raise InvalidInput(
+                f"{SCRIPTS}/{MAPPING} uses /slamhive/{name}, but {folder.path / SCRIPTS} does not hold it",
+                "add the file, or correct the script",
+            )
+    placeholders: dict[str, tuple[str, Placeholder]] = {}
+    for name, text in templates.items():
+        entries, problems = read_placeholders(text)
+        if problems:
+            raise InvalidInput(f"{SCRIPTS}/{name} {problems[0]}", "write $$ for a dollar sign")
+        for entry in entries:
+            placeholders.setdefault(entry.name, (name, entry))
+    # Those that mapping.py names, or all if it names none.
+    files = {name: text for name, text in folder.scripts.items() if name.endswith(".launch") and "/" not in name}
+    named = [name for name in files if any(name in text for text in mapping.texts)]
+    launches = [read_launch(files[name]) for name in named or files]
     topics, kinds = _topics(mapping, placeholders, launches, templates.values())
     filled: dict[str, str] = {}
     for text in templates.values():
@@ -200,36 +217,6 @@ def choose_user(facts: FolderFacts, folder: ForeignFolder, image_user: str | Non
         home, line = facts.dockerfile.homes[0]
         return RunUser.ROOT, f"{DOCKERFILE} line {line} names {home}"
     return RunUser.WORKER, "nothing names a folder of another user"
-
-
-def _check_files(folder: Path, mapping: PackageScript) -> None:
-    named = [match[1] for text in mapping.texts for match in _NAMED_FILE.finditer(text)]
-    for name in dict.fromkeys([*mapping.reads, *named]):
-        if name in {"config.yaml", "config.yml"} or name.startswith(("dataset/", "result/")):
-            continue
-        if not (folder / SCRIPTS / name).exists():
-            raise InvalidInput(
-                f"{SCRIPTS}/{MAPPING} uses /slamhive/{name}, but {folder / SCRIPTS} does not hold it",
-                "add the file, or correct the script",
-            )
-
-
-def _placeholders(templates: Mapping[str, str]) -> dict[str, tuple[str, Placeholder]]:
-    found: dict[str, tuple[str, Placeholder]] = {}
-    for name, text in templates.items():
-        entries, problems = read_placeholders(text)
-        if problems:
-            raise InvalidInput(f"{SCRIPTS}/{name} {problems[0]}", "write $$ for a dollar sign")
-        for entry in entries:
-            found.setdefault(entry.name, (name, entry))
-    return found
-
-
-def _launches(scripts: Mapping[str, str], mapping: PackageScript) -> list[LaunchFile]:
-    """The launch files that ``mapping.py`` names, or all if it names none."""
-    files = {name: text for name, text in scripts.items() if name.endswith(".launch") and "/" not in name}
-    named = [name for name in files if any(name in text for text in mapping.texts)]
-    return [read_launch(files[name]) for name in named or files]
 
 
 def _topics(

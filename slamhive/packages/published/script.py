@@ -55,10 +55,6 @@ def read_script(text: str) -> PackageScript:
         return _read_by_patterns(text, f"line {error.lineno or 1}: {error.msg}")
     except (ValueError, RecursionError, MemoryError) as error:
         return _read_by_patterns(text, str(error) or "it is nested too deeply")
-    return _read_tree(tree)
-
-
-def _read_tree(tree: ast.Module) -> PackageScript:
     names: dict[str, None] = {}
     numbers: dict[str, str] = {}
     imports: dict[str, None] = {}

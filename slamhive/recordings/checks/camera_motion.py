@@ -197,22 +197,19 @@ def _scales(evidence: DatasetEvidence, stream: StreamEvidence, moves: list[_Move
     stereo_over_truth = _ratio([(move.matches.stereo_depths_m, Z) for move, Z in by_motion])
     depth_over_stereo = _ratio([(_metres(match, depth), match.stereo_depths_m) for match in stream.motion])
     if depth is not None:
-        yield from _depth_scale(depth, depth_over_truth, depth_over_stereo, stereo_over_truth)
+        # Stereo and ground truth tell of the depth only where they agree with each other.
+        if depth_over_truth is None and depth_over_stereo is None:
+            yield NotChecked("depth-scale", depth.name, "too few points have a depth and move enough")
+        elif depth_over_stereo is not None and _off(depth_over_stereo) and not _off(stereo_over_truth):
+            yield _scale_finding("depth-scale", depth.name, depth_over_stereo, "the stereo baseline")
+        elif depth_over_stereo is None and depth_over_truth is not None and _off(depth_over_truth):
+            yield _scale_finding("depth-scale", depth.name, depth_over_truth, "the ground truth")
     if stereo_over_truth is None and depth_over_truth is None:
         yield NotChecked("truth-scale", TRUTH, reason if not moves else "too few points have a depth and move enough")
     elif _off(stereo_over_truth) and (depth_over_truth is None or _off(depth_over_truth)):
         yield _scale_finding("truth-scale", TRUTH, 1.0 / (stereo_over_truth or 1.0), "the stereo baseline")
     elif _off(stereo_over_truth) and stream.partner is not None:
         yield _scale_finding("stereo-scale", stream.partner.name, stereo_over_truth or 1.0, "depth and ground truth")
-
-
-def _depth_scale(depth: Sensor, over_truth: float | None, over_stereo: float | None, stereo: float | None) -> Findings:
-    if over_truth is None and over_stereo is None:
-        yield NotChecked("depth-scale", depth.name, "too few points have a depth and move enough")
-    elif over_stereo is not None and _off(over_stereo) and not _off(stereo):
-        yield _scale_finding("depth-scale", depth.name, over_stereo, "the stereo baseline")
-    elif over_stereo is None and over_truth is not None and _off(over_truth):
-        yield _scale_finding("depth-scale", depth.name, over_truth, "the ground truth")
 
 
 def _scale_finding(check: str, about: str, ratio: float, other: str) -> Finding:

@@ -100,7 +100,15 @@ def collect(dataset: Dataset, progress: Progress) -> DatasetEvidence:
         topics = {name: topic.msgtype or "various" for name, topic in reader.topics.items()}
         counts = {name: topic.msgcount for name, topic in reader.topics.items()}
         rig = CameraRig(dataset, {sensor.name: counts.get(sensor.topic, 0) for sensor in dataset.sensors}, background)
-        collectors = _collectors(dataset, topics, counts, rig)
+        # Only topics of a type that has a header: the others have no time of measurement.
+        collectors = {}
+        for sensor in dataset.sensors:
+            kind = topics.get(sensor.topic)
+            if kind is None or kind not in _STAMPED:
+                continue
+            make = _CONTENTS.get(sensor.kind) if kind in EXPECTED_TYPES[sensor.kind] else None
+            content = None if make is None else make(sensor, counts[sensor.topic], rig)
+            collectors[sensor.topic] = _Collector(sensor, kind, content, array("q"), array("q"))
         start_ns, end_ns = int(reader.start_time), max(int(reader.end_time) - 1, int(reader.start_time))
         total = sum(counts[topic] for topic in collectors)
         for number, (connection, received_ns, raw) in enumerate(messages(reader, path, list(collectors))):
@@ -110,23 +118,6 @@ def collect(dataset: Dataset, progress: Progress) -> DatasetEvidence:
         streams = {collector.sensor.name: collector.stream() for collector in collectors.values()}
     truth, problem = read_truth(dataset)
     return DatasetEvidence(dataset, start_ns, end_ns, streams, topics, truth, problem)
-
-
-def _collectors(
-    dataset: Dataset, topics: dict[str, str], counts: dict[str, int], rig: CameraRig
-) -> dict[str, _Collector]:
-    """By topic, for each sensor whose topic has a type with a header."""
-    found = {}
-    for sensor in dataset.sensors:
-        kind = topics.get(sensor.topic)
-        if kind is None:
-            continue
-        if kind not in _STAMPED:
-            continue
-        make = _CONTENTS.get(sensor.kind) if kind in EXPECTED_TYPES[sensor.kind] else None
-        content = None if make is None else make(sensor, counts[sensor.topic], rig)
-        found[sensor.topic] = _Collector(sensor, kind, content, array("q"), array("q"))
-    return found
 
 
 _CONTENTS: dict[SensorKind, Callable[[Sensor, int, CameraRig], Content]] = {

@@ -259,7 +259,18 @@ def _look(eye: _Eye, index: int, stamp_ns: int, message: Any, right: _Partner = 
         return
     for place in [place for place in eye.waiting if place.later_index == index]:
         eye.waiting.remove(place)
-        _match_motion(eye, place, features)
+        earlier = place.features
+        mine, theirs = _match(earlier, features)
+        eye.motion.append(
+            MatchEvidence(
+                earlier.stamp_ns,
+                features.stamp_ns,
+                earlier.points[mine],
+                features.points[theirs],
+                None if place.depths_raw is None else place.depths_raw[mine],
+                None if place.stereo_depths_m is None else place.stereo_depths_m[mine],
+            )
+        )
     if index in eye.places:
         stereo_depths_m = _match_stereo(eye, features, right)
         eye.waiting.append(_Place(index + eye.gap, features, _depths_at(features, depth), stereo_depths_m))
@@ -291,21 +302,6 @@ def _depths_at(features: _Features, depth: _Partner) -> Array | None:
     depths = np.zeros(len(column))
     depths[inside] = image[row[inside], column[inside]]
     return np.nan_to_num(depths)
-
-
-def _match_motion(eye: _Eye, place: _Place, later: _Features) -> None:
-    earlier = place.features
-    mine, theirs = _match(earlier, later)
-    eye.motion.append(
-        MatchEvidence(
-            earlier.stamp_ns,
-            later.stamp_ns,
-            earlier.points[mine],
-            later.points[theirs],
-            None if place.depths_raw is None else place.depths_raw[mine],
-            None if place.stereo_depths_m is None else place.stereo_depths_m[mine],
-        )
-    )
 
 
 COARSE = 8

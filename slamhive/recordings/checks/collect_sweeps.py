@@ -12,7 +12,7 @@ from slamhive.domain.calibration import LidarLayout
 from slamhive.domain.sensors import Sensor
 from slamhive.recordings.checks.evidence import Array, Sweeps
 from slamhive.runtime.messages import stamp_ns, to_points
-from slamhive.runtime.point_times import PointTimes, TimeReference
+from slamhive.runtime.point_times import TimeReference
 
 FEWEST_PLACES, MOST_PLACES, SWEEPS_PER_PLACE = 4, 10, 40
 """At a place three sweeps are read whole (2 ms each): two neighbours, and one some time later."""
@@ -91,19 +91,22 @@ class SweepCollector:
         times = None if self._layout is None else self._layout.times
         if times is not None and times.field in cloud.fields:
             values = cloud.fields[times.field][near].astype(np.float64) * times.unit.seconds
-            self._look_at_times(index, points, values + _zero_s(times, stamp_ns(message) * 1e-9))
-
-    def _look_at_times(self, index: int, points: Array, times_s: Array) -> None:
-        if (np.diff(times_s) < 0).any():
-            order = np.argsort(times_s, kind="stable")
-            times_s, points = times_s[order], points[order]
-        self._times_s.append((float(times_s[0]), float(times_s[-1])))
-        self._turns_rad.append(_turn_rad(points, times_s))
-        ends = _Ends(points)
-        if self._previous is not None and self._previous[0] == index - 1:
-            before = self._previous[1]
-            self._seams_m.append((apart_m(before.last, ends.first), apart_m(before.first, ends.last)))
-        self._previous = (index, ends)
+            # Times of points are to count from the start of the sweep.
+            timestamp_s, zero_s = stamp_ns(message) * 1e-9, 0.0
+            if times.reference is not TimeReference.SWEEP_START:
+                zero_s = timestamp_s if times.reference is TimeReference.TIMESTAMP else 0.0
+                zero_s -= times.start_s(timestamp_s)
+            times_s = values + zero_s
+            if (np.diff(times_s) < 0).any():
+                order = np.argsort(times_s, kind="stable")
+                times_s, points = times_s[order], points[order]
+            self._times_s.append((float(times_s[0]), float(times_s[-1])))
+            self._turns_rad.append(_turn_rad(points, times_s))
+            ends = _Ends(points)
+            if self._previous is not None and self._previous[0] == index - 1:
+                before = self._previous[1]
+                self._seams_m.append((apart_m(before.last, ends.first), apart_m(before.first, ends.last)))
+            self._previous = (index, ends)
 
 
 class LaserCollector:
@@ -162,14 +165,6 @@ def _layout(sensor: Sensor) -> tuple[LidarLayout | None, str | None]:
         return LidarLayout.of(sensor), None
     except InvalidInput as error:
         return None, str(error)
-
-
-def _zero_s(times: PointTimes, timestamp_s: float) -> float:
-    """Offset that makes times of points count from the start of the sweep."""
-    if times.reference is TimeReference.SWEEP_START:
-        return 0.0
-    zero_s = timestamp_s if times.reference is TimeReference.TIMESTAMP else 0.0
-    return zero_s - times.start_s(timestamp_s)
 
 
 def _turn_rad(points: Array, times: Array) -> float:

@@ -277,7 +277,12 @@ def synchronisation(evidence: DatasetEvidence) -> Findings:
     if not pairs:
         yield NotChecked("stereo-sync", "cameras", "the dataset has no stereo pair and no registered depth")
     for first, second in pairs:
-        apart_s = _nearest_s(first.header_ns, second.header_ns)
+        # Each image's nearest neighbour of the other camera is the one before or the one after it.
+        times_ns, others_ns = first.header_ns, np.sort(second.header_ns)
+        after = np.clip(np.searchsorted(others_ns, times_ns), 1, max(1, len(others_ns) - 1))
+        before_ns, after_ns = others_ns[after - 1], others_ns[np.minimum(after, len(others_ns) - 1)]
+        nearer_ns = np.where(np.abs(before_ns - times_ns) <= np.abs(after_ns - times_ns), before_ns, after_ns)
+        apart_s = (nearer_ns - times_ns) * 1e-9
         partners = np.abs(apart_s) <= PARTNER_PERIODS / second.sensor.rate_hz
         names = f"{first.sensor.name} and {second.sensor.name}"
         lonely = np.flatnonzero(~partners)
@@ -303,15 +308,6 @@ def synchronisation(evidence: DatasetEvidence) -> Findings:
                 unit="s",
                 expected=f"at most {APART_S} s",
             )
-
-
-def _nearest_s(times_ns: Array, others_ns: Array) -> Array:
-    """Time from each of ``times_ns`` to the nearest of ``others_ns``, (n,), in s."""
-    others_ns = np.sort(others_ns)
-    after = np.clip(np.searchsorted(others_ns, times_ns), 1, max(1, len(others_ns) - 1))
-    before_ns, after_ns = others_ns[after - 1], others_ns[np.minimum(after, len(others_ns) - 1)]
-    nearer = np.where(np.abs(before_ns - times_ns) <= np.abs(after_ns - times_ns), before_ns, after_ns)
-    return np.asarray((nearer - times_ns) * 1e-9)
 
 
 def epipolar(evidence: DatasetEvidence) -> Findings:

@@ -181,22 +181,17 @@ def pair_rates(stream: StreamEvidence, poses: Trajectory) -> RatePair | str:
         return "ground truth and IMU share too little time"
     edges_s = begin_s + cell_s * np.arange(count + 1)
     true = rotation_vectors(interpolate(poses, edges_s).quats_xyzw) / cell_s
-    kept = ~_in_gaps(poses, edges_s)
+    # A cell that touches a gap would compare the IMU with interpolated poses.
+    wide = np.flatnonzero(np.diff(poses.stamps_s) > usable_gap_s(poses))
+    kept = np.ones(len(edges_s) - 1, dtype=bool)
+    for index in wide[:MOST_GAPS]:
+        kept &= (edges_s[1:] <= poses.stamps_s[index]) | (edges_s[:-1] >= poses.stamps_s[index + 1])
     if kept.sum() < FEWEST_CELLS:
         return "the ground truth has too many gaps"
     if rms(true[kept] - true[kept].mean(axis=0)) < LEAST_TURNING_RADPS:
         return "the body hardly turns"
     R_body_imu = matrix(stream.sensor.T_body_sensor)[:3, :3]
     return RatePair(edges_s, true, kept, times_s, turned @ R_body_imu.T)
-
-
-def _in_gaps(poses: Trajectory, edges_s: Array) -> Array:
-    """Mask of the cells that lie in a gap of the ground truth, (n,) bool."""
-    wide = np.flatnonzero(np.diff(poses.stamps_s) > usable_gap_s(poses))
-    bad = np.zeros(len(edges_s) - 1, dtype=bool)
-    for index in wide[:MOST_GAPS]:
-        bad |= (edges_s[1:] > poses.stamps_s[index]) & (edges_s[:-1] < poses.stamps_s[index + 1])
-    return bad
 
 
 def rotation_vectors(quats_xyzw: Array) -> Array:
@@ -303,7 +298,16 @@ def _compare(evidence: DatasetEvidence, stream: StreamEvidence, poses: Trajector
     if offset_s is None:
         yield NotChecked("imu-time-offset", name, "its angular rates do not resemble those of the ground truth")
     elif abs(offset_s) > OFFSET_S:
-        yield _offset(stream, offset_s)
+        direction = "ahead of" if offset_s < 0 else "behind"
+        yield stream.finding(
+            "imu-time-offset",
+            Severity.ERROR if abs(offset_s) > LARGE_OFFSET_S else Severity.WARNING,
+            f"The clock of {name} is {abs(offset_s) * 1e3:.0f} ms {direction} that of the ground truth.",
+            f"add {offset_s:+.4f} s to the timestamps of the IMU, or subtract it from those of the ground truth",
+            value=offset_s,
+            unit="s",
+            expected=f"within {OFFSET_S} s",
+        )
     measured, true = pair.at(offset_s or 0.0)
     ratio = rms(measured - measured.mean(axis=0)) / rms(true - true.mean(axis=0))
     units = _units(stream, ratio) if offset_s is not None else None
@@ -318,19 +322,6 @@ def _compare(evidence: DatasetEvidence, stream: StreamEvidence, poses: Trajector
         yield NotChecked("gravity-direction", name, "the orientations contradict the IMU")
     else:
         yield from _gravity_direction(evidence, stream, poses, offset_s or 0.0)
-
-
-def _offset(stream: StreamEvidence, offset_s: float) -> Finding:
-    name, direction = stream.sensor.name, "ahead of" if offset_s < 0 else "behind"
-    return stream.finding(
-        "imu-time-offset",
-        Severity.ERROR if abs(offset_s) > LARGE_OFFSET_S else Severity.WARNING,
-        f"The clock of {name} is {abs(offset_s) * 1e3:.0f} ms {direction} that of the ground truth.",
-        f"add {offset_s:+.4f} s to the timestamps of the IMU, or subtract it from those of the ground truth",
-        value=offset_s,
-        unit="s",
-        expected=f"within {OFFSET_S} s",
-    )
 
 
 def _units(stream: StreamEvidence, ratio: float) -> Finding | None:

@@ -212,7 +212,30 @@ def clocks(evidence: DatasetEvidence) -> Findings:
         return
     common_s = float(np.median([np.median(_delays_s(stream)) for stream in streams]))
     for stream in streams:
-        yield from _clock_of(stream, common_s)
+        delays_s = _delays_s(stream)
+        tenth = max(1, len(delays_s) // 10)
+        drift_s = float(np.median(delays_s[-tenth:]) - np.median(delays_s[:tenth]))
+        apart_s = float(np.median(delays_s)) - common_s
+        if len(delays_s) >= FEWEST_FOR_DRIFT and abs(drift_s) > DRIFT_S and not jumps(stream).any():
+            yield stream.finding(
+                "clocks",
+                Severity.WARNING,
+                f"Header and recording time of {stream.sensor.name} drift apart during the recording.",
+                "synchronise the clocks (PTP, hardware trigger), or correct the timestamps",
+                value=drift_s,
+                unit="s",
+                expected=f"less than {DRIFT_S} s",
+            )
+        elif abs(apart_s) > APART_S:
+            yield stream.finding(
+                "clocks",
+                Severity.ERROR,
+                f"The clock of {stream.sensor.name} is {apart_s:+.3f} s away from that of the other sensors.",
+                "find out the offset of the clocks and correct the header timestamps",
+                value=apart_s,
+                unit="s",
+                expected=f"the same difference within {APART_S} s",
+            )
     if abs(common_s) > COMMON_S:
         yield Finding(
             "clocks",
@@ -223,33 +246,6 @@ def clocks(evidence: DatasetEvidence) -> Findings:
             value=common_s,
             unit="s",
             expected=f"less than {COMMON_S:g} s",
-        )
-
-
-def _clock_of(stream: StreamEvidence, common_s: float) -> Findings:
-    delays_s = _delays_s(stream)
-    tenth = max(1, len(delays_s) // 10)
-    drift_s = float(np.median(delays_s[-tenth:]) - np.median(delays_s[:tenth]))
-    apart_s = float(np.median(delays_s)) - common_s
-    if len(delays_s) >= FEWEST_FOR_DRIFT and abs(drift_s) > DRIFT_S and not jumps(stream).any():
-        yield stream.finding(
-            "clocks",
-            Severity.WARNING,
-            f"Header and recording time of {stream.sensor.name} drift apart during the recording.",
-            "synchronise the clocks (PTP, hardware trigger), or correct the timestamps",
-            value=drift_s,
-            unit="s",
-            expected=f"less than {DRIFT_S} s",
-        )
-    elif abs(apart_s) > APART_S:
-        yield stream.finding(
-            "clocks",
-            Severity.ERROR,
-            f"The clock of {stream.sensor.name} is {apart_s:+.3f} s away from that of the other sensors.",
-            "find out the offset of the clocks and correct the header timestamps",
-            value=apart_s,
-            unit="s",
-            expected=f"the same difference within {APART_S} s",
         )
 
 

@@ -12,7 +12,6 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind
 from slamhive.recordings.exporters.frames import (
     ELSEWHERE,
-    ExportedTruth,
     ImageSink,
     ImuSink,
     Sink,
@@ -72,52 +71,42 @@ def _write(dataset: Dataset, folder: Path, progress: Progress) -> None:
         for place, camera in enumerate(dataset.of_kind(SensorKind.CAMERA)):
             images.append(ImageSink(camera, mav / f"cam{place}" / "data", lambda stamp_ns, _: f"{stamp_ns}.png"))
             sinks[camera.name] = images[-1]
-            (mav / f"cam{place}" / "sensor.yaml").write_text(_camera_yaml(camera), encoding="utf-8")
+            seen = CameraIntrinsics.of(camera)
+            lines = [
+                *_sensor_lines("camera", camera.name, camera.T_body_sensor),
+                f"rate_hz: {number(camera.rate_hz)}",
+                f"resolution: [{seen.width}, {seen.height}]",
+                "camera_model: pinhole",
+                f"intrinsics: {numbers((seen.fx, seen.fy, seen.cx, seen.cy))} #fu, fv, cu, cv",
+                f"distortion_model: {_distortion_model(camera)}",
+                f"distortion_coefficients: {numbers(seen.distortion or (0.0, 0.0, 0.0, 0.0))}",
+            ]
+            lines += ["rectified: true"] if seen.rectified else []
+            (mav / f"cam{place}" / "sensor.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
         for place, imu in enumerate(dataset.of_kind(SensorKind.IMU)):
             samples = ImuSink(mav / f"imu{place}" / "data.csv", _IMU_HEADER)
             stack.callback(samples.close)
             sinks[imu.name] = samples
-            (mav / f"imu{place}" / "sensor.yaml").write_text(_imu_yaml(imu), encoding="utf-8")
+            noise = [f"{key}: {number(value)}" for key, value in ImuNoise.of(imu).calibration().items()]
+            lines = [*_sensor_lines("imu", imu.name, imu.T_body_sensor), f"rate_hz: {number(imu.rate_hz)}", *noise]
+            (mav / f"imu{place}" / "sensor.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
         export_frames(dataset, sinks, progress)
     for sink in images:
         lines = ["#timestamp [ns],filename", *(f"{stamp_ns},{file}" for stamp_ns, file in sink.entries)]
         (sink.folder.parent / "data.csv").write_text("\n".join(lines) + "\n", encoding="ascii")
     truth = read_truth(dataset)
     if truth is not None:
-        _write_truth(mav / "state_groundtruth_estimate0", truth)
-
-
-def _write_truth(folder: Path, truth: ExportedTruth) -> None:
-    folder.mkdir()
-    rows = zip(
-        truth.times_ns.tolist(), truth.positions_m.tolist(), truth.quats_xyzw[:, [3, 0, 1, 2]].tolist(), strict=True
-    )
-    lines = [",".join([str(time_ns), *map(repr, position), *map(repr, quat)]) for time_ns, position, quat in rows]
-    (folder / "data.csv").write_text("\n".join([_TRUTH_HEADER, *lines]) + "\n", encoding="ascii")
-    (folder / "sensor.yaml").write_text(
-        "\n".join([*_sensor_lines("visual-inertial", "ground truth of the body", IDENTITY4)]) + "\n", encoding="utf-8"
-    )
-
-
-def _camera_yaml(camera: Sensor) -> str:
-    seen = CameraIntrinsics.of(camera)
-    lines = [
-        *_sensor_lines("camera", camera.name, camera.T_body_sensor),
-        f"rate_hz: {number(camera.rate_hz)}",
-        f"resolution: [{seen.width}, {seen.height}]",
-        "camera_model: pinhole",
-        f"intrinsics: {numbers((seen.fx, seen.fy, seen.cx, seen.cy))} #fu, fv, cu, cv",
-        f"distortion_model: {_distortion_model(camera)}",
-        f"distortion_coefficients: {numbers(seen.distortion or (0.0, 0.0, 0.0, 0.0))}",
-    ]
-    lines += ["rectified: true"] if seen.rectified else []
-    return "\n".join(lines) + "\n"
-
-
-def _imu_yaml(imu: Sensor) -> str:
-    noise = [f"{key}: {number(value)}" for key, value in ImuNoise.of(imu).calibration().items()]
-    lines = [*_sensor_lines("imu", imu.name, imu.T_body_sensor), f"rate_hz: {number(imu.rate_hz)}", *noise]
-    return "\n".join(lines) + "\n"
+        truth_folder = mav / "state_groundtruth_estimate0"
+        truth_folder.mkdir()
+        rows = zip(
+            truth.times_ns.tolist(), truth.positions_m.tolist(), truth.quats_xyzw[:, [3, 0, 1, 2]].tolist(), strict=True
+        )
+        lines = [",".join([str(time_ns), *map(repr, position), *map(repr, quat)]) for time_ns, position, quat in rows]
+        (truth_folder / "data.csv").write_text("\n".join([_TRUTH_HEADER, *lines]) + "\n", encoding="ascii")
+        (truth_folder / "sensor.yaml").write_text(
+            "\n".join([*_sensor_lines("visual-inertial", "ground truth of the body", IDENTITY4)]) + "\n",
+            encoding="utf-8",
+        )
 
 
 def _sensor_lines(kind: str, comment: str, T_body_sensor: Matrix4) -> list[str]:

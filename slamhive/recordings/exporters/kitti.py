@@ -5,7 +5,7 @@ A frame has one image of each camera, one scan and one pose. Cameras are rectifi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -104,7 +104,15 @@ def _choose(dataset: Dataset, counts: dict[str, int]) -> _Chosen:
     cameras: dict[int, Sensor] = {}
     for sensor in together:
         if sensor.kind is SensorKind.CAMERA:
-            _check_rectified(sensor, known[0])
+            first = known[0]
+            seen = CameraIntrinsics.of(sensor)
+            if not seen.rectified or any(seen.distortion):
+                raise InvalidInput(f"the images of {sensor.name} are not rectified, and those of kitti are", ELSEWHERE)
+            turn = _between(first.T_body_sensor, sensor)[:3, :3]
+            if np.abs(turn - np.eye(3)).max() > _PARALLEL_TOLERANCE:
+                raise InvalidInput(
+                    f"{sensor.name} looks in another direction than {first.name}; those of kitti do not", ELSEWHERE
+                )
             number = next((place for place in _numbers(sensor) if place not in cameras), None)
             if number is not None:
                 cameras[number] = sensor
@@ -114,17 +122,6 @@ def _choose(dataset: Dataset, counts: dict[str, int]) -> _Chosen:
 
 def _numbers(camera: Sensor) -> tuple[int, ...]:
     return _GREY if str(camera.calibration.get("encoding", "")).startswith("mono") else _COLOUR
-
-
-def _check_rectified(camera: Sensor, first: Sensor) -> None:
-    seen = CameraIntrinsics.of(camera)
-    if not seen.rectified or any(seen.distortion):
-        raise InvalidInput(f"the images of {camera.name} are not rectified, and those of kitti are", ELSEWHERE)
-    turn = _between(first.T_body_sensor, camera)[:3, :3]
-    if np.abs(turn - np.eye(3)).max() > _PARALLEL_TOLERANCE:
-        raise InvalidInput(
-            f"{camera.name} looks in another direction than {first.name}; those of kitti do not", ELSEWHERE
-        )
 
 
 def _between(T_body_first: Matrix4, second: Sensor) -> Array:
@@ -194,24 +191,20 @@ def _write(dataset: Dataset, chosen: _Chosen, times_ns: Array, folder: Path, pro
         sinks[chosen.lidar.name] = _ScanSink(chosen.lidar, folder / "velodyne")
     export_frames(dataset, sinks, progress)
     for sink in sinks.values():
-        _check_together(sink.sensor, sink.timestamps_ns, times_ns)
+        # A message far from the frame of its number says that one is missing before it.
+        apart_ns = np.abs(np.array(sink.timestamps_ns, dtype=np.int64) - times_ns)
+        frame_ns = float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else np.inf
+        far = np.flatnonzero(apart_ns > _SAME_FRAME * frame_ns)
+        if len(far):
+            raise InvalidInput(
+                f"message {far[0]} of {sink.sensor.name} is {apart_ns[far[0]] / 1e9:.3f} s from frame {far[0]}: "
+                "the sensors do not record together, as those of kitti do",
+                ELSEWHERE,
+            )
     _write_lines(folder / "times.txt", (f"{time_ns / 1e9:.9f}" for time_ns in (times_ns - times_ns[0]).tolist()))
     _write_lines(folder / "calib.txt", _calibration(chosen))
     if chosen.poses is not None:
         _write_lines(folder / "poses.txt", (_row(pose) for pose in chosen.poses))
-
-
-def _check_together(sensor: Sensor, timestamps_ns: Sequence[int], times_ns: Array) -> None:
-    """Raise InvalidInput where a message belongs to another frame than its number says: one is missing before it."""
-    apart_ns = np.abs(np.array(timestamps_ns, dtype=np.int64) - times_ns)
-    frame_ns = float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else np.inf
-    far = np.flatnonzero(apart_ns > _SAME_FRAME * frame_ns)
-    if len(far):
-        raise InvalidInput(
-            f"message {far[0]} of {sensor.name} is {apart_ns[far[0]] / 1e9:.3f} s from frame {far[0]}: "
-            "the sensors do not record together, as those of kitti do",
-            ELSEWHERE,
-        )
 
 
 def _calibration(chosen: _Chosen) -> list[str]:

@@ -82,8 +82,12 @@ def _plan(dataset: Dataset, bag: str, write_bag: _WriteBag, *, keep: bool) -> Ex
     def write(folder: Path, progress: Progress) -> None:
         write_recording = copy_recording if keep else write_bag
         write_recording(dataset.bag_path, folder / bag, _part(progress, 0.0, _RECORDED))
-        for file in _side_files(dataset):
-            shutil.copyfile(dataset.folder / file, folder / file)
+        truth = dataset.groundtruth
+        beside = [dataset.reference_map, dataset.relations]
+        beside += [] if truth is None else [truth.file, truth.kitti_poses]
+        for file in beside:
+            if file is not None and (dataset.folder / file).is_file():
+                shutil.copyfile(dataset.folder / file, folder / file)
         made = replace(dataset, bag=bag, checksum=checksum(folder / bag, _part(progress, _RECORDED, 1.0)))
         (folder / DATASET_FILE).write_text(dataset_to_yaml(made), encoding="utf-8")
 
@@ -105,13 +109,6 @@ def _expanded_bytes(path: Path) -> int:
 
 def _part(progress: Progress, start: float, end: float) -> Progress:
     return lambda fraction, text: progress(start + (end - start) * fraction, text)
-
-
-def _side_files(dataset: Dataset) -> list[str]:
-    truth = dataset.groundtruth
-    named = [dataset.reference_map, dataset.relations]
-    named += [] if truth is None else [truth.file, truth.kitti_poses]
-    return [file for file in named if file is not None and (dataset.folder / file).is_file()]
 
 
 def _write_ros1(source: Path, target: Path, progress: Progress) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import COEFFICIENTS, TIME_OFFSET, CameraIntrinsics, CameraModel, ImuNoise
-from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind
+from slamhive.domain.sensors import CalibrationValue, SensorKind
 from slamhive.packages.dataset_file import load_sensors
 from slamhive.recordings.calibration_file import CalibrationFile, read_calibration_file
 from slamhive.recordings.geometry import Array
@@ -140,7 +140,11 @@ def read_kalibr(path: Path, content: Mapping[str, Any]) -> KnownCalibration:
             _add_camera(known, path, name, part)
             _name_unread(known, path, name, part, _CAMERA_KEYS)
         elif _IMU.fullmatch(name):
-            _add_imu(known, name, part)
+            noise = ImuNoise(**{key: part.optional(key) for key in ImuNoise.__slots__})
+            known.sensors.append(KnownSensor(name, SensorKind.IMU, part.word("rostopic", ""), name, noise=noise))
+            T_imu_body = _transform(part, "T_i_b")
+            if T_imu_body is not None and name != "imu0":
+                known.transforms.append((name, "imu0", T_imu_body))
             _name_unread(known, path, name, part, _IMU_KEYS)
         else:
             known.notes.append(f"{name} of {path.name} is not read")
@@ -195,14 +199,6 @@ def _intrinsics(entry: CalibrationFile) -> CameraIntrinsics:
     return CameraIntrinsics(width, height, fx, fy, cx, cy, model, coefficients)
 
 
-def _add_imu(known: KnownCalibration, name: str, entry: CalibrationFile) -> None:
-    noise = ImuNoise(**{key: entry.optional(key) for key in ImuNoise.__slots__})
-    known.sensors.append(KnownSensor(name, SensorKind.IMU, entry.word("rostopic", ""), name, noise=noise))
-    T_imu_body = _transform(entry, "T_i_b")
-    if T_imu_body is not None and name != "imu0":
-        known.transforms.append((name, "imu0", T_imu_body))
-
-
 def _transform(entry: CalibrationFile, key: str) -> Array | None:
     return entry.rigid(key) if key in entry.content else None
 
@@ -234,27 +230,23 @@ def read_calibration(path: Path) -> KnownCalibration:
     """Read one file; raises InvalidInput, or NotFound if there is no such file."""
     content = read_calibration_file(path).content
     if isinstance(content.get("sensors"), list):
-        return _of_sensors(load_sensors(path))
+        known = KnownCalibration()
+        for sensor in load_sensors(path):
+            intrinsics = CameraIntrinsics.of(sensor) if sensor.kind in _CAMERAS else None
+            noise = ImuNoise.of(sensor) if sensor.kind is SensorKind.IMU else None
+            known.sensors.append(
+                KnownSensor(
+                    sensor.name, sensor.kind, sensor.topic, sensor.name, intrinsics, noise, dict(sensor.calibration)
+                )
+            )
+            known.transforms.append((BODY, sensor.name, np.array(sensor.T_body_sensor).reshape(4, 4)))
+        return known
     if is_kalibr(content):
         return read_kalibr(path, content)
     raise InvalidInput(
         f"{path} is no calibration that is read",
         "expected Kalibr's camchain.yaml (cam0: ...) or imu.yaml, or a dataset.yaml (sensors: ...)",
     )
-
-
-def _of_sensors(sensors: Sequence[Sensor]) -> KnownCalibration:
-    known = KnownCalibration()
-    for sensor in sensors:
-        intrinsics = CameraIntrinsics.of(sensor) if sensor.kind in _CAMERAS else None
-        noise = ImuNoise.of(sensor) if sensor.kind is SensorKind.IMU else None
-        known.sensors.append(
-            KnownSensor(
-                sensor.name, sensor.kind, sensor.topic, sensor.name, intrinsics, noise, dict(sensor.calibration)
-            )
-        )
-        known.transforms.append((BODY, sensor.name, np.array(sensor.T_body_sensor).reshape(4, 4)))
-    return known
 
 
 # The intrinsics that users give with ``--calibration`` for a recording of one camera.

@@ -15,7 +15,7 @@ import numpy as np
 from slamhive.base.errors import InvalidInput
 from slamhive.base.files import visible_files
 from slamhive.domain.calibration import LaserLayout
-from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
+from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.recordings.geometry import Array
 from slamhive.recordings.importing import (
     DatasetText,
@@ -79,7 +79,17 @@ def read_log(path: Path) -> Log:
         elif word == "TRUEPOS":
             log.true_poses.add(line.time_s(7), line.numbers(1, 3, "the true pose"))
         elif word in LASER_WORDS:
-            _add_scan(log, line)
+            scan = read_scan(line)
+            line.numbers(scan.first, scan.count, "the ranges")
+            first = log.first_scan
+            if first is None:
+                log.first_scan = first = scan
+            if (scan.count, scan.layout) != (first.count, first.layout):
+                raise line.error(
+                    f"a scan of {scan.count} ranges after scans of {first.count}, or of another geometry",
+                    "split the log: the scans of a scanner must be alike",
+                )
+            log.scans.add(scan.time_s, scan.robot_pose)
     return log
 
 
@@ -114,20 +124,6 @@ def _new_scan(line: TextLine) -> Scan:
     poses = line.numbers(place, 6, "the poses")
     layout = LaserLayout(start_rad, increment_rad, 0.0, maximum_m)
     return Scan(line.time_s(place + 11), 9, count, layout, poses[:3], poses[3:])
-
-
-def _add_scan(log: Log, line: TextLine) -> None:
-    scan = read_scan(line)
-    line.numbers(scan.first, scan.count, "the ranges")
-    first = log.first_scan
-    if first is None:
-        log.first_scan = first = scan
-    if (scan.count, scan.layout) != (first.count, first.layout):
-        raise line.error(
-            f"a scan of {scan.count} ranges after scans of {first.count}, or of another geometry",
-            "split the log: the scans of a scanner must be alike",
-        )
-    log.scans.add(scan.time_s, scan.robot_pose)
 
 
 def _guessed_increment_rad(count: int) -> float:
@@ -201,19 +197,7 @@ def _laser(log: Log, scan: Scan) -> PlannedStream:
     if layout.angle_increment_rad <= 0 or layout.maximum_range_m <= 0:
         raise InvalidInput(f"{log.path}: the scanner has no angle between ranges or no range", "correct the first scan")
     times_ns = log.scans.times_ns
-    sensor = Sensor(
-        "laser0",
-        SensorKind.LASER,
-        "/scan",
-        rate_hz(times_ns),
-        _T_body_laser(log, scan),
-        {"beams": scan.count, **layout.calibration()},
-    )
-    return laser_stream(sensor, log.scans, lambda: scan_ranges(log.path), scan.count)
-
-
-def _T_body_laser(log: Log, scan: Scan) -> Matrix4:
-    """Old logs state it as parameters, new ones as the poses of laser and robot at the time of a scan."""
+    # Old logs state the mount as parameters, new ones as the poses of laser and robot at the time of a scan.
     names = ("robot_frontlaser_offset", "robot_frontlaser_side_offset", "robot_frontlaser_angular_offset")
     x_m, y_m, yaw_rad = (_parameter(log, name) if name in log.parameters else 0.0 for name in names)
     if not any(name in log.parameters for name in names):
@@ -222,7 +206,16 @@ def _T_body_laser(log: Log, scan: Scan) -> Matrix4:
         c, s = math.cos(robot_yaw), math.sin(robot_yaw)
         x_m = c * (laser_x - robot_x) + s * (laser_y - robot_y)
         y_m = c * (laser_y - robot_y) - s * (laser_x - robot_x)
-    return planar_transform(x_m, y_m, yaw_rad)
+    T_body_laser = planar_transform(x_m, y_m, yaw_rad)
+    sensor = Sensor(
+        "laser0",
+        SensorKind.LASER,
+        "/scan",
+        rate_hz(times_ns),
+        T_body_laser,
+        {"beams": scan.count, **layout.calibration()},
+    )
+    return laser_stream(sensor, log.scans, lambda: scan_ranges(log.path), scan.count)
 
 
 def _parameter(log: Log, name: str) -> float:

@@ -62,7 +62,7 @@ def detect_kitti(path: Path) -> Detection:
     """The parts of a KITTI odometry sequence in ``path``."""
     present = [name for name in (TIMES_FILE, CALIBRATION_FILE) if (path / name).is_file()]
     missing = [name for name in (TIMES_FILE, CALIBRATION_FILE) if name not in present]
-    folders = [name for name in _sensor_folders() if (path / name).is_dir()]
+    folders = [name for name in (*(f"image_{camera}" for camera in CAMERAS), SCANS_FOLDER) if (path / name).is_dir()]
     if not folders:
         missing.append("image_0 to image_3 or velodyne")
     return Detection(tuple(present + folders), tuple(missing))
@@ -80,7 +80,15 @@ def read_sequence(source: Path) -> KittiSequence:
     images = {camera: _frames(source / f"image_{camera}", "*.png", places) for camera in CAMERAS}
     images = {camera: frames for camera, frames in images.items() if frames}
     scans = _frames(source / SCANS_FOLDER, "*.bin", places)
-    _check_same_numbers([*images.values(), *([scans] if scans else [])])
+    # Sensors with as many frames, but not the same ones, would share wrong times.
+    sensors = [*images.values(), *([scans] if scans else [])]
+    for other in sensors[1:]:
+        for one, two in zip(sensors[0], other, strict=True):
+            if one.stem.isdigit() and two.stem.isdigit() and int(one.stem) != int(two.stem):
+                raise InvalidInput(
+                    f"{one} and {two} would have the same line of {TIMES_FILE}",
+                    "frames of all sensors must have the same numbers: complete the folders",
+                )
     calibration = _read_calibration(source / CALIBRATION_FILE)
     T_cam0_lidar = None
     if scans:
@@ -115,10 +123,6 @@ def _evenly(lowest_deg: float, highest_deg: float) -> tuple[float, ...]:
     return tuple(np.linspace(lowest_deg, highest_deg, 32).round(2).tolist())
 
 
-def _sensor_folders() -> tuple[str, ...]:
-    return (*(f"image_{camera}" for camera in CAMERAS), SCANS_FOLDER)
-
-
 def _read_times(path: Path) -> tuple[Array, Array]:
     """The times (n,) in s, and the frame of each, (n,): line n + 1 is that of frame n, blank lines too."""
     table = parse_table(read_bounded(path), str(path), 1, "seconds since the start, one a line")
@@ -143,36 +147,22 @@ def _frames(folder: Path, pattern: str, places: Array) -> list[Path]:
         return []
     frames = visible_files(folder, pattern)
     if places[-1] + 1 != len(places):
-        return _frames_of_lines(folder, pattern, places)
+        # Blank lines of the times leave frames out: the numbers of the files tell which.
+        files = numbered(folder, pattern)
+        missing = [place for place in places.tolist() if place not in files]
+        if missing:
+            raise InvalidInput(
+                f"{folder} has no frame {missing[0]} ({pattern}), "
+                f"but {TIMES_FILE} has its time in line {missing[0] + 1}",
+                "line n + 1 is the time of frame n, from 0: complete the folder, or empty the line",
+            )
+        return [files[place] for place in places.tolist()]
     if len(frames) != len(places):
         raise InvalidInput(
             f"{folder} holds {len(frames)} frames ({pattern}), {TIMES_FILE} {len(places)} times",
             f"every frame needs its line in {TIMES_FILE}: cut the longer one, or complete the shorter",
         )
     return frames
-
-
-def _frames_of_lines(folder: Path, pattern: str, places: Array) -> list[Path]:
-    """The frames whose numbers are ``places``: blank lines of the times leave the others out."""
-    files = numbered(folder, pattern)
-    missing = [place for place in places.tolist() if place not in files]
-    if missing:
-        raise InvalidInput(
-            f"{folder} has no frame {missing[0]} ({pattern}), but {TIMES_FILE} has its time in line {missing[0] + 1}",
-            "line n + 1 is the time of frame n, from 0: complete the folder, or empty the line",
-        )
-    return [files[place] for place in places.tolist()]
-
-
-def _check_same_numbers(sensors: list[list[Path]]) -> None:
-    """Raise InvalidInput where two sensors have as many frames, but not the same: one line of times would be wrong."""
-    for other in sensors[1:]:
-        for one, two in zip(sensors[0], other, strict=True):
-            if one.stem.isdigit() and two.stem.isdigit() and int(one.stem) != int(two.stem):
-                raise InvalidInput(
-                    f"{one} and {two} would have the same line of {TIMES_FILE}",
-                    "frames of all sensors must have the same numbers: complete the folders",
-                )
 
 
 def _read_calibration(path: Path) -> dict[str, Array]:
@@ -214,7 +204,11 @@ def _projection(calibration: dict[str, Array], camera: int, source: Path) -> Arr
 
 def _read_poses(source: Path, places: Array) -> tuple[Array, Array] | None:
     """The poses (m, 3, 4) of frames that have a time, and these frames (m,), of ``places`` (n,); None without."""
-    path = _pose_file(source)
+    # In the sequence's folder, or in poses/<sequence>.txt beside it or beside sequences/.
+    resolved = source.resolve()
+    beside = [folder / "poses" / f"{resolved.name}.txt" for folder in resolved.parents[:2]]
+    candidates = [*(source / name for name in POSE_FILES), *beside]
+    path = next((path for path in candidates if path.is_file()), None)
     if path is None:
         return None
     table = parse_table(read_bounded(path), str(path), 12, "a 3x4 pose matrix by rows")
@@ -238,14 +232,6 @@ def _read_poses(source: Path, places: Array) -> tuple[Array, Array] | None:
         )
     timed = np.isin(table.places, places)
     return table.places[timed], poses[timed]
-
-
-def _pose_file(source: Path) -> Path | None:
-    """In the sequence's folder, or in ``poses/<sequence>.txt`` beside it or beside ``sequences/``."""
-    resolved = source.resolve()
-    beside = [folder / "poses" / f"{resolved.name}.txt" for folder in resolved.parents[:2]]
-    candidates = [*(source / name for name in POSE_FILES), *beside]
-    return next((path for path in candidates if path.is_file()), None)
 
 
 _FIRST_COLOUR_CAMERA = 2

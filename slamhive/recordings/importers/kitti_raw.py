@@ -64,7 +64,11 @@ class KittiRawImporter:
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:  # noqa: ARG002 - it takes no options
         """Plan the import of the drive; raises InvalidInput naming the file, the line or key, and the remedy."""
         notes: list[str] = ["timestamps are taken as UTC: the recordings do not say their time zone"]
-        rectified_imu = _T_rectified_imu(source)
+        # From the IMU to the rectified camera 0: R_rect_00 · velo_to_cam · imu_to_velo.
+        rectifying = transform(_calibration(source, _CALIBRATION[0])("R_rect_00", 9).reshape(3, 3), np.zeros(3))
+        if not is_rigid(_flat(rectifying)):
+            raise InvalidInput(f"{_calibration_file(source, _CALIBRATION[0])}: R_rect_00 is no rotation")
+        rectified_imu = np.asarray(rectifying @ _rigid(source, _CALIBRATION[1]) @ _rigid(source, _CALIBRATION[2]))
         streams: list[PlannedStream] = []
         for number, name in enumerate(_CAMERAS):
             if (source / name / "data").is_dir():
@@ -111,14 +115,6 @@ def _rigid(source: Path, name: str) -> Array:
     if not is_rigid(_flat(T)):
         raise InvalidInput(f"{_calibration_file(source, name)}: R is no rotation", "copy the file again")
     return T
-
-
-def _T_rectified_imu(source: Path) -> Array:
-    """From the IMU to the rectified camera 0, (4, 4): R_rect_00 · velo_to_cam · imu_to_velo."""
-    rectifying = transform(_calibration(source, _CALIBRATION[0])("R_rect_00", 9).reshape(3, 3), np.zeros(3))
-    if not is_rigid(_flat(rectifying)):
-        raise InvalidInput(f"{_calibration_file(source, _CALIBRATION[0])}: R_rect_00 is no rotation")
-    return np.asarray(rectifying @ _rigid(source, _CALIBRATION[1]) @ _rigid(source, _CALIBRATION[2]))
 
 
 def _camera(source: Path, number: int, T_rectified_imu: Array, notes: list[str]) -> PlannedStream:

@@ -205,7 +205,17 @@ class LenientReader:
         undefined: dict[str, str] = {}
         for entry in connections:
             try:
-                types.update(_types_of(entry))
+                text, form = entry.msgdef.data, entry.msgdef.format
+                if form is MessageDefinitionFormat.MSG:
+                    types.update(get_types_from_msg(text, entry.msgtype))
+                elif form is not MessageDefinitionFormat.NONE and not text.startswith(f"{_IDL_RULE}IDL: "):
+                    types.update(get_types_from_idl(text))
+                elif form is not MessageDefinitionFormat.NONE:
+                    # rosbag2 joins the definitions of all types that a message needs, with a rule before each.
+                    own: dict[str, Any] = {}
+                    for part in text.split(_IDL_RULE)[1:]:
+                        own.update(get_types_from_idl(part.partition("\n")[2]))
+                    types.update(own)
             except DAMAGE as error:
                 undefined[entry.msgtype] = f"the definition of {entry.msgtype} cannot be read ({error})"
         known = spare.fielddefs
@@ -313,17 +323,3 @@ class LenientRos1Reader(Ros1Reader):
 def _encoding(connection: Connection) -> str:
     """The serialisation of messages, such as ``cdr``."""
     return str(getattr(connection.ext, "serialization_format", ""))
-
-
-def _types_of(connection: Connection) -> dict[str, Any]:
-    text, kind = connection.msgdef.data, connection.msgtype
-    if connection.msgdef.format is MessageDefinitionFormat.NONE:
-        return {}
-    if connection.msgdef.format is MessageDefinitionFormat.MSG:
-        return dict(get_types_from_msg(text, kind))
-    if not text.startswith(f"{_IDL_RULE}IDL: "):
-        return dict(get_types_from_idl(text))
-    types: dict[str, Any] = {}
-    for part in text.split(_IDL_RULE)[1:]:
-        types.update(get_types_from_idl(part.partition("\n")[2]))
-    return types

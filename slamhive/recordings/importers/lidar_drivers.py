@@ -83,7 +83,16 @@ def _times(fields: dict[str, Array], stamp_s: float, duration_s: float) -> tuple
             problems.append(f"field {field} {found}")
             continue
         driver, offsets_s = found
-        times = PointTimes(duration_s, field, driver.unit, driver.reference, _instant(offsets_s, duration_s))
+        # The points before and after the timestamp tell which instant of the sweep it is.
+        instant = SweepInstant.START
+        # A shorter spread is that of one column only.
+        if offsets_s.size and np.ptp(offsets_s) >= _SHORTEST_SPREAD * duration_s:
+            middle = float(offsets_s.min() + offsets_s.max()) / 2
+            if middle < -0.25 * duration_s:
+                instant = SweepInstant.END
+            elif abs(middle) < 0.25 * duration_s:
+                instant = SweepInstant.MIDDLE
+        times = PointTimes(duration_s, field, driver.unit, driver.reference, instant)
         maker = f" ({driver.makers})" if driver.makers else ""
         return times, (
             f"the time of a point is its field {field}{maker}, {driver.unit} from {_ZEROS[driver.reference]}; "
@@ -138,16 +147,6 @@ _ZEROS = {
     TimeReference.ABSOLUTE: "the zero of the clock",
     TimeReference.SWEEP_START: "the start of the sweep",
 }
-
-
-def _instant(offsets_s: Any, duration_s: float) -> SweepInstant:
-    """Find which instant of the sweep the timestamp is, by the points before and after it."""
-    if not offsets_s.size or np.ptp(offsets_s) < _SHORTEST_SPREAD * duration_s:
-        return SweepInstant.START  # one column only
-    middle = float(offsets_s.min() + offsets_s.max()) / 2
-    if middle < -0.25 * duration_s:
-        return SweepInstant.END
-    return SweepInstant.MIDDLE if abs(middle) < 0.25 * duration_s else SweepInstant.START
 
 
 # Livox's ``CustomMsg`` as ``PointCloud2``.

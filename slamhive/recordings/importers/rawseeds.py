@@ -31,7 +31,7 @@ from slamhive.recordings.importing import (
     rate_hz,
 )
 from slamhive.recordings.streams import laser_stream, odometry_stream, planar_transform, pose_quats_xyzw
-from slamhive.recordings.text_lists import TextLine, Track, lines
+from slamhive.recordings.text_lists import Track, lines
 
 _SUFFIXES = (".csv", ".csv.bz2", ".csv.gz")
 _ODOMETRY, _TRUTHS = "ODOMETRY_XYT", ("GT-extended", "GROUNDTRUTH")
@@ -87,7 +87,10 @@ def _file(folder: Path, part: str) -> Path | None:
 def _laser(name: str, part: str, path: Path, notes: list[str]) -> PlannedStream:
     track, offset_rad = Track(0), None
     for line in lines(path):
-        found_rad = _check_scan(line)
+        line.count(1, _RANGES)
+        (quarters,) = line.numbers(2, 1, "the angular offset")
+        line.numbers(3, _RANGES, "the ranges")
+        found_rad = math.radians(quarters / 4)
         if offset_rad not in {None, found_rad}:
             raise line.error("another angular offset than in the first scan", "split the file: scans must be alike")
         offset_rad = found_rad
@@ -103,14 +106,6 @@ def _laser(name: str, part: str, path: Path, notes: list[str]) -> PlannedStream:
     )
     notes += track.notes(f"scans of {path.name}")
     return laser_stream(sensor, track, lambda: _ranges(path), _RANGES)
-
-
-def _check_scan(line: TextLine) -> float:
-    """The angular offset in rad of a scan; its ranges must be there."""
-    line.count(1, _RANGES)
-    (quarters,) = line.numbers(2, 1, "the angular offset")
-    line.numbers(3, _RANGES, "the ranges")
-    return math.radians(quarters / 4)
 
 
 def _ranges(path: Path) -> Iterator[Array]:

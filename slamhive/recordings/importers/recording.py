@@ -212,7 +212,15 @@ def open_source(
     Raises:
         InvalidInput: It is empty, damaged or none at all; a type store or definition is unknown.
     """
-    spare = _spare_types(options)
+    # Recordings without definitions get those of ROS 2 Humble or of the named store, and those in files.
+    stores = {store.value: store for store in Stores}
+    wanted = options.typestore or Stores.ROS2_HUMBLE.value
+    if wanted not in stores:
+        raise InvalidInput(f"typestore {wanted!r} is unknown; {nearest(wanted, list(stores))}")
+    spare = get_typestore(stores[wanted])
+    if options.message_definitions is not None:
+        found = _definitions(options.message_definitions)
+        spare.register({kind: fields for kind, fields in found.items() if kind not in spare.fielddefs})
     path = name or paths[0]
     for part in paths:
         if part.is_file() and part.stat().st_size == 0:
@@ -281,19 +289,6 @@ def _reader(
         found.close()
         raise problem
     return found, refused
-
-
-def _spare_types(options: ImportOptions) -> Typestore:
-    """Definitions for recordings that have none: those of ROS 2 Humble or the named store, and those in files."""
-    names = {store.value: store for store in Stores}
-    wanted = options.typestore or Stores.ROS2_HUMBLE.value
-    if wanted not in names:
-        raise InvalidInput(f"typestore {wanted!r} is unknown; {nearest(wanted, list(names))}")
-    store = get_typestore(names[wanted])
-    if options.message_definitions is not None:
-        found = _definitions(options.message_definitions)
-        store.register({name: fields for name, fields in found.items() if name not in store.fielddefs})
-    return store
 
 
 def _definitions(folder: Path) -> dict[str, Any]:
@@ -402,19 +397,14 @@ def match_topics(bag: SourceBag, chosen: Mapping[str, str], *, without: str | No
         if topic == NO_TOPIC and topics.pop(name, None) is None:
             raise InvalidInput(f"--topic {name}=none: there is no such sensor; {nearest(name, list(topics))}")
     if not topics:
-        raise _nothing_left(bag, reasons)
+        others = {topic.name: f"it holds {topic.type}" for topic in bag.topics.values() if topic.type not in KINDS}
+        listed = [f"{name}: {reason}" for name, reason in {**reasons, **bag.unreadable, **others}.items()]
+        more = f", and {len(listed) - _MOST_LISTED} more" if len(listed) > _MOST_LISTED else ""
+        raise InvalidInput(
+            f"{bag.path} has no topic of a sensor that can be read ({'; '.join(listed[:_MOST_LISTED])}{more})",
+            "name a topic with --topic SENSOR=TOPIC, or record one that is read",
+        )
     return Matching(topics, (*(f"{name} is left out: {reason}" for name, reason in reasons.items()), *notes))
-
-
-def _nothing_left(bag: SourceBag, reasons: Mapping[str, str]) -> InvalidInput:
-    """The error for a recording without topic of a sensor, with the reason for each of its topics."""
-    others = {topic.name: f"it holds {topic.type}" for topic in bag.topics.values() if topic.type not in KINDS}
-    listed = [f"{name}: {reason}" for name, reason in {**reasons, **bag.unreadable, **others}.items()]
-    more = f", and {len(listed) - _MOST_LISTED} more" if len(listed) > _MOST_LISTED else ""
-    return InvalidInput(
-        f"{bag.path} has no topic of a sensor that can be read ({'; '.join(listed[:_MOST_LISTED])}{more})",
-        "name a topic with --topic SENSOR=TOPIC, or record one that is read",
-    )
 
 
 def _chosen(bag: SourceBag, chosen: Mapping[str, str]) -> dict[str, SourceTopic]:
@@ -510,13 +500,15 @@ def camera_of(topic: str) -> tuple[str, int]:
 def _in_order(topics: list[SourceTopic]) -> list[SourceTopic]:
     """Stereo pairs first, left before right; then by name, numbers by value."""
     names = {topic.name for topic in topics}
-    return sorted(topics, key=lambda topic: (not _has_partner(topic.name, names), _natural(topic.name)))
+    return sorted(
+        topics,
+        key=lambda topic: (
+            not _has_partner(topic.name, names),
+            [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", topic.name)],
+        ),
+    )
 
 
 def _has_partner(name: str, names: set[str]) -> bool:
     swaps = [*_SIDES, *(pair[::-1] for pair in _SIDES)]
     return any(own in name and name.replace(own, other) in names for own, other in swaps)
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]

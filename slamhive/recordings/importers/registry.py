@@ -6,7 +6,6 @@ Importers of other packages come in through the entry-point group ``slamhive.dat
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -110,22 +109,17 @@ def plan_import(source: Path, options: ImportOptions, format_name: str | None = 
     if unfit:
         takes = ", ".join(sorted(importer.options)) or "none"
         raise InvalidInput(f"importer {name} takes no option {', '.join(unfit)}", f"leave it out; it takes {takes}")
-    plan = _without_empty_orientations(importer.plan(source, options))
+    plan = importer.plan(source, options)
+    truth = plan.truth
+    if truth is not None:
+        # Some recorders write orientations that mean nothing, such as zeros.
+        without = "" if truth.quats_xyzw is None else lacking(truth.quats_xyzw, truth.positions_m)
+        if truth.quats_xyzw is None or without:
+            reason = f" ({without})" if without else ""
+            note = f"the ground truth has positions only{reason}: runs get no rotation errors"
+            plan = replace(plan, truth=replace(truth, quats_xyzw=None), notes=(*plan.notes, note))
     refuse_losses(plan.notes, accepted=options.accept_loss)
     return name, plan
-
-
-def _without_empty_orientations(plan: ImportPlan) -> ImportPlan:
-    """The plan with positions only, and a note, where the orientations of its ground truth mean nothing."""
-    truth = plan.truth
-    if truth is None:
-        return plan
-    without = "" if truth.quats_xyzw is None else lacking(truth.quats_xyzw, truth.positions_m)
-    if truth.quats_xyzw is not None and not without:
-        return plan
-    reason = f" ({without})" if without else ""
-    note = f"the ground truth has positions only{reason}: runs get no rotation errors"
-    return replace(plan, truth=replace(truth, quats_xyzw=None), notes=(*plan.notes, note))
 
 
 def detect_format(path: Path) -> str:
@@ -143,16 +137,13 @@ def detect_format(path: Path) -> str:
     if names:
         evidence = "; ".join(f"{name} ({', '.join(detections[name].found)})" for name in names)
         raise InvalidInput(f"{path} fits several formats: {evidence}", "choose one with --format")
-    raise _unknown_format(path, detections)
-
-
-def _unknown_format(path: Path, detections: Mapping[str, Detection]) -> InvalidInput:
+    # The format of which most was found is the one that users probably mean.
     name, nearest = max(detections.items(), key=lambda entry: (len(entry[1].found), -len(entry[1].missing)))
     if not nearest.found:
-        return InvalidInput(
+        raise InvalidInput(
             f"{path} is in no format that can be imported", f"known formats: {', '.join(IMPORTERS.names())}"
         )
-    return InvalidInput(
+    raise InvalidInput(
         f"{path} looks like {name} (found {', '.join(nearest.found)}), but lacks {', '.join(nearest.missing)}",
         "add what is missing, or name another format with --format",
     )

@@ -97,22 +97,22 @@ class Hilti2022Importer:
             options = replace(options, groundtruth=truth)
         if not options.calibration:
             options = replace(options, calibration=tuple(visible_files(source.parent, "*cam*.yaml")))
-        return plan_recording([source], options, _hilti_text(source))
+        return plan_recording(
+            [source],
+            options,
+            DatasetText(
+                title=f"Hilti 2022, {source.stem}",
+                description="Construction sites and the Sheldonian Theatre in Oxford; the body is the IMU.",
+                citation="Zhang, Helmberger, Fu, Wisth, Camurri, Scaramuzza, Fallon: Hilti-Oxford dataset. RA-L 2023",
+                source="https://hilti-challenge.com/dataset-2022.html",
+                attributes=("real", "handheld", "construction"),
+            ),
+        )
 
 
 def _truths(source: Path) -> list[Path]:
     names = (f"{source.stem}_imu.txt", f"{source.stem}.txt")
     return [folder / name for folder in (source.parent, source.parent / "groundtruth") for name in names]
-
-
-def _hilti_text(source: Path) -> DatasetText:
-    return DatasetText(
-        title=f"Hilti 2022, {source.stem}",
-        description="Construction sites and the Sheldonian Theatre in Oxford; the body is the IMU.",
-        citation="Zhang, Helmberger, Fu, Wisth, Camurri, Scaramuzza, Fallon: Hilti-Oxford dataset. RA-L 2023",
-        source="https://hilti-challenge.com/dataset-2022.html",
-        attributes=("real", "handheld", "construction"),
-    )
 
 
 # Importer of the bags of TUM-VI (Schubert et al., "The TUM VI benchmark", IROS 2018).

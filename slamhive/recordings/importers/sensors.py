@@ -292,21 +292,18 @@ class SensorBuilder:
             for name in owners:
                 if frame in static and (len(cameras) < 2 or name not in cameras):
                     graph.add(_TF + frame, name, np.eye(4))
-        self._add_stereo(graph)
-        return graph, self._body(graph)
-
-    def _add_stereo(self, graph: FrameGraph) -> None:
-        """The pairs that ``CameraInfo`` describes: a left camera, followed by a right one with a baseline."""
+        # A left camera followed by a right one with a baseline is a pair, as CameraInfo describes it.
         cameras = [name for name in self.matching.topics if self.matching.kind(name) is SensorKind.CAMERA]
-        topics = {name: self.matching.topics[name].name for name in cameras}
+        names_of_topics = {name: topics[name].name for name in cameras}
         for left, right in itertools.pairwise(cameras):
-            infos = [camera_info_of(self.bag, topics[name]) for name in (left, right)]
+            infos = [camera_info_of(self.bag, names_of_topics[name]) for name in (left, right)]
             if infos[0] is None or infos[1] is None or has_baseline(infos[0]) or not has_baseline(infos[1]):
                 continue
             pair = f"pair:{left}"
             for name, info in zip((left, right), infos, strict=True):
                 if graph.find(left, name) is None or name == left:
-                    graph.add(pair, name, stereo_pose(info, topics[name]))
+                    graph.add(pair, name, stereo_pose(info, names_of_topics[name]))
+        return graph, self._body(graph)
 
     def _frame_owners(self) -> Mapping[str, list[str]]:
         owners: dict[str, list[str]] = {}

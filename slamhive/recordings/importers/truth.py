@@ -88,7 +88,18 @@ def read_truth_topic(bag: SourceBag, wanted: str) -> FoundTruth:
     name, _, frame = wanted.partition(":")
     topic = bag.topic(name, "the ground truth")
     if topic.type == NAV_SAT_FIX:
-        return _fixes(bag, name)
+        fixes = [
+            (stamp_ns(fix) * 1e-9, fix.latitude, fix.longitude, fix.altitude)
+            for _, fix in bag.stream(name)
+            if fix.status.status != _NO_FIX
+        ]
+        rows = np.array(fixes, dtype=np.float64).reshape(-1, 4)
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        if len(rows) < 2:
+            raise InvalidInput(f"topic {name!r} has {len(rows)} positions with a fix", "two are needed at least")
+        positions_m = enu_m(rows[:, 1], rows[:, 2], rows[:, 3])
+        found = FoundTruth(rows[:, 0], positions_m, None, gravity_aligned=True, source=f"topic {name}")
+        return _checked(bag, found)
     if topic.type not in _READERS:
         known = ", ".join(sorted({*_READERS, NAV_SAT_FIX}))
         raise InvalidInput(f"topic {name!r} for the ground truth holds {topic.type}", f"expected one of {known}")
@@ -96,39 +107,18 @@ def read_truth_topic(bag: SourceBag, wanted: str) -> FoundTruth:
     for _, message in bag.stream(name):
         for child, time_ns, p, q in _READERS[topic.type](message):
             frames.setdefault(plain_frame(child), []).append((time_ns * 1e-9, p.x, p.y, p.z, q.x, q.y, q.z, q.w))
-    child = _one_frame(name, frame, list(frames))
+    if frame and frame not in frames:
+        raise InvalidInput(f"topic {name!r} has no frame {frame!r}; {nearest(frame, list(frames))}")
+    if not frame and len(frames) != 1:
+        raise InvalidInput(
+            f"topic {name!r} has the poses of {len(frames)} frames: {', '.join(sorted(frames))}",
+            f"name one: --groundtruth-topic {name}:FRAME",
+        )
+    child = frame or next(iter(frames))
     rows = np.array(frames[child], dtype=np.float64)
     found = FoundTruth(
         rows[:, 0], rows[:, 1:4], rows[:, 4:8], gravity_aligned=False, source=f"topic {wanted}", frame=child
     )
-    return _checked(bag, found)
-
-
-def _one_frame(topic: str, wanted: str, known: list[str]) -> str:
-    if wanted:
-        if wanted not in known:
-            raise InvalidInput(f"topic {topic!r} has no frame {wanted!r}; {nearest(wanted, known)}")
-        return wanted
-    if len(known) != 1:
-        raise InvalidInput(
-            f"topic {topic!r} has the poses of {len(known)} frames: {', '.join(sorted(known))}",
-            f"name one: --groundtruth-topic {topic}:FRAME",
-        )
-    return known[0]
-
-
-def _fixes(bag: SourceBag, name: str) -> FoundTruth:
-    fixes = [
-        (stamp_ns(fix) * 1e-9, fix.latitude, fix.longitude, fix.altitude)
-        for _, fix in bag.stream(name)
-        if fix.status.status != _NO_FIX
-    ]
-    rows = np.array(fixes, dtype=np.float64).reshape(-1, 4)
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    if len(rows) < 2:
-        raise InvalidInput(f"topic {name!r} has {len(rows)} positions with a fix", "two are needed at least")
-    positions_m = enu_m(rows[:, 1], rows[:, 2], rows[:, 3])
-    found = FoundTruth(rows[:, 0], positions_m, None, gravity_aligned=True, source=f"topic {name}")
     return _checked(bag, found)
 
 

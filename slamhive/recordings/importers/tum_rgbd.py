@@ -119,26 +119,25 @@ class TumRgbdImporter:
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
         """Plan the import of the folder; raises InvalidInput naming the file, the line, and the remedy."""
-        options = _as_exported(source, options)
+        # Exports of SLAM Hive describe the cameras in dataset.yaml; it counts unless users say otherwise.
+        path = source / DATASET_FILE
+        if not options.calibration and path.is_file():
+            stated = next((sensor for sensor in load_sensors(path) if sensor.kind is SensorKind.DEPTH), None)
+            units_per_m = None if stated is None else float(stated.calibration["units_per_m"])  # type: ignore[arg-type]
+            options = replace(options, calibration=(path,), depth_units_per_m=options.depth_units_per_m or units_per_m)
         colour, colour_notes = _frames(source, "rgb.txt", 3)
         depth, depth_notes = _frames(source, "depth.txt", 1)
-        family = _family(source)
+        resolved = source.resolve()
+        names = f"{resolved.parent.name}/{resolved.name}".lower()
+        family = next((family for family in _FAMILIES if family.key in names), None)
+        if _is_icl(source):
+            family = _FAMILIES[-1]
         intrinsics, camera_notes = _intrinsics(colour.paths[0], family, options)
         camera = camera_stream("cam0", colour, intrinsics)
         streams = (camera, depth_stream(camera.sensor, depth, options.depth_units_per_m or _UNITS_PER_M))
         truth = _truth(source, family, options)
         notes = (*colour_notes, *depth_notes, *camera_notes, *_left_out(source), *matched_truth(truth, streams))
         return ImportPlan(streams, truth, _text(source, family), notes=notes)
-
-
-def _as_exported(source: Path, options: ImportOptions) -> ImportOptions:
-    """Exports of SLAM Hive describe the cameras in ``dataset.yaml``; it counts unless users say otherwise."""
-    path = source / DATASET_FILE
-    if options.calibration or not path.is_file():
-        return options
-    depth = next((sensor for sensor in load_sensors(path) if sensor.kind is SensorKind.DEPTH), None)
-    units_per_m = None if depth is None else float(depth.calibration["units_per_m"])  # type: ignore[arg-type]
-    return replace(options, calibration=(path,), depth_units_per_m=options.depth_units_per_m or units_per_m)
 
 
 def _is_icl(source: Path) -> bool:
@@ -161,14 +160,6 @@ def _frames(source: Path, name: str, column: int) -> tuple[Frames, tuple[str, ..
 def _icl_rows(path: Path, layout: str) -> TimedList:
     """Rows whose first column is the number of a frame."""
     return parse_timed_list(read_lines(path), path, layout, TimeUnit.NS, columns=len(layout.split()))
-
-
-def _family(source: Path) -> _Family | None:
-    if _is_icl(source):
-        return _FAMILIES[-1]
-    resolved = source.resolve()
-    names = f"{resolved.parent.name}/{resolved.name}".lower()
-    return next((family for family in _FAMILIES if family.key in names), None)
 
 
 def _intrinsics(
@@ -271,7 +262,21 @@ class Eth3dImporter:
         path = options.groundtruth or source / _TRUTH
         known = options.groundtruth is not None or path.is_file()
         truth = tum_truth(path, "motion capture", gravity_aligned=False) if known else None
-        return ImportPlan(tuple(streams), truth, _eth3d_text(source), notes=(*notes, *matched_truth(truth, streams)))
+        return ImportPlan(
+            tuple(streams),
+            truth,
+            DatasetText(
+                title=f"ETH3D SLAM, {source.resolve().name}",
+                description=(
+                    "Colour and registered depth images of global-shutter cameras; the body is the colour camera."
+                ),
+                licence="CC BY-NC-SA 4.0",
+                citation="Schöps, Sattler, Pollefeys: BAD SLAM: Bundle adjusted direct RGB-D SLAM. CVPR 2019",
+                source="https://www.eth3d.net/slam_overview",
+                attributes=("real", "indoor", "handheld"),
+            ),
+            notes=(*notes, *matched_truth(truth, streams)),
+        )
 
 
 def _eth3d_intrinsics(path: Path, image: Path) -> CameraIntrinsics:
@@ -284,14 +289,3 @@ def _eth3d_intrinsics(path: Path, image: Path) -> CameraIntrinsics:
         raise InvalidInput(f"{path}: {fx:g} {fy:g} {cx:g} {cy:g} are no intrinsics", "expected fx fy cx cy in pixels")
     width, height = size_of(image)
     return CameraIntrinsics(width, height, fx, fy, cx, cy, distortion=(0.0,) * 4)
-
-
-def _eth3d_text(source: Path) -> DatasetText:
-    return DatasetText(
-        title=f"ETH3D SLAM, {source.resolve().name}",
-        description="Colour and registered depth images of global-shutter cameras; the body is the colour camera.",
-        licence="CC BY-NC-SA 4.0",
-        citation="Schöps, Sattler, Pollefeys: BAD SLAM: Bundle adjusted direct RGB-D SLAM. CVPR 2019",
-        source="https://www.eth3d.net/slam_overview",
-        attributes=("real", "indoor", "handheld"),
-    )

@@ -83,15 +83,12 @@ class Renderer:
         for index, place in projected.items():
             visible = owner[place.rows, place.columns] == index
             if visible.any():
-                _shade(place, self._texture(index), visible, nearness, grey)
+                if index not in self._textures:
+                    self._textures[index] = paint(self._faces[index], self._seed, index)
+                _shade(place, self._textures[index], visible, nearness, grey)
         grey = cv2.GaussianBlur(grey, (3, 3), _LENS_BLUR_PX)
         depth = np.divide(np.float32(1.0), nearness, out=np.zeros_like(nearness), where=nearness > 0)
         return View(grey, depth)
-
-    def _texture(self, index: int) -> Texture:
-        if index not in self._textures:
-            self._textures[index] = paint(self._faces[index], self._seed, index)
-        return self._textures[index]
 
 
 def _project(face: Face, T_world_camera: Array, camera: Camera) -> _Projected | None:

@@ -85,7 +85,23 @@ def _check(what: str, value: float, low: float, high: float, unit: str) -> None:
 
 def sensors_of(options: RoomOptions, rig: Rig) -> tuple[Sensor, ...]:
     """The sensors of the room, as ``dataset.yaml`` describes them."""
-    return (*_cameras(options, rig), _imu_entry(options, rig), _lidar(options, rig))
+    noise = rig.imu_noise
+    return (
+        *_cameras(options, rig),
+        Sensor(
+            "imu0",
+            SensorKind.IMU,
+            "/imu0",
+            options.imu_rate_hz,
+            calibration={
+                "gyroscope_noise_density": noise.gyroscope_noise_density,
+                "accelerometer_noise_density": noise.accelerometer_noise_density,
+                "gyroscope_random_walk": noise.gyroscope_random_walk,
+                "accelerometer_random_walk": noise.accelerometer_random_walk,
+            },
+        ),
+        _lidar(options, rig),
+    )
 
 
 def description_of(options: RoomOptions) -> dict[str, Any]:
@@ -126,22 +142,6 @@ def _cameras(options: RoomOptions, rig: Rig) -> tuple[Sensor, Sensor, Sensor]:
         Sensor("cam0", SensorKind.CAMERA, "/cam0/image_raw", rate_hz, left, grey),
         Sensor("cam1", SensorKind.CAMERA, "/cam1/image_raw", rate_hz, right, grey),
         Sensor("depth0", SensorKind.DEPTH, "/depth0/image_raw", rate_hz, left, depth),
-    )
-
-
-def _imu_entry(options: RoomOptions, rig: Rig) -> Sensor:
-    noise = rig.imu_noise
-    return Sensor(
-        "imu0",
-        SensorKind.IMU,
-        "/imu0",
-        options.imu_rate_hz,
-        calibration={
-            "gyroscope_noise_density": noise.gyroscope_noise_density,
-            "accelerometer_noise_density": noise.accelerometer_noise_density,
-            "gyroscope_random_walk": noise.gyroscope_random_walk,
-            "accelerometer_random_walk": noise.accelerometer_random_walk,
-        },
     )
 
 
@@ -206,7 +206,10 @@ def render_room(folder: Path, options: RoomOptions, progress: Progress) -> Datas
     """
     rig = make_rig(options.width, options.height, options.lidar_rate_hz)
     sensors = sensors_of(options, rig)
-    with new_dataset(folder, _expected_bytes(options, rig)) as new:
+    frame_bytes = options.width * options.height * 4 + 2000
+    scan_bytes = rig.lidar.beams * rig.lidar.columns * _SCAN_BYTES_PER_RAY + 1000
+    needed_bytes = options.frames * frame_bytes + options.scans * scan_bytes + options.imu_samples * 800 + _MAP_BYTES
+    with new_dataset(folder, needed_bytes) as new:
         progress(0.0, "painting the room")
         with new.recording() as bag:
             _record(bag, options, rig, sensors, progress)
@@ -222,7 +225,16 @@ def render_room(folder: Path, options: RoomOptions, progress: Progress) -> Datas
 
 
 def _record(bag: BagWriter, options: RoomOptions, rig: Rig, sensors: tuple[Sensor, ...], progress: Progress) -> None:
-    events = _schedule(options)
+    # By time of receipt; at equal times the IMU comes first, as the sort is stable.
+    imu = [
+        _Event(int(t), _Kind.IMU, n, int(t)) for n, t in enumerate(_times_ns(options.imu_samples, options.imu_rate_hz))
+    ]
+    frame_events = [
+        _Event(int(t), _Kind.FRAME, n, int(t)) for n, t in enumerate(_times_ns(options.frames, options.camera_rate_hz))
+    ]
+    edges = _times_ns(options.scans + 1, options.lidar_rate_hz)
+    scans = [_Event(int(edges[n + 1]), _Kind.SCAN, n, int(edges[n])) for n in range(options.scans)]
+    events = sorted([*imu, *frame_events, *scans], key=lambda event: event.received_ns)
     heavy = [event for event in events if event.kind is not _Kind.IMU]
     tasks = [Task(TaskKind(event.kind), event.number, event.measured_ns * 1e-9) for event in heavy]
     scene = Scene(options.seed, options.duration_s, options.width, options.height, options.lidar_rate_hz)
@@ -263,19 +275,6 @@ class _Recorder:
         bag.image(self._depth, stamp_ns, depth, "16UC1")
 
 
-def _schedule(options: RoomOptions) -> list[_Event]:
-    """All events by receive time; at equal times the IMU comes first."""
-    imu = [
-        _Event(int(t), _Kind.IMU, n, int(t)) for n, t in enumerate(_times_ns(options.imu_samples, options.imu_rate_hz))
-    ]
-    frames = [
-        _Event(int(t), _Kind.FRAME, n, int(t)) for n, t in enumerate(_times_ns(options.frames, options.camera_rate_hz))
-    ]
-    edges = _times_ns(options.scans + 1, options.lidar_rate_hz)
-    scans = [_Event(int(edges[n + 1]), _Kind.SCAN, n, int(edges[n])) for n in range(options.scans)]
-    return sorted([*imu, *frames, *scans], key=lambda event: event.received_ns)
-
-
 def _times_ns(count: int, rate_hz: float) -> Array:
     times: Array = np.rint(np.arange(count) * (NS_PER_S / rate_hz)).astype(np.int64)
     return times
@@ -285,9 +284,3 @@ def _imu(options: RoomOptions, rig: Rig) -> ImuSamples:
     motion = motion_at(_times_ns(options.imu_samples, options.imu_rate_hz) * 1e-9, options.duration_s)
     rng = np.random.default_rng(np.random.SeedSequence([options.seed, _IMU_NOISE_STREAM]))
     return measure(motion, options.imu_rate_hz, rig.imu_noise, rng)
-
-
-def _expected_bytes(options: RoomOptions, rig: Rig) -> int:
-    frame_bytes = options.width * options.height * 4 + 2000
-    scan_bytes = rig.lidar.beams * rig.lidar.columns * _SCAN_BYTES_PER_RAY + 1000
-    return options.frames * frame_bytes + options.scans * scan_bytes + options.imu_samples * 800 + _MAP_BYTES

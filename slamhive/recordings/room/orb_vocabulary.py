@@ -71,7 +71,7 @@ def grow(descriptors: Bits, branching: int, levels: int, rng: np.random.Generato
         # The first two levels are always split: ORB-SLAM3 compares words by their ancestors two levels up.
         for group in _split(bits, members, branching, rng):
             splits = level < levels and (len(group) >= LEAST_TO_SPLIT or level < 2)
-            nodes.append(VocabularyNode(parent, _majority(bits[group]), group, leaf=not splits))
+            nodes.append(VocabularyNode(parent, np.packbits(bits[group].mean(axis=0) > 0.5), group, leaf=not splits))
             if splits:
                 pending.append((len(nodes), group, level + 1))
     return nodes
@@ -162,10 +162,6 @@ def _split(
             if np.any(labels == number):
                 centres[number] = own[labels == number].mean(axis=0) > 0.5
     return [members[labels == number] for number in range(branching) if np.any(labels == number)]
-
-
-def _majority(bits: NDArray[np.float32]) -> Bits:
-    return np.packbits(bits.mean(axis=0) > 0.5)
 
 
 if __name__ == "__main__":

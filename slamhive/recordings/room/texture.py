@@ -76,7 +76,13 @@ def _wallpaper(canvas: Array, rng: np.random.Generator) -> None:
     for top in range(20, canvas.shape[0], 52):
         for left in range(20, canvas.shape[1], 52):
             centre = (left + int(rng.integers(-12, 13)), top + int(rng.integers(-12, 13)))
-            _ornament(canvas, rng, centre)
+            sides = int(rng.integers(3, 7))
+            radius = float(rng.uniform(8, 20))
+            angles = rng.uniform(0, 2 * np.pi) + np.arange(sides) * 2 * np.pi / sides
+            radii = radius * rng.uniform(0.5, 1.0, sides)
+            corners = np.stack([np.cos(angles) * radii, np.sin(angles) * radii], axis=1) + np.array(centre)
+            cv2.fillPoly(canvas, [np.round(corners).astype(np.int32)], int(rng.integers(40, 130)), cv2.LINE_AA)
+            cv2.circle(canvas, centre, 3, int(rng.integers(180, 255)), -1, cv2.LINE_AA)
 
 
 def _floor(canvas: Array, rng: np.random.Generator) -> None:
@@ -174,16 +180,6 @@ def _label(canvas: Array, rng: np.random.Generator) -> None:
     place = (int(rng.integers(canvas.shape[1])), int(rng.integers(canvas.shape[0])))
     tone = int(rng.choice([10, 245]))
     cv2.putText(canvas, letters, place, cv2.FONT_HERSHEY_SIMPLEX, float(rng.uniform(0.5, 1.1)), tone, 2, cv2.LINE_AA)
-
-
-def _ornament(canvas: Array, rng: np.random.Generator, centre: tuple[int, int]) -> None:
-    sides = int(rng.integers(3, 7))
-    radius = float(rng.uniform(8, 20))
-    angles = rng.uniform(0, 2 * np.pi) + np.arange(sides) * 2 * np.pi / sides
-    radii = radius * rng.uniform(0.5, 1.0, sides)
-    corners = np.stack([np.cos(angles) * radii, np.sin(angles) * radii], axis=1) + np.array(centre)
-    cv2.fillPoly(canvas, [np.round(corners).astype(np.int32)], int(rng.integers(40, 130)), cv2.LINE_AA)
-    cv2.circle(canvas, centre, 3, int(rng.integers(180, 255)), -1, cv2.LINE_AA)
 
 
 def _blot(canvas: Array, rng: np.random.Generator, centre: tuple[int, int], largest: int) -> None:

@@ -104,9 +104,34 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 def room_faces() -> tuple[Face, ...]:
     """All visible surfaces: the room's six from inside, the furniture's from outside."""
-    faces = _shell()
+    length, width, height = ROOM_SIZE_M
+    x, y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    middle = _UP * height / 2
+    faces = [
+        _upright("wall_east", Material.WALLPAPER, middle + x * length / 2, -x, (width, height)),
+        _upright("wall_west", Material.BRICK, middle - x * length / 2, x, (width, height)),
+        _upright("wall_north", Material.BRICK, middle + y * width / 2, -y, (length, height)),
+        _upright("wall_south", Material.WALLPAPER, middle - y * width / 2, y, (length, height)),
+        _rectangle("floor", Material.FLOOR, np.zeros(3), (x, -y), (length, width)),
+        _rectangle("ceiling", Material.CEILING, _UP * height, (x, y), (length, width)),
+    ]
     for box in FURNITURE:
-        faces.extend(_box_faces(box))
+        R = rotation_xyz(0.0, 0.0, box.yaw_rad)
+        x, y = R[:, 0], R[:, 1]
+        length, width, height = box.size_m
+        base = np.array(box.base_m)
+        middle = base + _UP * height / 2
+        top_material = Material.WOOD if box.material is Material.BOOKS else box.material
+        faces.extend(
+            [
+                _upright(f"{box.name}_front", box.material, middle + x * length / 2, x, (width, height)),
+                _upright(f"{box.name}_rear", box.material, middle - x * length / 2, -x, (width, height)),
+                _upright(f"{box.name}_left", box.material, middle + y * width / 2, y, (length, height)),
+                _upright(f"{box.name}_right", box.material, middle - y * width / 2, -y, (length, height)),
+                _rectangle(f"{box.name}_top", top_material, base + _UP * height, (x, -y), (length, width)),
+                _rectangle(f"{box.name}_bottom", top_material, base, (x, y), (length, width)),
+            ]
+        )
     return tuple(faces)
 
 
@@ -121,37 +146,6 @@ def clearance_m(point_m: Array) -> float:
         outside = np.abs(R_world_box.T @ (point_m - middle)) - np.array(box.size_m) / 2
         distances.append(float(np.linalg.norm(np.maximum(outside, 0.0)) + min(float(np.max(outside)), 0.0)))
     return min(distances)
-
-
-def _shell() -> list[Face]:
-    length, width, height = ROOM_SIZE_M
-    x, y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-    middle = _UP * height / 2
-    return [
-        _upright("wall_east", Material.WALLPAPER, middle + x * length / 2, -x, (width, height)),
-        _upright("wall_west", Material.BRICK, middle - x * length / 2, x, (width, height)),
-        _upright("wall_north", Material.BRICK, middle + y * width / 2, -y, (length, height)),
-        _upright("wall_south", Material.WALLPAPER, middle - y * width / 2, y, (length, height)),
-        _rectangle("floor", Material.FLOOR, np.zeros(3), (x, -y), (length, width)),
-        _rectangle("ceiling", Material.CEILING, _UP * height, (x, y), (length, width)),
-    ]
-
-
-def _box_faces(box: Box) -> list[Face]:
-    R = rotation_xyz(0.0, 0.0, box.yaw_rad)
-    x, y = R[:, 0], R[:, 1]
-    length, width, height = box.size_m
-    base = np.array(box.base_m)
-    middle = base + _UP * height / 2
-    top_material = Material.WOOD if box.material is Material.BOOKS else box.material
-    return [
-        _upright(f"{box.name}_front", box.material, middle + x * length / 2, x, (width, height)),
-        _upright(f"{box.name}_rear", box.material, middle - x * length / 2, -x, (width, height)),
-        _upright(f"{box.name}_left", box.material, middle + y * width / 2, y, (length, height)),
-        _upright(f"{box.name}_right", box.material, middle - y * width / 2, -y, (length, height)),
-        _rectangle(f"{box.name}_top", top_material, base + _UP * height, (x, -y), (length, width)),
-        _rectangle(f"{box.name}_bottom", top_material, base, (x, y), (length, width)),
-    ]
 
 
 def _upright(name: str, material: Material, centre_m: Array, normal: Array, size_m: tuple[float, float]) -> Face:

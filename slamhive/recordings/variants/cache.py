@@ -337,7 +337,14 @@ class VariantCache:
         aside = self._aside(plan.key)
         try:
             self._remove(plan.key)
-            self._reserve(plan)
+            # Once the folder aside is made, others count the space that it will take.
+            self._check_limit(plan)
+            with exclusive(self._root / _ROOM_LOCK, _silent):
+                self.sweep()
+                self._evict(plan.needed_bytes)
+                self._check_disk(plan, self._free_bytes())
+                self._lock(plan.key).write_text(str(plan.needed_bytes), encoding="ascii")
+                self._aside(plan.key).mkdir()
             began_s = monotonic_s()
             dataset = build(aside, progress)
             write_manifest(aside, plan, dataset, monotonic_s() - began_s)
@@ -351,16 +358,6 @@ class VariantCache:
             raise
         with exclusive(self._root / _ROOM_LOCK, _silent):
             self._evict(wanted_bytes=0)
-
-    def _reserve(self, plan: VariantPlan) -> None:
-        """Make the folder aside, once there is room for what will be in it; others count it from then on."""
-        self._check_limit(plan)
-        with exclusive(self._root / _ROOM_LOCK, _silent):
-            self.sweep()
-            self._evict(plan.needed_bytes)
-            self._check_disk(plan, self._free_bytes())
-            self._lock(plan.key).write_text(str(plan.needed_bytes), encoding="ascii")
-            self._aside(plan.key).mkdir()
 
     def _check_limit(self, plan: VariantPlan) -> None:
         if plan.needed_bytes > self._limits.cache_bytes:

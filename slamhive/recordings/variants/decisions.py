@@ -15,7 +15,6 @@ from slamhive.recordings.variants.payloads import Edit
 from slamhive.recordings.variants.ros1_index import (
     NO_COMPRESSION,
     U32,
-    Ros1Connection,
     Ros1File,
     Ros1Index,
     message_offset,
@@ -58,36 +57,36 @@ def decide(file: Ros1File, index: Ros1Index, topics: dict[str, Treatment]) -> De
         edits={},
     )
     for topic, treatment in topics.items():
-        _decide_topic(file, index, (topic, treatment), decisions)
+        connections = [connection for connection in index.connections.values() if connection.topic == topic]
+        message_type = one_type(topic, {connection.type for connection in connections})
+        rows = np.flatnonzero(np.isin(index.entries["connection"], [connection.id for connection in connections]))
+        rows = rows[np.argsort(index.entries["time_ns"][rows], kind="stable")]
+        stream = TopicStream(treatment, len(rows))
+        edit = make_edit(topic, message_type, stream)
+        stamps_ns = index.entries["time_ns"][rows]
+        if edit is not None or stream.uses_stamps:
+            # Another definition may share the name of a standard one.
+            store = get_typestore(Stores.ROS1_NOETIC)
+            for connection in connections:
+                if message_type not in store.types or store.generate_msgdef(message_type)[1] != connection.md5:
+                    raise InvalidInput(
+                        f"{topic} carries {connection.type} in a definition of its own (md5 {connection.md5})",
+                        "steps that look into messages need the standard ones of ROS Noetic",
+                    )
+        if stream.uses_stamps:
+            stamps_ns = header_stamps(file, index, rows)
+        decisions.numbers[rows] = np.arange(len(rows))
+        for row, stamp_ns in zip(rows.tolist(), stamps_ns.tolist(), strict=True):
+            decided_ns = stream.decide(stamp_ns)
+            if decided_ns is None:
+                decisions.kept[row] = False
+            elif decided_ns != stamp_ns:
+                decisions.stamps_ns[row] = check_timestamp(decided_ns, topic, _LATEST_NS)
+                decisions.changed[row] = True
+        if edit is not None:
+            decisions.changed[rows] = True
+            decisions.edits.update({connection.id: edit for connection in connections})
     return decisions
-
-
-def _decide_topic(
-    file: Ros1File, index: Ros1Index, topic_treatment: tuple[str, Treatment], decisions: Decisions
-) -> None:
-    topic, treatment = topic_treatment
-    connections = [connection for connection in index.connections.values() if connection.topic == topic]
-    message_type = one_type(topic, {connection.type for connection in connections})
-    rows = np.flatnonzero(np.isin(index.entries["connection"], [connection.id for connection in connections]))
-    rows = rows[np.argsort(index.entries["time_ns"][rows], kind="stable")]
-    stream = TopicStream(treatment, len(rows))
-    edit = make_edit(topic, message_type, stream)
-    stamps_ns = index.entries["time_ns"][rows]
-    if edit is not None or stream.uses_stamps:
-        _check_definitions(connections, message_type)
-    if stream.uses_stamps:
-        stamps_ns = header_stamps(file, index, rows)
-    decisions.numbers[rows] = np.arange(len(rows))
-    for row, stamp_ns in zip(rows.tolist(), stamps_ns.tolist(), strict=True):
-        decided_ns = stream.decide(stamp_ns)
-        if decided_ns is None:
-            decisions.kept[row] = False
-        elif decided_ns != stamp_ns:
-            decisions.stamps_ns[row] = check_timestamp(decided_ns, topic, _LATEST_NS)
-            decisions.changed[row] = True
-    if edit is not None:
-        decisions.changed[rows] = True
-        decisions.edits.update({connection.id: edit for connection in connections})
 
 
 def one_type(topic: str, types: set[str]) -> str:
@@ -125,17 +124,6 @@ def _records(file: Ros1File, index: Ros1Index, rows: Array) -> Iterator[tuple[in
             offset = int(offsets[row])
             size = min(_PEEK_BYTES, chunk.size_bytes - offset)
             yield row, file.read(chunk.data_position + offset, size) if data is None else data[offset : offset + size]
-
-
-def _check_definitions(connections: list[Ros1Connection], message_type: str) -> None:
-    """Check that a type has its standard definition; others may share its name."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    for connection in connections:
-        if message_type not in store.types or store.generate_msgdef(message_type)[1] != connection.md5:
-            raise InvalidInput(
-                f"{connection.topic} carries {connection.type} in a definition of its own (md5 {connection.md5})",
-                "steps that look into messages need the standard ones of ROS Noetic",
-            )
 
 
 def check_timestamp(stamp_ns: int, topic: str, latest_ns: int) -> int:

@@ -72,7 +72,18 @@ class ImageCodec:
 
     def decode(self, message: Any, topic: str) -> Array:
         """The pixels, without the padding of rows."""
-        dtype, channels = _pixel_type(message, topic)
+        generic = _GENERIC_ENCODING.fullmatch(message.encoding)
+        if generic is not None:
+            code, channels = _GENERIC_TYPES[generic[1]], int(generic[2])
+        elif message.encoding in _NAMED_ENCODINGS:
+            code, channels = _NAMED_ENCODINGS[message.encoding]
+        else:
+            raise InvalidInput(
+                f"{topic}: images of encoding {message.encoding!r} cannot be changed",
+                f"supported: {', '.join(_NAMED_ENCODINGS)} and plain arrays such as 16UC1; Bayer and YUV images need a "
+                "conversion first",
+            )
+        dtype = np.dtype(code).newbyteorder(">" if message.is_bigendian else "<")
         row_bytes = message.width * dtype.itemsize * channels
         if message.step < row_bytes or len(message.data) != message.step * message.height:
             raise InvalidInput(
@@ -173,21 +184,6 @@ CODECS: dict[str, Codec] = {
 
 Edit = Callable[[Any, int, int], Any]
 """``edit(message, index, received_ns)``: the changed message."""
-
-
-def _pixel_type(message: Any, topic: str) -> tuple[np.dtype[Any], int]:
-    generic = _GENERIC_ENCODING.fullmatch(message.encoding)
-    if generic is not None:
-        code, channels = _GENERIC_TYPES[generic[1]], int(generic[2])
-    elif message.encoding in _NAMED_ENCODINGS:
-        code, channels = _NAMED_ENCODINGS[message.encoding]
-    else:
-        raise InvalidInput(
-            f"{topic}: images of encoding {message.encoding!r} cannot be changed",
-            f"supported: {', '.join(_NAMED_ENCODINGS)} and plain arrays such as 16UC1; Bayer and YUV images need a "
-            "conversion first",
-        )
-    return np.dtype(code).newbyteorder(">" if message.is_bigendian else "<"), channels
 
 
 def _file_ending(text: str, topic: str) -> str:

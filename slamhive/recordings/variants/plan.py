@@ -36,11 +36,17 @@ def plan_variant(dataset: Dataset, variant: Variant) -> VariantPlan | None:
     treatments = treat(dataset, variant)
     if not any(treatment.steps for treatment in treatments):
         return None
+    # An estimate from above: images shrink with pixels and rate, everything else is taken to stay as large.
+    source_bytes = size_bytes(dataset.bag_path)
+    before = sum(_image_bytes(treatment.before, dataset.duration_s) for treatment in treatments)
+    after = sum(_image_bytes(treatment.after, dataset.duration_s) for treatment in treatments)
+    images_bytes = min(before, source_bytes)
+    left_bytes = source_bytes - images_bytes + (images_bytes * after / before if before else 0.0)
     return VariantPlan(
         key=_key(dataset, treatments),
         dataset=dataset.name,
         steps=tuple(dump(Variant, variant)),
-        needed_bytes=_needed_bytes(dataset, treatments),
+        needed_bytes=round(left_bytes * _MARGIN) + _SPARE_BYTES,
         source_bytes=size_bytes(dataset.bag_path),
     )
 
@@ -67,16 +73,6 @@ def _identity(step: Step, position: int) -> list[Any]:
 
 def _options(step: Step) -> dict[str, Any]:
     return step.model_dump(exclude_none=True)
-
-
-def _needed_bytes(dataset: Dataset, treatments: tuple[Treatment, ...]) -> int:
-    """An estimate from above: images shrink with pixels and rate, everything else is taken to stay as large."""
-    source_bytes = size_bytes(dataset.bag_path)
-    before = sum(_image_bytes(treatment.before, dataset.duration_s) for treatment in treatments)
-    after = sum(_image_bytes(treatment.after, dataset.duration_s) for treatment in treatments)
-    images_bytes = min(before, source_bytes)
-    left_bytes = source_bytes - images_bytes + (images_bytes * after / before if before else 0.0)
-    return round(left_bytes * _MARGIN) + _SPARE_BYTES
 
 
 def _image_bytes(sensor: Sensor, duration_s: float) -> float:

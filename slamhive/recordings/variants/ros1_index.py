@@ -203,7 +203,12 @@ class _IndexReader:
         records: list[tuple[int, int, bytes]] = []
         row = 0
         for number, (position, connections) in enumerate(positions):
-            fields, data_position, data_bytes = self._chunk_head(position)
+            self._stream.seek(position)
+            fields = self._fields(OP_CHUNK)
+            if fields[b"compression"].decode() not in DECOMPRESS:
+                raise ValueError(f"compression {fields[b'compression'].decode()!r} is not known")
+            data_bytes = self._u32()
+            data_position = self._stream.tell()
             self._stream.seek(data_position + data_bytes)
             own = [(number, *self._index_record()) for _ in range(connections)]
             records += own
@@ -213,16 +218,20 @@ class _IndexReader:
             chunks.append(
                 Chunk(position, data_position, data_bytes, size_bytes, compression, self._stream.tell(), rows)
             )
-        return chunks, _sorted_entries(chunks, records)
-
-    def _chunk_head(self, position: int) -> tuple[Fields, int, int]:
-        """The header's fields of a chunk, and where its data is."""
-        self._stream.seek(position)
-        fields = self._fields(OP_CHUNK)
-        if fields[b"compression"].decode() not in DECOMPRESS:
-            raise ValueError(f"compression {fields[b'compression'].decode()!r} is not known")
-        data_bytes = self._u32()
-        return fields, self._stream.tell(), data_bytes
+        # One array by chunk, then by offset within it.
+        raw = np.frombuffer(b"".join(data for _, _, data in records), INDEX_ENTRY)
+        counts = [len(data) // INDEX_ENTRY.itemsize for _, _, data in records]
+        entries = np.empty(len(raw), ENTRY)
+        entries["time_ns"] = raw["s"].astype(np.int64) * 1_000_000_000 + raw["ns"]
+        entries["offset"] = raw["offset"]
+        entries["connection"] = np.repeat(np.array([connection for _, connection, _ in records], np.uint32), counts)
+        numbers = np.repeat(np.array([number for number, _, _ in records], np.int64), counts)
+        order = np.lexsort((entries["offset"], numbers))
+        ends = np.array([chunk.size_bytes for chunk in chunks], np.int64)
+        behind = numbers[entries["offset"] >= ends[numbers]] if len(raw) else numbers
+        if len(behind):
+            raise ValueError(f"a message behind the end of the chunk at byte {chunks[int(behind[0])].position}")
+        return chunks, entries[order]
 
     def _index_record(self) -> tuple[int, bytes]:
         """A connection, and its entries in a chunk as in the file."""
@@ -269,23 +278,6 @@ class _IndexReader:
         if position + size > self._size:
             raise EOFError(f"{size} bytes are missing at byte {position}")
         return self._stream.read(size)
-
-
-def _sorted_entries(chunks: list[Chunk], records: list[tuple[int, int, bytes]]) -> Array:
-    """Index records, each with its chunk and connection, as one array of :data:`ENTRY` by chunk and then by offset."""
-    raw = np.frombuffer(b"".join(data for _, _, data in records), INDEX_ENTRY)
-    counts = [len(data) // INDEX_ENTRY.itemsize for _, _, data in records]
-    entries = np.empty(len(raw), ENTRY)
-    entries["time_ns"] = raw["s"].astype(np.int64) * 1_000_000_000 + raw["ns"]
-    entries["offset"] = raw["offset"]
-    entries["connection"] = np.repeat(np.array([connection for _, connection, _ in records], np.uint32), counts)
-    numbers = np.repeat(np.array([number for number, _, _ in records], np.int64), counts)
-    order = np.lexsort((entries["offset"], numbers))
-    ends = np.array([chunk.size_bytes for chunk in chunks], np.int64)
-    behind = numbers[entries["offset"] >= ends[numbers]] if len(raw) else numbers
-    if len(behind):
-        raise ValueError(f"a message behind the end of the chunk at byte {chunks[int(behind[0])].position}")
-    return entries[order]
 
 
 def normalise_topic(topic: str) -> str:

@@ -75,45 +75,40 @@ Piece = CopyPiece | RewritePiece
 def cut(index: Ros1Index, decisions: Decisions) -> list[Piece]:
     """The pieces of the result, in order. Chunks of which nothing is kept are in none."""
     pieces: list[Piece] = []
+    # Connections that a chunk so far has messages of, be it a dropped one.
     seen: set[int] = set()
+    # Those of them that no piece declares yet.
     waiting: set[int] = set()
     for chunk in index.chunks:
         rows = slice(chunk.rows.start, chunk.rows.stop)
         first = set(np.unique(index.entries["connection"][rows]).tolist()) - seen
         seen |= first
+        # A dropped chunk held the declaration of these, so a copy of this chunk would lack it.
         late, waiting = waiting, waiting | first
         kept = decisions.kept[rows]
         if not kept.any():
             continue
         if kept.all() and not decisions.changed[rows].any() and not late:
-            _append_copy(pieces, chunk)
+            last = pieces[-1] if pieces else None
+            if isinstance(last, CopyPiece) and last.chunks[-1].end == chunk.position:
+                last.chunks.append(chunk)
+            else:
+                pieces.append(CopyPiece([chunk]))
         else:
-            pieces.extend(_rewrites(index, chunk, decisions, tuple(sorted(waiting))))
+            # A large chunk that is not compressed becomes several pieces: each is held in memory as a whole.
+            limits = [chunk.rows.start, chunk.rows.stop]
+            if chunk.compression == NO_COMPRESSION and chunk.size_bytes > 2 * PIECE_BYTES:
+                offsets = index.entries["offset"][rows]
+                cuts = np.searchsorted(offsets, np.arange(PIECE_BYTES, chunk.size_bytes, PIECE_BYTES)) + rows.start
+                limits = sorted({*limits, *cuts.tolist()})
+            # The first piece declares the connections that are new, before any message of theirs.
+            declared = tuple(sorted(waiting))
+            for start, stop in pairwise(limits):
+                if decisions.kept[start:stop].any():
+                    pieces.append(RewritePiece(chunk, range(start, stop), declared))
+                    declared = ()
         waiting = set()
     return pieces
-
-
-def _append_copy(pieces: list[Piece], chunk: Chunk) -> None:
-    last = pieces[-1] if pieces else None
-    if isinstance(last, CopyPiece) and last.chunks[-1].end == chunk.position:
-        last.chunks.append(chunk)
-    else:
-        pieces.append(CopyPiece([chunk]))
-
-
-def _rewrites(
-    index: Ros1Index, chunk: Chunk, decisions: Decisions, declared: tuple[int, ...]
-) -> Iterator[RewritePiece]:
-    """One piece for a chunk, or several for a large one that is not compressed."""
-    limits = [chunk.rows.start, chunk.rows.stop]
-    if chunk.compression == NO_COMPRESSION and chunk.size_bytes > 2 * PIECE_BYTES:
-        offsets = index.entries["offset"][chunk.rows.start : chunk.rows.stop]
-        cuts = np.searchsorted(offsets, np.arange(PIECE_BYTES, chunk.size_bytes, PIECE_BYTES)) + chunk.rows.start
-        limits = sorted({*limits, *cuts.tolist()})
-    for start, stop in pairwise(limits):
-        if decisions.kept[start:stop].any():
-            yield RewritePiece(chunk, range(start, stop), declared)
-            declared = ()
 
 
 class Rewriter:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from slamhive.base.errors import InvalidInput
-from slamhive.domain.configuration import Variant, VariantStep
+from slamhive.domain.configuration import Variant
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.recordings.variants.calibration import follow_sensor, image_size, same_intrinsics
@@ -73,7 +73,18 @@ def treat(dataset: Dataset, variant: Variant) -> tuple[Treatment, ...]:
     """
     steps = _steps(dataset, variant)
     treatments = tuple(_treatment(sensor, steps) for sensor in dataset.sensors)
-    _check_registration(treatments)
+    # A depth image that shares a camera's pixels must go on sharing them.
+    sensors = {treatment.after.name: treatment for treatment in treatments}
+    for depth in treatments:
+        camera = sensors.get(str(depth.before.calibration.get("registered_to", "")))
+        if depth.before.kind is not SensorKind.DEPTH or camera is None:
+            continue
+        if _size(depth.before) == _size(camera.before) and _size(depth.after) != _size(camera.after):
+            raise InvalidInput(
+                f"{depth.after.name} would have {_size(depth.after)} pixels and {camera.after.name}, whose pixels it "
+                f"shares, {_size(camera.after)}",
+                "give both the same resolution",
+            )
     return treatments
 
 
@@ -93,16 +104,12 @@ def _steps(dataset: Dataset, variant: Variant) -> list[tuple[Step, tuple[str, ..
         if not declared.sensors:
             raise InvalidInput(f"step {declared.kind} names no sensor", "give the sensors it is for")
         for name in declared.sensors:
-            _check_applies(step, declared, dataset.sensor(name))
+            sensor = dataset.sensor(name)
+            if not step.applies_to(sensor):
+                what = f"{sensor.name} ({sensor.topic}), a {sensor.kind.value} sensor"
+                raise InvalidInput(f"step {declared.kind} cannot be used on {what}")
         steps.append((step, declared.sensors))
     return steps
-
-
-def _check_applies(step: Step, declared: VariantStep, sensor: Sensor) -> None:
-    if not step.applies_to(sensor):
-        raise InvalidInput(
-            f"step {declared.kind} cannot be used on {sensor.name} ({sensor.topic}), a {sensor.kind.value} sensor"
-        )
 
 
 def _treatment(sensor: Sensor, steps: list[tuple[Step, tuple[str, ...]]]) -> Treatment:
@@ -118,21 +125,6 @@ def _treatment(sensor: Sensor, steps: list[tuple[Step, tuple[str, ...]]]) -> Tre
             seen[step.kind] += 1
             now = step.calibrate(now)
     return Treatment(sensor, now, tuple(effective))
-
-
-def _check_registration(treatments: tuple[Treatment, ...]) -> None:
-    """A depth image that shares a camera's pixels must go on sharing them."""
-    sensors = {treatment.after.name: treatment for treatment in treatments}
-    for depth in treatments:
-        camera = sensors.get(str(depth.before.calibration.get("registered_to", "")))
-        if depth.before.kind is not SensorKind.DEPTH or camera is None:
-            continue
-        if _size(depth.before) == _size(camera.before) and _size(depth.after) != _size(camera.after):
-            raise InvalidInput(
-                f"{depth.after.name} would have {_size(depth.after)} pixels and {camera.after.name}, whose pixels it "
-                f"shares, {_size(camera.after)}",
-                "give both the same resolution",
-            )
 
 
 def _size(sensor: Sensor) -> str:
@@ -189,10 +181,6 @@ def make_edit(topic: str, message_type: str, stream: TopicStream) -> Edit | None
         raise InvalidInput(
             f"{topic} carries {message_type}, which cannot be changed", f"a {before.kind.value} sends {expected}"
         )
-    return _payload_edit(topic, message_type, stream)
-
-
-def _payload_edit(topic: str, message_type: str, stream: TopicStream) -> Edit:
     codec = CODECS[message_type]
     sensor = stream.treatment.before
     size = image_size(sensor) if sensor.kind in _CAMERAS else None
