@@ -382,15 +382,12 @@ def _bare(chart: Chart, sheet: _Sheet) -> Figure:
     FigureCanvasAgg(figure)
     plot: Any = figure.subfigures(1)
     _draw(plot, thinned(chart), sheet)
-    figure.set_size_inches(sheet.width, sheet.height * chart.height + _around_inches(figure, plot))
-    return figure
-
-
-def _around_inches(figure: Figure, plot: SubFigure) -> float:
-    """The height of the legend, and of the labels below the lowest axes."""
     labels = plot.axes[-1].xaxis.get_tightbbox()
     boxes = [legend.get_window_extent() for legend in plot.legends] + ([] if labels is None else [labels])
-    return float(sum(box.height for box in boxes)) / figure.dpi
+    # The legend, and the labels below the lowest axes, come on top of the height of the plot.
+    around_inches = float(sum(box.height for box in boxes)) / figure.dpi
+    figure.set_size_inches(sheet.width, sheet.height * chart.height + around_inches)
+    return figure
 
 
 def _numbered_clips(svg: bytes) -> bytes:

@@ -286,10 +286,20 @@ def bind(
             aliases[parameter.general] = varied.name
     for step in steps:
         aliases.update({f"{step.declaration.name}.{option}": name for option, name in step.options.items()})
+    # A linked set takes the place of its first axis.
+    groups: list[AxisGroup] = []
+    done: set[str] = set()
+    for name in axes:
+        if name in done:
+            continue
+        link = next((link for link in experiment.links if name in link.axes), None)
+        names = (name,) if link is None else tuple(entry for entry in link.axes if entry in axes)
+        done.update(names)
+        groups.append(AxisGroup({entry: axes[entry] for entry in names}))
     return ParameterPair(
         algorithm=algorithm,
         dataset=dataset,
-        groups=tuple(_groups(experiment, axes)),
+        groups=tuple(groups),
         parameters={axis.name: parameter.key for axis, parameter in parameters},
         steps=steps,
         fixed=_fixed(algorithm, dataset),
@@ -368,15 +378,3 @@ def _sensors(
 def _roles(experiment: Experiment, view: CatalogueView) -> set[str]:
     names = [str(name) for name in experiment.algorithms.values]
     return {entry.role for name in names for entry in view.algorithms[name].inputs}
-
-
-def _groups(experiment: Experiment, axes: Mapping[str, BoundAxis]) -> Iterator[AxisGroup]:
-    """Axes in order; a linked set takes the place of its first axis."""
-    done: set[str] = set()
-    for name in axes:
-        if name in done:
-            continue
-        link = next((link for link in experiment.links if name in link.axes), None)
-        names = (name,) if link is None else tuple(entry for entry in link.axes if entry in axes)
-        done.update(names)
-        yield AxisGroup({entry: axes[entry] for entry in names})

@@ -309,8 +309,12 @@ def in_order(tasks: Iterable[Ready[T] | Pending[T]]) -> Iterator[T]:
             for task in tasks:
                 waiting.append((task if isinstance(task, Ready) else pool.submit(task.make), task.held_bytes))
                 held_bytes += task.held_bytes
-                while waiting and (held_bytes > _IN_FLIGHT_BYTES or _is_ready(waiting[0][0])):
-                    oldest, oldest_bytes = waiting.popleft()
+                while waiting:
+                    oldest, oldest_bytes = waiting[0]
+                    ready = isinstance(oldest, Ready) or oldest.done()
+                    if not ready and held_bytes <= _IN_FLIGHT_BYTES:
+                        break
+                    waiting.popleft()
                     yield _take(oldest)
                     held_bytes -= oldest_bytes
             while waiting:
@@ -328,10 +332,6 @@ def one_thread_in_opencv() -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(before)
-
-
-def _is_ready(result: Ready[T] | Future[T]) -> bool:
-    return isinstance(result, Ready) or result.done()
 
 
 def _take(result: Ready[T] | Future[T]) -> T:

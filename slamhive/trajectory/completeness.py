@@ -98,7 +98,16 @@ def measure_own_coverage(estimate_stamps_s: FloatArray, reference: Poses, gap_s:
     """
     stamps_s = reference.stamps_s
     own_gap_s = own_gap(estimate_stamps_s, reference.span_s, gap_s)
-    travelled = _travelled(reference, own_gap(stamps_s, reference.span_s, gap_s))
+    # In a gap of the ground truth nobody knows the path: the mean speed of the rest is taken.
+    steps_s = np.diff(reference.stamps_s)
+    steps = np.linalg.norm(np.diff(reference.positions_m, axis=0), axis=1)
+    known = steps_s <= own_gap(stamps_s, reference.span_s, gap_s)
+    if steps[known].any():
+        steps[~known] = steps[known].sum() / steps_s[known].sum() * steps_s[~known]
+    else:
+        # Where nothing moves at all, time takes the place of path.
+        steps = steps_s
+    travelled = np.concatenate(([0.0], np.cumsum(steps)))
     begins_s = np.clip(estimate_stamps_s[:-1], stamps_s[0], stamps_s[-1])
     ends_s = np.clip(estimate_stamps_s[1:], stamps_s[0], stamps_s[-1])
     tracked = np.diff(estimate_stamps_s) <= own_gap_s
@@ -116,18 +125,3 @@ def own_gap(stamps_s: FloatArray, span_s: float, gap_s: float) -> float:
         return gap_s
     typical_s = float(np.median(np.diff(stamps_s)))
     return max(gap_s, min(OWN_INTERVALS * typical_s, LARGEST_OWN_SHARE * span_s))
-
-
-def _travelled(reference: Poses, gap_s: float) -> FloatArray:
-    """The true path from the start to each pose, shape (n,).
-
-    In a gap of the ground truth nobody knows the path: the mean speed of the rest is taken. Where nothing moves at
-    all, time takes the place of path.
-    """
-    steps_s = np.diff(reference.stamps_s)
-    steps = np.linalg.norm(np.diff(reference.positions_m, axis=0), axis=1)
-    known = steps_s <= gap_s
-    if not steps[known].any():
-        return np.concatenate(([0.0], np.cumsum(steps_s)))
-    steps[~known] = steps[known].sum() / steps_s[known].sum() * steps_s[~known]
-    return np.concatenate(([0.0], np.cumsum(steps)))

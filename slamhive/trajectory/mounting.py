@@ -137,7 +137,15 @@ def _fit_arm(
         step = -np.linalg.pinv(information, rcond=_SINGULAR, hermitian=True) @ (left.T @ residuals.ravel())
         others = -np.linalg.lstsq(A, residuals.ravel() + B @ step, rcond=None)[0]
         arm_m = arm_m + step
-        world = _stepped(world, np.asarray(others, dtype=np.float64))
+        # The first three of the update are a rotation vector, applied on the left of the world's rotation.
+        update = np.asarray(others, dtype=np.float64)
+        turn = quats_from_rotations(world.rotation[None])
+        angle = float(np.linalg.norm(update[:3]))
+        axis = update[:3] / angle if angle > 0 else np.zeros(3)
+        change = np.append(axis * math.sin(angle / 2), math.cos(angle / 2))[None]
+        rotation = rotations_from_quats(multiply_quats(change, turn))[0]
+        scale = world.scale * (1.0 + float(update[6])) if len(update) > 6 else world.scale
+        world = Similarity(scale, rotation, world.translation_m + update[3:6])
         if np.linalg.norm(step) <= _CONVERGED * (1.0 + np.linalg.norm(arm_m)):
             break
     residuals = _residuals(reference, estimate, world, arm_m, oriented=oriented)
@@ -148,16 +156,6 @@ def _fit_arm(
     sigma_m = np.sqrt(variance * np.einsum("ij,j,ij->i", vectors, inverse, vectors))
     sigma_m[(vectors[:, open_] ** 2).sum(axis=1) > _SINGULAR] = np.inf
     return world, arm_m, sigma_m
-
-
-def _stepped(world: Similarity, step: FloatArray) -> Similarity:
-    turn = quats_from_rotations(world.rotation[None])
-    angle = float(np.linalg.norm(step[:3]))
-    axis = step[:3] / angle if angle > 0 else np.zeros(3)
-    change = np.append(axis * math.sin(angle / 2), math.cos(angle / 2))[None]
-    rotation = rotations_from_quats(multiply_quats(change, turn))[0]
-    scale = world.scale * (1.0 + float(step[6])) if len(step) > 6 else world.scale
-    return Similarity(scale, rotation, world.translation_m + step[3:6])
 
 
 def _arm_jacobian(

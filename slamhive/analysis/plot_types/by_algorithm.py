@@ -72,12 +72,21 @@ class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
                 "Crosses above: failed runs.",
             ),
         )
+        rates_of_failure: list[Bars] = []
+        for algorithm, rows in table.frame.groupby("algorithm", sort=True):
+            groups = [rows[rows[by] == name] for name in x.categories or ()]
+            rates = [100 * float(group[FAILED].notna().mean()) if len(group) else np.nan for group in groups]
+            texts = [f"{base.failed_count(group)} of {len(group)}" if len(group) else "" for group in groups]
+            colour = table.colours[str(algorithm)]
+            rates_of_failure.append(
+                Bars(str(algorithm), np.array(rates), colour=colour, striped=True, texts=tuple(texts))
+            )
         failures = Chart(
             key="failure_rate",
             title="Failed runs",
             x=x,
             y=Axis("Failed runs", "%"),
-            marks=tuple(_failure_rates(table, x, by)),
+            marks=tuple(rates_of_failure),
             caption=base.caption(table, len(table.frame), protocol),
         )
         overall = []
@@ -156,15 +165,6 @@ def _counts(bars: Sequence[Bars]) -> str:
 
 def _summary(rows: pd.DataFrame, metric: str) -> Summary | None:
     return summarise(base.good_values(rows, metric))
-
-
-def _failure_rates(table: RunTable, x: Axis, by: str) -> Iterator[Bars]:
-    for algorithm, rows in table.frame.groupby("algorithm", sort=True):
-        groups = [rows[rows[by] == name] for name in x.categories or ()]
-        rates = [100 * float(group[FAILED].notna().mean()) if len(group) else np.nan for group in groups]
-        texts = [f"{base.failed_count(group)} of {len(group)}" if len(group) else "" for group in groups]
-        colour = table.colours[str(algorithm)]
-        yield Bars(str(algorithm), np.array(rates), colour=colour, striped=True, texts=tuple(texts))
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,13 +61,20 @@ class Pareto(base.PlotType[ParetoOptions]):
         in_plane = len(columns) == 2 and not survivors
         joined = ", joined by dashed lines" if in_plane else ""
         beaten = [column.label for column in columns] + (["the share of failed runs"] if survivors else [])
+        # Drawn only if no third cost counts.
+        on_front = means[front]
+        lines: list[Line] = []
+        for dataset, rows in on_front.groupby("dataset", sort=True):
+            ordered = rows.sort_values(x.key)
+            places = base.number_column(ordered, x.key), base.number_column(ordered, y.key)
+            lines.append(Line(f"front on {dataset}", *places, colour=REFERENCE, dashed=True, in_legend=False))
         chart = Chart(
             key=f"pareto_{'_'.join(options.metrics)}",
             title=options.title or f"{y.label} against {x.label}",
             x=base.axis_of_numbers(x, means),
             y=base.axis_of_numbers(y, means),
             marks=(
-                *(_front(means[front], x.key, y.key) if in_plane else ()),
+                *(lines if in_plane else ()),
                 *_points(means.assign(front=front), options.metrics, table),
             ),
             caption=base.caption(
@@ -78,8 +85,18 @@ class Pareto(base.PlotType[ParetoOptions]):
                 f"{joined}: the {int(front.sum())} that no other on the same dataset beats in {', '.join(beaten)}.",
             ),
         )
+        table_columns = [
+            TableColumn("algorithm", "Algorithm"),
+            TableColumn("dataset", "Dataset"),
+            TableColumn("configuration_id", "Configuration"),
+            *(TableColumn(key, f"{table.column(key).label} mean", table.column(key).unit) for key in options.metrics),
+            TableColumn("runs", "Runs"),
+            TableColumn("failed", "Failed"),
+        ]
+        chosen = on_front[[column.key for column in table_columns]].sort_values(options.metrics[0])
+        table_rows = tuple(tuple(map(base.plain_cell, row)) for row in chosen.itertuples(index=False, name=None))
         tables = (
-            _front_table(means[front], table, options.metrics),
+            ResultTable("pareto", "Configurations on the front", tuple(table_columns), table_rows),
             base.raw_table("pareto_raw", table, options.metrics),
         )
         return base.result_of(table, protocol, (chart,), tables, lacking=options.metrics)
@@ -147,25 +164,3 @@ def _points(means: pd.DataFrame, metrics: list[str], table: RunTable) -> Iterato
             ),
         )
     yield from legend(table)
-
-
-def _front(front: pd.DataFrame, x: str, y: str) -> Iterator[Line]:
-    """The front of each dataset as a line; only drawn if no third cost counts."""
-    for dataset, rows in front.groupby("dataset", sort=True):
-        ordered = rows.sort_values(x)
-        places = base.number_column(ordered, x), base.number_column(ordered, y)
-        yield Line(f"front on {dataset}", *places, colour=REFERENCE, dashed=True, in_legend=False)
-
-
-def _front_table(front: pd.DataFrame, table: RunTable, metrics: list[str]) -> ResultTable:
-    columns = [
-        TableColumn("algorithm", "Algorithm"),
-        TableColumn("dataset", "Dataset"),
-        TableColumn("configuration_id", "Configuration"),
-        *(TableColumn(key, f"{table.column(key).label} mean", table.column(key).unit) for key in metrics),
-        TableColumn("runs", "Runs"),
-        TableColumn("failed", "Failed"),
-    ]
-    chosen = front[[column.key for column in columns]].sort_values(metrics[0])
-    rows = tuple(tuple(map(base.plain_cell, row)) for row in chosen.itertuples(index=False, name=None))
-    return ResultTable("pareto", "Configurations on the front", tuple(columns), rows)

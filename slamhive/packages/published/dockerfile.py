@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -45,7 +44,21 @@ class DockerfileFacts:
 
 def read_dockerfile(text: str, folder: Path) -> DockerfileFacts:
     """Read the Dockerfile of ``folder``."""
-    instructions = list(_instructions(text))
+    instructions: list[Instruction] = []
+    pieces: list[str] = []
+    first = 1
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.lstrip().startswith("#"):
+            continue
+        first = first if pieces else number
+        goes_on = line.rstrip().endswith("\\")
+        pieces.append(line.rstrip().removesuffix("\\"))
+        if goes_on:
+            continue
+        match = _INSTRUCTION.match("\n".join(pieces))
+        pieces = []
+        if match:
+            instructions.append(Instruction(first, match[1].upper(), match[2].strip()))
     starts = [index for index, entry in enumerate(instructions) if entry.word == "FROM"]
     last = instructions[starts[-1] :] if starts else []
     users = [entry.rest.split()[0].partition(":")[0] for entry in last if entry.word == "USER" and entry.rest.split()]
@@ -81,24 +94,6 @@ def read_dockerfile(text: str, folder: Path) -> DockerfileFacts:
 def homes_in(text: str) -> list[str]:
     """The folders of users that a text names: ``/root/.ros``, ``/home/ubuntu/ws``, ``~/ws``."""
     return list(dict.fromkeys(found[1] for found in _HOME.finditer(text)))
-
-
-def _instructions(text: str) -> Iterator[Instruction]:
-    """Instructions with their continued lines joined; comments are left out."""
-    pieces: list[str] = []
-    first = 1
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.lstrip().startswith("#"):
-            continue
-        first = first if pieces else number
-        goes_on = line.rstrip().endswith("\\")
-        pieces.append(line.rstrip().removesuffix("\\"))
-        if goes_on:
-            continue
-        match = _INSTRUCTION.match("\n".join(pieces))
-        pieces = []
-        if match:
-            yield Instruction(first, match[1].upper(), match[2].strip())
 
 
 def _base(rest: str) -> str:

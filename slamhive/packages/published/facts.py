@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -228,8 +228,15 @@ def _topics(
     """The topic of each role: a parameter before a launch argument before a fixed topic."""
     topics: dict[str, TopicOf] = {}
     kinds: dict[str, SensorKind] = {}
-    of_launches = _launch_topics(launches, arguments="algorithm-remap" in mapping.sections)
-    for name, way in (*_parameter_topics(placeholders), *of_launches, *_fixed_topics(templates)):
+    ways: list[Way] = [(name, {"parameter": name}) for name in placeholders if "topic" in words_in(name)]
+    for launch in launches:
+        arguments = launch.arguments if "algorithm-remap" in mapping.sections else ()
+        ways += [(entry.name, {"argument": entry.name}) for entry in arguments if names_a_topic(entry)]
+        ways += [(topic, {"fixed": f"/{topic.lstrip('/')}"}) for topic in launch.fixed_topics if is_topic(topic)]
+    for key, value in (entry for text in templates for entry in fixed_values(text)):
+        if "topic" in words_in(key) and is_topic(value):
+            ways.append((key, {"fixed": f"/{value.lstrip('/')}"}))
+    for name, way in ways:
         role = role_of(name)
         if role is not None and role[0] not in topics:
             topics[role[0]] = TopicOf(role[0], **way)
@@ -242,27 +249,6 @@ def _topics(
 
 Way = tuple[str, dict[str, str]]
 """A name that says which sensor is meant, and the field of :class:`TopicOf`."""
-
-
-def _parameter_topics(placeholders: Iterable[str]) -> Iterator[Way]:
-    yield from ((name, {"parameter": name}) for name in placeholders if "topic" in words_in(name))
-
-
-def _launch_topics(launches: Iterable[LaunchFile], *, arguments: bool) -> Iterator[Way]:
-    for launch in launches:
-        for entry in launch.arguments:
-            if arguments and names_a_topic(entry):
-                yield entry.name, {"argument": entry.name}
-        for topic in launch.fixed_topics:
-            if is_topic(topic):
-                yield topic, {"fixed": f"/{topic.lstrip('/')}"}
-
-
-def _fixed_topics(templates: Iterable[str]) -> Iterator[Way]:
-    for text in templates:
-        for key, value in fixed_values(text):
-            if "topic" in words_in(key) and is_topic(value):
-                yield key, {"fixed": f"/{value.lstrip('/')}"}
 
 
 def names_a_topic(argument: LaunchArgument) -> bool:

@@ -61,7 +61,34 @@ class SweepCollector:
         self._looked_at, self._zeros = self._looked_at + len(sample), self._zeros + len(ranges) - len(apart)
         self._ranges.frombytes(apart.astype(np.float32).tobytes())
         if index in self._whole:
-            self._look_at_all(index, message)
+            try:
+                cloud = to_points(message)
+            except InvalidInput:
+                return
+            near = (cloud.points_m**2).sum(axis=1) > NEARLY_ZERO_M**2
+            points = cloud.points_m[near]
+            if len(points) == 0:
+                return
+            self._clouds.append((index, points[:: max(1, len(points) // CLOUD_POINTS)].astype(np.float32)))
+            times = None if self._layout is None else self._layout.times
+            if times is not None and times.field in cloud.fields:
+                values = cloud.fields[times.field][near].astype(np.float64) * times.unit.seconds
+                # Times of points are to count from the start of the sweep.
+                timestamp_s, zero_s = stamp_ns(message) * 1e-9, 0.0
+                if times.reference is not TimeReference.SWEEP_START:
+                    zero_s = timestamp_s if times.reference is TimeReference.TIMESTAMP else 0.0
+                    zero_s -= times.start_s(timestamp_s)
+                times_s = values + zero_s
+                if (np.diff(times_s) < 0).any():
+                    order = np.argsort(times_s, kind="stable")
+                    times_s, points = times_s[order], points[order]
+                self._times_s.append((float(times_s[0]), float(times_s[-1])))
+                self._turns_rad.append(_turn_rad(points, times_s))
+                ends = _Ends(points)
+                if self._previous is not None and self._previous[0] == index - 1:
+                    before = self._previous[1]
+                    self._seams_m.append((apart_m(before.last, ends.first), apart_m(before.first, ends.last)))
+                self._previous = (index, ends)
 
     def finish(self) -> dict[str, Any]:
         """The sweeps."""
@@ -77,36 +104,6 @@ class SweepCollector:
             clouds=tuple(self._clouds),
         )
         return {"sweeps": sweeps}
-
-    def _look_at_all(self, index: int, message: Any) -> None:
-        try:
-            cloud = to_points(message)
-        except InvalidInput:
-            return
-        near = (cloud.points_m**2).sum(axis=1) > NEARLY_ZERO_M**2
-        points = cloud.points_m[near]
-        if len(points) == 0:
-            return
-        self._clouds.append((index, points[:: max(1, len(points) // CLOUD_POINTS)].astype(np.float32)))
-        times = None if self._layout is None else self._layout.times
-        if times is not None and times.field in cloud.fields:
-            values = cloud.fields[times.field][near].astype(np.float64) * times.unit.seconds
-            # Times of points are to count from the start of the sweep.
-            timestamp_s, zero_s = stamp_ns(message) * 1e-9, 0.0
-            if times.reference is not TimeReference.SWEEP_START:
-                zero_s = timestamp_s if times.reference is TimeReference.TIMESTAMP else 0.0
-                zero_s -= times.start_s(timestamp_s)
-            times_s = values + zero_s
-            if (np.diff(times_s) < 0).any():
-                order = np.argsort(times_s, kind="stable")
-                times_s, points = times_s[order], points[order]
-            self._times_s.append((float(times_s[0]), float(times_s[-1])))
-            self._turns_rad.append(_turn_rad(points, times_s))
-            ends = _Ends(points)
-            if self._previous is not None and self._previous[0] == index - 1:
-                before = self._previous[1]
-                self._seams_m.append((apart_m(before.last, ends.first), apart_m(before.first, ends.last)))
-            self._previous = (index, ends)
 
 
 class LaserCollector:

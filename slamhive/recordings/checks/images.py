@@ -147,8 +147,13 @@ def sharpness(evidence: DatasetEvidence) -> Findings:
     """Images are sharp."""
     for stream in evidence.of_kind(SensorKind.CAMERA):
         images = stream.images
-        usable = None if images is None else _not_dark(images)
-        if images is None or usable is None or len(usable) < FEWEST_BAD:
+        if images is None:
+            yield NotChecked("image-blur", stream.sensor.name, "too few images show anything")
+            continue
+        # Dark and overexposed images show nothing that could be sharp.
+        shown = np.isfinite(images.sharpness) & (images.brightness >= DARK) & (images.bright_share <= BRIGHT_SHARE)
+        usable = np.flatnonzero(shown)
+        if len(usable) < FEWEST_BAD:
             yield NotChecked("image-blur", stream.sensor.name, "too few images show anything")
             continue
         blurred = usable[images.sharpness[usable] < BLURRED]
@@ -163,11 +168,6 @@ def sharpness(evidence: DatasetEvidence) -> Findings:
                 unit="fine over coarse structure",
                 expected=f"at least {BLURRED}",
             )
-
-
-def _not_dark(images: ImageEvidence) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    shown = np.isfinite(images.sharpness) & (images.brightness >= DARK) & (images.bright_share <= BRIGHT_SHARE)
-    return np.flatnonzero(shown)
 
 
 def frozen(evidence: DatasetEvidence) -> Findings:

@@ -271,20 +271,18 @@ STEADY = 0.9
 def imu_and_truth(evidence: DatasetEvidence) -> Findings:
     """Compare each IMU with the ground truth."""
     for stream in evidence.of_kind(SensorKind.IMU):
-        poses = _why_not(stream) or usable_poses(evidence)
+        poses: Trajectory | str
+        if stream.imu is None or not stream.header_ns.any():
+            poses = "the IMU cannot be read"
+        elif jumps(stream).any():
+            poses = "the clock of the IMU jumps"
+        else:
+            poses = usable_poses(evidence)
         if isinstance(poses, str):
             for check in CHECKS:
                 yield NotChecked(check, stream.sensor.name, poses)
             continue
         yield from _compare(evidence, stream, poses)
-
-
-def _why_not(stream: StreamEvidence) -> str | None:
-    if stream.imu is None or not stream.header_ns.any():
-        return "the IMU cannot be read"
-    if jumps(stream).any():
-        return "the clock of the IMU jumps"
-    return None
 
 
 def _compare(evidence: DatasetEvidence, stream: StreamEvidence, poses: Trajectory) -> Findings:

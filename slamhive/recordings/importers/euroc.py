@@ -91,7 +91,15 @@ class EurocImporter:
             streams.append(stream)
             notes.extend(remarks)
         if (root / "imu0").is_dir():
-            stream, remarks = _imu_stream(_Part(root / "imu0"))
+            part = _Part(root / "imu0")
+            rows = part.rows("timestamp [ns], w_x, w_y, w_z [rad/s], a_x, a_y, a_z [m/s^2]")
+            calibration = part.calibration()
+            noise = ImuNoise(**{key: calibration.optional(key) for key in ImuNoise.__slots__})
+            T_body_imu = tuple(calibration.rigid("T_BS").reshape(-1).tolist())
+            sensor = Sensor(
+                part.name, SensorKind.IMU, f"/{part.name}", rate_hz(rows.times_ns), T_body_imu, noise.calibration()
+            )
+            stream, remarks = imu_stream(sensor, rows.times_ns, rows.numbers(0, 6)), rows.notes()
             streams.append(stream)
             notes.extend(remarks)
         truth, remarks = _truth(root, options)
@@ -142,15 +150,6 @@ def camera_sensor(name: str, calibration: CalibrationFile, rate: float) -> Senso
         tuple(calibration.rigid("T_BS").reshape(-1).tolist()),
         intrinsics.calibration("mono8"),
     )
-
-
-def _imu_stream(part: _Part) -> tuple[PlannedStream, tuple[str, ...]]:
-    rows = part.rows("timestamp [ns], w_x, w_y, w_z [rad/s], a_x, a_y, a_z [m/s^2]")
-    calibration = part.calibration()
-    noise = ImuNoise(**{key: calibration.optional(key) for key in ImuNoise.__slots__})
-    T_body_imu = tuple(calibration.rigid("T_BS").reshape(-1).tolist())
-    sensor = Sensor(part.name, SensorKind.IMU, f"/{part.name}", rate_hz(rows.times_ns), T_body_imu, noise.calibration())
-    return imu_stream(sensor, rows.times_ns, rows.numbers(0, 6)), rows.notes()
 
 
 def _truth(root: Path, options: ImportOptions) -> tuple[PlannedTruth | None, tuple[str, ...]]:

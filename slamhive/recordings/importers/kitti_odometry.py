@@ -258,7 +258,17 @@ class KittiOdometryImporter:
         streams = [_camera_stream(sequence, number) for number in sequence.images]
         lidar = _lidar(sequence)
         if lidar is not None:
-            streams.append(_lidar_stream(sequence, lidar))
+            times_ns, scans = _times_ns(sequence), sequence.scans
+
+            def write(bag: BagWriter, index: int) -> None:
+                stamp_ns = int(times_ns[index])
+                bag.points(lidar, stamp_ns, stamp_ns, read_velodyne(scans[index]))
+
+            streams.append(
+                PlannedStream(
+                    lidar, times_ns, write, sum(path.stat().st_size for path in scans) // len(scans) + OVERHEAD_BYTES
+                )
+            )
         return ImportPlan(tuple(streams), _truth(sequence), _text(sequence), notes=sequence.notes)
 
 
@@ -287,18 +297,6 @@ def _camera_stream(sequence: KittiSequence, number: int) -> PlannedStream:
         intrinsics.calibration(encoding),
     )
     return image_stream(sensor, _times_ns(sequence), paths, baseline_m=float(position_m[0]))
-
-
-def _lidar_stream(sequence: KittiSequence, lidar: Sensor) -> PlannedStream:
-    times_ns, scans = _times_ns(sequence), sequence.scans
-
-    def write(bag: BagWriter, index: int) -> None:
-        stamp_ns = int(times_ns[index])
-        bag.points(lidar, stamp_ns, stamp_ns, read_velodyne(scans[index]))
-
-    return PlannedStream(
-        lidar, times_ns, write, sum(path.stat().st_size for path in scans) // len(scans) + OVERHEAD_BYTES
-    )
 
 
 def _times_ns(sequence: KittiSequence) -> Array:

@@ -174,7 +174,14 @@ class SensorBuilder:
         made: list[Sensor] = []
         for name, topic in self.matching.topics.items():
             kind = self.matching.kind(name)
-            rate_hz = self._rate_hz(name, *spans[name])
+            first_ns, last_ns = spans[name]
+            # Headers without times leave the times of the recording.
+            if last_ns <= first_ns:
+                first_ns, last_ns = self.bag.start_ns, self.bag.end_ns
+                self.notes.append(f"{name} on {topic.name} has headers without increasing timestamps")
+            if last_ns <= first_ns:
+                raise InvalidInput(f"{self.bag.path}: all messages have one time", "two are needed at least")
+            rate_hz = round((topic.count - 1) * NS_PER_S / (last_ns - first_ns), 6)
             calibration = self._calibration(name, kind, rate_hz, made)
             T_body_sensor = graph.find(body, name)
             if T_body_sensor is None:
@@ -192,15 +199,6 @@ class SensorBuilder:
                     f"clock of the IMU: timestamps stay as recorded, and algorithms get {TIME_OFFSET}"
                 )
         return tuple(made), (min(first for first, _ in spans.values()), max(last for _, last in spans.values()))
-
-    def _rate_hz(self, name: str, first_ns: int, last_ns: int) -> float:
-        topic = self.matching.topics[name]
-        if last_ns <= first_ns:
-            first_ns, last_ns = self.bag.start_ns, self.bag.end_ns
-            self.notes.append(f"{name} on {topic.name} has headers without increasing timestamps")
-        if last_ns <= first_ns:
-            raise InvalidInput(f"{self.bag.path}: all messages have one time", "two are needed at least")
-        return round((topic.count - 1) * NS_PER_S / (last_ns - first_ns), 6)
 
     def _known(self, name: str, kind: SensorKind) -> KnownSensor | None:
         """Calibration of a sensor in files: that of its topic, otherwise that of its name."""

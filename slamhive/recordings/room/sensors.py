@@ -9,7 +9,7 @@ import numpy as np
 from slamhive.recordings.geometry import Array, rotation_xyz, transform
 from slamhive.recordings.room.camera import Camera
 from slamhive.recordings.room.motion import RoomMotion, motion_at
-from slamhive.recordings.room.world import Face, room_faces
+from slamhive.recordings.room.world import room_faces
 
 # The inertial sensor: specific force and angular rate of the body, with white noise and drifting biases.
 #
@@ -134,7 +134,25 @@ class Lidar:
         origins = motion.positions_m + np.einsum("nij,j->ni", motion.R_world_body, self._T_body_lidar[:3, 3])
         directions = self._directions()
         rays = np.einsum("nij,nbj->nbi", R_world_lidar, directions)
-        ranges, reflectivity = _cast(self._faces, origins, rays)
+        # The nearest face that a ray hits from its front; a ray that hits nothing keeps an infinite range.
+        x, y, z = (np.ascontiguousarray(rays[..., axis]) for axis in range(3))
+        ranges = np.full(x.shape, np.inf)
+        reflectivity = np.zeros(x.shape)
+        for face in self._faces:
+            height = (origins - face.corner_m) @ face.normal
+            if not np.any(height > 0):
+                continue
+            facing = x * face.normal[0] + y * face.normal[1] + z * face.normal[2]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                distance = -height[:, None] / facing
+            hit = (facing < 0) & (height[:, None] > 0) & (distance < ranges)
+            column, beam = np.nonzero(hit)
+            offsets = origins[column] - face.corner_m + rays[column, beam] * distance[column, beam, None]
+            u, v = offsets @ face.u, offsets @ face.v
+            inside = (u >= 0) & (u <= face.width_m) & (v >= 0) & (v <= face.height_m)
+            column, beam = column[inside], beam[inside]
+            ranges[column, beam] = distance[column, beam]
+            reflectivity[column, beam] = -facing[column, beam] * face.reflectivity
         ranges = ranges + rng.standard_normal(ranges.shape) * model.range_noise_m
         points = np.zeros(ranges.shape, dtype=POINT_TYPE)
         for axis, name in enumerate("xyz"):
@@ -156,38 +174,6 @@ class Lidar:
             ],
             axis=-1,
         )
-
-
-def _cast(faces: tuple[Face, ...], origins_m: Array, rays: Array) -> tuple[Array, Array]:
-    """Distance to, and reflectivity times cosine of incidence at, the nearest face.
-
-    Args:
-        faces: The world.
-        origins_m: (n, 3), one per column.
-        rays: Unit vectors (n, b, 3) in the world frame.
-
-    Returns:
-        Two arrays (n, b); the distance is infinite where nothing is hit.
-    """
-    x, y, z = (np.ascontiguousarray(rays[..., axis]) for axis in range(3))
-    nearest = np.full(x.shape, np.inf)
-    returned = np.zeros(x.shape)
-    for face in faces:
-        height = (origins_m - face.corner_m) @ face.normal
-        if not np.any(height > 0):
-            continue
-        facing = x * face.normal[0] + y * face.normal[1] + z * face.normal[2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance = -height[:, None] / facing
-        hit = (facing < 0) & (height[:, None] > 0) & (distance < nearest)
-        column, beam = np.nonzero(hit)
-        offsets = origins_m[column] - face.corner_m + rays[column, beam] * distance[column, beam, None]
-        u, v = offsets @ face.u, offsets @ face.v
-        inside = (u >= 0) & (u <= face.width_m) & (v >= 0) & (v <= face.height_m)
-        column, beam = column[inside], beam[inside]
-        nearest[column, beam] = distance[column, beam]
-        returned[column, beam] = -facing[column, beam] * face.reflectivity
-    return nearest, returned
 
 
 BASELINE_M = 0.12
