@@ -64,7 +64,7 @@ class ExperimentService:
         """
         from slamhive.experiments.file import parse_experiment  # noqa: PLC0415
         from slamhive.services.experiments.previewing import preview  # noqa: PLC0415 - lists and reports need neither
-        from slamhive.services.experiments.starting import check_same  # noqa: PLC0415
+        from slamhive.services.experiments.starting import check_question, check_same  # noqa: PLC0415
 
         context = self._context
         source = context.with_datasets(source)
@@ -82,6 +82,15 @@ class ExperimentService:
         except SlamHiveError as error:
             refusals.append(str(error))
         found = preview(context, experiment, usable, standing, progress, nodes)
+        if experiment.plan is not None:
+            chooses = (
+                f"the experiment chooses among these runs itself, within its budget of {experiment.plan.budget.words}"
+            )
+            found = replace(found, warnings=(*found.warnings, chooses))
+            try:
+                check_question(context, experiment, context.expand(experiment))
+            except SlamHiveError as error:
+                refusals.append(str(error))
         return replace(found, refusals=(*refusals, *found.refusals))
 
     def convert(self, source: ExperimentSource, meanings: Mapping[str, str]) -> tuple[Converted, ...]:
