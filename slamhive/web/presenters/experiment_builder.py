@@ -193,7 +193,9 @@ def _dataset_choices(
         choices.append(ValueChoice(dataset.name, "", dataset.name in fields.datasets, note, warning))
     known = {choice.name for choice in choices}
     choices += [
-        ValueChoice(name, "", chosen=True, warning="not installed") for name in fields.datasets if name not in known
+        ValueChoice(name, "", chosen=True, warning="not here, see the preview")
+        for name in fields.datasets
+        if name not in known
     ]
     return choices
 
