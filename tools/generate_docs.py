@@ -24,7 +24,15 @@ from slamhive.base.settings_sources import describe
 from slamhive.cloud.plan import cloud_schema
 from slamhive.documents import accounts, catalogue, experiment, machines
 from slamhive.documents.archive import ArchiveManifest, LedgerLine, RunLine
-from slamhive.documents.catalogue import CachedVariant, DatasetCheck, FoundThing, MatchDocument, PlugIn, StepDocument
+from slamhive.documents.catalogue import (
+    CachedVariant,
+    DatasetCheck,
+    FoundThing,
+    MatchDocument,
+    PlugIn,
+    StepDocument,
+    TruthTrialDocument,
+)
 from slamhive.documents.challenge import Challenge, ChallengeBrief, ChallengeFile, ChallengeRanking, ChallengeSubmission
 from slamhive.documents.experiment import Notice, StoredAnalysis
 from slamhive.documents.gate import Baseline, BaselineBrief, GateAnswer, ReplayAnswer
@@ -211,6 +219,7 @@ DOCUMENTS: dict[str, Any] = {
     "dataset": catalogue.DatasetDocument,
     "dataset-check": DatasetCheck,
     "decision": Decision,
+    "truth-trial": TruthTrialDocument,
     "evaluation": EvaluationDocument,
     "experiment-cell": experiment.CellDocument,
     "experiment-grid": experiment.GridDocument,

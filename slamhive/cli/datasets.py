@@ -316,6 +316,53 @@ def _where(finding: FindingDocument) -> str:
     return f"{finding.at_s:.2f} s" + (f" and {finding.count - 1} more" if finding.count > 1 else "")
 
 
+@click.command("trial", short_help="Hold the ground truth of a dataset against its runs")
+@click.argument("name", shell_complete=completion.DATASET)
+@click.option(
+    "--plot",
+    "picture",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Draw the residuals of all systems over time (.png, .svg or .pdf).",
+)
+@json_option
+@pass_cli
+def trial(cli: CliContext, name: str, picture: Path | None, as_json: bool) -> None:
+    """Find where systems with good runs on dataset NAME agree with each other and contradict its ground truth.
+
+    One run stands for each system: that with the median error. Three systems are needed. The exit code is 0 whatever is
+    found.
+    """
+    from slamhive.services.datasets import constant_in_words, draw_trial, stretch_in_words  # noqa: PLC0415 - numpy
+
+    hive = cli.hive()
+    found = hive.truth_trials.judge(hive.catalogue.dataset(name))
+    if picture is not None:
+        draw_trial(found, picture)
+    if as_json:
+        print_json(found.content)
+        return
+    for system, reason in found.left_out.items():
+        tell(f"{system} takes no part: {reason}")
+    if found.why_not:
+        say(f"{name}: no verdict, {found.why_not}")
+        return
+    systems = ", ".join(f"{system} (run {found.runs[system]})" for system in found.systems)
+    say(f"{name}: {systems}; {found.judged_share:.0%} of the time is judged")
+    for entry in found.stretches:
+        say(stretch_in_words(found, entry))
+    for constant in found.constants:
+        say(constant_in_words(constant))
+    if not found.stretches and not found.constants:
+        say("Nothing contradicts the ground truth.")
+    if found.stretches:
+        stretches = ", ".join(f"{second:.3f}" for second in found.leave_out_s)
+        tell(f"to leave them out, evaluate under a protocol with leave_out_s: [{stretches}]")
+    if picture is not None:
+        tell(f"wrote {picture}")
+
+
 dataset.add_command(check)
+dataset.add_command(trial)
 COMMANDS = (dataset,)
 """Commands of the group ``dataset``."""

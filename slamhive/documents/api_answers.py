@@ -229,6 +229,7 @@ class DatasetWork(Document):
 
     check: BackgroundWork | None
     variant: BackgroundWork | None
+    trial: BackgroundWork | None = None
 
 
 class VariantsDocument(Document):

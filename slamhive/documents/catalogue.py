@@ -331,6 +331,62 @@ class DatasetCheck(Document):
         return sum(finding.severity == severity for finding in self.findings)
 
 
+# Trials of a ground truth as JSON.
+
+
+class ContradictionDocument(Document):
+    """A stretch in which systems agree with each other and contradict the ground truth."""
+
+    begin_s: Annotated[float, described("First timestamp, on the clock of the ground truth.", unit="s")]
+    end_s: Annotated[float, described("Last timestamp.", unit="s")]
+    rms_m: Annotated[float, described("RMS difference from the systems' common path, aligned around it.", unit="m")]
+    max_m: Annotated[float, described("The largest difference.", unit="m")]
+    agreeing: Annotated[tuple[str, ...], described("The systems that agree.")]
+    differing: Annotated[tuple[str, ...], described("The systems there that do not.")]
+    ratio: Annotated[float, described("What the systems have in common over what they have not.")]
+    blame: Annotated[domain.Blame, described("The side that it speaks against: truth, or undecided.")]
+    because: Annotated[str, described("Reason for that.")]
+    confidence: Annotated[str, described("high, medium or low.")]
+
+
+class ConstantOffsetDocument(Document):
+    """A constant between ground truth and sensors on which the systems agree."""
+
+    kind: Annotated[str, described("lever_arm or time_offset.")]
+    values: Annotated[tuple[float, ...], described("x, y, z in m, or the offset in s.")]
+    sigmas: Annotated[tuple[float, ...], described("Standard errors.")]
+    agreeing: Annotated[tuple[str, ...], described("The systems that agree.")]
+
+
+class TruthTrialDocument(Document):
+    """The systems on a dataset against its ground truth."""
+
+    dataset: str
+    files: Annotated[str, described("Identifies dataset.yaml and the ground truth that were judged.")]
+    version: Annotated[int, described("Of the rules; trials of other versions are outdated.")]
+    systems: Annotated[tuple[str, ...], described("Those that took part.")]
+    runs: Annotated[dict[str, int], described("The run that stands for each system.")]
+    left_out: Annotated[dict[str, str], described("Systems that took no part, and why.")]
+    fewest: Annotated[int, described("Number of systems that is needed.")]
+    why_not: Annotated[str, described("Reason why nothing could be judged; empty if it could.")]
+    judged_share: Annotated[float, described("Share of the ground truth's time with enough systems.")]
+    start_s: Annotated[float, described("First timestamp of the ground truth.", unit="s")]
+    stretches: Annotated[tuple[ContradictionDocument, ...], described("In order of time.")]
+    constants: Annotated[tuple[ConstantOffsetDocument, ...], described("Constants that the systems agree on.")]
+    leave_out_s: Annotated[tuple[float, ...], described("The stretches as a protocol leaves them out.", unit="s")]
+    times_s: Annotated[tuple[float, ...], described("Times of the residuals since start_s.", unit="s")]
+    residuals_m: Annotated[
+        dict[str, tuple[float | None, ...]],
+        described("Distance of each system from the ground truth, aligned over 6 s; null: not known.", unit="m"),
+    ]
+    common_m: Annotated[tuple[float | None, ...], described("The same of what they have in common.", unit="m")]
+
+    @property
+    def against_truth(self) -> int:
+        """The number of stretches that speak against the ground truth."""
+        return sum(entry.blame is domain.Blame.TRUTH for entry in self.stretches)
+
+
 # Public sequences and the addresses of their files as JSON.
 
 

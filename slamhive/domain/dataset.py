@@ -172,6 +172,13 @@ class Finding:
     expected: str = ""
 
 
+class Blame(StrEnum):
+    """Side that a contradiction between a ground truth and several systems speaks against."""
+
+    TRUTH = "truth"
+    UNDECIDED = "undecided"
+
+
 @dataclass(frozen=True, slots=True)
 class NotChecked:
     """A check that could not be done on ``about``, and why."""

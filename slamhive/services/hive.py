@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from slamhive.services.citations import Citations
     from slamhive.services.clouds import Clouds
     from slamhive.services.configurations import Configurations
-    from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, VariantService
+    from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, TruthTrials, VariantService
     from slamhive.services.deciding import Questions
     from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, ProtocolService
     from slamhive.services.executors import Executors
@@ -130,6 +130,13 @@ class Hive:
         from slamhive.services.datasets import DatasetChecks
 
         return DatasetChecks(self.settings)
+
+    @cached_property
+    def truth_trials(self) -> TruthTrials:
+        """Ground truths against the systems that agree with each other."""
+        from slamhive.services.datasets import TruthTrials
+
+        return TruthTrials(self.settings, self.store, self.catalogue)
 
     @cached_property
     def searches(self) -> Searches:

@@ -32,7 +32,7 @@ from slamhive.web.columns import ColumnKind
 from slamhive.web.errors import handle_errors, hide_paths
 from slamhive.web.limits import SignInLimits, visitor_limits
 from slamhive.web.live import LiveHub
-from slamhive.web.long_work import DatasetChecker, DatasetFetcher, DemoWork, UploadWork, VariantMaker
+from slamhive.web.long_work import DatasetChecker, DatasetFetcher, DemoWork, TruthJudge, UploadWork, VariantMaker
 from slamhive.web.oidc import find_provider
 from slamhive.web.pages import register_pages
 from slamhive.web.presenters import catalogue as catalogue_presenter
@@ -130,6 +130,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.extensions[context.CHECKS_EXTENSION] = DatasetChecker(hive)
     app.extensions[context.FETCH_EXTENSION] = DatasetFetcher(hive)
     app.extensions[context.DEMO_EXTENSION] = DemoWork(hive)
+    app.extensions[context.TRIALS_EXTENSION] = TruthJudge(hive)
     app.extensions[context.UPLOADS_EXTENSION] = UploadWork(hive, app.extensions[context.BUDGET_EXTENSION])
     # On a view-only server that accepts analyses, the web server computes them, because no worker runs.
     computes = hive.settings.mode is Mode.VIEW_ONLY and may_analyse(hive.settings)

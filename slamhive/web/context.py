@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from slamhive.web.access import Callers
     from slamhive.web.limits import RateLimit, SignInLimits
     from slamhive.web.live import LiveHub
-    from slamhive.web.long_work import DatasetChecker, DatasetFetcher, DemoWork, UploadWork, VariantMaker
+    from slamhive.web.long_work import DatasetChecker, DatasetFetcher, DemoWork, TruthJudge, UploadWork, VariantMaker
     from slamhive.web.oidc import IdentityProvider
 
 EXTENSION = "slamhive"
@@ -24,6 +24,7 @@ VARIANTS_EXTENSION = "slamhive-variants"
 CHECKS_EXTENSION = "slamhive-dataset-checks"
 FETCH_EXTENSION = "slamhive-fetch"
 DEMO_EXTENSION = "slamhive-demo"
+TRIALS_EXTENSION = "slamhive-truth-trials"
 PROVIDER_EXTENSION = "slamhive-oidc"
 UPLOADS_EXTENSION = "slamhive-uploads"
 COMPUTER_EXTENSION = "slamhive-analyses"
@@ -65,6 +66,11 @@ def dataset_fetcher() -> DatasetFetcher:
 def demo_work() -> DemoWork:
     """The background preparation of the demo."""
     return cast("DemoWork", current_app.extensions[DEMO_EXTENSION])
+
+
+def truth_judge() -> TruthJudge:
+    """The background judge of ground truths."""
+    return cast("TruthJudge", current_app.extensions[TRIALS_EXTENSION])
 
 
 def upload_work() -> UploadWork:

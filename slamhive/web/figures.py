@@ -17,6 +17,7 @@ import numpy as np
 
 from slamhive.analysis.plotly_chart import THEMED, numbers, translucent, with_dark_colours
 from slamhive.base.errors import NotFound
+from slamhive.documents.catalogue import TruthTrialDocument
 from slamhive.recordings.views import SweepView
 from slamhive.services.runs import Array, PathSeries, Places, RunSeries, Samples, samples_of
 from slamhive.trajectory.transforms import Motion
@@ -204,6 +205,45 @@ def motion_figures(motion: Motion, colour: str, *, positions_only: bool) -> dict
         name: _over_time(samples_of(times_s, values), name, colour, "time since the first pose [s]", title)
         for name, (values, title) in curves.items()
     }
+
+
+def residuals_figure(trial: TruthTrialDocument) -> Figure:
+    """The distance of each system from the ground truth over time, what they have in common, and the stretches."""
+    times_s = np.array(trial.times_s)
+    curves = {**trial.residuals_m, "in common": trial.common_m}
+    traces = [
+        _trace(
+            times_s,
+            np.array(values, dtype=np.float64),
+            name=name,
+            mode="lines",
+            hovertemplate="%{y:.3g} m at %{x:.1f} s",
+        )
+        for name, values in curves.items()
+    ]
+    traces[-1] |= {"line": {"width": 2.5}, "meta": THEMED}
+    shapes = [
+        {
+            "type": "rect",
+            "xref": "x",
+            "yref": "paper",
+            "x0": entry.begin_s - trial.start_s,
+            "x1": entry.end_s - trial.start_s,
+            "y0": 0,
+            "y1": 1,
+            "fillcolor": "#D55E00",
+            "opacity": 0.25,
+            "line": {"width": 0},
+        }
+        for entry in trial.stretches
+    ]
+    layout = {
+        "xaxis": {"title": {"text": "time since the first pose [s]"}},
+        "yaxis": {"title": {"text": "distance [m]"}, "rangemode": "tozero"},
+        "showlegend": True,
+        "shapes": shapes,
+    }
+    return _figure(traces, layout)
 
 
 SWEEP_POINTS = 6_000

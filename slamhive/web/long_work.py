@@ -208,6 +208,26 @@ class DemoWork(Background):
         return began
 
 
+class TruthJudge(Background):
+    """Judges one ground truth at a time."""
+
+    def __init__(self, hive: Hive) -> None:
+        super().__init__(hive, "trial", "the ground truth of {} is being judged")
+
+    def start(self, name: str) -> threading.Thread:
+        """Start judging the ground truth of the dataset called ``name``.
+
+        Raises InvalidInput without one, Conflict while another is judged.
+        """
+        self._hive.check_writable()
+        dataset = self._hive.catalogue.dataset(name)
+        if dataset.groundtruth is None:
+            raise InvalidInput(f"dataset {name} has no ground-truth trajectory to judge")
+        began = self.begin(LongWork(dataset.name), lambda _progress: self._hive.truth_trials.judge(dataset))
+        self._hive.store.note_act()
+        return began
+
+
 # -- imports of uploads, for programs ----------------------------------------------------------------------------------
 
 _MOST_KEPT = 1000

@@ -41,7 +41,7 @@ from slamhive.services.archive.layout import (
     format_of,
     shown,
 )
-from slamhive.services.datasets import REPORT_FILE
+from slamhive.services.datasets import REPORT_FILE, TRIAL_FILE
 from slamhive.services.experiments import RECORD, SOURCE
 from slamhive.store.records import ExperimentRecord
 
@@ -406,7 +406,7 @@ def _of_dataset(file: str, dataset: Dataset | None) -> bool:
 
     What a check has found, and the script that plays the recording in a run, are always those of the installation.
     """
-    if dataset is None or file in (REPORT_FILE, PLAY_SCRIPT):
+    if dataset is None or file in (REPORT_FILE, TRIAL_FILE, PLAY_SCRIPT):
         return False
     truth = dataset.groundtruth
     named = {DATASET_FILE, dataset.relations, *(() if truth is None else (truth.file, truth.kitti_poses))}

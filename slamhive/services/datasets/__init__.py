@@ -17,6 +17,13 @@ if TYPE_CHECKING:
         imported_algorithms,
         stored_numbers,
     )
+    from slamhive.services.datasets.trials import (
+        TRIAL_FILE,
+        TruthTrials,
+        constant_in_words,
+        draw_trial,
+        stretch_in_words,
+    )
     from slamhive.services.datasets.variants import (
         IDENTITY,
         REPORT_FILE,

@@ -205,7 +205,7 @@ class DatasetChecks:
         # OpenCV and rosbags take half a second to import, which other commands should not pay.
         from slamhive.recordings.checks.registry import check_dataset  # noqa: PLC0415
 
-        files = _files(dataset)
+        files = dataset_files(dataset)
         report = DatasetCheck.of(check_dataset(dataset, progress), files=files)
         if self._settings.mode is not Mode.VIEW_ONLY:
             write_aside(_path(dataset), json.dumps(report.content, indent=1) + "\n")
@@ -217,7 +217,7 @@ class DatasetChecks:
             report = DatasetCheck.read(read_record(_path(dataset)))
         except (NotFound, InvalidInput):
             return None
-        current = (dataset.checksum, _files(dataset), VERSION)
+        current = (dataset.checksum, dataset_files(dataset), VERSION)
         return report if (report.checksum, report.files, report.version) == current else None
 
 
@@ -225,8 +225,8 @@ def _path(dataset: Dataset) -> Path:
     return dataset.folder / REPORT_FILE
 
 
-def _files(dataset: Dataset) -> str:
-    """Changes with ``dataset.yaml`` and the ground truth, which the checksum of the recording does not cover."""
+def dataset_files(dataset: Dataset) -> str:
+    """Digest of ``dataset.yaml`` and the ground truth, which the checksum of the recording does not cover."""
     digest = hashlib.sha256()
     try:
         digest.update((dataset.folder / DATASET_FILE).read_bytes())

@@ -37,6 +37,7 @@ from slamhive.documents.catalogue import (
     ConfigurationDocument,
     DatasetCheck,
     DatasetDocument,
+    TruthTrialDocument,
     Version,
 )
 from slamhive.documents.machines import OverviewDocument
@@ -47,7 +48,7 @@ from slamhive.services.configurations import ConfigurationChange, Label, Stored,
 from slamhive.services.datasets import dataset_document
 from slamhive.services.evaluations import protocols_document
 from slamhive.web.api.operation import CONFIGURATION_ARGUMENTS, PUBLIC_ARGUMENTS, TABLE, TIME_ARGUMENTS, Section
-from slamhive.web.context import dataset_checker, hive, variant_maker
+from slamhive.web.context import dataset_checker, hive, truth_judge, variant_maker
 from slamhive.web.long_work import LongWork
 from slamhive.web.queries import ConfigurationQuery
 from slamhive.web.views.datasets import asked_time_s, frame_answer
@@ -129,6 +130,24 @@ def check_dataset(name: str) -> DatasetWork:
     return _work(name)
 
 
+@TABLE.get(Section.DATASETS, "/datasets/{name}/trial", TruthTrialDocument)
+def dataset_trial(name: str) -> TruthTrialDocument:
+    """The last trial of the ground truth of one dataset."""
+    found = hive().truth_trials.stored(hive().catalogue.dataset(name))
+    if found is None:
+        raise NotFound(
+            f"the ground truth of {name} has not been judged, or has changed", f"slamhive dataset trial {name}"
+        )
+    return found
+
+
+@TABLE.post(Section.DATASETS, "/datasets/{name}/trial", DatasetWork, status=202)
+def judge_dataset(name: str) -> DatasetWork:
+    """Start judging the ground truth of one dataset."""
+    truth_judge().start(name)
+    return _work(name)
+
+
 @TABLE.get(Section.DATASETS, "/datasets/{name}/work", DatasetWork)
 def dataset_work(name: str) -> DatasetWork:
     """The check or the variant of one dataset that is being made now, or that failed."""
@@ -165,7 +184,11 @@ def public_datasets() -> PublicDatasets:
 
 
 def _work(name: str) -> DatasetWork:
-    return DatasetWork(check=_shown(dataset_checker().latest(name)), variant=_shown(variant_maker().latest(name)))
+    return DatasetWork(
+        check=_shown(dataset_checker().latest(name)),
+        variant=_shown(variant_maker().latest(name)),
+        trial=_shown(truth_judge().latest(name)),
+    )
 
 
 def _shown(work: LongWork | None) -> BackgroundWork | None:

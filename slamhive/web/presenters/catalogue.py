@@ -8,7 +8,7 @@ from typing import Any
 
 from slamhive.analysis.chart import OKABE_ITO
 from slamhive.base.errors import InvalidInput, SlamHiveError
-from slamhive.documents.catalogue import MatchDocument
+from slamhive.documents.catalogue import MatchDocument, TruthTrialDocument
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter, ParameterType
@@ -18,7 +18,7 @@ from slamhive.services.datasets import ground_truth_motion
 from slamhive.services.hive import Hive
 from slamhive.services.runs import read_dataset_path
 from slamhive.trajectory.transforms import WINDOW_S
-from slamhive.web.figures import best_plane, motion_figures, plane_figures, space_figures
+from slamhive.web.figures import best_plane, motion_figures, plane_figures, residuals_figure, space_figures
 from slamhive.web.formatting import DASH, plural, value_text
 
 
@@ -128,11 +128,16 @@ _COLOUR = OKABE_ITO[0]
 
 
 def ground_truth_figures(
-    dataset: Dataset, most_points: int | None = None, *, in_space: bool = False
+    dataset: Dataset,
+    most_points: int | None = None,
+    trial: TruthTrialDocument | None = None,
+    *,
+    in_space: bool = False,
 ) -> dict[str, Any] | None:
     """The path in all planes, or once ``in_space``, speed and angular rate, with captions and why plots are missing.
 
-    ``most_points`` thins the path. None for a dataset without a ground truth that can be read.
+    ``most_points`` thins the path; ``trial`` adds the residuals of all systems. None for a dataset without a ground
+    truth that can be read.
     """
     track, motion = read_dataset_path(dataset), ground_truth_motion(dataset)
     if track is None or motion is None or dataset.groundtruth is None:
@@ -142,11 +147,13 @@ def ground_truth_figures(
     path = track if most_points is None else track.thinned(most_points)
     return {
         "figures": (space_figures if in_space else plane_figures)(path, None)
-        | motion_figures(motion, _COLOUR, positions_only=positions_only),
+        | motion_figures(motion, _COLOUR, positions_only=positions_only)
+        | ({} if trial is None or trial.why_not else {"residuals": residuals_figure(trial)}),
         "captions": {
             "path": f"Ground truth, {plural(track.poses, 'pose')}.",
             "speed": f"Mean over {WINDOW_S:g} s.",
             "angular_rate": "" if positions_only else f"Mean over {WINDOW_S:g} s.",
+            "residuals": "Each system aligned to the ground truth over 6 s. Shaded: they agree and contradict it.",
         },
         "reasons": {"speed": "The poses are too far apart in time.", "angular_rate": unknown},
         "best_plane": best_plane(track),

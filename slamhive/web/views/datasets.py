@@ -15,9 +15,9 @@ from slamhive.domain.configuration import Variant
 from slamhive.domain.dataset import Dataset
 from slamhive.filters.words import matching
 from slamhive.recordings.views import FrameView
-from slamhive.services.datasets import strip_times_s
+from slamhive.services.datasets import constant_in_words, stretch_in_words, strip_times_s
 from slamhive.store.records import RunSort
-from slamhive.web.context import dataset_checker, dataset_fetcher, hive, variant_maker
+from slamhive.web.context import dataset_checker, dataset_fetcher, hive, truth_judge, variant_maker
 from slamhive.web.figures import sweep_json
 from slamhive.web.presenters.catalogue import ground_truth_figures, lacking, step_kinds
 from slamhive.web.presenters.scripts import dataset_scripts
@@ -95,6 +95,10 @@ def show(name: str) -> str:
         making=variant_maker().latest(name),
         report=services.dataset_checks.stored(dataset),
         checking=dataset_checker().latest(name),
+        trial=services.truth_trials.stored(dataset),
+        judging=truth_judge().latest(name),
+        stretch_in_words=stretch_in_words,
+        constant_in_words=constant_in_words,
         step_kinds=step_kinds(),
         runs=runs.records,
         strip_times_s=strip_times_s(dataset),
@@ -109,6 +113,14 @@ def check(name: str) -> Response:
     dataset_checker().start(name)
     flash("The dataset is being checked. The findings appear when the check is finished.", "info")
     return make_response(redirect(url_for("datasets.show", name=name, _anchor="checks"), 303))
+
+
+@blueprint.post("/<name>/trial")
+def judge(name: str) -> Response:
+    """Start judging the ground truth."""
+    truth_judge().start(name)
+    flash("The ground truth is being judged. The result appears when that is finished.", "info")
+    return make_response(redirect(url_for("datasets.show", name=name, _anchor="trial"), 303))
 
 
 @blueprint.post("/<name>/variants")
@@ -131,7 +143,7 @@ def drop_variant(name: str, key: str) -> Response:
 def figures(name: str) -> Response:
     """The ground truth: its path in all planes, speed and angular rate."""
     dataset = hive().catalogue.dataset(name)
-    found = ground_truth_figures(dataset)
+    found = ground_truth_figures(dataset, trial=hive().truth_trials.stored(dataset))
     if found is None:
         raise NotFound(f"dataset {name} has no ground truth to draw")
     return make_response(jsonify(found))
