@@ -190,7 +190,7 @@ def outvoted(change: str, trials: int, sequences: tuple[str, ...] = SEQUENCES) -
     for sequence in sequences:
         for trial in range(trials):
             truth, systems = case(sequence, trial)
-            changed = shared_errors(float(truth.stamps_s[0]) + 60)[change]
+            changed = shared_errors(float(truth.stamps_s[0]) + 85)[change]
             found = unknown(sequence, truth, judged(truth, {k: changed(t) for k, t in systems.items()}, shared=True))
             wrong += any(entry.blame is Blame.TRUTH for entry in found)
             reported += bool(found)

@@ -39,7 +39,7 @@ from slamhive.documents.gate import Baseline, BaselineBrief, GateAnswer, ReplayA
 from slamhive.documents.imports import Import
 from slamhive.documents.machines import CloudPlanDocument, CloudStatus
 from slamhive.documents.model import json_schema
-from slamhive.documents.protocol import ComparisonDocument, ProtocolsDocument, ToolMetrics
+from slamhive.documents.protocol import ComparisonDocument, ProtocolsDocument, ProtocolSearchDocument, ToolMetrics
 from slamhive.documents.question import Decision, SearchStanding
 from slamhive.documents.record import RunFile
 from slamhive.documents.run import EvaluationDocument, RunWith
@@ -220,6 +220,7 @@ DOCUMENTS: dict[str, Any] = {
     "dataset-check": DatasetCheck,
     "decision": Decision,
     "truth-trial": TruthTrialDocument,
+    "protocol-search": ProtocolSearchDocument,
     "evaluation": EvaluationDocument,
     "experiment-cell": experiment.CellDocument,
     "experiment-grid": experiment.GridDocument,

@@ -26,6 +26,7 @@ from slamhive.domain.protocol import Alignment, Duplicates, FrameFit, ProtocolRe
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import Hint
 from slamhive.evaluation.job import Artefacts
+from slamhive.evaluation.protocol_search import MetricFamily, PrintedUnit
 from slamhive.filters.syntax import join
 from slamhive.filters.words import matching
 from slamhive.services.evaluations import SENSOR_FRAME, preset_documents, presets, protocols_document
@@ -242,6 +243,45 @@ def compare(cli: CliContext, run_id: int, as_json: bool) -> None:
     print_table(("tool", "protocol", "metrics", "note"), table)
     for row in rows:
         say(f"{row.name}: {row.preset.differs}")
+
+
+@protocol.command("search", short_help="Find the protocols that give a printed number")
+@click.argument("run_id", type=run_number, shell_complete=completion.RUN)
+@click.option("--ate", metavar="NUMBER", help="ATE as the paper prints it, such as 0.016: its digits count.")
+@click.option("--value", metavar="NUMBER", help="Another error as the paper prints it; needs --metric.")
+@click.option("--metric", type=choice(MetricFamily), help="What the paper calls that error.")
+@click.option("--unit", type=choice(PrintedUnit), help="Its unit.  [default: any that is usual]")
+@json_option
+@pass_cli
+def search(cli: CliContext, /, run_id: int, as_json: bool, **options: str | None) -> None:
+    """Find the protocols under which run RUN_ID gives a number that a paper prints, the most usual first.
+
+    Alignment, association, frame, trajectory, crop, scale, statistic and unit are varied over the rules of all tools.
+    """
+    ate, value, metric = options["ate"], options["value"], options["metric"]
+    printed = ate if ate is not None else value
+    if printed is None or (ate is not None and (value is not None or metric not in (None, MetricFamily.ATE))):
+        raise InvalidInput("give one number: --ate NUMBER, or --value NUMBER with --metric", "such as --ate 0.016")
+    if ate is None and metric is None:
+        raise InvalidInput("--value needs --metric", f"use one of {', '.join(MetricFamily)}")
+    found = cli.hive().protocol_searches.search(run_id, printed, metric or MetricFamily.ATE, options["unit"])
+    if as_json:
+        print_json(found.content)
+        return
+    if not found.matches:
+        say(f"none of {found.tried:,} combinations gives {printed}")
+        raise click.exceptions.Exit(1)
+    rows = [
+        (match.preset, match.key, f"{match.value:.6g} {match.unit}", match.words, len(match.alike) or None)
+        for match in found.matches[:_SHOWN_MATCHES]
+    ]
+    print_table(("tool", "metric", "value", "protocol", "alike"), rows, right=("alike",))
+    more = len(found.matches) - len(rows)
+    left = f", {more} more with --json" if more else ""
+    tell(f"{plural(len(found.matches), 'protocol')} of {found.tried:,} combinations gives {printed}{left}")
+
+
+_SHOWN_MATCHES = 20
 
 
 COMMANDS = (

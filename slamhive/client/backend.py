@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
     from slamhive.documents.challenge import ChallengeSubmission
     from slamhive.documents.imports import ImportedDocument
+    from slamhive.documents.protocol import ProtocolSearchDocument
     from slamhive.documents.question import Decision, SearchStanding
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility
@@ -80,6 +81,9 @@ class Backend(Protocol):
 
     def log(self, run_id: int) -> str:
         """The last :data:`LOG_BYTES` of the output of a run."""
+
+    def search_protocols(self, run_id: int, value: str, metric: str, unit: str | None) -> ProtocolSearchDocument:
+        """Protocols under which a run gives a printed number; raises InvalidInput for what is none."""
 
     def activity(self, run_id: int) -> str:
         """Current activity of a run, in words."""

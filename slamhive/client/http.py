@@ -18,6 +18,7 @@ from slamhive.client.backend import LOG_BYTES, RequestedChange, RunQuery
 from slamhive.client.requests import HEADERS, PREFIX, Request, raise_for
 from slamhive.client.waiting import PAUSE_S, percent_bar
 from slamhive.documents.imports import OCTETS, ImportedDocument, Upload
+from slamhive.documents.protocol import ProtocolSearchDocument
 
 if TYPE_CHECKING:
     import httpx
@@ -200,6 +201,10 @@ class HttpBackend:
     def log(self, run_id: int) -> str:
         """Implement :meth:`~slamhive.client.backend.Backend.log`."""
         return self._send(requests.run_log(run_id, LOG_BYTES))
+
+    def search_protocols(self, run_id: int, value: str, metric: str, unit: str | None) -> ProtocolSearchDocument:
+        """Implement :meth:`~slamhive.client.backend.Backend.search_protocols`."""
+        return self._send(requests.search_protocols(run_id, value, metric, unit))
 
     def activity(self, run_id: int) -> str:
         """Implement :meth:`~slamhive.client.backend.Backend.activity`."""

@@ -16,6 +16,7 @@ from slamhive.documents.challenge import ImageEntry
 from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument
 from slamhive.documents.imports import DatasetUpload, ImportedDocument, RunsUpload
 from slamhive.documents.model import parse
+from slamhive.documents.protocol import ProtocolSearchDocument
 from slamhive.documents.question import Decision, SearchStanding
 from slamhive.documents.run import RunDocument, RunWith
 from slamhive.services.data_root import DataRoot
@@ -113,6 +114,10 @@ class LocalBackend:
     def log(self, run_id: int) -> str:
         """Implement :meth:`~slamhive.client.backend.Backend.log`."""
         return self._hive.runs.log(run_id, LOG_BYTES)
+
+    def search_protocols(self, run_id: int, value: str, metric: str, unit: str | None) -> ProtocolSearchDocument:
+        """Implement :meth:`~slamhive.client.backend.Backend.search_protocols`."""
+        return self._hive.protocol_searches.search(run_id, value, metric, unit)
 
     def activity(self, run_id: int) -> str:
         """Implement :meth:`~slamhive.client.backend.Backend.activity`."""

@@ -32,6 +32,7 @@ from slamhive.documents.challenge import ChallengeSubmission, ChallengeSubmissio
 from slamhive.documents.experiment import ExperimentStatusDocument
 from slamhive.documents.imports import Upload
 from slamhive.documents.model import Document, dump
+from slamhive.documents.protocol import ProtocolSearchDocument
 from slamhive.documents.question import Decision, SearchStanding
 from slamhive.documents.run import RunDocument, RunWith
 from slamhive.documents.submission import Submission
@@ -126,6 +127,12 @@ def run_file(run_id: int, key: str) -> Request[bytes]:
 def run_log(run_id: int, max_bytes: int) -> Request[str]:
     """The end of the log of a run."""
     return Request(f"/runs/{run_id}/log", lambda data: data.decode(errors="replace"), {"bytes": str(max_bytes)})
+
+
+def search_protocols(run_id: int, value: str, metric: str, unit: str | None) -> Request[ProtocolSearchDocument]:
+    """Protocols under which a run gives a printed number."""
+    asked = {"value": value, "metric": metric, **({} if unit is None else {"unit": unit})}
+    return _get(f"/runs/{run_id}/protocol-search", ProtocolSearchDocument, asked)
 
 
 def run_progress(run_id: int) -> Request[ProgressDocument]:

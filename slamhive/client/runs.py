@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from slamhive.client.trajectory import RunTrajectory
     from slamhive.documents import run as run_schema
     from slamhive.documents.api_answers import ActedOn
+    from slamhive.documents.protocol import ProtocolSearchDocument
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility
     from slamhive.domain.parameters import Value
@@ -88,6 +89,19 @@ class Run:
     def log(self) -> str:
         """The end of its output so far."""
         return self._backend.log(self.id)
+
+    def search_protocols(self, value: str, metric: str = "ate", unit: str | None = None) -> ProtocolSearchDocument:
+        """Protocols under which this run gives the number ``value`` that a paper prints, the most usual first.
+
+        Args:
+            value: The number as text: its digits count, ``"0.016"``.
+            metric: ``ate``, ``ate_rot``, ``rpe``, ``rpe_rot``, ``kitti`` or ``segment``.
+            unit: ``m``, ``cm``, ``mm``, ``%``, ``deg`` or ``deg/m``; None for any that is usual.
+
+        Raises:
+            InvalidInput: One of them is none.
+        """
+        return self._backend.search_protocols(self.id, value, metric, unit)
 
     def file(self, key: str) -> bytes:
         """The content of one of its files; raises NotFound."""

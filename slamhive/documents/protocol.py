@@ -77,6 +77,31 @@ def with_units(values: Mapping[str, float], samples: Mapping[str, str]) -> dict[
     }
 
 
+class ProtocolMatchDocument(Document):
+    """A protocol that gives a printed number."""
+
+    preset: Annotated[str | None, described("Name of the tool whose rules these are; null if of none.")]
+    fingerprint: str
+    protocol: StatedProtocol
+    words: Annotated[str, described("The protocol in words.")]
+    key: Annotated[str, described("The metric.")]
+    unit: Annotated[str, described("The unit in which it gives the number.")]
+    value: Annotated[float, described("The metric in that unit, with all digits.")]
+    rarity: Annotated[int, described("0 for what most papers use; larger is rarer.")]
+    alike: Annotated[tuple[str, ...], described("Protocols with the same value, which cannot be told apart.")]
+
+
+class ProtocolSearchDocument(Document):
+    """Protocols under which a run gives a number that a paper prints, the most usual first."""
+
+    run: int
+    printed: Annotated[str, described("The number as it was given.")]
+    metric: Annotated[str, described("What the paper calls it.")]
+    tried: Annotated[int, described("Number of combinations that were tried.")]
+    matches: tuple[ProtocolMatchDocument, ...]
+    skipped: Annotated[dict[str, int], described("Why combinations could not be tried, and how many.")]
+
+
 # A comparison of a few runs, as JSON.
 
 

@@ -29,7 +29,13 @@ if TYPE_CHECKING:
     from slamhive.services.configurations import Configurations
     from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, TruthTrials, VariantService
     from slamhive.services.deciding import Questions
-    from slamhive.services.evaluations import Comparisons, CurrentProtocols, Evaluations, ProtocolService
+    from slamhive.services.evaluations import (
+        Comparisons,
+        CurrentProtocols,
+        Evaluations,
+        ProtocolSearches,
+        ProtocolService,
+    )
     from slamhive.services.executors import Executors
     from slamhive.services.experiments import ExperimentService
     from slamhive.services.fetching import Fetching
@@ -193,6 +199,13 @@ class Hive:
         from slamhive.services.evaluations import ProtocolService
 
         return ProtocolService(self.store)
+
+    @cached_property
+    def protocol_searches(self) -> ProtocolSearches:
+        """Protocols that give a number which a paper prints."""
+        from slamhive.services.evaluations import ProtocolSearches
+
+        return ProtocolSearches(self.settings, self.store, self.catalogue, self.evaluations)
 
     @cached_property
     def evaluations(self) -> Evaluations:

@@ -7,9 +7,11 @@ from math import cos, sin
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from slamhive.base.errors import Conflict, InvalidInput, NotFound
 from slamhive.base.settings import Settings
+from slamhive.cli.main import main
 from slamhive.documents.submission import Submission
 from slamhive.domain.protocol import Alignment, ProtocolRequest
 from slamhive.domain.run import RunState
@@ -180,3 +182,20 @@ def test_the_frame_of_a_sensor_is_taken_from_the_dataset(hive: Hive, run_id: int
     assert protocol.T_body_sensor == sensor.T_body_sensor
     with pytest.raises(NotFound, match="dataset track has no sensor 'cam9'"):
         hive.evaluations.protocol_of(run, ProtocolRequest({SENSOR_FRAME: "cam9"}))
+
+
+def test_a_printed_number_leads_to_the_protocols_that_give_it(hive: Hive, run_id: int) -> None:
+    hive.evaluations.queue([run_id], "evo")
+    hive.worker().run(until_idle=True)
+    (values,) = hive.current_protocols.figures(run_id).values()
+    printed = f"{values['ate.rmse']:.5f}"
+    found = hive.protocol_searches.search(run_id, printed, "ate")
+    assert found.matches[0].preset == "evo"
+    assert found.matches[0].value == pytest.approx(values["ate.rmse"], abs=1e-12)
+    assert found.tried > 1000
+    with pytest.raises(InvalidInput, match="'errors' is not known; use one of ate, ate_rot"):
+        hive.protocol_searches.search(run_id, printed, "errors")
+    arguments = ["--data", str(hive.settings.data), "protocol", "search", str(run_id), "--ate"]
+    shown = CliRunner().invoke(main, [*arguments, printed, "--json"])
+    assert json.loads(shown.stdout)["matches"][0]["preset"] == "evo"
+    assert CliRunner().invoke(main, [*arguments, "123456"]).exit_code == 1

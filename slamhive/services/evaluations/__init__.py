@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         NO_ENGINE,
         PROTOCOL_FILE,
         Evaluations,
+        ProtocolSearches,
         evaluation_notes,
         protocols_of_all,
         scratch_folder,

@@ -12,15 +12,17 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 from slamhive.base.clock import utc_now
 from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.base.files import sweep_folder, temporary_folder, write_aside
 from slamhive.base.settings import Settings
+from slamhive.documents.protocol import ProtocolMatchDocument, ProtocolSearchDocument
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.protocol import Protocol, ProtocolRequest
-from slamhive.domain.sensors import IDENTITY4
+from slamhive.domain.protocol import Alignment, Duplicates, Protocol, ProtocolRequest
+from slamhive.domain.sensors import IDENTITY4, Matrix4
 from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.verdict import Hint
 from slamhive.evaluation.evaluators.base import (
@@ -40,6 +42,14 @@ from slamhive.evaluation.job import (
     failed_result,
     result_from_json,
 )
+from slamhive.evaluation.protocol_search import (
+    MetricFamily,
+    PrintedUnit,
+    SearchInput,
+    read_printed,
+    search_protocols,
+)
+from slamhive.evaluation.references import References, TruthReference
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.host import owner_is_dead
 from slamhive.run_folder.folder import RunFolder
@@ -47,6 +57,9 @@ from slamhive.services.datasets import Catalogue, algorithm_here_or_elsewhere, c
 from slamhive.services.evaluations.protocols import ProtocolService, fitting_protocol, reference_path
 from slamhive.store import Store
 from slamhive.store.records import EvaluationRecord, LeaseLost, RunRecord
+from slamhive.trajectory.layout import parse_tum
+from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.table import read_bounded
 
 logger = logging.getLogger(__name__)
 
@@ -363,18 +376,13 @@ class Evaluations:
         except OSError as error:
             raise Unavailable(f"{output} cannot be made: {error.strerror}", "check space and rights") from None
         write_aside(output / PROTOCOL_FILE, json.dumps(entry.protocol.content, indent=1))
-        # The trajectory describes a sensor; that of an imported run describes the body.
-        T_body_sensor = IDENTITY4
-        if run.executor != IMPORTED:
-            algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run)
-            T_body_sensor = algorithm.assign(dataset, run.sensors)[algorithm.trajectory_role].T_body_sensor
         return EvaluationTask(
             id=str(entry.id),
             estimate=estimate_of(run, folder, entry.protocol),
             reference=reference,
             output=output,
             protocol=entry.protocol,
-            T_body_sensor=T_body_sensor,
+            T_body_sensor=self.trajectory_frame(run),
             artefacts=entry.artefacts,
             positions_only=dataset.groundtruth is not None and dataset.groundtruth.positions_only,
             files=evaluation_files(folder, dataset),
@@ -384,6 +392,14 @@ class Evaluations:
 
     def _folder(self, run_id: int) -> RunFolder:
         return RunFolder(self._settings.runs_folder / str(run_id))
+
+    def trajectory_frame(self, run: RunRecord) -> Matrix4:
+        """The pose, in the body frame, of the sensor that the trajectory describes; that of an import is the body's."""
+        if run.executor == IMPORTED:
+            return IDENTITY4
+        algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run)
+        assigned = algorithm.assign(self._catalogue.dataset(run.dataset), run.sensors)
+        return assigned[algorithm.trajectory_role].T_body_sensor
 
     def protocol_of(self, run: RunRecord, asked: ProtocolRequest | None = None) -> Protocol:
         """The protocol for evaluating ``run``: as requested, as submitted, or the default for its sensors."""
@@ -399,6 +415,94 @@ class Evaluations:
                 self._store.write(lambda t: t.evaluations.heartbeat(evaluation_ids, t.lease(owner, lease_s)))
             except SlamHiveError as error:
                 logger.warning("heartbeat of evaluations: %s", error)
+
+
+def read_estimate(path: Path) -> Trajectory:
+    """The trajectory at ``path``, of equal timestamps all; raises InvalidInput for a link or a damaged file."""
+    if path.is_symlink():
+        raise InvalidInput(f"the trajectory {path.name} is a link, which is not followed")
+    return parse_tum(read_bounded(path), path.name, Duplicates.KEEP)
+
+
+class ProtocolSearches:
+    """Protocols of a run that give a printed number. One search runs at a time: each takes seconds of a core.
+
+    Args:
+        settings: The run folders.
+        store: The runs.
+        catalogue: Ground truths and sensors.
+        evaluations: Knows the frame of a run's trajectory.
+    """
+
+    def __init__(self, settings: Settings, store: Store, catalogue: Catalogue, evaluations: Evaluations) -> None:
+        self._settings = settings
+        self._store = store
+        self._catalogue = catalogue
+        self._evaluations = evaluations
+        self._turn = threading.Lock()
+
+    def search(self, run_id: int, printed: str, metric: str, unit: str | None = None) -> ProtocolSearchDocument:
+        """All protocols under which the run gives the number ``printed``, which keeps its digits.
+
+        Raises InvalidInput for a number, metric or unit that is none, and for a dataset without a ground truth.
+        """
+        family, asked = _member(MetricFamily, metric), None if unit is None else _member(PrintedUnit, unit)
+        number = read_printed(printed, asked)
+        run = self._store.read(lambda t: t.runs.get(run_id))
+        dataset = self._catalogue.dataset(run.dataset)
+        path, truth = dataset.groundtruth_path, dataset.groundtruth
+        if path is None or truth is None:
+            raise InvalidInput(f"dataset {dataset.name} has no ground-truth trajectory", "choose another run")
+        folder = RunFolder(self._settings.runs_folder / str(run.id))
+        kinds = [None, *other_trajectories(run, folder)]
+        estimates = {
+            kind: read_estimate(folder.trajectory if kind is None else folder.trajectory_of(kind)) for kind in kinds
+        }
+        own, references = self._evaluations.trajectory_frame(run), References()
+        task = EvaluationTask(
+            id=str(run.id),
+            estimate=folder.trajectory,
+            reference=path,
+            output=folder.root,
+            protocol=Protocol(Alignment.NONE, duplicates=Duplicates.KEEP),
+            T_body_sensor=own,
+            positions_only=truth.positions_only,
+            lever_arm_m=truth.lever_arm_m,
+        )
+
+        def reference_of(T_body_sensor: Matrix4 | None) -> TruthReference:
+            return references.of(task if T_body_sensor is None else replace(task, T_body_sensor=T_body_sensor))
+
+        frames = {"the body": IDENTITY4, **{sensor.name: sensor.T_body_sensor for sensor in dataset.sensors}}
+        others: dict[str, Matrix4] = {}
+        for name, T_body_sensor in frames.items():
+            if T_body_sensor not in (own, *others.values()):
+                others[name] = T_body_sensor
+        with self._turn:
+            found = search_protocols(
+                SearchInput(reference_of, estimates, others, truth.gravity_aligned), number, family
+            )
+        return ProtocolSearchDocument(
+            run=run.id,
+            printed=printed,
+            metric=family.value,
+            tried=found.tried,
+            matches=tuple(
+                ProtocolMatchDocument.of(match, fingerprint=match.protocol.fingerprint, unit=match.unit.value)
+                for match in found.matches
+            ),
+            skipped=dict(found.skipped),
+        )
+
+
+_Choice = TypeVar("_Choice", MetricFamily, PrintedUnit)
+
+
+def _member(kind: type[_Choice], text: str) -> _Choice:
+    try:
+        return kind(text)
+    except ValueError:
+        raise InvalidInput(f"{text[:40]!r} is not known", f"use one of {', '.join(kind)}") from None
 
 
 def _refused(entry: EvaluationRecord, reason: str) -> EvaluationResult:

@@ -317,6 +317,11 @@ PUBLIC_ARGUMENTS = (Argument("words", "Only sequences that all these words fit."
 TIMESTAMP_ARGUMENTS = (
     Argument("timestamp", "A header timestamp in s.", {"type": "number", "minimum": 0}, required=True),
 )
+PRINTED_ARGUMENTS = (
+    Argument("value", "The number as the paper prints it, such as 0.016: its digits count.", TEXT, required=True),
+    Argument("metric", "`ate` (default), `ate_rot`, `rpe`, `rpe_rot`, `kitti` or `segment`.", TEXT),
+    Argument("unit", "`m`, `cm`, `mm`, `%`, `deg` or `deg/m`; any that is usual by default.", TEXT),
+)
 TIME_ARGUMENTS = (
     Argument("time", "From the start of the recording, in s; its middle by default.", {"type": "number", "minimum": 0}),
 )

@@ -42,7 +42,7 @@ from slamhive.documents.api_requests import (
     TagsRequest,
 )
 from slamhive.documents.catalogue import FoundThing, MatchDocument
-from slamhive.documents.protocol import ComparisonDocument
+from slamhive.documents.protocol import ComparisonDocument, ProtocolSearchDocument
 from slamhive.documents.run import RunDocument, RunMoment, RunWith
 from slamhive.documents.submission import OPTIONS, Submission
 from slamhive.domain.finding import FoundAction
@@ -59,6 +59,7 @@ from slamhive.web.api.operation import (
     EXPORT_ARGUMENTS,
     FIND_ARGUMENTS,
     LOG_ARGUMENTS,
+    PRINTED_ARGUMENTS,
     RUN_ARGUMENTS,
     TABLE,
     TIMESTAMP_ARGUMENTS,
@@ -241,6 +242,16 @@ def evaluate(body: EvaluationRequest) -> Queued:
         raise InvalidInput("alignment and protocol exclude each other", "give one of them")
     OPTIONS["alignment"].check(body.alignment)
     return Queued(queued=len(hive().evaluations.queue(body.runs, body.protocol or body.alignment)))
+
+
+@TABLE.get(Section.RUNS, "/runs/{run_id}/protocol-search", ProtocolSearchDocument, PRINTED_ARGUMENTS)
+def search_protocols(run_id: int) -> ProtocolSearchDocument:
+    """The protocols under which one run gives a number that a paper prints, the most usual first."""
+    asked = request.args
+    value, metric = asked.get("value"), asked.get("metric", "ate")
+    if not value:
+        raise InvalidInput("value is missing", "give the number as the paper prints it: ?value=0.016&metric=ate")
+    return hive().protocol_searches.search(run_id, value, metric, asked.get("unit") or None)
 
 
 @TABLE.post(Section.RUN_CHANGES, "/runs/{run_id}/tools", Queued, status=202)
