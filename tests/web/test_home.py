@@ -121,7 +121,7 @@ def test_each_experiment_has_a_card_with_its_answer_and_a_dot_for_each_run(web: 
 
 
 def test_the_demo_is_one_button_with_its_progress(empty: Web, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The demo itself is tried with real images by its own tests; here: what the page shows of it."""
+    """Tests of the service try it with a real executor; here: what the page shows of it."""
     told: list[long_work.Progress] = []
     ended = long_work.threading.Event()
 
