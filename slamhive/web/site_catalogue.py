@@ -15,6 +15,7 @@ from jinja2 import Environment
 from slamhive.base.errors import NotFound, SlamHiveError
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.names import check_name
+from slamhive.domain.outcome import Outcome
 from slamhive.services.analysis import script_json
 from slamhive.services.hive import Hive
 from slamhive.web.formatting import display_unit, significant
@@ -35,12 +36,12 @@ Row = Mapping[str, Any]
 class Share:
     """The runs of one algorithm on one dataset; ``name`` is the one that the page is not about.
 
-    ``error`` is the median error of the succeeded runs as text, or why there is none.
+    ``error`` is the median error of the good runs as text, or why there is none.
     """
 
     name: str
     runs: int
-    succeeded: int
+    good: int
     error: str
 
 
@@ -122,8 +123,14 @@ class CataloguePages:
 
 
 def _shares(rows: Sequence[Row], column: str) -> list[Share]:
-    """The runs by the name in ``column``."""
-    return [_share(name, found) for name, found in sorted(_by(rows, column).items())]
+    """The runs by the name in ``column``. Algorithms stand side by side, so one protocol must hold for all of them."""
+    protocols = {row["protocol"] for row in rows if _is_good(row)}
+    mixed = column == "algorithm" and len(protocols) > 1
+    return [_share(name, found, mixed=mixed) for name, found in sorted(_by(rows, column).items())]
+
+
+def _is_good(row: Row) -> bool:
+    return row["outcome"] == Outcome.GOOD.label and row.get(ERROR) is not None
 
 
 def _by(rows: Sequence[Row], column: str) -> dict[str, list[Row]]:
@@ -135,11 +142,11 @@ def _by(rows: Sequence[Row], column: str) -> dict[str, list[Row]]:
     return found
 
 
-def _share(name: str, rows: Sequence[Row]) -> Share:
-    measured = [row for row in rows if row["state"] == "succeeded" and row.get(ERROR) is not None]
+def _share(name: str, rows: Sequence[Row], *, mixed: bool) -> Share:
+    measured = [row for row in rows if _is_good(row)]
     protocols = {row["protocol"] for row in measured}
-    if len(protocols) > 1:
+    if measured and (mixed or len(protocols) > 1):
         error = "several protocols"
     else:
         error = significant(median(row[ERROR] for row in measured)) if measured else "–"
-    return Share(name, len(rows), sum(row["state"] == "succeeded" for row in rows), error)
+    return Share(name, len(rows), sum(row["outcome"] == Outcome.GOOD.label for row in rows), error)

@@ -23,6 +23,7 @@ from slamhive.base.bounds import parse_json_object
 from slamhive.base.errors import NotFound, SlamHiveError
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.metrics import CATALOGUE, Metric, with_unknown
+from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import RunState
 from slamhive.run_folder.point_cloud import MapCloud
 from slamhive.services.analysis import script_json
@@ -149,6 +150,8 @@ def table_row(run: RunRecord) -> dict[str, Any]:
         "id": run.id,
         "algorithm": run.algorithm,
         "dataset": run.dataset,
+        "outcome": outcome_words(run),
+        "doubt": None if run.trust is None or not run.trust.reasons else run.trust.words,
         "state": state_words(run),
         "experiment": run.experiment,
         "parameters": ", ".join(f"{key} {value}" for key, value in run.parameters.items()),
@@ -160,7 +163,7 @@ def table_row(run: RunRecord) -> dict[str, Any]:
 def table_script(rows: Sequence[Mapping[str, Any]]) -> str:
     """The list as a script."""
     present = {key for row in rows for key, value in row.items() if value is not None}
-    plain = ("id", "algorithm", "dataset", "state", "experiment", "parameters", "protocol")
+    plain = ("id", "algorithm", "dataset", "outcome", "doubt", "state", "experiment", "parameters", "protocol")
     columns = [{"key": key, "label": key, "unit": ""} for key in plain if key in present]
     columns[0]["label"] = "run"
     columns += [

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
 import pytest
 
+from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.run import NotesChange
+from slamhive.domain.verdict import VerdictKind
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.web.static_site import SiteRequest, StaticSite
@@ -45,6 +48,21 @@ def test_every_name_leads_to_a_page_and_hostile_text_stays_text(hive: Hive) -> N
     algorithm = (site / "algorithms" / "eye-slam-stereo.html").read_text()
     assert "nFeatures" in algorithm
     assert '<a href="../datasets/room.html">room</a>' in algorithm
+
+
+def test_a_site_counts_outcomes_and_never_puts_medians_of_two_protocols_side_by_side(hive: Hive) -> None:
+    def counts(site: Path) -> list[str]:
+        text = (site / "datasets" / "room.html").read_text()
+        return re.findall(r'<td class="number">([^<]+)</td>', text.partition('aria-label="Table: runs by algorithm')[2])
+
+    world.evaluate_run(hive, 2, reason="no timestamp matches")
+    site = published(hive)
+    assert counts(site)[:2] == ["1", "0.04567"], "a run that cannot be evaluated has ended, but is not good"
+    assert f"failed: {VerdictKind.NOT_EVALUABLE.label}" in (site / "assets" / "runs.js").read_text()
+    (mono,) = world.add_runs(hive, 1, "eye-slam-mono")
+    world.finish_run(hive, mono)
+    world.evaluate_run(hive, mono, 0.01, protocol=Protocol(Alignment.SIM3))
+    assert [text for text in counts(published(hive)) if not text.isdigit()] == ["several protocols"] * 2
 
 
 def test_a_failed_run_has_the_end_of_its_log(hive: Hive) -> None:
