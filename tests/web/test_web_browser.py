@@ -152,7 +152,7 @@ def sign_in(page: Page, name: str) -> None:
 
 
 def weight(page: Page) -> list[str]:
-    """What makes a page slow to see: bytes, without pictures that need scrolling, and plotly.js outside of reports."""
+    """List what makes a page slow: bytes, without pictures that need scrolling, and plotly.js outside of reports."""
     sizes = page.evaluate(
         """() => {
             const below = [...document.images].filter((image) => image.getBoundingClientRect().top >= innerHeight);
