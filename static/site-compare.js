@@ -243,7 +243,7 @@
     const unmarked = unmarkedParts(runs, protocols.size);
     const chance = grouped ? ", a difference that chance explains (Welch, 95 %)" : "";
     const means = grouped ? " Means leave failed runs out; below each mean is its 95 % interval (Student)." : "";
-    const rule = `The better value is marked with ★. There is no mark on a tie${chance}, or for a metric without a better direction. A run that failed or has low trust is never marked.${means}`;
+    const rule = `The better value is marked with ★. There is no mark on a tie${chance}, or for a metric without a better direction. A run that failed or is very doubtful is never marked.${means}`;
     document.getElementById("marks").textContent = [...(datasets.size > 1 ? [] : [rule]), ...unmarked.map(({ words: why }) => why)].join(" ");
     document.querySelector("[data-comparison]").hidden = false;
     showMetrics(runs, columns, unmarked);

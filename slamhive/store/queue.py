@@ -77,6 +77,11 @@ class RunQueue(LeaseQueue[int]):
                 return RunRepository(self._connection).get(run_id)
         return None
 
+    def ahead_of(self, priority: int) -> int:
+        """The number of queued runs that may start before a new one of this priority; paused ones do not."""
+        queued = (_RUNS.c.state == RunState.QUEUED, _RUNS.c.held == false(), _RUNS.c.priority >= priority)
+        return int(self._connection.execute(select(func.count()).select_from(_RUNS).where(*queued)).scalar_one())
+
     def adopt(
         self, lease: Lease, only: Collection[int] | None = None, machine: MeasuredMachine | None = None
     ) -> RunRecord | None:

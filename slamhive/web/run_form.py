@@ -142,7 +142,8 @@ def form_values(submission: Submission) -> dict[str, str]:
 def preview(submission: Submission, dataset: Dataset, settings: Settings, waiting: int) -> str:
     """Effect of pressing the button: how many runs, how long, behind how many others."""
     what = f"{plural(submission.repeat, 'run')} of {submission.algorithm} on {dataset.name}"
-    behind = f" {plural(waiting, 'queued run goes', 'queued runs go')} first." if waiting else ""
+    # A worker prefers runs on the data that it has just used, so a new run may overtake some.
+    behind = f" At most {plural(waiting, 'queued run goes', 'queued runs go')} first." if waiting else ""
     if submission.playback_mode == PlaybackMode.SEQUENTIAL:
         return f"{what}, as fast as the algorithm goes.{behind}"
     once_s = dataset.duration_s / submission.playback_rate

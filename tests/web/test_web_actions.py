@@ -44,7 +44,7 @@ def test_the_form_starts_runs_and_redirects(web: Web):
     assert page.records[0].parameters["solver"] == "gn"
     assert not page.records[0].evaluate
     first, last = page.records[-1].id, page.records[0].id
-    assert f"Runs {first} to {last} are queued." in web.client.get(answer.location).text
+    assert f"Runs {first} to {last} were put into the queue." in web.client.get(answer.location).text
 
 
 @pytest.mark.parametrize(
@@ -89,8 +89,10 @@ def test_the_preview_says_what_will_happen(shown: Web):
     assert answer["errors"] == {}
     assert answer["preview"] == (
         "3 runs of eye-slam-stereo on room, each about 40.0 s plus start-up, 2 min 00 s in all; "
-        "time limit 3 min 00 s. 1 queued run goes first."
+        "time limit 3 min 00 s. At most 1 queued run goes first."
     )
+    urgent = shown.client.get("/runs/new/preview", query_string={**FORM, "priority": "5"}).get_json()
+    assert urgent["preview"].endswith("time limit 3 min 00 s."), "runs of a lower priority go later"
     wrong = shown.client.get("/runs/new/preview", query_string={**FORM, "repeat": "x"}).get_json()
     assert wrong["preview"] is None
     assert list(wrong["errors"]) == ["repeat"]

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.integration
 
 WORDS = "other processes used more than 0.5 of 2 cores for 80 % of the run (1.4 on average)"
 BUSY = Disturbance(known=True, reasons=(DisturbanceReason(DisturbanceKind.OTHERS, WORDS),))
-BADGE = f'<span class="state trust-limited" title="measured on a disturbed machine: {WORDS}">limited trust</span>'
+BADGE = f'<span class="state trust-limited" title="measured on a disturbed machine: {WORDS}">doubtful</span>'
 
 
 @pytest.fixture
@@ -101,8 +101,8 @@ def test_a_run_that_dropped_most_frames_does_not_look_good(marked: Web) -> None:
     assert "<li>The run used 99 % of the CPU time that its limit allows. Raise the limit of CPU cores.</li>" in text
     found = marked.client.get("/searches/export.json?where=trust = low&columns=id,trust").get_json()
     assert found == [{"id": run_id, "trust": "low"}]
-    assert page(marked, "/runs?trust=low&columns=id,trust").count('">low trust</span>') == 0
-    assert page(marked, "/runs?trust=low").count('">low trust</span>') == 1
+    assert page(marked, "/runs?trust=low&columns=id,trust").count('">very doubtful</span>') == 0
+    assert page(marked, "/runs?trust=low").count('">very doubtful</span>') == 1
 
 
 def test_json_has_the_trust_with_reasons(marked: Web) -> None:

@@ -7,7 +7,6 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 from slamhive.base.errors import SlamHiveError
 from slamhive.domain.accounts import VISIBILITY_LABELS
 from slamhive.domain.protocol import ALIGNMENT_LABELS
-from slamhive.domain.run import RunState
 from slamhive.executors.registry import EXECUTORS
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of
@@ -47,17 +46,17 @@ def submit() -> Response | tuple[str, int]:
         filled.fail(error)
         return _page(filled), status_of(error)
     if len(runs) == 1:
-        flash(f"Run {runs[0].id} is queued.", "success")
+        flash(f"Run {runs[0].id} was put into the queue.", "success")
         return make_response(redirect(url_for("runs.show", run_id=runs[0].id), 303))
-    flash(f"Runs {runs[0].id} to {runs[-1].id} are queued.", "success")
+    flash(f"Runs {runs[0].id} to {runs[-1].id} were put into the queue.", "success")
     return make_response(redirect(url_for("runs.index", configuration=runs[0].configuration_id), 303))
 
 
 def _preview(filled: RunForm) -> str | None:
     if filled.submission is None or filled.dataset is None:
         return None
-    counts = hive().runs.counts()
-    waiting = counts.get(RunState.QUEUED, 0)
+    priority = filled.submission.priority
+    waiting = hive().store.read(lambda t: t.queue.ahead_of(priority))
     what = preview(filled.submission, filled.dataset, hive().settings, waiting)
     try:
         note = hive().configurations.map_note(filled.submission)
