@@ -258,13 +258,14 @@ def search(cli: CliContext, /, run_id: int, as_json: bool, **options: str | None
 
     Alignment, association, frame, trajectory, crop, scale, statistic and unit are varied over the rules of all tools.
     """
+    searches = cli.hive().protocol_searches
     ate, value, metric = options["ate"], options["value"], options["metric"]
     printed = ate if ate is not None else value
     if printed is None or (ate is not None and (value is not None or metric not in (None, MetricFamily.ATE))):
         raise InvalidInput("give one number: --ate NUMBER, or --value NUMBER with --metric", "such as --ate 0.016")
     if ate is None and metric is None:
         raise InvalidInput("--value needs --metric", f"use one of {', '.join(MetricFamily)}")
-    found = cli.hive().protocol_searches.search(run_id, printed, metric or MetricFamily.ATE, options["unit"])
+    found = searches.search(run_id, printed, metric or MetricFamily.ATE, options["unit"])
     if as_json:
         print_json(found.content)
         return

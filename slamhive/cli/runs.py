@@ -350,7 +350,7 @@ def print_runs(entries: list[RunRecord], as_json: bool) -> None:
             if entry.verdict is not None and entry.verdict.failed and entry.state is RunState.SUCCEEDED:
                 tell(f"run {entry.id}: {entry.verdict.words}")
             if entry.trust is not None and entry.trust.reasons:
-                tell(f"run {entry.id} has {entry.trust.level} trust: {entry.trust.words}")
+                tell(f"run {entry.id} is {entry.trust.doubt}: {entry.trust.words}")
     else:
         tell("no runs; `slamhive run ALGORITHM DATASET` starts one")
 

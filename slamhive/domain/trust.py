@@ -146,6 +146,11 @@ class Disturbance:
         return bool(self.reasons) if self.known else None
 
     @property
+    def doubt(self) -> str:
+        """The mark that people read; empty where nothing speaks against the run."""
+        return {TrustLevel.LOW: "very doubtful", TrustLevel.LIMITED: "doubtful"}.get(self.level or TrustLevel.HIGH, "")
+
+    @property
     def words(self) -> str:
         """All reasons in one line."""
         return "; ".join(reason.words for reason in self.reasons)
@@ -336,6 +341,11 @@ class Trust:
     level: TrustLevel | None
     reasons: tuple[TrustReason, ...] = ()
     not_measured: tuple[str, ...] = ()
+
+    @property
+    def doubt(self) -> str:
+        """The mark that people read; empty where nothing speaks against the run."""
+        return {TrustLevel.LOW: "very doubtful", TrustLevel.LIMITED: "doubtful"}.get(self.level or TrustLevel.HIGH, "")
 
     @property
     def words(self) -> str:

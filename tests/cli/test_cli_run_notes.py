@@ -62,7 +62,7 @@ def test_mistakes_are_one_line(data: Path, arguments: tuple[str, ...], said: str
 
 def test_lists_say_how_far_runs_can_be_trusted_and_why(data: Path) -> None:
     listed = call(data)
-    assert "has low trust: the algorithm was too slow for 79 % of the frames" in listed.stderr
+    assert "is very doubtful: the algorithm was too slow for 79 % of the frames" in listed.stderr
     rows = json.loads(call(data, "--where", "trust = low", "--columns", "id,trust", "--json").stdout)
     assert rows == [{"id": 2, "trust": "low"}]
     shown = call(data, "show", "2").stdout

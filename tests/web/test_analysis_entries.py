@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamhive.base import strict_yaml
@@ -93,6 +93,7 @@ ENTRY = st.dictionaries(
 )
 
 
+@settings(deadline=None)
 @given(st.lists(ENTRY, min_size=1, max_size=5), ENTRY, st.data())
 def test_the_text_changes_as_the_list_does(
     written: list[dict[str, Any]], other: dict[str, Any], data: st.DataObject
