@@ -65,7 +65,9 @@ class MixedProtocols:
         told = [f"{plural(first.runs, 'run')} {verb} {names[0]}"]
         told += [f"{use.runs} {name}" for use, name in zip(others, names[1:], strict=False)]
         rest = sum(use.runs for use in self.uses[_MOST_NAMED:])
-        return ", ".join([*told, *([f"{rest} others"] if rest else [])])
+        # Names that hold commas need stronger signs between them.
+        between = "; " if any(", " in name for name in names) else ", "
+        return between.join([*told, *([f"{rest} others"] if rest else [])])
 
     @property
     def only_trajectories(self) -> bool:

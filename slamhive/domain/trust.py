@@ -146,11 +146,6 @@ class Disturbance:
         return bool(self.reasons) if self.known else None
 
     @property
-    def doubt(self) -> str:
-        """The mark that people read; empty where nothing speaks against the run."""
-        return {TrustLevel.LOW: "very doubtful", TrustLevel.LIMITED: "doubtful"}.get(self.level or TrustLevel.HIGH, "")
-
-    @property
     def words(self) -> str:
         """All reasons in one line."""
         return "; ".join(reason.words for reason in self.reasons)

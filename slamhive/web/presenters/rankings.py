@@ -238,4 +238,5 @@ def _trust(runs: Sequence[RunRecord]) -> tuple[str, str, str]:
         why = "; ".join(dict.fromkeys(trust.words for trust in found if trust.level is None and trust.words))
         return ("", "high", "of all good runs") if known and known == len(runs) else ("", DASH, why or "not known")
     reasons = dict.fromkeys(trust.words for trust in found if trust.level is level)
-    return level.value, f"{level.value}, {levels[level]} of {plural(len(runs), 'run')}", " / ".join(list(reasons)[:3])
+    doubt = next(trust.doubt for trust in found if trust.level is level)
+    return level.value, f"{doubt}, {levels[level]} of {plural(len(runs), 'run')}", " / ".join(list(reasons)[:3])
