@@ -176,7 +176,7 @@ class EvaluationRepository(LeaseQueue[int]):
         return [(domain.protocol_from_content(definition), runs) for definition, runs in rows]
 
     def uses(self, run_ids: Iterable[int]) -> list[ProtocolUse]:
-        """The protocols and trajectories behind the current errors of these runs; runs without an evaluation are left out."""
+        """The protocols and trajectories behind the current errors of these runs, without those that have none."""
         runs, protocols = RunRow.__table__, ProtocolRow.__table__
         found: Counter[ProtocolUse] = Counter()
         for part in chunks(list(run_ids)):

@@ -97,7 +97,7 @@ def test_a_run_that_dropped_most_frames_does_not_look_good(marked: Web) -> None:
     assert '<span class="state outcome-unjudged">not evaluated</span> <span class="state trust-low"' in text
     assert "<strong>Very doubtful.</strong>" in text
     assert "The algorithm was too slow for 79 % of the frames, which were dropped. Give it more CPU cores" in text
-    assert "<li>The run used 99 % of the CPU time that its limit allows. Raise the limit of CPU cores.</li></ul>" in text
+    assert "<li>The run used 99 % of the CPU time that its limit allows. Raise the limit of CPU cores.</li>" in text
     found = marked.client.get("/searches/export.json?where=trust = low&columns=id,trust").get_json()
     assert found == [{"id": run_id, "trust": "low"}]
     assert page(marked, "/runs?trust=low&columns=id,trust").count('">very doubtful</span>') == 0
