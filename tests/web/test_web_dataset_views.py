@@ -249,6 +249,11 @@ def test_a_dropped_frame_says_so(recorded: Web):
     )
 
 
+def test_a_moment_before_the_first_pose_has_no_error(recorded: Web):
+    assert moment(recorded, 1000.02).get_json()["words"].startswith("The position error is ")
+    assert moment(recorded, 999.7).get_json()["words"].startswith("No matched pose is near.")
+
+
 def test_timestamps_of_headers_need_not_be_the_times_of_the_recording(tmp_path: Path, recorded: Web):
     folder = recorded.hive.catalogue.dataset_folder("room")
     with BagWriter(tmp_path / "late.bag") as late:

@@ -227,6 +227,8 @@ def _path(kind: str, whole: PathSeries, errors: Array | None = None) -> ScenePat
 
 NEAR_S = 0.5
 """A frame or a pose that is further away says nothing about the moment."""
+_LEAST_NEAR_S = 0.05
+"""One that is at most so far away says something, however dense the others are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,13 +273,15 @@ def moment_at(run: RunRecord, folder: RunFolder, timestamp_s: float, fingerprint
 
 
 def _nearest(rows: Array, timestamp_s: float) -> Array | None:
-    """The row whose first column is nearest, None if none is near."""
+    """The row whose first column is nearest, None if none is near: a whole step away, nothing is known of the moment."""
     if len(rows) == 0:
         return None
+    step_s = float(np.nanmedian(np.diff(rows[:, 0]))) if len(rows) > 1 else 0.0
+    near_s = min(NEAR_S, max(step_s, _LEAST_NEAR_S))
     apart_s = np.nan_to_num(np.abs(rows[:, 0] - timestamp_s), nan=np.inf)
     place = int(apart_s.argmin())
     found: Array = rows[place]
-    return found if apart_s[place] <= NEAR_S else None
+    return found if apart_s[place] <= near_s else None
 
 
 def _fate(row: Array) -> FrameFate:

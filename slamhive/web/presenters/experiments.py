@@ -114,12 +114,12 @@ class CellLine:
 
 
 def segments(counts: Mapping[Outcome, int]) -> tuple[Segment, ...]:
-    """The segments of a bar: finished runs first, waiting runs last."""
+    """The segments of a bar: finished runs first. Queued runs leave it empty, so a bar that begins is not full."""
     total = sum(counts.values())
     found: list[Segment] = []
     start = 0.0
     for outcome in _DRAWN:
-        if count := counts.get(outcome, 0):
+        if outcome is not Outcome.QUEUED and (count := counts.get(outcome, 0)):
             width = 100 * count / total
             found.append(Segment(outcome, round(start, 3), round(width, 3)))
             start += width
