@@ -455,6 +455,7 @@ def test_a_search_is_saved_and_used(browsing: Page) -> None:
     rows = browsing.locator("#list tbody tr")
     found = rows.count()
     assert found >= 3
+    browsing.get_by_text("Saved searches", exact=True).click()
     browsing.get_by_label("Name of the search").fill("fine")
     press(browsing, "Save this search")
     browsing.goto("/runs")
@@ -498,8 +499,10 @@ def test_tables_are_copied_as_csv_markdown_and_latex(browsing: Page) -> None:
     assert line == "| ---: | --- | ---: | ---: |"
     assert first == "| 1 | eye-slam-stereo | 0.04567 | 1.250 |"
     latex = copied(browsing, "LaTeX")
-    assert latex[:2] == ["\\begin{tabular}{rlrr}", "\\toprule"]
-    assert latex[4] == "1 & eye-slam-stereo & 0.04567 & 1.250 \\\\"
+    begin = latex.index("\\begin{tabular}{rlrr}")
+    assert latex[0] == "% \\usepackage{booktabs}"
+    assert latex[begin + 1] == "\\toprule"
+    assert latex[begin + 4] == "1 & eye-slam-stereo & 0.04567 & 1.250 \\\\"
     assert head.count("|") == 5
 
 
@@ -571,6 +574,7 @@ def test_the_axis_of_a_plot_can_be_logarithmic(browsing: Page) -> None:
 
 def test_runs_are_exported(browsing: Page) -> None:
     browsing.goto("/runs")
+    browsing.locator("summary", has_text="Export").click()
     with browsing.expect_download() as download:
         browsing.get_by_role("link", name="CSV", exact=True).first.click()
     lines = download.value.path().read_text().splitlines()
