@@ -111,7 +111,7 @@ def mixed_protocols(
     fingerprints = {use.fingerprint for use in runs}
     if len(fingerprints) < 2 and len(groups) < 2:
         return None
-    order = sorted(runs, key=lambda use: (-runs[use], use.full_label, use.fingerprint))
+    order = sorted(runs, key=lambda use: (-runs[use], use.trajectory is None, use.full_label, use.fingerprint))
     found = tuple(replace(use, runs=runs[use]) for use in order)
     common = None
     if len(fingerprints) > 1:

@@ -111,6 +111,7 @@ def test_an_analysis_on_a_site_shares_the_library_and_leads_to_the_pages_of_runs
         "../assets/print.css",
         "../index.html",
         "../assets/plotly.min.js",
+        "../assets/plots.js",
         "../assets/report.js",
     ]
     assert 'data-run="../runs/RUN.html"' in page

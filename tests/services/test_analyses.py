@@ -35,7 +35,7 @@ def test_latex_and_spreadsheets_take_nothing_for_a_command():
     assert table_markdown(table).splitlines()[0] == r"| Name\_% |"
     text = table_latex(table)
     assert r"\textbackslash{}input\{x\} \$a\$" in text
-    assert text.startswith("% a title of two lines\n")
+    assert r"\caption{a title of two lines.}" in text
     assert latex("a_b & 5 %") == r"a\_b \& 5 \%"
 
 
@@ -177,7 +177,7 @@ def test_parameters_have_their_units_and_algorithms_their_colours(world):
         {"another": "mono", "eye-slam-mono": "mono"},
         {},
     )
-    assert table.colours["eye-slam-mono"] == PALETTE[1]
+    assert table.colours["eye-slam-mono"] == PALETTE[0]
     assert set(table.frame["sensors"].dropna()) == {"mono"}
     units = world.store.read(lambda t: t.run_table.units())
     assert {key: table.columns[key].unit for key in units if key in table.columns} == {

@@ -13,10 +13,12 @@ from click.testing import CliRunner
 from slamhive.base.project import project_root
 from slamhive.cli.main import main
 from slamhive.cli.waiting import evaluate_to_end
+from slamhive.domain.accounts import ANYBODY, Visibility
 from slamhive.domain.protocol import ProtocolRequest
 from slamhive.domain.sensors import SensorSetup
 from slamhive.services.hive import Hive
 from slamhive.services.imports.request import ImportRequest
+from slamhive.services.sharing import SharingChange
 from slamhive.trajectory.layout import read_tum, write_tum
 from tests.web.web_world import Web, make_web
 
@@ -101,3 +103,24 @@ def test_a_trial_needs_three_systems(web: Web) -> None:
     shown = CliRunner().invoke(main, ["--data", str(web.hive.settings.data), "dataset", "trial", "track"])
     assert "no verdict, 3 systems are needed, 0 have poses" in shown.output
     assert "No verdict: 3 systems are needed" in web.client.get("/datasets/track").text
+
+
+def test_private_runs_bear_no_witness_and_visitors_see_no_trial(web: Web, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    for name in SYSTEMS[:2]:
+        (source / name / "V2_02").mkdir(parents=True)
+        shutil.copyfile(SOURCE / name / "V2_02" / "0.txt", source / name / "V2_02" / "0.txt")
+    (source / "V2_02").mkdir()
+    shutil.copyfile(SOURCE / "V2_02" / "groundtruth.txt", source / "V2_02" / "groundtruth.txt")
+    hive = web.hive
+    sensors = {"": SensorSetup.STEREO_INERTIAL}
+    report = hive.imports.carry_out(ImportRequest(source, sensors=sensors, gravity_aligned=True), lambda *_: None)
+    evaluate_to_end(hive.evaluations, hive.evaluations.queue(report.run_ids))
+    dataset = hive.catalogue.dataset("V2_02")
+    (hidden, kept) = sorted(hive.truth_trials.witnesses(dataset), key=lambda witness: witness.system)
+    hive.sharings.runs([hidden.run.id], SharingChange(Visibility.PRIVATE))
+    assert [witness.system for witness in hive.truth_trials.witnesses(dataset)] == [kept.system]
+    hive.truth_trials.judge(dataset)
+    assert hive.truth_trials.stored(dataset) is not None
+    with hive.store.seen_by(ANYBODY):
+        assert hive.truth_trials.stored(dataset) is None

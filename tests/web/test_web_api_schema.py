@@ -36,9 +36,11 @@ NOTHING_THERE = {
     "dataset_sweep",
     "experiment_decision",
     "experiment_search",
+    "dataset_trial",
+    "search_protocols",
 }
-"""Nobody has checked the dataset, no worker has computed the analysis, the recording holds no images or points, and the
-experiment has no question."""
+"""Nobody has checked the dataset or tried its ground truth, no worker has computed the analysis, the recording holds no
+images or points, the experiment has no question, and the run no trajectory that a protocol could be searched for."""
 LOOKING_FIRST = sorted(TABLE.operations, key=attrgetter("method"))
 """Changes come last: they remove what others look at."""
 

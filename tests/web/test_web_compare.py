@@ -50,12 +50,10 @@ def test_all_plots_come_with_the_figures(compared: Web):
 
 
 @pytest.mark.integration
-def test_usage_is_drawn_for_runs_of_another_protocol_too(compared: Web, monkeypatch: pytest.MonkeyPatch):
+def test_usage_is_drawn_for_runs_of_another_protocol_too(compared: Web):
     (other,) = world.add_runs(compared.hive, nFeatures=300)
     world.finish_run(compared.hive, other)
-    with monkeypatch.context() as changed:
-        changed.setattr(world, "PROTOCOL", Protocol(Alignment.SIM3))
-        world.evaluate_run(compared.hive, other)
+    world.evaluate_run(compared.hive, other, protocol=Protocol(Alignment.SIM3))
     found = compared.client.get(f"/compare/figures.json?runs=1,6,{other}").json
     assert found is not None
     names = {key: [trace["name"] for trace in found["figures"][key]["data"]] for key in ("error", "cpu")}

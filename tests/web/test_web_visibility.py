@@ -67,8 +67,10 @@ NO_RUNS = (
     "accounts.",
     "api.import_",
     "api.check_dataset",
+    "api.judge_dataset",
     "api.make_variant",
     "configurations.",
+    "dashboard.demo",
     "datasets.",
     "searches.",
 )

@@ -17,6 +17,7 @@ from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, Unavaila
 from slamhive.base.files import write_aside
 from slamhive.base.settings import Mode, Settings
 from slamhive.documents.catalogue import ConstantOffsetDocument, ContradictionDocument, TruthTrialDocument
+from slamhive.domain.accounts import ANYBODY, WITHOUT_ACCOUNTS
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.dataset import Blame, Dataset
 from slamhive.domain.run import RunState
@@ -105,7 +106,12 @@ class TruthTrials:
         return document
 
     def stored(self, dataset: Dataset) -> TruthTrialDocument | None:
-        """The last trial; None if there is none, or if the ground truth or the rules have changed since."""
+        """The last trial; None if there is none, or if the ground truth or the rules have changed since.
+
+        Visitors who see only what is public see none: runs of the team bear witness.
+        """
+        if self._store.viewer == ANYBODY:
+            return None
         try:
             document = TruthTrialDocument.read(read_record(dataset.folder / TRIAL_FILE))
         except (NotFound, InvalidInput):
@@ -115,7 +121,9 @@ class TruthTrials:
     def witnesses(self, dataset: Dataset) -> list[Witness]:
         """One run for each system with a good run on ``dataset``, the most accurate systems first."""
         succeeded = matching(datasets=(dataset.name,), states=(RunState.SUCCEEDED,))
-        page = self._store.read(lambda t: t.runs.page(succeeded, limit=_MOST_RUNS, with_metrics=True))
+        # The trial lies beside the dataset, where the whole team reads it. So nobody's private runs bear witness.
+        with self._store.seen_by(WITHOUT_ACCOUNTS):
+            page = self._store.read(lambda t: t.runs.page(succeeded, limit=_MOST_RUNS, with_metrics=True))
         by_system: dict[str, list[RunRecord]] = defaultdict(list)
         for run in page.records:
             known = run.metrics is not None and ERROR in run.metrics

@@ -273,7 +273,7 @@ def moment_at(run: RunRecord, folder: RunFolder, timestamp_s: float, fingerprint
 
 
 def _nearest(rows: Array, timestamp_s: float) -> Array | None:
-    """The row whose first column is nearest, None if none is near: a whole step away, nothing is known of the moment."""
+    """The row whose first column is nearest; None if it is a whole step away, where nothing is known."""
     if len(rows) == 0:
         return None
     step_s = float(np.nanmedian(np.diff(rows[:, 0]))) if len(rows) > 1 else 0.0
