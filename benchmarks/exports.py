@@ -24,7 +24,7 @@ from benchmarks.search_data import fill, make
 from slamhive.filters.fields import vocabulary_of
 from slamhive.services.exports import RUNS_AT_ONCE, ExportFormat, RunExport
 from slamhive.store import RunSort, open_store
-from slamhive.store.run_cells import CellPage
+from slamhive.store.run_cells import RunCellPage
 from slamhive.web.columns import DEFAULT_COLUMNS
 
 
@@ -33,7 +33,7 @@ def export(url: str, kind: ExportFormat, path: Path) -> None:
     with closing(open_store(url)) as store:
         content = RunExport(DEFAULT_COLUMNS, vocabulary_of(store.read(lambda t: t.searches.parameters())))
 
-        def page(after: str | None) -> CellPage:
+        def page(after: str | None) -> RunCellPage:
             return store.read(lambda t: t.runs.cells(None, RunSort(), after, RUNS_AT_ONCE, content.wanted))
 
         began, began_cpu = time.perf_counter(), time.process_time()

@@ -160,7 +160,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class RunEnd:
     """The end of a run: state, the reason if it failed, and one line for the user."""
 
     state: RunState
@@ -174,13 +174,13 @@ class Outcome:
         return self.state is RunState.SUCCEEDED
 
 
-def decide(evidence: Evidence) -> Outcome:
+def decide(evidence: Evidence) -> RunEnd:
     """Judge ``evidence`` by the rules at the head of this module."""
     outcome = _judge(evidence)
     return replace(outcome, detail=f"{outcome.detail}; {evidence.removed}") if evidence.removed else outcome
 
 
-def _judge(evidence: Evidence) -> Outcome:
+def _judge(evidence: Evidence) -> RunEnd:
     trajectory = evidence.trajectory
     ended = _ended_from_outside(evidence)
     if ended is not None:
@@ -200,10 +200,10 @@ def _judge(evidence: Evidence) -> Outcome:
         return _failed(trajectory.problem, trajectory.detail + _denied_text(evidence), trajectory)
     ending = "" if exit_counts else ", ended after it had finished"
     ending += f"; {UNSEEN}" if evidence.tracking_unseen else ""
-    return Outcome(RunState.SUCCEEDED, None, f"{trajectory.poses} poses{ending}", trajectory.poses)
+    return RunEnd(RunState.SUCCEEDED, None, f"{trajectory.poses} poses{ending}", trajectory.poses)
 
 
-def _ended_from_outside(evidence: Evidence) -> Outcome | None:
+def _ended_from_outside(evidence: Evidence) -> RunEnd | None:
     """Rules 1 to 6: something else ended the run, so that its exit code and its files do not tell."""
     trajectory = evidence.trajectory
     if evidence.out_of_memory:
@@ -281,8 +281,8 @@ def is_finished(path: Path) -> bool:
         return False
 
 
-def _failed(reason: FailureReason, detail: str, trajectory: TrajectoryCheck) -> Outcome:
-    return Outcome(RunState.FAILED, reason, detail, trajectory.poses)
+def _failed(reason: FailureReason, detail: str, trajectory: TrajectoryCheck) -> RunEnd:
+    return RunEnd(RunState.FAILED, reason, detail, trajectory.poses)
 
 
 def _process_limit(limit: int | None) -> str:

@@ -74,7 +74,7 @@ class RunCells(NamedTuple):
         return kind_of(self.metrics.get(VERDICT))
 
 
-class CellPage(NamedTuple):
+class RunCellPage(NamedTuple):
     """One page of rows. ``next_key``: asks for the next page; None at the end."""
 
     records: Sequence[RunCells]
@@ -83,7 +83,7 @@ class CellPage(NamedTuple):
 
 def list_cells(
     connection: Connection, search: Search, sort: RunSort, after: str | None, limit: int, wanted: CellsWanted
-) -> CellPage:
+) -> RunCellPage:
     """Up to ``limit`` of the runs that match ``search``, in the order of ``sort``, from ``after`` on."""
     found = PageKeys.read(connection, search, sort, after, limit)
     query = run_query(found.protocol_id)
@@ -103,7 +103,7 @@ def list_cells(
     notes = NoteRepository(connection).for_runs(found.run_ids) if wanted.notes else {}
     nothing: dict[str, float] = {}
     none = ParameterCells()
-    return CellPage(
+    return RunCellPage(
         [
             RunCells(
                 rows[run_id],

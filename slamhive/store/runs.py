@@ -28,7 +28,7 @@ from slamhive.store.models import (
 )
 from slamhive.store.records import LeaseLost, Page, RunFields, RunRecord, RunRequest, RunSnapshot, RunSort
 from slamhive.store.rows import Repository, changed, chunks, cut
-from slamhive.store.run_cells import CellPage, CellsWanted, list_cells
+from slamhive.store.run_cells import CellsWanted, RunCellPage, list_cells
 from slamhive.store.run_listing import list_page, options_row, run_query, to_records
 from slamhive.store.sharing import SharingRepository
 
@@ -183,7 +183,7 @@ class RunRepository(Repository):
 
     def cells(
         self, wanted: Search | None, sort: RunSort, after: str | None, limit: int, columns: CellsWanted
-    ) -> CellPage:
+    ) -> RunCellPage:
         """Like :meth:`page`, for exports: only what ``columns`` read, and pages of any length."""
         return list_cells(self._connection, wanted or EVERYTHING, sort, after, limit, columns)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from slamhive.documents.run import RunWith
     from slamhive.domain.run import RunEvent, RunState
-    from slamhive.store.run_cells import CellPage, CellsWanted
+    from slamhive.store.run_cells import CellsWanted, RunCellPage
 
 
 class StoredRuns:
@@ -37,7 +37,7 @@ class StoredRuns:
 
     def cells(
         self, wanted: Search | None, sort: RunSort, columns: CellsWanted
-    ) -> Callable[[str | None, int], CellPage]:
+    ) -> Callable[[str | None, int], RunCellPage]:
         """Reader of pages of an export: up to so many runs after a key, only what ``columns`` read of them."""
         return lambda after, limit: self._store.read(lambda t: t.runs.cells(wanted, sort, after, limit, columns))
 

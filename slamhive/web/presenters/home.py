@@ -32,7 +32,7 @@ ABOUT = "about.md"
 
 
 @dataclass(frozen=True, slots=True)
-class Need:
+class Attention:
     """Something that needs somebody, with the one button that helps.
 
     Attributes:
@@ -102,7 +102,7 @@ def _card(services: Hive, status: ExperimentStatus) -> AnswerCard:
     return AnswerCard(status, services.experiments.answer(status.name), next(iter(views), None))
 
 
-def needs(services: Hive, experiments: Sequence[ExperimentStatus], cards: Sequence[AnswerCard]) -> list[Need]:
+def needs(services: Hive, experiments: Sequence[ExperimentStatus], cards: Sequence[AnswerCard]) -> list[Attention]:
     """List what needs somebody, the worst first."""
     looked_at = [entry for entry in experiments if entry.standing is not ConfigurationStanding.CANCELLED][:LOOKED_AT]
     found = [need for entry in looked_at for need in _failed(entry)]
@@ -111,7 +111,7 @@ def needs(services: Hive, experiments: Sequence[ExperimentStatus], cards: Sequen
     if unevaluated := services.searches.unevaluated():
         are = "is" if unevaluated == 1 else "are"
         found.append(
-            Need(
+            Attention(
                 "outcome-unjudged",
                 f"{plural(unevaluated, 'run')} {are} not evaluated",
                 f"Evaluate {thousands(unevaluated)}",
@@ -122,10 +122,10 @@ def needs(services: Hive, experiments: Sequence[ExperimentStatus], cards: Sequen
     return found + [need for card in cards for need in _undecided(card)]
 
 
-def _failed(status: ExperimentStatus) -> Iterator[Need]:
+def _failed(status: ExperimentStatus) -> Iterator[Attention]:
     why = failures_in_words(status.failures)
     if status.ended_badly:
-        yield Need(
+        yield Attention(
             "outcome-failed",
             f"{plural(status.ended_badly, 'run')} of {status.name} failed: {why}",
             "Try again",
@@ -133,7 +133,7 @@ def _failed(status: ExperimentStatus) -> Iterator[Need]:
             {"name": status.name, "action": "retry-failed"},
         )
     elif failed := status.counts[Outcome.FAILED]:
-        yield Need(
+        yield Attention(
             "outcome-failed",
             f"{plural(failed, 'run')} of {status.name} failed: {why}",
             "See why",
@@ -143,7 +143,7 @@ def _failed(status: ExperimentStatus) -> Iterator[Need]:
         )
 
 
-def _failed_alone(services: Hive) -> Iterator[Need]:
+def _failed_alone(services: Hive) -> Iterator[Attention]:
     """Failed runs of the last days that no experiment counts and nobody has repeated."""
     since = (utc_now() - _RECENT).date().isoformat()
     text = f"state = failed and missing experiment and ended_at >= {since}"
@@ -151,7 +151,7 @@ def _failed_alone(services: Hive) -> Iterator[Need]:
     repeated = _repeated(services, records)
     failed = [run for run in records if run.id not in repeated and run.reason is not FailureReason.LOST]
     if failed:
-        yield Need(
+        yield Attention(
             "outcome-failed",
             f"{plural(len(failed), 'run')} failed in the last week",
             "See why",
@@ -161,13 +161,13 @@ def _failed_alone(services: Hive) -> Iterator[Need]:
         )
 
 
-def _disturbed(services: Hive, status: ExperimentStatus) -> Iterator[Need]:
+def _disturbed(services: Hive, status: ExperimentStatus) -> Iterator[Attention]:
     text = f"experiment = {status.name} and disturbed = true"
     records = services.runs.page(read_search(text, services.searches.vocabulary()), limit=_MOST_DISTURBED).records
     repeated = _repeated(services, records)
     wanted = [run.id for run in records if run.id not in repeated and run.state is RunState.SUCCEEDED]
     if wanted:
-        yield Need(
+        yield Attention(
             "trust-limited",
             f"{plural(len(wanted), 'run')} of {status.name} measured while the machine was busy with something else",
             f"Run {thousands(len(wanted))} again",
@@ -186,10 +186,10 @@ def _repeated(services: Hive, records: Sequence[RunRecord]) -> frozenset[int]:
     return frozenset(run.retry_of for run in later if run.retry_of is not None)
 
 
-def _undecided(card: AnswerCard) -> Iterator[Need]:
+def _undecided(card: AnswerCard) -> Iterator[Attention]:
     more = card.answer.more_repeats
     if card.answer.certainty.undecided and more and card.status.standing is ConfigurationStanding.FINISHED:
-        yield Need(
+        yield Attention(
             "trust-limited",
             f"{card.status.name} is not decided: {card.answer.certainty.value}",
             f"Add {plural(more, 'repeat')}",
