@@ -42,7 +42,8 @@ def test_orientations_that_are_none_give_no_rotation_errors(hive, tmp_path, quat
     told, metrics = imported(hive, source)
     assert f"Orientation: {reason}, so there are positions only, and no rotation errors." in told
     assert metrics["ate.rmse"] < 0.1
-    assert not {key for key in metrics if key.startswith(("ate_rot", "rpe"))}
+    assert metrics["rpe_point.rmse"] > 0
+    assert not {key for key in metrics if key.startswith(("ate_rot", "rpe_rot", "rpe."))}
     assert hive.catalogue.dataset("seq1").groundtruth.positions_only is (which == "groundtruth")
 
 
