@@ -23,9 +23,14 @@ from slamhive.trajectory.transforms import (
 )
 
 _ITERATIONS = 20
+_HALVINGS = 12
+"""So often a step is halved that makes the error larger; the fit ends where none makes it smaller."""
 _CONVERGED = 1e-10
 _SINGULAR = 1e-9
-"""Directions of the lever arm with less information than this share of the most stay 0: they are open."""
+"""Directions of the lever arm stay 0 and open below this share of the information that a known world would give.
+
+The share is about the mean square of the turning: the body has turned by less than 0.002 deg.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +44,7 @@ class FrameOffset:
         arm_m: Position of the frame of the estimate in that of the ground truth, shape (3,). Where the ground truth has
             no orientations, the position of the measured point in the frame of the estimate.
         arm_sigma_m: Standard errors of its three numbers, shape (3,); infinite along an axis that the body turns about
-            and no other.
+            and no other, and along each if it does not turn: that part of the arm is open, and 0.
         world: Aligns the estimate, with the arm taken into account.
         before_m: RMSE of the positions without an arm, under the same freedom of the alignment.
         after_m: The same with the arm.
@@ -76,11 +81,11 @@ def fit_offset(reference: Poses, estimate: Poses, *, oriented: bool, scaled: boo
     """The transform between the frames of matched poses, by least squares together with the alignment of the worlds.
 
     With orientations of the ground truth Q = (R, q), the arm l minimises the sum of |q_i + R_i l - (s W p_i + t)|^2.
-    The world's alignment (s, W, t) is free as well; the method is Gauss-Newton. Without orientations, the arm is
-    added to the estimate instead: |q_i - W (p_i + R_i l) - t|^2, with the orientations R_i of the estimate. The
-    rotation is the mean (Markley et al., JGCD 2007) of R_i^T W times the estimated orientation. Standard errors are
-    those of the residuals, times the square root of their correlation time: neighbouring errors of odometry are
-    alike, and count as one.
+    The world's alignment (s, W, t) is free as well; the method is Gauss-Newton, with a shorter step where a whole one
+    would make the sum larger. Without orientations, the arm is added to the estimate instead:
+    |q_i - W (p_i + R_i l) - t|^2, with the orientations R_i of the estimate. The rotation is the mean (Markley et al.,
+    JGCD 2007) of R_i^T W times the estimated orientation. Standard errors are those of the residuals, times the square
+    root of their correlation time: neighbouring errors of odometry are alike, and count as one.
 
     Args:
         reference: Matched poses of the ground truth, n of them.
@@ -121,6 +126,8 @@ def _fit_arm(
     """World, arm and the arm's standard errors by Gauss-Newton from ``world`` and no arm."""
     arm_m = np.zeros(3)
     information = np.eye(3)
+    # Each derivative by the arm is a rotation, so this is what every direction gave, were the world known.
+    least = _SINGULAR * len(reference)
     for _ in range(_ITERATIONS):
         residuals = _residuals(reference, estimate, world, arm_m, oriented=oriented)
         by_arm, moved = _arm_jacobian(reference, estimate, world, arm_m, oriented=oriented)
@@ -134,28 +141,43 @@ def _fit_arm(
         basis, _ = np.linalg.qr(A)
         left = B - basis @ (basis.T @ B)
         information = left.T @ left
-        step = -np.linalg.pinv(information, rcond=_SINGULAR, hermitian=True) @ (left.T @ residuals.ravel())
+        inverse, _ = _inverse(information, least)
+        step = -inverse @ (left.T @ residuals.ravel())
         others = -np.linalg.lstsq(A, residuals.ravel() + B @ step, rcond=None)[0]
-        arm_m = arm_m + step
-        # The first three of the update are a rotation vector, applied on the left of the world's rotation.
-        update = np.asarray(others, dtype=np.float64)
-        turn = quats_from_rotations(world.rotation[None])
-        angle = float(np.linalg.norm(update[:3]))
-        axis = update[:3] / angle if angle > 0 else np.zeros(3)
-        change = np.append(axis * math.sin(angle / 2), math.cos(angle / 2))[None]
-        rotation = rotations_from_quats(multiply_quats(change, turn))[0]
-        scale = world.scale * (1.0 + float(update[6])) if len(update) > 6 else world.scale
-        world = Similarity(scale, rotation, world.translation_m + update[3:6])
+        before_m = _rms(residuals)
+        # Far from the minimum a whole step may lead away from it, and the next one further.
+        for share in 0.5 ** np.arange(_HALVINGS):
+            tried = _updated(world, share * np.asarray(others, dtype=np.float64)), arm_m + share * step
+            if _rms(_residuals(reference, estimate, *tried, oriented=oriented)) <= before_m:
+                break
+        else:
+            break
+        world, arm_m = tried
         if np.linalg.norm(step) <= _CONVERGED * (1.0 + np.linalg.norm(arm_m)):
             break
     residuals = _residuals(reference, estimate, world, arm_m, oriented=oriented)
     variance = float(np.mean(residuals**2)) * _correlation(residuals)
-    values, vectors = np.linalg.eigh(information)
-    open_ = values <= _SINGULAR * values[-1]
-    inverse = np.where(open_, 0.0, 1.0 / np.where(open_, 1.0, values))
-    sigma_m = np.sqrt(variance * np.einsum("ij,j,ij->i", vectors, inverse, vectors))
-    sigma_m[(vectors[:, open_] ** 2).sum(axis=1) > _SINGULAR] = np.inf
+    inverse, open_ = _inverse(information, least)
+    sigma_m = np.sqrt(variance * np.diag(inverse))
+    sigma_m[(open_**2).sum(axis=1) > _SINGULAR] = np.inf
     return world, arm_m, sigma_m
+
+
+def _updated(world: Similarity, update: FloatArray) -> Similarity:
+    """The world after an update: a rotation vector on the left of its rotation, a translation, and a scale if open."""
+    angle = float(np.linalg.norm(update[:3]))
+    axis = update[:3] / angle if angle > 0 else np.zeros(3)
+    change = np.append(axis * math.sin(angle / 2), math.cos(angle / 2))[None]
+    rotation = rotations_from_quats(multiply_quats(change, quats_from_rotations(world.rotation[None])))[0]
+    scale = world.scale * (1.0 + float(update[6])) if len(update) > 6 else world.scale
+    return Similarity(scale, rotation, world.translation_m + update[3:6])
+
+
+def _inverse(information: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
+    """Inverse of the information in the directions that have more than ``least``; the others, shape (3, k)."""
+    values, vectors = np.linalg.eigh(information)
+    known = values > least
+    return (vectors[:, known] / values[known]) @ vectors[:, known].T, vectors[:, ~known]
 
 
 def _arm_jacobian(
