@@ -323,7 +323,7 @@ def table(rows: list[Row]) -> str:
 
 
 def outcome_of(page: str) -> str:
-    """The sentence at the head of a run's page."""
-    found = re.search(r'<p class="outcome[^>]*>(.*?)</p>', page, re.DOTALL)
+    """The sentence at the head of a run's page: a line of its own, or with the title for a run that succeeded."""
+    found = re.search(r'<p class="outcome[^>]*>(.*?)</p>|<span>(Succeeded.*?)</span>', page, re.DOTALL)
     assert found is not None
-    return found[1]
+    return found[1] or found[2]
