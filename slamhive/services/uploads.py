@@ -99,7 +99,10 @@ class UploadFolder:
     @property
     def received_bytes(self) -> int:
         """Return the number of bytes that have arrived; 0 again after the import, which removes them."""
-        return self.content.stat().st_size if self.content.exists() else 0
+        try:
+            return self.content.stat().st_size
+        except FileNotFoundError:
+            return 0
 
     @property
     def imported(self) -> ImportedDocument | None:
@@ -109,8 +112,14 @@ class UploadFolder:
 
     @property
     def changed_s(self) -> float:
-        """Time of the last change, in seconds since 1970."""
-        return max(path.stat().st_mtime for path in (self.root, *self.root.iterdir()))
+        """Time of the last change, in seconds since 1970; raises NotFound once it is removed."""
+        times_s = []
+        for path in (self.root, *self.root.iterdir()):
+            with suppress(FileNotFoundError):  # an import that ends removes the bytes
+                times_s.append(path.stat().st_mtime)
+        if not times_s:
+            raise self.unknown
+        return max(times_s)
 
     def create(self, promise: Promise) -> None:
         """Make the folder, complete or not at all; raises Unavailable if the disk refuses."""
@@ -298,14 +307,14 @@ class UploadService:
     def get(self, token: str, owner: str) -> StoredUpload:
         """One upload; raises NotFound, also for one of somebody else."""
         folder = self.folder(token, owner)
-        promise, imported = folder.promise, folder.imported
-        received = promise.size_bytes if imported is not None else folder.received_bytes
+        # The bytes first: an import keeps its result before it removes them, so they are never missed without it.
+        promise, received, imported = folder.promise, folder.received_bytes, folder.imported
         return StoredUpload(
             token=token,
             name=promise.name,
             size_bytes=promise.size_bytes,
             sha256=promise.sha256,
-            received_bytes=received,
+            received_bytes=received if imported is None else promise.size_bytes,
             part_bytes=PART_BYTES,
             expires_at=_expires_at(folder),
             imported=imported,

@@ -8,6 +8,7 @@ import os
 import tarfile
 import threading
 import zipfile
+from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,8 @@ import pytest
 
 from slamhive.base.budget import Lent
 from slamhive.base.clock import utc_now
-from slamhive.documents.imports import OCTETS, DatasetUpload, UploadRequest
-from slamhive.services.uploads import PART_BYTES, UploadImports, UploadService
+from slamhive.documents.imports import OCTETS, DatasetUpload, ImportedDocument, UploadRequest
+from slamhive.services.uploads import PART_BYTES, UploadFolder, UploadImports, UploadService
 from slamhive.web.api.operation import PREFIX
 from slamhive.web.context import BUDGET_EXTENSION, UPLOADS_EXTENSION
 from slamhive.web.security import API_HEADER
@@ -93,6 +94,24 @@ def test_a_recording_arrives_in_parts_and_becomes_a_dataset(empty: Web, tmp_path
     assert sorted(path.name for path in folder.iterdir()) == ["imported.json", "upload.json"]
     assert [path.name for path in folder.parent.iterdir()] == [token]
     assert start(empty, "datasets", token).status_code == 409
+
+
+def test_bytes_that_an_import_removes_meanwhile_are_not_missed(empty: Web, monkeypatch: pytest.MonkeyPatch) -> None:
+    token = upload(empty, b"1234", "points.txt")
+    folder = empty.hive.uploads.folder(token, "")
+    (folder.root / "listed-and-gone").symlink_to(folder.root / "nothing")
+    read: Callable[[UploadFolder], ImportedDocument | None] = vars(UploadFolder)["imported"].fget
+
+    def ends_meanwhile(found: UploadFolder) -> ImportedDocument | None:
+        before = read(found)
+        found.finish(ImportedDocument(datasets=("desk",)))
+        return before
+
+    monkeypatch.setattr(UploadFolder, "imported", property(ends_meanwhile))
+    found = look(empty, token)
+    assert (found["received_bytes"], found["imported"]) == (4, None)
+    found = look(empty, token)
+    assert (found["received_bytes"], found["imported"]["datasets"]) == (4, ["desk"])
 
 
 def test_trajectories_become_runs_that_wait_for_evaluation(empty: Web, tmp_path: Path) -> None:
