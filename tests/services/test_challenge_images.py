@@ -39,6 +39,7 @@ from tests.services import image_world as made
 from tests.services.challenge_world import kept, text
 from tests.services.fake_executor import FakeExecutor
 from tests.services.image_world import OPEN, SECRET
+from tests.waiting import eventually
 
 pytestmark = pytest.mark.integration
 
@@ -433,8 +434,15 @@ def test_a_cancelled_submission_ends_and_counts_for_its_day(hive: Hive, engine: 
 def test_a_run_is_ended_when_its_submission_is_cancelled(hive: Hive, engine: Engine, archive: Path):
     sent = send(hive, archive)
     engine.statuses = [Running()]
-    threading.Timer(2.0, lambda: hive.challenges.cancel("rooms", sent.id)).start()
+
+    def cancel_once_it_runs() -> None:
+        eventually(lambda: bool(engine.starts), "the start of the run")
+        hive.challenges.cancel("rooms", sent.id)
+
+    team = threading.Thread(target=cancel_once_it_runs)
+    team.start()
     work(hive)
+    team.join()
     assert engine.stopped == 1
     assert only(hive).state == "cancelled"
 
