@@ -286,6 +286,7 @@ def handed_out(tmp_path: Path) -> Iterator[tuple[NodeRunFiles, Path, subprocess.
         process.wait()
 
 
+@pytest.mark.integration
 def test_the_courier_carries_a_run_from_its_data_to_its_results(handed_out, tmp_path):
     files, pod, process, spec = handed_out
     eventually((pod / "courier" / "ready").exists, "the data")

@@ -147,6 +147,7 @@ def test_a_run_gets_its_data_and_its_results_arrive(patient, server, pods, spec,
     assert Registrations(tmp_path).keys() == set()
 
 
+@pytest.mark.integration
 def test_a_restarted_worker_adopts_the_run_with_the_ticket_that_it_has(patient, make, server, pods, spec):
     handle, secrets = patient.start(spec), server.all("secrets")
     patient.close()

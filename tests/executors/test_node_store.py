@@ -407,6 +407,7 @@ def test_files_are_kept_up_to_date(data, tmp_path):
         assert result.read_text() == "another\nmore\n"
 
 
+@pytest.mark.integration
 def test_a_reporter_goes_on_when_the_controller_is_back_and_hears_what_it_wants(data, tmp_path):
     run = register(data)
     state = tmp_path / "state.json"
@@ -470,6 +471,7 @@ def test_outputs_are_packed_within_their_bounds(tmp_path):
     assert [bounds.take(1), bounds.take(1)] == [True, False]
 
 
+@pytest.mark.integration
 def test_a_controller_that_is_killed_meanwhile_gets_the_rest(data, archive, tmp_path):
     """A real process is killed while results arrive; the next one gets what is missing."""
     run = register(data)

@@ -277,6 +277,7 @@ def test_values_are_those_of_the_protocol_rounded(ranked: World):
     assert found.score == pytest.approx(np.mean([value for value in found.values.values() if value]), rel=1e-2)
 
 
+@pytest.mark.integration
 def test_teams_that_no_test_tells_apart_share_a_rank(ranked: World):
     ranking = ranked.challenges.ranking("rooms")
     assert [(entry.rank, entry.team, entry.tied) for entry in ranking.teams][:1] == [(1, "good", False)]
@@ -531,6 +532,7 @@ print(most_bytes() - before, path.stat().st_size + MEMORY_PER_LINE[kind] * lines
 """
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("kind", "lines"), [("tum", 1_000_000), ("kitti", 250_000)])
 def test_a_check_takes_no_more_memory_than_it_asks_for(tmp_path: Path, kind: str, lines: int):
     """The shortest lines take the most memory for each of their bytes."""
