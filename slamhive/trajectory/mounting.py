@@ -43,8 +43,8 @@ class FrameOffset:
         spread_deg: Median deviation of single orientations from it; None where orientations are not known.
         arm_m: Position of the frame of the estimate in that of the ground truth, shape (3,). Where the ground truth has
             no orientations, the position of the measured point in the frame of the estimate.
-        arm_sigma_m: Standard errors of its three numbers, shape (3,); infinite along an axis that the body turns about
-            and no other, and along each if it does not turn: that part of the arm is open, and 0.
+        arm_sigma_m: Standard errors of its three numbers, shape (3,). Infinite where a part of the arm is open and 0:
+            along the only axis that the body turns about, and along each axis if it does not turn.
         world: Aligns the estimate, with the arm taken into account.
         before_m: RMSE of the positions without an arm, under the same freedom of the alignment.
         after_m: The same with the arm.
