@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
@@ -27,15 +26,6 @@ class Judged(Protocol):
     @property
     def judged(self) -> VerdictKind | None:
         """The stored verdict."""
-
-
-@dataclass(frozen=True, slots=True)
-class OfRun:
-    """The three values that an outcome follows from."""
-
-    state: RunState
-    reason: FailureReason | None
-    judged: VerdictKind | None
 
 
 class Outcome(StrEnum):

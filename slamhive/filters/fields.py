@@ -49,6 +49,10 @@ class Source(StrEnum):
     NOTE = "note"
 
 
+OF_CONFIGURATIONS = frozenset({Source.CONFIGURATION, Source.SETUP, Source.ATTRIBUTE, Source.PARAMETER})
+"""Sources that all runs of a configuration share."""
+
+
 @dataclass(frozen=True, slots=True)
 class Field:
     """One name of the language.

@@ -6,15 +6,12 @@ configuration that ever had one good run.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 from slamhive.base.errors import InvalidInput
 from slamhive.filters.binding import Bound, Condition, Search
-from slamhive.filters.fields import Source
-from slamhive.filters.syntax import Junction, join, leaves, mapped
-
-_OF_CONFIGURATIONS = frozenset({Source.CONFIGURATION, Source.SETUP, Source.ATTRIBUTE, Source.PARAMETER})
+from slamhive.filters.fields import OF_CONFIGURATIONS, Source
+from slamhive.filters.syntax import Junction, all_of, leaves, mapped
 
 
 def split_means(search: Search) -> tuple[Bound | None, Bound | None]:
@@ -26,12 +23,12 @@ def split_means(search: Search) -> tuple[Bound | None, Bound | None]:
     parts = tree.parts if isinstance(tree, Junction) and tree.word == "and" else () if tree is None else (tree,)
     of_means = [part for part in parts if any(leaf.field.source is Source.METRIC for leaf in leaves(part))]
     for leaf in (leaf for part in of_means for leaf in leaves(part)):
-        if leaf.field.source is not Source.METRIC and leaf.field.source not in _OF_CONFIGURATIONS:
+        if leaf.field.source is not Source.METRIC and leaf.field.source not in OF_CONFIGURATIONS:
             raise InvalidInput(
                 f"grouped runs compare the mean of a metric, which 'or' and 'not' cannot join with {leaf.field.name}",
                 f"join {leaf.field.name} with 'and', or do not group",
             )
-    return _all_of(part for part in parts if part not in of_means), _all_of(mapped(part, _mean) for part in of_means)
+    return all_of(part for part in parts if part not in of_means), all_of(mapped(part, _mean) for part in of_means)
 
 
 def means_of(search: Search) -> Search:
@@ -43,8 +40,3 @@ def _mean(leaf: Condition) -> Condition:
     if leaf.field.source is not Source.METRIC:
         return leaf
     return replace(leaf, field=replace(leaf.field, label=f"mean {leaf.field.label}", source=Source.MEAN))
-
-
-def _all_of(parts: Iterable[Bound]) -> Bound | None:
-    there = list(parts)
-    return join("and", there) if there else None

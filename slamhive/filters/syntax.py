@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Generic, NamedTuple, TypeAlias, TypeVar
@@ -127,6 +127,12 @@ def join(word: str, parts: list[Tree[Leaf]]) -> Tree[Leaf]:
     for part in parts:
         flat.extend(part.parts if isinstance(part, Junction) and part.word == word else [part])
     return flat[0] if len(flat) == 1 else Junction(word, tuple(flat))
+
+
+def all_of(parts: Iterable[Tree[Leaf] | None]) -> Tree[Leaf] | None:
+    """Join the parts that there are by ``and``; None without any."""
+    there = [part for part in parts if part is not None]
+    return join("and", there) if there else None
 
 
 def leaves(tree: Tree[Leaf]) -> Iterator[Leaf]:

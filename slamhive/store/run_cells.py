@@ -6,12 +6,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from sqlalchemy import Connection, Row
 
 from slamhive.domain.parameters import Value
-from slamhive.domain.run import NO_NOTES, RunNotes
+from slamhive.domain.run import NO_NOTES, FailureReason, RunNotes, RunState
 from slamhive.domain.verdict import VerdictKind
 from slamhive.filters.binding import Search
 from slamhive.store.catalogue import NoteRepository
@@ -19,7 +19,8 @@ from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.metrics import VERDICT, MetricRepository, kind_of
 from slamhive.store.models import RunRow
 from slamhive.store.records import RunSort
-from slamhive.store.run_listing import PageKeys, among, run_query
+from slamhive.store.run_listing import PageKeys, run_query
+from slamhive.store.search_sql import among
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,16 @@ class RunCells(NamedTuple):
     metrics: dict[str, float]
     parameters: ParameterCells
     notes: RunNotes
+
+    @property
+    def state(self) -> RunState:
+        """The state, if it was read."""
+        return cast("RunState", self.row.state)
+
+    @property
+    def reason(self) -> FailureReason | None:
+        """The reason of a failure, if it was read."""
+        return cast("FailureReason | None", self.row.reason)
 
     @property
     def judged(self) -> VerdictKind | None:

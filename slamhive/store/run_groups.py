@@ -17,13 +17,13 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.filters.binding import Bound, Condition, Search
 from slamhive.filters.fields import BUILT_IN
 from slamhive.filters.means import split_means
-from slamhive.filters.syntax import Sign, join
+from slamhive.filters.syntax import Sign, all_of
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.models import MEASURED_PROTOCOL_ID, AlgorithmRow, ConfigurationRow, DatasetRow, ProtocolRow
 from slamhive.store.records import GroupPage, GroupRecord, ProtocolLabel, Repeats, RunSort, Spread
 from slamhive.store.rows import behind, decode, encode, ordered
-from slamhive.store.run_listing import LARGEST_PAGE, Matches, among
-from slamhive.store.search_sql import FIGURES, RUNS, Names, Sql, look_up
+from slamhive.store.run_listing import LARGEST_PAGE, Matches
+from slamhive.store.search_sql import FIGURES, RUNS, Names, Sql, among, look_up
 
 SORT_KEYS = ("configuration", "runs", "failed", "algorithm", "dataset")
 """What groups can be sorted by, besides the mean of every metric."""
@@ -41,7 +41,9 @@ class Groups:
     sql: Sql
     sort: RunSort
     of_runs: Bound | None
-    """The conditions on single runs. ``search`` has those on the means of configurations, too."""
+    """The conditions on single runs."""
+    of_means: Bound | None
+    """The conditions on the means of configurations."""
 
     @classmethod
     def of(cls, connection: Connection, search: Search, sort: RunSort) -> Groups:
@@ -50,15 +52,20 @@ class Groups:
             raise unknown("sort key of groups", sort.key, [*SORT_KEYS, *CATALOGUE])
         of_runs, of_means = split_means(search)
         names = look_up(connection, search)
-        sql, tree = Sql(names, of_runs), of_runs
-        if of_means is not None:
-            rows = ConfigurationRow.__table__.alias()
-            numbered = select(rows.c.id.label("configuration_id")).subquery()
-            fitting = select(numbered.c.configuration_id).where(sql.test(of_means, numbered))
-            # Their numbers, read once: every further statement would compute the means again.
-            chosen = Condition(BUILT_IN["configuration"], Sign.IN, tuple(connection.execute(fitting).scalars()))
-            tree = join("and", [*([] if of_runs is None else [of_runs]), chosen])
-        return cls(connection, replace(search, tree=tree), names, sql, sort, of_runs)
+        return cls(connection, replace(search, tree=of_runs), names, Sql(names, of_runs), sort, of_runs, of_means)
+
+    def _of_fitting(self) -> Groups:
+        """The same groups with the numbers of the configurations whose means fit, in place of :attr:`of_means`.
+
+        They are read once: each statement of a page would compute the means again.
+        """
+        if self.of_means is None:
+            return self
+        rows = ConfigurationRow.__table__.alias()
+        numbered = select(rows.c.id.label("configuration_id")).subquery()
+        fitting = select(numbered.c.configuration_id).where(self.sql.test(self.of_means, numbered))
+        chosen = Condition(BUILT_IN["configuration"], Sign.IN, tuple(self.connection.execute(fitting).scalars()))
+        return replace(self, search=replace(self.search, tree=all_of([self.of_runs, chosen])), of_means=None)
 
     def page(self, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         """One page, with mean and spread of ``metrics`` over the repeats."""
@@ -66,8 +73,9 @@ class Groups:
             raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
         kind = str if self.sort.key in {"algorithm", "dataset"} else float
         key = None if after is None else decode(after, (int,) if self.sort.key == "configuration" else (kind, int))
-        runs, few = Matches(self.connection, self.search, self.sql).survey()
-        chosen = self._many(key, limit + 1) if few is None else self._few(few, key, limit + 1)
+        found = self._of_fitting()
+        runs, few = Matches(self.connection, found.search, self.sql).survey()
+        chosen = found._many(key, limit + 1) if few is None else self._few(few, key, limit + 1)
         rows = [tuple(row) for row in self.connection.execute(chosen)]
         shown = [row[-1] for row in rows[:limit]]
         next_key = encode(rows[limit - 1]) if len(rows) > limit else None

@@ -20,7 +20,6 @@ from sqlalchemy import (
     Select,
     Table,
     and_,
-    bindparam,
     case,
     func,
     literal,
@@ -55,7 +54,7 @@ from slamhive.store.models import (
 )
 from slamhive.store.records import AlgorithmVersion, Count, Page, ProtocolLabel, RunRecord, RunSort
 from slamhive.store.rows import behind, decode, encode, from_json, ordered
-from slamhive.store.search_sql import NULLABLE, RUNS, Sql, look_up, starts, stored_parameters
+from slamhive.store.search_sql import NULLABLE, RUNS, Sql, among, look_up, starts, stored_parameters
 
 _RUNS: Table = RunRow.__table__
 COLUMNS: dict[str, Column[Any]] = {
@@ -551,8 +550,3 @@ class Matches:
 
     def _number(self, rows: FromClause) -> int:
         return int(self.connection.execute(select(func.count()).select_from(rows)).scalar_one())
-
-
-def among(column: ColumnElement[int], ids: Sequence[int]) -> ColumnElement[bool]:
-    """Test for one of ``ids``. They become part of the statement: drivers limit the number of parameters."""
-    return column.in_(bindparam(None, list(ids), expanding=True, literal_execute=True))

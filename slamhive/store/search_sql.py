@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import (
-    BindParameter,
     ColumnElement,
     Connection,
     FromClause,
@@ -42,8 +41,17 @@ from slamhive.domain.run import RunState
 from slamhive.domain.trust import DROPPED_FRAMES, LIMITS, TrustLevel
 from slamhive.domain.verdict import VerdictKind
 from slamhive.filters.binding import Bound, Condition, Search, Value, members_of
-from slamhive.filters.fields import BUILT_IN, VARIANT_PREFIX, Field, FieldKind, ParameterKind, Source, metric_field
-from slamhive.filters.syntax import PRESENCE, Junction, Sign, join, leaves
+from slamhive.filters.fields import (
+    BUILT_IN,
+    OF_CONFIGURATIONS,
+    VARIANT_PREFIX,
+    Field,
+    FieldKind,
+    ParameterKind,
+    Source,
+    metric_field,
+)
+from slamhive.filters.syntax import PRESENCE, Junction, Sign, all_of, join, leaves
 from slamhive.store.metrics import CODES, VERDICT
 from slamhive.store.models import (
     AlgorithmRow,
@@ -479,10 +487,9 @@ class Sql:
         if leaf.field.source is Source.PARAMETER and values and isinstance(values[0], bool):
             values = [1.0 if value else 0.0 for value in values]
         if leaf.sign in {Sign.IN, Sign.NOT_IN}:
-            # Drivers limit the number of parameters, so numbers become part of the statement.
-            listed: BindParameter[Any] = bindparam(None, list(values), expanding=True, literal_execute=True)
-            whole = len(values) > _MOST_PARAMETERS and all(isinstance(value, int) for value in values)
-            found: ColumnElement[bool] = column.in_(listed if whole else values)
+            numbers = [value for value in values if isinstance(value, int)]
+            many = len(numbers) == len(values) > _MOST_PARAMETERS
+            found: ColumnElement[bool] = among(column, numbers) if many else column.in_(values)
             return not_(found) if leaf.sign is Sign.NOT_IN else found
         if leaf.sign in {Sign.LIKE, Sign.UNLIKE}:
             pattern = str(values[0])
@@ -499,6 +506,11 @@ class Sql:
             inside = and_(column >= values[0], column < values[1])
             return inside if leaf.sign is Sign.EQUAL else not_(inside)
         return _COMPARE[leaf.sign](column, values[0])
+
+
+def among(column: ColumnElement[int], ids: Sequence[int]) -> ColumnElement[bool]:
+    """Test for one of ``ids``. They become part of the statement: drivers limit the number of parameters."""
+    return column.in_(bindparam(None, list(ids), expanding=True, literal_execute=True))
 
 
 def _any(query: Select[Any]) -> ColumnElement[bool]:
@@ -523,7 +535,6 @@ _INDEXED = frozenset(
         "version",
     }
 )
-_OF_CONFIGURATIONS = frozenset({Source.CONFIGURATION, Source.SETUP, Source.ATTRIBUTE, Source.PARAMETER})
 _LOOK_UP = 3
 """Reading the row of a run costs about this many times what testing a metric does."""
 
@@ -602,7 +613,7 @@ def starts(tree: Bound | None) -> Iterator[Start]:
             shared = [other for other in others if _of_configuration(other)] if _of_configuration(part) else []
             rest = [other for other in others if other not in shared]
             for start in starts(part):
-                yield Start(start.part, _all_of([start.rest, *rest]), _all_of([start.also, *shared]))
+                yield Start(start.part, all_of([start.rest, *rest]), all_of([start.also, *shared]))
     elif tree is not None and tree.word == "or":
         firsts = [next(starts(part), None) for part in tree.parts]
         if None not in firsts:
@@ -611,7 +622,7 @@ def starts(tree: Bound | None) -> Iterator[Start]:
 
 
 def _of_configuration(part: Bound) -> bool:
-    return isinstance(part, Condition) and part.field.source in _OF_CONFIGURATIONS
+    return isinstance(part, Condition) and part.field.source in OF_CONFIGURATIONS
 
 
 def _has_index(leaf: Condition) -> bool:
@@ -620,8 +631,3 @@ def _has_index(leaf: Condition) -> bool:
     if leaf.field.source is Source.MEAN or leaf.sign in COMPLEMENTS:
         return False
     return leaf.field.source is not Source.RUN or (leaf.field.name in _INDEXED and leaf.sign is not Sign.HAS)
-
-
-def _all_of(parts: Sequence[Bound | None]) -> Bound | None:
-    there = [part for part in parts if part is not None]
-    return join("and", there) if there else None

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         dataset_document,
         imported_algorithms,
         stored_numbers,
+        trajectory_frame,
     )
     from slamhive.services.datasets.trials import (
         TRIAL_FILE,

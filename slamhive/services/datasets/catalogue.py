@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable, unknown
 from slamhive.base.settings import Mode, Settings
-from slamhive.domain.algorithm import EXTERNAL_PACKAGE, Algorithm, external_algorithm
+from slamhive.domain.algorithm import EXTERNAL_PACKAGE, IMPORTED, Algorithm, external_algorithm
 from slamhive.domain.names import check_name
 from slamhive.domain.packages import split_version, version_label
-from slamhive.domain.sensors import SensorSetup
+from slamhive.domain.sensors import IDENTITY4, Matrix4, SensorSetup
 from slamhive.packages.published.numbers import Numbers
 from slamhive.store import AbsentStore, RunRecord, Store, Transaction
 
@@ -398,6 +398,14 @@ def algorithm_here_or_elsewhere(store: Store, catalogue: Catalogue, run: RunReco
         with contextlib.suppress(NotFound):
             return catalogue.algorithm(version_label(name, run.asked_version))
     return catalogue.algorithm(name)
+
+
+def trajectory_frame(store: Store, catalogue: Catalogue, run: RunRecord) -> Matrix4:
+    """The pose, in the body frame, of the sensor that the trajectory describes; that of an import is the body's."""
+    if run.executor == IMPORTED:
+        return IDENTITY4
+    algorithm = algorithm_here_or_elsewhere(store, catalogue, run)
+    return algorithm.assign(catalogue.dataset(run.dataset), run.sensors)[algorithm.trajectory_role].T_body_sensor
 
 
 def imported_algorithms(store: Store) -> tuple[Algorithm, ...]:

@@ -26,7 +26,7 @@ from slamhive.domain.verdict import ERROR, VerdictKind
 from slamhive.evaluation.trial import FEWEST_SYSTEMS, TruthTrial, judge_truth
 from slamhive.filters.words import matching
 from slamhive.run_folder.folder import RunFolder
-from slamhive.services.datasets.catalogue import Catalogue, algorithm_here_or_elsewhere
+from slamhive.services.datasets.catalogue import Catalogue, algorithm_here_or_elsewhere, trajectory_frame
 from slamhive.services.datasets.variants import dataset_files
 from slamhive.store import RunRecord, Store
 from slamhive.trajectory.layout import parse_ground_truth, parse_tum
@@ -89,7 +89,7 @@ class TruthTrials:
         for witness in witnesses:
             try:
                 sensors[witness.system] = self._sensors(witness.run, dataset)
-                read[witness.system] = self._estimate(witness.run, dataset)
+                read[witness.system] = self._estimate(witness.run)
             except Unavailable:
                 raise
             except SlamHiveError as error:
@@ -143,7 +143,7 @@ class TruthTrials:
             return _KINDS[algorithm.setup]
         return frozenset(sensor.name for sensor in algorithm.assign(dataset, run.sensors).values())
 
-    def _estimate(self, run: RunRecord, dataset: Dataset) -> Trajectory:
+    def _estimate(self, run: RunRecord) -> Trajectory:
         """The trajectory of the body on the clock of the ground truth."""
         path: Path = RunFolder(self._settings.runs_folder / str(run.id)).trajectory
         if path.is_symlink():
@@ -152,10 +152,7 @@ class TruthTrials:
         offset_s = (run.metrics or {}).get("alignment.time_offset", 0.0)
         if offset_s:
             estimate = Trajectory(estimate.stamps_s + offset_s, estimate.positions_m, estimate.quats_xyzw)
-        T_body_sensor = IDENTITY4
-        if run.executor != IMPORTED:
-            algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run)
-            T_body_sensor = algorithm.assign(dataset, run.sensors)[algorithm.trajectory_role].T_body_sensor
+        T_body_sensor = trajectory_frame(self._store, self._catalogue, run)
         if T_body_sensor == IDENTITY4:
             return estimate
         T_sensor_body: FloatArray = np.asarray(np.linalg.inv(rigid_transform(T_body_sensor, "T_body_sensor")))

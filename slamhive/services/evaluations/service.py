@@ -19,7 +19,6 @@ from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.base.files import sweep_folder, temporary_folder, write_aside
 from slamhive.base.settings import Settings
 from slamhive.documents.protocol import ProtocolMatchDocument, ProtocolSearchDocument
-from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.protocol import Alignment, Duplicates, Protocol, ProtocolRequest
 from slamhive.domain.sensors import IDENTITY4, Matrix4
@@ -53,7 +52,7 @@ from slamhive.evaluation.references import References, TruthReference
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.host import owner_is_dead
 from slamhive.run_folder.folder import RunFolder
-from slamhive.services.datasets import Catalogue, algorithm_here_or_elsewhere, check_writable
+from slamhive.services.datasets import Catalogue, algorithm_here_or_elsewhere, check_writable, trajectory_frame
 from slamhive.services.evaluations.protocols import ProtocolService, fitting_protocol, reference_path
 from slamhive.store import Store
 from slamhive.store.records import EvaluationRecord, LeaseLost, RunRecord
@@ -395,11 +394,7 @@ class Evaluations:
 
     def trajectory_frame(self, run: RunRecord) -> Matrix4:
         """The pose, in the body frame, of the sensor that the trajectory describes; that of an import is the body's."""
-        if run.executor == IMPORTED:
-            return IDENTITY4
-        algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run)
-        assigned = algorithm.assign(self._catalogue.dataset(run.dataset), run.sensors)
-        return assigned[algorithm.trajectory_role].T_body_sensor
+        return trajectory_frame(self._store, self._catalogue, run)
 
     def protocol_of(self, run: RunRecord, asked: ProtocolRequest | None = None) -> Protocol:
         """The protocol for evaluating ``run``: as requested, as submitted, or the default for its sensors."""

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.domain.names import plural
 from slamhive.domain.parameters import Value
-from slamhive.services.experiments.ranking import RankEntries, RankEntry, entries_by_dataset
-from slamhive.store import Transaction
+from slamhive.services.experiments.ranking import RankEntries, RankEntry
 from slamhive.store.records import ExperimentRecord
 
 if TYPE_CHECKING:
@@ -90,10 +89,9 @@ class ExperimentAnswer:
     notes: tuple[str, ...]
 
 
-def answer(t: Transaction, record: ExperimentRecord, table: AxisTable) -> ExperimentAnswer:
-    """The answer of an experiment, from the current evaluations of its runs."""
+def answer(record: ExperimentRecord, table: AxisTable, entries: Mapping[str, RankEntries]) -> ExperimentAnswer:
+    """The answer of an experiment; ``entries`` are those of :func:`~ranking.entries_by_dataset`."""
     axes = table.axes
-    entries = entries_by_dataset(t, record, table)
     by = "algorithm" if len(axes.get("algorithm", ())) > 1 else "configuration"
     names = _names(table, by)
     found = tuple(answer_on(dataset, known, names) for dataset, known in entries.items())

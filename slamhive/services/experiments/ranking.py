@@ -103,17 +103,24 @@ class RankEntries:
     without: frozenset[int] = frozenset()
 
 
-def rankings(t: Transaction, record: ExperimentRecord, table: AxisTable, *, by_algorithm: bool) -> list[Ranking]:
+def rankings(
+    t: Transaction,
+    record: ExperimentRecord,
+    table: AxisTable,
+    entries: Mapping[str, RankEntries],
+    *,
+    by_algorithm: bool,
+) -> tuple[Ranking, ...]:
     """Rank the configurations, the best first, on each of the first datasets on which a run has ended.
 
-    With ``by_algorithm``, only the first configuration of each algorithm has a place.
+    ``entries`` are those of :func:`entries_by_dataset`. With ``by_algorithm``, only the first configuration of each
+    algorithm has a place.
     """
-    entries = entries_by_dataset(t, record, table)
     if by_algorithm:
         algorithms = dict(zip(table.numbers.tolist(), table.codes["algorithm"].tolist(), strict=True))
         entries = {name: _first_of_each(known, algorithms) for name, known in entries.items()}
     found = (_ranking(t, record.id, name, entries[name]) for name in list(entries)[:MOST_DATASETS])
-    return [ranking for ranking in found if ranking is not None]
+    return tuple(ranking for ranking in found if ranking is not None)
 
 
 def _first_of_each(entries: RankEntries, algorithms: Mapping[int, int]) -> RankEntries:

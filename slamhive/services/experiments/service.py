@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from slamhive.domain.accounts import Visibility
     from slamhive.packages.published.experiment import Converted
     from slamhive.services.experiments.answer import ExperimentAnswer
-    from slamhive.services.experiments.ranking import Ranking
+    from slamhive.services.experiments.progress import AxisTable
+    from slamhive.services.experiments.ranking import RankEntries, Ranking
     from slamhive.services.experiments.starting import Restored
+    from slamhive.store.records import ExperimentRecord
 
 
 class ExperimentService:
@@ -175,21 +177,31 @@ class ExperimentService:
         """
         from slamhive.services.experiments.ranking import rankings  # noqa: PLC0415 - lists and reports need none
 
-        def work(t: Transaction) -> tuple[Ranking, ...]:
-            record = t.experiments.get(name)
-            return tuple(rankings(t, record, self._tables.get(t, record), by_algorithm=by_algorithm))
-
-        return self._context.store.read(work)
+        return self._context.store.read(lambda t: rankings(t, *self._ranked(t, name), by_algorithm=by_algorithm))
 
     def answer(self, name: str) -> ExperimentAnswer:
         """The answer of the experiment so far, in a sentence, and the repeats that would settle it."""
         from slamhive.services.experiments.answer import answer  # noqa: PLC0415 - lists and reports need none
 
-        def work(t: Transaction) -> ExperimentAnswer:
-            record = t.experiments.get(name)
-            return answer(t, record, self._tables.get(t, record))
+        return self._context.store.read(lambda t: answer(*self._ranked(t, name)))
+
+    def answer_and_rankings(self, name: str, *, by_algorithm: bool) -> tuple[ExperimentAnswer, tuple[Ranking, ...]]:
+        """The same as :meth:`answer` and :meth:`rankings`, from one reading of the runs."""
+        from slamhive.services.experiments.answer import answer  # noqa: PLC0415 - lists and reports need none
+        from slamhive.services.experiments.ranking import rankings  # noqa: PLC0415
+
+        def work(t: Transaction) -> tuple[ExperimentAnswer, tuple[Ranking, ...]]:
+            ranked = self._ranked(t, name)
+            return answer(*ranked), rankings(t, *ranked, by_algorithm=by_algorithm)
 
         return self._context.store.read(work)
+
+    def _ranked(self, t: Transaction, name: str) -> tuple[ExperimentRecord, AxisTable, dict[str, RankEntries]]:
+        from slamhive.services.experiments.ranking import entries_by_dataset  # noqa: PLC0415 - as above
+
+        record = t.experiments.get(name)
+        table = self._tables.get(t, record)
+        return record, table, entries_by_dataset(t, record, table)
 
     def report(self, name: str) -> Iterator[Cell]:
         """All cells in order, read in pages to save memory. Raises NotFound at once."""

@@ -27,6 +27,7 @@ from slamhive.services.datasets import check_writable
 from slamhive.services.searches import Searches
 from slamhive.store import RunRecord, Store, Transaction
 from slamhive.store.metrics import VERDICT, kind_of
+from slamhive.store.records import verdict_kind
 
 
 def measured_runs(t: Transaction, runs: Sequence[RunRecord], fingerprint: str) -> dict[int, MeasuredRun]:
@@ -49,7 +50,7 @@ def measured_runs(t: Transaction, runs: Sequence[RunRecord], fingerprint: str) -
 
 def _failed(run: RunRecord, values: Mapping[str, float]) -> VerdictKind | None:
     """Why a run counts as failed; None for one that is good or was not evaluated."""
-    kind = VerdictKind.ENDED_BADLY if run.state is RunState.FAILED else kind_of(values.get(VERDICT))
+    kind = verdict_kind(run.state, kind_of(values.get(VERDICT)))
     return kind if kind is not None and kind.failed else None
 
 

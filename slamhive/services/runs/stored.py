@@ -10,7 +10,7 @@ from slamhive.run_folder.folder import RunFolder
 from slamhive.store import Page, RunRecord, RunSort, Store, Transaction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from slamhive.documents.run import RunWith
     from slamhive.domain.run import RunEvent, RunState
@@ -40,6 +40,10 @@ class StoredRuns:
     ) -> Callable[[str | None, int], RunCellPage]:
         """Reader of pages of an export: up to so many runs after a key, only what ``columns`` read of them."""
         return lambda after, limit: self._store.read(lambda t: t.runs.cells(wanted, sort, after, limit, columns))
+
+    def repeated(self, run_ids: Sequence[int]) -> frozenset[int]:
+        """Those of these runs that another run repeats."""
+        return frozenset(self._store.read(lambda t: t.deleted_runs.repeated_by(run_ids)))
 
     def get(self, run_id: int) -> RunRecord:
         """One run with its metrics; raises NotFound."""

@@ -10,11 +10,9 @@ from pathlib import Path
 from slamhive.base.clock import utc_now
 from slamhive.domain.bibliography import Reference
 from slamhive.domain.outcome import Outcome
-from slamhive.domain.run import FailureReason, RunState
-from slamhive.filters.binding import read_search
+from slamhive.domain.run import FailureReason
 from slamhive.services.experiments import Certainty, ConfigurationStanding, ExperimentAnswer, ExperimentStatus
 from slamhive.services.hive import Hive
-from slamhive.store import RunRecord
 from slamhive.web.formatting import plural, thousands
 from slamhive.web.presenters import rankings
 from slamhive.web.presenters.experiments import failures_in_words
@@ -98,8 +96,8 @@ def _card(services: Hive, status: ExperimentStatus) -> AnswerCard:
     axes = {axis: len(values) for axis, values in services.experiments.axes(status.name).items()}
     by_algorithm = axes.get("algorithm", 0) > 1
     telling = [axis for axis in rankings.naming_axes(axes) if axes[axis] > 1]  # a card has no room for the others
-    views = rankings.of_experiment(services, status, telling, by_algorithm=by_algorithm)
-    return AnswerCard(status, services.experiments.answer(status.name), next(iter(views), None))
+    answer, found = services.experiments.answer_and_rankings(status.name, by_algorithm=by_algorithm)
+    return AnswerCard(status, answer, next(iter(rankings.views(found, telling)), None))
 
 
 def needs(services: Hive, experiments: Sequence[ExperimentStatus], cards: Sequence[AnswerCard]) -> list[Attention]:
@@ -147,9 +145,9 @@ def _failed_alone(services: Hive) -> Iterator[Attention]:
     """Failed runs of the last days that no experiment counts and nobody has repeated."""
     since = (utc_now() - _RECENT).date().isoformat()
     text = f"state = failed and missing experiment and ended_at >= {since}"
-    records = services.runs.page(read_search(text, services.searches.vocabulary()), limit=_MOST_DISTURBED).records
-    repeated = _repeated(services, records)
-    failed = [run for run in records if run.id not in repeated and run.reason is not FailureReason.LOST]
+    found = services.searches.find(f"{text} and not reason = {FailureReason.LOST}")
+    repeated = services.runs.repeated(found)
+    failed = [number for number in found if number not in repeated]
     if failed:
         yield Attention(
             "outcome-failed",
@@ -162,10 +160,9 @@ def _failed_alone(services: Hive) -> Iterator[Attention]:
 
 
 def _disturbed(services: Hive, status: ExperimentStatus) -> Iterator[Attention]:
-    text = f"experiment = {status.name} and disturbed = true"
-    records = services.runs.page(read_search(text, services.searches.vocabulary()), limit=_MOST_DISTURBED).records
-    repeated = _repeated(services, records)
-    wanted = [run.id for run in records if run.id not in repeated and run.state is RunState.SUCCEEDED]
+    found = services.searches.find(f"experiment = {status.name} and disturbed = true and state = succeeded")
+    repeated = services.runs.repeated(found)
+    wanted = [number for number in found if number not in repeated][-_MOST_DISTURBED:]
     if wanted:
         yield Attention(
             "trust-limited",
@@ -174,16 +171,6 @@ def _disturbed(services: Hive, status: ExperimentStatus) -> Iterator[Attention]:
             "selected_runs.retry",
             fields=tuple(("run", str(number)) for number in wanted),
         )
-
-
-def _repeated(services: Hive, records: Sequence[RunRecord]) -> frozenset[int]:
-    """Those of the runs that another run repeats."""
-    if not records:
-        return frozenset()
-    later = services.runs.page(
-        read_search(f"id >= {min(run.id for run in records)}", services.searches.vocabulary()), limit=_MOST_DISTURBED
-    ).records
-    return frozenset(run.retry_of for run in later if run.retry_of is not None)
 
 
 def _undecided(card: AnswerCard) -> Iterator[Attention]:

@@ -18,6 +18,7 @@ from slamhive.filters.syntax import filter_text
 from slamhive.services.exports import by_protocol
 from slamhive.services.hive import Hive
 from slamhive.store.records import Count, GroupRecord, ProtocolLabel, Repeats, RunRecord, SavedSearchRecord, Spread
+from slamhive.store.run_listing import COUNTED
 from slamhive.web.columns import PINNED, ColumnKind, ListColumn, ListLook, all_columns, column, settings_of
 from slamhive.web.formatting import (
     DASH,
@@ -183,7 +184,7 @@ def mixed_in(hive: Hive, search: Search, shown: Iterable[ProtocolUse], count: Co
     Of very many runs, those on this page decide, as they do if the search names a protocol.
     """
     found = hive.current_protocols.mixed_among(shown)
-    if found is None or search.protocol is not None or not count.exact:
+    if found is None or search.protocol is not None or not count.exact or count.number > COUNTED:
         return found
     return hive.current_protocols.mixed(hive.searches.run_ids(search)) or found
 
