@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from slamhive.base.errors import InvalidInput
+from slamhive.recordings.importers.video_messages import VIDEO_TYPES, codec_of
 from slamhive.runtime.messages import COMPRESSED_IMAGE, IMAGE_ENCODINGS, Array, convert
 
 _BAYER = {
@@ -50,6 +51,8 @@ _NIBBLE_BITS = 3
 
 def is_odd(message: Any, kind: str) -> bool:
     """Return whether an image has to become a plain one."""
+    if kind in VIDEO_TYPES or codec_of(message, kind) is not None:
+        return True
     if kind == COMPRESSED_IMAGE:
         return COMPRESSED_DEPTH in str(message.format)
     return str(message.encoding) not in IMAGE_ENCODINGS

@@ -19,11 +19,18 @@ from slamhive.base.errors import InvalidInput, nearest
 from slamhive.base.files import visible_files
 from slamhive.domain.sensors import SensorKind
 from slamhive.recordings.importers.lenient_reader import LenientReader, LenientRos1Reader, contradiction
-from slamhive.recordings.importers.odd_images import ODD_ENCODINGS, depth_encoding, is_odd
+from slamhive.recordings.importers.odd_images import ODD_ENCODINGS, depth_encoding, is_odd, plain_image
+from slamhive.recordings.importers.video_messages import (
+    VIDEO_DEFINITIONS,
+    VIDEO_TYPES,
+    VideoPacket,
+    codec_of,
+    first_picture,
+)
 from slamhive.recordings.importing import ImportOptions
 from slamhive.recordings.reader import DAMAGE, damaged, reindexing
 from slamhive.recordings.ros1_writer import NS_PER_S
-from slamhive.runtime.messages import COMPRESSED_IMAGE, IMAGE, IMAGE_ENCODINGS, IMU, POINTS, stamp_ns
+from slamhive.runtime.messages import COMPRESSED_IMAGE, IMAGE, IMAGE_ENCODINGS, IMU, POINTS, Array, stamp_ns
 
 _WINDOWS_S = (2.0, 20.0, 200.0)
 """How long before the end the last message of a topic is looked for, before the whole topic is read."""
@@ -44,6 +51,15 @@ class SourceTopic:
     name: str
     type: str
     count: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstPicture:
+    """The first picture of an image topic, its encoding, and how many messages before it hold none (video)."""
+
+    pixels: Array
+    encoding: str
+    skipped: int = 0
 
 
 class SourceBag:
@@ -70,6 +86,7 @@ class SourceBag:
         self.start_ns = int(reader.start_time)
         self.end_ns = max(int(reader.end_time) - 1, self.start_ns)
         self._first: dict[str, Any] = {}
+        self._pictures: dict[str, FirstPicture] = {}
         self._checked: set[str] = set()
 
     def topic(self, name: str, purpose: str) -> SourceTopic:
@@ -94,6 +111,18 @@ class SourceBag:
                 )
             self._first[topic] = found[1]
         return self._first[topic]
+
+    def first_picture(self, topic: str) -> FirstPicture:
+        """The first picture of an image topic; raises InvalidInput if it is damaged, or video that is not read."""
+        if topic not in self._pictures:
+            message, kind = self.first(topic), self.topics[topic].type
+            codec = codec_of(message, kind)
+            if codec is None:
+                self._pictures[topic] = FirstPicture(*plain_image(message, kind))
+            else:
+                skipped, pixels = first_picture(codec, (packet for _, packet in self.stream(topic)))
+                self._pictures[topic] = FirstPicture(pixels, "rgb8", skipped)
+        return self._pictures[topic]
 
     def stamps_ns(self, topic: str) -> tuple[int, int]:
         """The timestamps in the headers of the first message of ``topic`` and of the last one."""
@@ -123,9 +152,10 @@ class SourceBag:
         """The message in ``raw``; raises InvalidInput if its type is unknown or it is damaged."""
         self.define(connection)
         try:
-            return self.reader.deserialize(raw, connection.msgtype)
+            message = self.reader.deserialize(raw, connection.msgtype)
         except DAMAGE as error:
             raise self.damaged(error, f"a message of {connection.topic}") from None
+        return VideoPacket.of(message, connection.msgtype) if connection.msgtype in VIDEO_TYPES else message
 
     def damaged(self, error: Exception, place: str) -> InvalidInput:
         """Fault that rosbags found at ``place``, in one line."""
@@ -218,6 +248,7 @@ def open_source(
     if wanted not in stores:
         raise InvalidInput(f"typestore {wanted!r} is unknown; {nearest(wanted, list(stores))}")
     spare = get_typestore(stores[wanted])
+    spare.register(dict(VIDEO_DEFINITIONS))
     if options.message_definitions is not None:
         found = _definitions(options.message_definitions)
         spare.register({kind: fields for kind, fields in found.items() if kind not in spare.fielddefs})
@@ -326,6 +357,7 @@ KINDS: dict[str, SensorKind] = {
     COMPRESSED_IMAGE: SensorKind.CAMERA,
     IMU: SensorKind.IMU,
     POINTS: SensorKind.LIDAR,
+    **dict.fromkeys(VIDEO_TYPES, SensorKind.CAMERA),
     **dict.fromkeys(LIVOX, SensorKind.LIDAR),
     LASER_SCAN: SensorKind.LASER,
     ODOMETRY: SensorKind.ODOMETRY,
@@ -457,6 +489,8 @@ def _look(bag: SourceBag, topic: SourceTopic) -> tuple[str, SensorKind]:
         return "it has a single message", kind
     if _TOPIC.fullmatch(topic.name) is None:
         return "its name has other characters than letters, digits, '_' and '/'", kind
+    if topic.type in {COMPRESSED_IMAGE, *VIDEO_TYPES} and codec_of(bag.first(topic.name), topic.type) is not None:
+        return _why_no_video(bag, topic), kind
     if topic.type == COMPRESSED_IMAGE and is_odd(bag.first(topic.name), topic.type):
         message = bag.first(topic.name)
         reason = "" if depth_encoding(message) else f"compressed depth of format {str(message.format)!r} is not read"
@@ -468,6 +502,18 @@ def _look(bag: SourceBag, topic: SourceTopic) -> tuple[str, SensorKind]:
         reason = "" if known else f"image encoding {encoding!r} is not read"
         return reason, SensorKind.DEPTH if is_depth else kind
     return "", kind
+
+
+def _why_no_video(bag: SourceBag, topic: SourceTopic) -> str:
+    """Why a topic of video cannot be decoded, empty if it can."""
+    message = bag.first(topic.name)
+    if not codec_of(message, topic.type):
+        return f"video of format {message.format[:80]!r} is not read"
+    try:
+        bag.first_picture(topic.name)
+    except InvalidInput as error:
+        return str(error)
+    return ""
 
 
 def _one_topic_each(bag: SourceBag, topics: Iterable[SourceTopic]) -> tuple[list[SourceTopic], list[str]]:

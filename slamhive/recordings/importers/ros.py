@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from slamhive.recordings.importers.recording import (
 )
 from slamhive.recordings.importers.sensors import SensorBuilder
 from slamhive.recordings.importers.truth import FoundTruth, read_truth_file, read_truth_topic
+from slamhive.recordings.importers.video_messages import VIDEO_TYPES, VideoDecoder, codec_of
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,
@@ -37,7 +38,7 @@ from slamhive.recordings.importing import (
 from slamhive.recordings.reader import DAMAGE, reindexing
 from slamhive.recordings.ros1_writer import NS_PER_S, BagWriter
 from slamhive.recordings.staging import Progress
-from slamhive.runtime.messages import COMPRESSED_IMAGE, IMAGE
+from slamhive.runtime.messages import COMPRESSED_IMAGE, IMAGE, Array
 from slamhive.runtime.messages import stamp_ns as stamp_ns_of
 
 OPTIONS = frozenset(
@@ -52,7 +53,7 @@ OPTIONS = frozenset(
     }
 )
 """The options that all these importers take."""
-_IMAGES = (IMAGE, COMPRESSED_IMAGE)
+_IMAGES = (IMAGE, COMPRESSED_IMAGE, *VIDEO_TYPES)
 _SAME_CLOCK_NS = NS_PER_S
 _SHOW_EVERY = 100
 
@@ -90,7 +91,7 @@ def plan_recording(
             truth = read_truth_file(options.groundtruth, recorded_s, f"file {options.groundtruth.name}")
         if truth is not None:
             check_clock(truth.times_s, recorded_s, f"the ground truth ({truth.source})", "the recording")
-        notes = (*matching.notes, *builder.notes, *_notes(bag, truth, recorded_ns))
+        notes = (*matching.notes, *builder.notes, *_late_pictures(bag, matching), *_notes(bag, truth, recorded_ns))
         recording = _recording(paths, bag, matching, sensors, options)
     return ImportPlan(recording, None if truth is None else truth.planned, text, notes=notes)
 
@@ -103,17 +104,19 @@ def text_of(path: Path, kind: str) -> DatasetText:
 def _recording(
     paths: Sequence[Path], bag: SourceBag, matching: Matching, sensors: tuple[Sensor, ...], options: ImportOptions
 ) -> KeptRecording | RewrittenRecording:
-    counts = {name: topic.count for name, topic in matching.topics.items()}
     topics = [sensor.topic for sensor in sensors]
     odd = _odd_topics(bag, [topic.name for topic in matching.topics.values()])
+    skipped = {name: bag.first_picture(name).skipped for name in odd}
+    counts = {name: topic.count - skipped.get(topic.name, 0) for name, topic in matching.topics.items()}
     livox = any(topic.type in LIVOX for topic in matching.topics.values())
     if len(paths) == 1 and not bag.refused and not livox and not odd:
         check = partial(check_messages, topics=topics, total=sum(counts.values()))
         return KeptRecording(paths[0], sensors, counts, bag.start_ns, bag.end_ns, check)
-    write = partial(_rewrite, tuple(paths), options, sensors, sum(counts.values()))
+    expected = {sensor.topic: counts[sensor.name] for sensor in sensors}
+    write = partial(_rewrite, tuple(paths), options, sensors, expected)
     needed_bytes = sum(size_bytes(path) for path in paths)
     for topic in (bag.topics[name] for name in odd):
-        needed_bytes += topic.count * plain_image(bag.first(topic.name), topic.type)[0].nbytes
+        needed_bytes += topic.count * bag.first_picture(topic.name).pixels.nbytes
     return RewrittenRecording(write, sensors, counts, bag.start_ns, bag.end_ns, needed_bytes)
 
 
@@ -121,6 +124,15 @@ def _odd_topics(bag: SourceBag, topics: Iterable[str]) -> set[str]:
     """The topics of images that become plain ones, by the first message of each."""
     images = [bag.topics[name] for name in topics if bag.topics[name].type in _IMAGES]
     return {topic.name for topic in images if is_odd(bag.first(topic.name), topic.type)}
+
+
+def _late_pictures(bag: SourceBag, matching: Matching) -> Iterator[str]:
+    """Notes on video that does not begin with a whole picture."""
+    for topic in matching.topics.values():
+        skipped = bag.first_picture(topic.name).skipped if topic.type in _IMAGES else 0
+        if skipped:
+            note = f"{skipped} packets of {topic.name} before the first whole picture of the video show nothing"
+            yield Loss(skipped, topic.count, note)
 
 
 def _notes(bag: SourceBag, truth: FoundTruth | None, recorded_ns: tuple[int, int]) -> list[str]:
@@ -168,12 +180,24 @@ def _rewrite(
     paths: tuple[Path, ...],
     options: ImportOptions,
     sensors: tuple[Sensor, ...],
-    total: int,
+    counts: Mapping[str, int],
     out: BagWriter,
     progress: Progress,
 ) -> None:
-    """Write the messages of all sensors to one ROS 1 bag: Livox's as ``PointCloud2``, odd images as plain ones."""
+    """Write the messages of all sensors to one ROS 1 bag: Livox's as ``PointCloud2``, odd images as plain ones.
+
+    Raises InvalidInput where a message is damaged, or a topic of video has fewer pictures than ``counts`` says.
+    """
     by_topic = {sensor.topic: sensor for sensor in sensors}
+    total = sum(counts.values())
+    videos: dict[str, VideoDecoder[tuple[int, int]]] = {}
+    shown = dict.fromkeys(by_topic, 0)
+
+    def show(topic: str, pictures: Iterable[tuple[tuple[int, int], Array]]) -> None:
+        for (stamp_ns, received_ns), pixels in pictures:
+            out.image(by_topic[topic], stamp_ns, pixels, "rgb8", received_ns)
+            shown[topic] += 1
+
     with open_source(paths, options, lenient=True) as bag:
         cdr = bag.reader.is2
         ros2 = bag.reader.typestore if cdr else None
@@ -186,8 +210,14 @@ def _rewrite(
                 out.points(by_topic[connection.topic], stamp_ns, received_ns, points)
             elif connection.topic in odd:
                 message = bag.decode(connection, raw)
-                pixels, encoding = plain_image(message, connection.msgtype)
-                out.image(by_topic[connection.topic], stamp_ns_of(message), pixels, encoding, received_ns)
+                codec = codec_of(message, connection.msgtype)
+                if codec is not None:
+                    video = videos.setdefault(connection.topic, VideoDecoder(codec))
+                    moment = stamp_ns_of(message), received_ns
+                    show(connection.topic, video.pictures(message.data, moment))
+                else:
+                    pixels, encoding = plain_image(message, connection.msgtype)
+                    out.image(by_topic[connection.topic], stamp_ns_of(message), pixels, encoding, received_ns)
             else:
                 bag.define(connection)
                 try:
@@ -195,7 +225,14 @@ def _rewrite(
                 except DAMAGE as error:
                     raise bag.damaged(error, f"a message of {connection.topic}") from None
             if number % _SHOW_EVERY == 0:
-                progress(number / total, f"writing message {number} of {total}")
+                progress(min(number / total, 1.0), f"writing message {number} of {total}")
+    for topic, video in videos.items():
+        show(topic, video.rest())
+        if shown[topic] != counts[topic]:
+            raise InvalidInput(
+                f"the video of {topic} shows {shown[topic]} pictures in {counts[topic]} packets",
+                "copy the recording again, or leave the camera out with --topic",
+            )
 
 
 # Importer of ROS 1 bags, kept as they are.

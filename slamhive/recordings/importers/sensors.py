@@ -15,7 +15,7 @@ from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, is_rig
 from slamhive.recordings.geometry import Array, transform
 from slamhive.recordings.importers.calibration import BODY, FrameGraph, KnownCalibration, KnownSensor
 from slamhive.recordings.importers.lidar_drivers import layout_of, livox_layout
-from slamhive.recordings.importers.odd_images import is_odd, plain_image
+from slamhive.recordings.importers.odd_images import is_odd
 from slamhive.recordings.importers.recording import LIVOX, Matching, SourceBag, camera_of
 from slamhive.recordings.ros1_writer import NS_PER_S
 from slamhive.trajectory.transforms import rotations_from_quats
@@ -242,8 +242,8 @@ class SensorBuilder:
     ) -> dict[str, CalibrationValue]:
         topic = self.matching.topics[name]
         message = self.bag.first(topic.name)
-        pixels, encoding = plain_image(message, topic.type)
-        height, width = pixels.shape[:2]
+        picture = self.bag.first_picture(topic.name)
+        height, width = picture.pixels.shape[:2]
         intrinsics = None if known is None else known.intrinsics
         if intrinsics is None:
             info = camera_info_of(self.bag, topic.name)
@@ -266,12 +266,12 @@ class SensorBuilder:
             )
         if is_odd(message, topic.type):
             written = getattr(message, "encoding", None) or message.format
-            self.notes.append(f"images of {name} ({written}) become {encoding}")
+            self.notes.append(f"images of {name} ({written}) become {picture.encoding}")
         if kind is not SensorKind.DEPTH:
-            return intrinsics.calibration(encoding)
-        units_per_m = self.depth_units_per_m or (_METRES if encoding == "32FC1" else _MILLIMETRES)
+            return intrinsics.calibration(picture.encoding)
+        units_per_m = self.depth_units_per_m or (_METRES if picture.encoding == "32FC1" else _MILLIMETRES)
         registered: dict[str, Any] = {} if partner is None else {"registered_to": partner.name}
-        return intrinsics.calibration(encoding, units_per_m=units_per_m, **registered)
+        return intrinsics.calibration(picture.encoding, units_per_m=units_per_m, **registered)
 
     def _frames(self) -> tuple[FrameGraph, str]:
         """All transforms that are known, those of calibration files first, and the body frame."""
