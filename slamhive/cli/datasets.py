@@ -110,7 +110,8 @@ def _topics(texts: Iterable[str]) -> dict[str, str]:
 
 def _show_plan(planned: PlannedImport) -> None:
     plan, truth = planned.plan, planned.plan.truth
-    say(f"{planned.name}: {planned.format}, {plan.duration_s:.1f} s, about {plan.needed_bytes / 1e6:.0f} MB")
+    doubt = f" (experimental: {planned.experimental})" if planned.experimental else ""
+    say(f"{planned.name}: {planned.format}{doubt}, {plan.duration_s:.1f} s, about {plan.needed_bytes / 1e6:.0f} MB")
     if truth is None:
         words = "none" if plan.relations is None else "relations"
     else:

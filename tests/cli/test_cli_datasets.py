@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from slamhive.cli import main
+from tests.recordings.format_world import make_kitti_360
 from tests.recordings.test_kitti_odometry import sequence
 from tests.services.tiny_project import environment, make_dataset, make_project
 
@@ -104,3 +105,12 @@ def test_export_lists_what_it_leaves_out_and_prints_the_folder(slamhive, sequenc
     )
     assert json.loads(shown.stdout)["left_out"] == ["lidar0 (lidar)"]
     assert (tmp_path / "e" / "mav0" / "cam0" / "data.csv").is_file()
+
+
+def test_the_first_line_says_that_nobody_tried_a_published_recording(slamhive, sequence, tmp_path):
+    source = make_kitti_360(tmp_path)
+    first = slamhive("dataset", "import", str(source), "--preview").stdout.splitlines()[0]
+    assert "kitti-360 (experimental: transforms as in kitti360scripts, never tried with a published recording)" in first
+    shown = json.loads(slamhive("dataset", "import", str(source), "--preview", "--json").stdout)
+    assert shown["experimental"].startswith("transforms as in")
+    assert "experimental" not in slamhive("dataset", "import", str(sequence), "--preview").stdout

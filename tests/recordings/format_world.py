@@ -285,6 +285,51 @@ def make_kitti_raw(folder: Path) -> Path:
     return drive
 
 
+KITTI_360 = "2013_05_28_drive_0000_sync"
+
+
+def make_kitti_360(folder: Path) -> Path:
+    root = folder / "KITTI-360"
+    calibration = root / "calibration"
+    cameras = {n: f"0 0.1 0.995 1.5 1 0 0 {0.3 + 0.6 * n} 0 0.995 -0.1 -0.7" for n in range(4)}
+    turned = {n: rigid_row([float(part) for part in row.split()]) for n, row in cameras.items()}
+    write(calibration / "calib_cam_to_pose.txt", *(f"image_{n:02d}: {row}" for n, row in turned.items()))
+    write(calibration / "calib_cam_to_velo.txt", "0 0 1 0.8 -1 0 0 0.3 0 -1 0 -0.4")
+    sine, cosine = np.sin(0.02), np.cos(0.02)
+    lines = ["calib_time: now"]
+    for n in range(2):
+        lines.append(f"P_rect_{n:02d}: 20 0 15.5 {-12 * n} 0 20 11.5 0 0 0 1 0")
+        lines.append(f"R_rect_{n:02d}: {cosine} 0 {sine if n else -sine} 0 1 0 {-sine if n else sine} 0 {cosine}")
+        lines.append(f"S_rect_{n:02d}: 32 24")
+    write(calibration / "perspective.txt", *lines)
+    images, scans, poses = (root / part / KITTI_360 for part in ("data_2d_raw", "data_3d_raw", "data_poses"))
+    times = [f"2013-05-28 08:46:02.{frame}04381184" for frame in range(FRAMES)]
+    for part in (images / "image_00", images / "image_01", scans / "velodyne_points", poses / "oxts"):
+        write(part / "timestamps.txt", *times)
+    for frame in range(FRAMES):
+        for n in range(2):
+            draw(images / f"image_{n:02d}/data_rect/{frame:010d}.png", grey(frame))
+        path = scans / f"velodyne_points/data/{frame:010d}.bin"
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.write_bytes(np.arange(40, dtype="<f4").tobytes())
+        packet = [49.0 + frame * 1e-5, 8.4, 112.0 + frame, 0.0, 0.0, 0.5, *[0.0] * 5, 0.1, 0.2, 9.8, *[0.0] * 3]
+        numbers = [*packet, 0.01, 0.02, 0.03, *[0.0] * 10]
+        write(poses / f"oxts/data/{frame:010d}.txt", " ".join(str(number) for number in numbers))
+    rows = [
+        f"{frame} 1 0 0 {1000 + frame} 0 -1 0 {3000 + 2 * frame} 0 0 -1 {116 + frame}" for frame in range(1, FRAMES)
+    ]
+    write(poses / "poses.txt", *rows)
+    return root
+
+
+def rigid_row(numbers: list[float]) -> str:
+    """The rows of a transform, with the rotation nearest to the one in ``numbers``."""
+    upper = np.array(numbers).reshape(3, 4)
+    left, _, right = np.linalg.svd(upper[:, :3])
+    upper[:, :3] = left @ right
+    return " ".join(repr(float(value)) for value in upper.reshape(-1))
+
+
 def make_video(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "walk.avi"
@@ -304,6 +349,7 @@ FORMATS: dict[str, Callable[[Path], Path]] = {
     "euroc": make_euroc,
     "tum-rgbd": make_tum_rgbd,
     "kitti-raw": make_kitti_raw,
+    "kitti-360": make_kitti_360,
     "7-scenes": make_7_scenes,
     "eth3d": make_eth3d,
     "tartanair": make_tartanair,

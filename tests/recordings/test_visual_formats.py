@@ -11,6 +11,7 @@ from slamhive.trajectory.layout import read_tum
 from tests.recordings.format_world import (
     EUROC_START_NS,
     FORMATS,
+    KITTI_360,
     SHARED,
     colour,
     convert,
@@ -139,6 +140,49 @@ def test_kitti_raw_says_which_scans_are_missing(tmp_path):
     assert "1 of the 4 files of velodyne_points are missing and left out" in found.notes
 
 
+def test_kitti_360_has_the_transforms_of_its_own_scripts(tmp_path):
+    """The numbers are those of ``kitti360scripts`` 1.0.0 on the same files: ``cam2world[1]``, and LiDAR to pose."""
+    dataset, seen, truth = made("kitti-360", tmp_path)
+    assert [sensor.name for sensor in dataset.sensors] == ["cam0", "cam1", "lidar0", "imu0", "gnss0"]
+    extrinsics = {sensor.name: np.array(sensor.T_body_sensor).reshape(4, 4) for sensor in dataset.sensors}
+    T_world_body = np.eye(4)
+    T_world_body[:3, :3] = np.diag([1, -1, -1])
+    T_world_body[:3, 3] = truth.positions_m[0]
+    assert (T_world_body @ extrinsics["cam0"])[:3] == pytest.approx(np.array([
+        [-1.98984246e-02, 9.99987500e-02, 9.94788572e-01, 1.00250000e03],
+        [-9.99800007e-01, 0, -1.99986667e-02, 3.00170000e03],
+        [-1.99984167e-03, -9.94987563e-01, 9.99787509e-02, 1.17700000e02],
+    ]), abs=1e-9, rel=1e-8)  # fmt: skip
+    assert (T_world_body @ extrinsics["cam1"])[:3] == pytest.approx(np.array([
+        [1.98984246e-02, 9.99987500e-02, 9.94788572e-01, 1.00250000e03],
+        [-9.99800007e-01, 0, 1.99986667e-02, 3.00110000e03],
+        [1.99984167e-03, -9.94987563e-01, 9.99787509e-02, 1.17700000e02],
+    ]), abs=1e-9, rel=1e-8)  # fmt: skip
+    assert extrinsics["lidar0"][:3] == pytest.approx(np.array([
+        [0.99498756, 0, -0.09999875, 0.66401045],
+        [0, -1, 0, 0.6],
+        [-0.09999875, 0, -0.99498756, -1.01799603],
+    ]), abs=1e-8)  # fmt: skip
+    stamp = seen["/cam1/image_raw"][2].header.stamp
+    assert (stamp.sec, stamp.nanosec) == (1369730762, 204_381_184)
+    assert truth.stamps_s[0] == pytest.approx(1369730762.104381184)
+    # At rest, gravity is measured upwards, which is along minus z of the body.
+    force = seen["/imu0"][0].linear_acceleration
+    assert extrinsics["imu0"][:3, :3] @ [force.x, force.y, force.z] == pytest.approx([0.1, -0.2, -9.8])
+
+
+def test_a_sequence_of_kitti_360_is_named_where_there_are_several(tmp_path):
+    root = FORMATS["kitti-360"](tmp_path)
+    write(root / "data_poses/2013_05_28_drive_0002_sync/poses.txt", "1 1 0 0 0 0 1 0 0 0 0 1 0")
+    with pytest.raises(InvalidInput, match=r"has 2 sequences .* --sequence: 2013_05_28_drive_0000_sync, 2013"):
+        plan(root)
+    with pytest.raises(InvalidInput, match=r"none called '7'"):
+        plan(root, sequence="7")
+    with pytest.raises(InvalidInput, match=r"image_00/timestamps\.txt is missing|no recording of"):
+        plan(root, sequence="2013_05_28_drive_0002_sync")
+    assert plan(root, sequence="2013_05_28_drive_0000_sync").counts["cam0"] == 4
+
+
 def test_a_video_has_the_timestamps_of_its_container(tmp_path):
     _, seen, truth = made("video", tmp_path)
     stamps = [message.header.stamp.nanosec for message in seen["/cam0/image_raw"]]
@@ -180,6 +224,20 @@ def test_a_video_has_the_timestamps_of_its_container(tmp_path):
         ("kitti-raw", rewrite("../calib_imu_to_velo.txt", "R: 1", "R: 2"), r"calib_imu_to_velo\.txt: R is no rotation"),
         ("kitti-raw", rewrite("../calib_cam_to_cam.txt", "P_rect_02", "P"), r"calib_cam_to_cam\.txt lacks P_rect_02"),
         ("kitti-raw", rewrite("../calib_velo_to_cam.txt", "T: 0 ", "T: "), r"T has 2 numbers; expected 3"),
+        (
+            "kitti-360",
+            rewrite("calibration/perspective.txt", "R_rect_01: ", "R_rect_01: 2"),
+            "R_rect_01 makes no sense",
+        ),
+        ("kitti-360", rewrite("calibration/calib_cam_to_velo.txt", "0.8", "0.8 1"), "13 columns"),
+        ("kitti-360", rewrite("calibration/calib_cam_to_pose.txt", "image_00", "image"), "lacks image_00"),
+        ("kitti-360", rewrite(f"data_poses/{KITTI_360}/poses.txt", "3 1 0 0", "9 1 0 0"), "frame 9 has no timestamp"),
+        (
+            "kitti-360",
+            rewrite(f"data_poses/{KITTI_360}/poses.txt", "3 1 0 0", "3 2 0 0"),
+            "frame 3 is no rigid transform",
+        ),
+        ("kitti-360", rewrite(f"data_poses/{KITTI_360}/poses.txt", "3 1 0 0", "2 1 0 0"), "frames do not increase"),
     ],
 )
 def test_bad_input_is_one_clear_line_and_leaves_nothing(tmp_path, name, damage, problem):

@@ -14,7 +14,7 @@ import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics
-from slamhive.domain.sensors import Matrix4, Sensor, SensorKind, is_rigid
+from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind, is_rigid
 from slamhive.recordings.frame_files import read_velodyne
 from slamhive.recordings.geometry import Array, quaternions_from_rotations, rotation_xyz, transform
 from slamhive.recordings.ground_truth import matched_truth
@@ -30,8 +30,8 @@ from slamhive.recordings.importing import (
     rate_hz,
 )
 from slamhive.recordings.rgbd import Frames, camera_stream, numbered, read_pose_table, size_of
-from slamhive.recordings.ros1_writer import NS_PER_S, BagWriter
-from slamhive.recordings.streams import OVERHEAD_BYTES, gnss_stream, imu_stream
+from slamhive.recordings.ros1_writer import NS_PER_S
+from slamhive.recordings.streams import gnss_stream, imu_stream, point_stream
 from slamhive.recordings.text_lists import read_lines
 
 _CAMERAS, _VELODYNE, _OXTS = ("image_00", "image_01", "image_02", "image_03"), "velodyne_points", "oxts"
@@ -75,11 +75,10 @@ class KittiRawImporter:
                 streams.append(_camera(source, number, rectified_imu, notes))
         if (source / _VELODYNE / "data").is_dir():
             streams.append(_lidar(source, notes))
-        times_ns, files = _timed_files(source / _OXTS, "*.txt", notes)
-        rows = np.array([_oxts(path) for path in files])
-        imu = Sensor("imu0", SensorKind.IMU, "/imu0", rate_hz(times_ns))
-        streams.append(imu_stream(imu, times_ns, np.column_stack((rows[:, _RATE], rows[:, _FORCE]))))
-        streams.append(_gnss(times_ns, rows))
+        times_ns, files = clocked_files(source / _OXTS, "*.txt", notes)
+        rows = np.array([read_packet(path) for path in files])
+        streams.append(packet_imu(times_ns, rows))
+        streams.append(packet_gnss(times_ns, rows))
         truth = _truth(times_ns, rows)
         notes.extend(matched_truth(truth, streams))
         return ImportPlan(tuple(streams), truth, _text(source), notes=tuple(notes))
@@ -91,8 +90,12 @@ def _calibration_file(source: Path, name: str) -> Path:
 
 
 def _calibration(source: Path, name: str) -> Callable[[str, int], Array]:
-    """A reader of ``KEY: numbers`` of a calibration file: the numbers (n,) of a key."""
-    path = _calibration_file(source, name)
+    """A reader of a calibration file of the drive."""
+    return keyed_numbers(_calibration_file(source, name))
+
+
+def keyed_numbers(path: Path) -> Callable[[str, int], Array]:
+    """A reader of ``KEY: numbers`` lines: the finite numbers (n,) of a key; it raises InvalidInput."""
     entries = dict(line.split(":", 1) for line in read_lines(path) if ":" in line)
 
     def numbers(key: str, count: int) -> Array:
@@ -122,7 +125,7 @@ def _camera(source: Path, number: int, T_rectified_imu: Array, notes: list[str])
     P = _calibration(source, _CALIBRATION[0])(f"P_rect_{number:02d}", 12).reshape(3, 4)
     if not (0 < P[0, 0] < 1e6 and 0 < P[1, 1] < 1e6) or abs(np.linalg.det(P[:, :3])) < 1e-9:
         raise InvalidInput(f"P_rect_{number:02d} has focal lengths {P[0, 0]:g}, {P[1, 1]:g}", "copy the file again")
-    times_ns, paths = _timed_files(source / f"image_{number:02d}", "*.png", notes)
+    times_ns, paths = clocked_files(source / f"image_{number:02d}", "*.png", notes)
     width, height = size_of(paths[0])
     fx, fy, cx, cy = (float(P[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
     intrinsics = CameraIntrinsics(width, height, fx, fy, cx, cy, distortion=(0.0,) * 4, rectified=True)
@@ -134,33 +137,36 @@ def _camera(source: Path, number: int, T_rectified_imu: Array, notes: list[str])
 
 
 def _lidar(source: Path, notes: list[str]) -> PlannedStream:
-    times_ns, paths = _timed_files(source / _VELODYNE, "*.bin", notes)
+    times_ns, paths = clocked_files(source / _VELODYNE, "*.bin", notes)
     T_body_lidar = _flat(np.linalg.inv(_rigid(source, _CALIBRATION[2])))
     rate = rate_hz(times_ns)
     sensor = Sensor("lidar0", SensorKind.LIDAR, "/points", rate, T_body_lidar, velodyne_layout().calibration())
-
-    def write(bag: BagWriter, index: int) -> None:
-        stamp_ns = int(times_ns[index])
-        bag.points(sensor, stamp_ns, stamp_ns, read_velodyne(paths[index]))
-
-    return PlannedStream(
-        sensor, times_ns, write, sum(path.stat().st_size for path in paths) // len(paths) + OVERHEAD_BYTES
-    )
+    return point_stream(sensor, times_ns, paths, read_velodyne, 1.0)
 
 
-def _timed_files(folder: Path, pattern: str, notes: list[str]) -> tuple[Array, list[Path]]:
-    """The files of a sensor with their timestamps: line n + 1 of ``timestamps.txt`` is that of file n."""
-    path = folder / "timestamps.txt"
-    # A blank line stands for a frame that was not recorded; the lines after it belong to the frames after it.
-    times_ns = {
+def read_clock(path: Path) -> dict[int, int]:
+    """{Number of a frame: its timestamp in ns since 1970}; line n + 1 of ``timestamps.txt`` is that of frame n.
+
+    A blank line stands for a frame that was not recorded; the lines after it belong to the frames after it.
+    """
+    return {
         number: _clock_ns(line, f"{path}, line {number + 1}")
         for number, line in enumerate(read_lines(path))
         if line.strip()
     }
-    there = numbered(folder / "data", pattern)
+
+
+def clocked_files(folder: Path, pattern: str, notes: list[str], data: str = "data") -> tuple[Array, list[Path]]:
+    """The files of a sensor in the folder ``data`` below ``folder``, with the timestamps (n,) in ns beside it.
+
+    Files without a timestamp, and timestamps without a file, become losses in ``notes``.
+    """
+    path = folder / "timestamps.txt"
+    times_ns = read_clock(path)
+    there = numbered(folder / data, pattern)
     files = {number: file for number, file in there.items() if number in times_ns}
     if not files:
-        raise InvalidInput(f"{folder / 'data'} has no {pattern} with a line in {path.name}", "complete the folder")
+        raise InvalidInput(f"{folder / data} has no {pattern} with a line in {path.name}", "complete the folder")
     if len(files) < len(times_ns):
         missing = len(times_ns) - len(files)
         note = f"{missing} of the {len(times_ns)} files of {folder.name} are missing and left out"
@@ -190,14 +196,21 @@ def _clock_ns(line: str, place: str) -> int:
     return time_ns
 
 
-def _oxts(path: Path) -> Array:
+def read_packet(path: Path) -> Array:
+    """The 30 numbers of a packet of the GNSS and IMU unit; raises InvalidInput."""
     values: Array = read_pose_table(path, _OXTS_COLUMNS, "30 numbers of a GNSS and IMU packet")[0]
     if not np.isfinite(values).all() or abs(values[_LAT]) >= 89 or np.abs(values[:20]).max() > 1e6:
         raise InvalidInput(f"{path}: its numbers make no sense", "copy the file again")
     return values
 
 
-def _gnss(times_ns: Array, rows: Array) -> PlannedStream:
+def packet_imu(times_ns: Array, rows: Array, T_body_imu: Matrix4 = IDENTITY4) -> PlannedStream:
+    """Angular rates and accelerations of the packets."""
+    sensor = Sensor("imu0", SensorKind.IMU, "/imu0", rate_hz(times_ns), T_body_imu)
+    return imu_stream(sensor, times_ns, np.column_stack((rows[:, _RATE], rows[:, _FORCE])))
+
+
+def packet_gnss(times_ns: Array, rows: Array) -> PlannedStream:
     """Latitude, longitude and altitude of the IMU, to which the receiver's positions are reduced."""
     sensor = Sensor("gnss0", SensorKind.GNSS, "/gnss0", rate_hz(times_ns))
     return gnss_stream(sensor, times_ns, rows[:, _LAT : _ALT + 1])

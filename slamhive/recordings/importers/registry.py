@@ -6,6 +6,7 @@ Importers of other packages come in through the entry-point group ``slamhive.dat
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -15,6 +16,7 @@ from slamhive.base.registry import Registry, instances_of
 from slamhive.recordings.importers.carmen import CarmenImporter
 from slamhive.recordings.importers.euroc import EurocImporter
 from slamhive.recordings.importers.evalio import EvalioImporter
+from slamhive.recordings.importers.kitti_360 import Kitti360Importer
 from slamhive.recordings.importers.kitti_odometry import KittiOdometryImporter
 from slamhive.recordings.importers.kitti_raw import KittiRawImporter
 from slamhive.recordings.importers.mulran import MulranImporter
@@ -78,6 +80,7 @@ IMPORTERS.register("newer-college", NewerCollegeImporter())
 IMPORTERS.register("hilti-2022", Hilti2022Importer())
 IMPORTERS.register("evalio", EvalioImporter())
 IMPORTERS.register("kitti-raw", KittiRawImporter())
+IMPORTERS.register("kitti-360", Kitti360Importer())
 IMPORTERS.register("7-scenes", SevenScenesImporter())
 IMPORTERS.register("eth3d", Eth3dImporter())
 IMPORTERS.register("tartanair", TartanAirImporter())
@@ -85,6 +88,17 @@ IMPORTERS.register("replica", ReplicaImporter())
 IMPORTERS.register("openloris", OpenLorisImporter())
 IMPORTERS.register("vslam-lab", VslamLabImporter())
 IMPORTERS.register("video", VideoImporter())
+
+_MADE_UP = "tried with made-up recordings of the same files and names, never with a published one"
+_LOADER = "read the same as by KISS-ICP's loader, never tried with a published recording"
+EXPERIMENTAL: Mapping[str, str] = {
+    **dict.fromkeys(("tum-vi", "newer-college", "hilti-2022", "eth3d", "replica", "openloris", "vslam-lab"), _MADE_UP),
+    "rawseeds": _MADE_UP,
+    **dict.fromkeys(("nclt", "mulran", "kitti-raw"), _LOADER),
+    "evalio": "tried with sequences of its own registry, never with a published one",
+    "kitti-360": "transforms as in kitti360scripts, never tried with a published recording",
+}
+"""What speaks for importers of which nobody has tried a published recording, by name."""
 
 
 def plan_import(source: Path, options: ImportOptions, format_name: str | None = None) -> tuple[str, ImportPlan]:

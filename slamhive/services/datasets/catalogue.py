@@ -81,11 +81,15 @@ class BrokenEntry:
 
 @dataclass(frozen=True, slots=True)
 class PlannedImport:
-    """Plan of an import: the name of the dataset, the format that was found or named, and the work."""
+    """Plan of an import: the name of the dataset, the format that was found or named, and the work.
+
+    ``experimental`` says what speaks for the importer if no published recording was tried; it is empty otherwise.
+    """
 
     name: str
     format: str
     plan: ImportPlan
+    experimental: str = ""
 
     @property
     def content(self) -> dict[str, Any]:
@@ -96,6 +100,7 @@ class PlannedImport:
         return {
             "name": self.name,
             "format": self.format,
+            "experimental": self.experimental,
             "duration_s": plan.duration_s,
             "needed_bytes": plan.needed_bytes,
             "sensors": [
@@ -215,13 +220,14 @@ class Catalogue:
             Conflict: The dataset exists already.
             InvalidInput: The name or the source cannot be used; says why.
         """
-        from slamhive.recordings.importers.registry import IMPORTERS, plan_import
+        from slamhive.recordings.importers.registry import EXPERIMENTAL, IMPORTERS, plan_import
 
         if format_name is not None:
             IMPORTERS.get(format_name)
         name = _name_of(source) if name is None else name
         self._refuse_taken(name)
-        return PlannedImport(name, *plan_import(source, options, format_name))
+        found, plan = plan_import(source, options, format_name)
+        return PlannedImport(name, found, plan, EXPERIMENTAL.get(found, ""))
 
     def import_dataset(self, planned: PlannedImport, progress: Progress) -> Dataset:
         """Make the dataset as planned; a failure leaves nothing behind."""
