@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 from slamhive.analysis.selection import parse_expression
 from slamhive.base.errors import InvalidInput
 from slamhive.documents.validation import explained
-from slamhive.domain.verdict import FailureRule
+from slamhive.domain.verdict import MOST_MISSED, FailureRule
 
 MAX_SETS = 50
 MAX_PLOTS = 50
@@ -67,6 +67,9 @@ class FailureModel(_Model):
         default=50.0, gt=0, description="ATE RMSE in percent of the ATE RMSE of an estimate that never moves."
     )
     outliers: bool = Field(default=True, description="Whether an outlier among repeats counts as diverged.")
+    missed_input_above: float | None = Field(
+        default=MOST_MISSED, ge=0, le=1, description="Share of the input frames that may not reach the algorithm."
+    )
 
     @property
     def rule(self) -> FailureRule:

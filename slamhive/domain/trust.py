@@ -247,6 +247,8 @@ def _above(value: float | None, limit: float) -> bool:
 
 
 DROPPED_FRAMES = "frames.dropped_fraction"
+LARGEST_DOUBTED_SHARE = 0.25
+"""Above this share of dropped frames the trust is low."""
 PLAYER_LAG = "playback.lag_max"
 CPU_LIMIT_USED = "cpu.limit_used"
 DISTURBED = "disturbed"
@@ -292,7 +294,7 @@ LIMITS = (
     TrustLimit(
         DROPPED_FRAMES,
         limited_above=0.05,
-        low_above=0.25,
+        low_above=LARGEST_DOUBTED_SHARE,
         realtime_only=False,
         words="the algorithm was too slow for {percent:.0f} % of the frames, which were dropped",
         remedy="give it more CPU cores or a lower playback rate, or play sequentially",

@@ -13,6 +13,8 @@ from enum import StrEnum
 from statistics import median
 from typing import Any
 
+from slamhive.domain.trust import DROPPED_FRAMES, LARGEST_DOUBTED_SHARE
+
 ERROR = "ate.rmse"
 RELATION_ERROR = "relations.translation.mean"
 RELATION_ROTATION = "relations.rotation.mean"
@@ -30,6 +32,7 @@ EVIDENCE = (
     *(ERROR, TRACKED_PATH, TRACKED_FRACTION, ERROR_PER_PATH, ERROR_PER_EXTENT),
     *(ERROR_OVER_REPEATS, REPEATS_LIMIT),
     *(RELATION_RMSE, RELATION_ERROR_PER_MOTION, RELATIONS_MATCHED),
+    DROPPED_FRAMES,
 )
 """The metrics that a verdict depends on."""
 
@@ -41,6 +44,9 @@ SMALLEST_DIVERGENCE_M = 0.05
 
 FEWEST_REPEATS = 3
 """With fewer repeats it is not clear which of them is the outlier."""
+
+MOST_MISSED = 0.5
+"""A run that missed more of its input frames than this has not seen the recording."""
 
 _SPREADS = 3.0
 _LEAST_FACTOR, _LARGEST_FACTOR = 4.0, 6.0
@@ -55,6 +61,7 @@ class VerdictKind(StrEnum):
     GOOD = "good"
     ENDED_BADLY = "ended_badly"
     NOT_EVALUABLE = "not_evaluable"
+    MISSED_INPUT = "missed_input"
     TRACKED_TOO_LITTLE = "tracked_too_little"
     DIVERGED_FAR = "diverged_far"
     DIVERGED_OUTLIER = "diverged_outlier"
@@ -74,6 +81,7 @@ _LABELS = {
     VerdictKind.GOOD: "good",
     VerdictKind.ENDED_BADLY: "did not end well",
     VerdictKind.NOT_EVALUABLE: "could not be evaluated",
+    VerdictKind.MISSED_INPUT: "missed too much input",
     VerdictKind.TRACKED_TOO_LITTLE: "tracked too little",
     VerdictKind.DIVERGED_FAR: "diverged",
     VerdictKind.DIVERGED_OUTLIER: "diverged (outlier among its repeats)",
@@ -119,6 +127,8 @@ class FailureRule:
         ate_extent_above_percent: Largest ATE RMSE in percent of that of an estimate that never moves. Without a
             ground-truth trajectory, the same of the translation errors of the relations.
         outliers: Whether an outlier among the repeats has diverged.
+        missed_input_above: Largest share of the input frames that may not reach the algorithm. Above a quarter, when
+            the trust is low, an error of four times the median of the repeats is enough.
     """
 
     tracked_path_below: float | None = 0.7
@@ -127,11 +137,14 @@ class FailureRule:
     ate_path_above_percent: float | None = 5.0
     ate_extent_above_percent: float | None = 50.0
     outliers: bool = True
+    missed_input_above: float | None = MOST_MISSED
 
     @property
     def words(self) -> str:
         """The rule in one or two sentences, for captions."""
         parts = ["did not end well", "could not be evaluated"]
+        if self.missed_input_above is not None:
+            parts.append(f"missed more than {100 * self.missed_input_above:.4g} % of the input")
         if self.tracked_path_below is not None:
             parts.append(f"tracked less than {100 * self.tracked_path_below:.4g} % of the path")
         if self.tracked_fraction_below is not None:
@@ -163,7 +176,12 @@ _DATED = "An older version evaluated this run, so some metrics are missing; eval
 def judge(metrics: Mapping[str, float], rule: FailureRule = DEFAULT_RULE) -> Verdict:
     """The verdict on a run whose evaluation succeeded, from the metrics called :data:`EVIDENCE`."""
     dated = TRACKED_PATH not in metrics and TRACKED_FRACTION in metrics
-    kind, words = _lost(metrics, rule, dated=dated) or _diverged(metrics, rule) or (VerdictKind.GOOD, "")
+    kind, words = (
+        _missed(metrics, rule)
+        or _lost(metrics, rule, dated=dated)
+        or _diverged(metrics, rule)
+        or (VerdictKind.GOOD, "")
+    )
     if kind is VerdictKind.GOOD:
         if ERROR not in metrics and RELATION_ERROR_PER_MOTION in metrics:
             matched, moved = metrics.get(RELATIONS_MATCHED, 1.0), metrics[RELATION_ERROR_PER_MOTION]
@@ -218,7 +236,24 @@ def compare_repeats(errors_m: Mapping[int, float], compared: Mapping[int, float]
 
 def tracked_enough(metrics: Mapping[str, float], rule: FailureRule = DEFAULT_RULE) -> bool:
     """Tell if the run's error can be compared with that of its repeats; a lost run has hardly any error."""
-    return _lost(metrics, rule, dated=TRACKED_PATH not in metrics) is None
+    alone = {key: value for key, value in metrics.items() if key not in FROM_REPEATS}
+    return (_missed(alone, rule) or _lost(alone, rule, dated=TRACKED_PATH not in alone)) is None
+
+
+def _missed(metrics: Mapping[str, float], rule: FailureRule) -> tuple[VerdictKind, str] | None:
+    """A run that did not get its input says little about the algorithm, however small its error."""
+    share, most = metrics.get(DROPPED_FRAMES), rule.missed_input_above
+    if share is None or most is None:
+        return None
+    missed = f"The run missed {100 * share:.3g} % of the input frames"
+    if share > most:
+        return VerdictKind.MISSED_INPUT, f"{missed}; {100 * most:.4g} % are allowed."
+    ratio = metrics.get(ERROR_OVER_REPEATS)
+    if share > LARGEST_DOUBTED_SHARE and ratio is not None and ratio > _LEAST_FACTOR:
+        words = f"{missed}, and its ATE RMSE is {ratio:.3g} times the median of its repeats"
+        bound = f"above {100 * LARGEST_DOUBTED_SHARE:.4g} % missed, {_LEAST_FACTOR:g} times are allowed"
+        return VerdictKind.MISSED_INPUT, f"{words}; {bound}."
+    return None
 
 
 def _lost(metrics: Mapping[str, float], rule: FailureRule, *, dated: bool) -> tuple[VerdictKind, str] | None:

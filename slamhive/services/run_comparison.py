@@ -535,8 +535,9 @@ class RunComparisons:
         chosen = _chosen(protocols, runs, protocol)
         fingerprint = None if chosen is None else chosen.fingerprint
         evaluated = {run: found.get(fingerprint, {}) if fingerprint else {} for run, found in values.items()}
-        columns = _columns(runs, evaluated, grouped=grouped)
         shown = {run: {**values[run].get(None, {}), **found} for run, found in evaluated.items()}
+        judged = {run: shown[run] if found else {} for run, found in evaluated.items()}
+        columns = _columns(runs, judged, grouped=grouped)
         unmarked = unmarked_parts(runs, mixed_trajectories=bool(mixed_trajectories(runs, chosen)))
         settings: list[list[dict[str, str]]] = []
         for column in columns:
@@ -604,13 +605,13 @@ def _chosen(protocols: Sequence[CommonProtocol], runs: Sequence[RunRecord], aske
 
 
 def _columns(
-    runs: Sequence[RunRecord], evaluated: Mapping[int, Mapping[str, float]], *, grouped: bool
+    runs: Sequence[RunRecord], judged: Mapping[int, Mapping[str, float]], *, grouped: bool
 ) -> tuple[RunColumn, ...]:
     groups: dict[int, list[RunRecord]] = {}
     for run in runs:
         groups.setdefault(run.configuration_id if grouped else run.id, []).append(run)
     return tuple(
-        RunColumn(tuple(members), tuple(run.id for run in members if _failed(run, evaluated[run.id])))
+        RunColumn(tuple(members), tuple(run.id for run in members if _failed(run, judged[run.id])))
         for members in groups.values()
     )
 

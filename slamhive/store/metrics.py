@@ -168,6 +168,7 @@ CODES = {
     VerdictKind.TRACKED_TOO_LITTLE: 2,
     VerdictKind.DIVERGED_FAR: 3,
     VerdictKind.DIVERGED_OUTLIER: 4,
+    VerdictKind.MISSED_INPUT: 5,
 }
 """How the kinds are stored. ``ENDED_BADLY`` is missing: it follows from the state of a run."""
 
@@ -291,7 +292,8 @@ class VerdictRepository(Repository):
             .where(
                 _RUNS.c.configuration_id.in_(configurations),
                 _FIGURES.c.metric_id.in_(sorted(names)),
-                _FIGURES.c.protocol_id == protocol_id,
+                # Frames that did not arrive were counted while the run was running, under no protocol.
+                _FIGURES.c.protocol_id.in_((protocol_id, MEASURED_PROTOCOL_ID)),
             )
         )
         for configuration, run_id, metric_id, value in self._connection.execute(query):

@@ -47,6 +47,17 @@ def test_a_sound_keyframe_run_is_good_although_it_covers_little_time():
 @pytest.mark.parametrize(
     ("changed", "kind", "words"),
     [
+        (
+            {"frames.dropped_fraction": 0.54},
+            VerdictKind.MISSED_INPUT,
+            "The run missed 54 % of the input frames; 50 % are allowed.",
+        ),
+        (
+            {"frames.dropped_fraction": 0.3, ERROR_OVER_REPEATS: 7.0, REPEATS_LIMIT: 8.0},
+            VerdictKind.MISSED_INPUT,
+            "The run missed 30 % of the input frames, and its ATE RMSE is 7 times the median of its repeats; "
+            "above 25 % missed, 4 times are allowed.",
+        ),
         ({"tracked.path": 0.69}, VerdictKind.TRACKED_TOO_LITTLE, "The run tracked 69 % of the path; 70 % are needed."),
         (
             {"ate.rmse": 6.0, "ate.per_path": 5.5},
@@ -68,6 +79,19 @@ def test_a_sound_keyframe_run_is_good_although_it_covers_little_time():
 def test_each_reason_is_told_with_its_number_and_its_limit(changed, kind, words):
     verdict = judge(SOUND | changed)
     assert (verdict.kind, verdict.words) == (kind, words)
+
+
+def test_frames_that_were_missed_without_harm_leave_a_run_good():
+    beside_repeats = {ERROR_OVER_REPEATS: 7.0, REPEATS_LIMIT: 8.0}
+    assert not judge({**SOUND, "frames.dropped_fraction": 0.5}).failed
+    assert not judge({**SOUND, "frames.dropped_fraction": 0.25, **beside_repeats}).failed
+    assert not judge({**SOUND, "frames.dropped_fraction": 0.3, **beside_repeats, ERROR_OVER_REPEATS: 3.9}).failed
+
+
+def test_a_run_that_missed_too_much_input_is_no_measure_for_its_repeats():
+    assert not tracked_enough({**SOUND, "frames.dropped_fraction": 0.54})
+    far = {ERROR_OVER_REPEATS: 7.0, REPEATS_LIMIT: 8.0}
+    assert tracked_enough({**SOUND, "frames.dropped_fraction": 0.3, **far})
 
 
 def test_two_centimetres_are_no_divergence_however_short_the_path():
@@ -129,16 +153,22 @@ def test_what_ended_badly_or_could_not_be_evaluated_names_its_reason():
 def test_another_rule_may_be_stricter_looser_or_leave_parts_out():
     assert judge(SOUND, FailureRule(tracked_fraction_below=0.75)).kind is VerdictKind.TRACKED_TOO_LITTLE
     assert judge(SOUND, FailureRule(ate_rmse_above_m=0.05)).kind is VerdictKind.DIVERGED_FAR
-    off = FailureRule(None, None, None, None, None, outliers=False)
-    bad = {"ate.rmse": 9.0, "tracked.path": 0.0, "tracked_fraction": 0.0, "ate.per_path": 90.0}
+    off = FailureRule(None, None, None, None, None, outliers=False, missed_input_above=None)
+    bad = {
+        "frames.dropped_fraction": 0.9,
+        "ate.rmse": 9.0,
+        "tracked.path": 0.0,
+        "tracked_fraction": 0.0,
+        "ate.per_path": 90.0,
+    }
     assert not judge(bad | {ERROR_OVER_REPEATS: 90.0, REPEATS_LIMIT: 5.0}, off).failed
 
 
 def test_the_rule_is_stated_in_words():
     assert DEFAULT_RULE.words == (
-        "A run counts as failed if it did not end well, could not be evaluated, tracked less than 70 % of the path or "
-        "diverged. It diverged if its ATE RMSE is above 5 % of the path, above 50 % of the error of standing still or "
-        "more than 4 to 6 times the median of 3 or more repeats."
+        "A run counts as failed if it did not end well, could not be evaluated, missed more than 50 % of the input, "
+        "tracked less than 70 % of the path or diverged. It diverged if its ATE RMSE is above 5 % of the path, "
+        "above 50 % of the error of standing still or more than 4 to 6 times the median of 3 or more repeats."
     )
     assert FailureRule(None, None, None, None, None, outliers=False).words == (
         "A run counts as failed if it did not end well or could not be evaluated."

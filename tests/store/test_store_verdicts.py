@@ -7,7 +7,9 @@ from datetime import UTC, datetime
 import pytest
 from sqlalchemy import text
 
+from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import RunState
+from slamhive.domain.trust import DROPPED_FRAMES
 from slamhive.domain.verdict import DIVERGED, ERROR_OVER_REPEATS, REPEATS_LIMIT, VerdictKind
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.filters.binding import Search, read_search
@@ -92,6 +94,32 @@ def test_a_run_that_is_evaluated_again_gets_a_new_verdict_and_so_do_its_repeats(
     evaluate(store, runs[0], outcome(0.1, tracked=0.3))
     assert kinds(store, runs) == [VerdictKind.TRACKED_TOO_LITTLE, GOOD, GOOD]
     assert rows(store, ERROR_OVER_REPEATS) == []
+
+
+def test_a_run_that_got_69_of_150_sweeps_is_not_good(store: Store, samples: Samples) -> None:
+    """Its error is seven times that of its repeats, and yet too small to be an outlier."""
+    runs = [samples.run_in(RunState.SUCCEEDED) for _ in range(4)]
+    for run_id, error_m, dropped in zip(runs, (0.012, 0.011, 0.013, 0.084), (0.0, 0.0, 0.3, 81 / 150), strict=True):
+        store.write(lambda tx, run=run_id, share=dropped: tx.metrics.put(run, None, {DROPPED_FRAMES: share}))
+        evaluate(store, run_id, outcome(error_m))
+    missed = VerdictKind.MISSED_INPUT
+    assert kinds(store, runs) == [GOOD, GOOD, GOOD, missed]
+    (last,) = store.read(lambda tx: tx.runs.get_many(runs[3:], with_metrics=True))
+    assert outcome_words(last) == "failed: missed too much input"
+    assert last.verdict is not None
+    assert last.verdict.words == "The run missed 54 % of the input frames; 50 % are allowed."
+    assert found(store, "verdict = missed_input", RunSort("id")) == runs[3:]
+
+
+def test_runs_from_before_input_was_counted_are_judged_again_by_the_migration(store: Store, samples: Samples) -> None:
+    (run_id,) = evaluated(store, samples, 0.1)
+    migrate.downgrade(store.engine, "0025")
+    store.write(lambda tx: tx.metrics.put(run_id, None, {DROPPED_FRAMES: 0.6}))
+    migrate.upgrade(store.engine)
+    assert kinds(store, [run_id]) == [VerdictKind.MISSED_INPUT]
+    migrate.downgrade(store.engine, "0025")
+    assert rows(store, VERDICT) == []
+    migrate.upgrade(store.engine)
 
 
 def test_what_cannot_be_evaluated_has_a_verdict_until_it_can(store: Store, samples: Samples) -> None:
