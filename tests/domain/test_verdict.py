@@ -55,8 +55,10 @@ def test_a_sound_keyframe_run_is_good_although_it_covers_little_time():
         (
             {"frames.dropped_fraction": 0.3, ERROR_OVER_REPEATS: 7.0, REPEATS_LIMIT: 8.0},
             VerdictKind.MISSED_INPUT,
-            "The run missed 30 % of the input frames, and its ATE RMSE is 7 times the median of its repeats; "
-            "above 25 % missed, 4 times are allowed.",
+            (
+                "The run missed 30 % of the input frames, and its ATE RMSE is 7 times the median of its repeats; "
+                "above 25 % missed, 4 times are allowed."
+            ),
         ),
         ({"tracked.path": 0.69}, VerdictKind.TRACKED_TOO_LITTLE, "The run tracked 69 % of the path; 70 % are needed."),
         (
@@ -170,7 +172,7 @@ def test_the_rule_is_stated_in_words():
         "tracked less than 70 % of the path or diverged. It diverged if its ATE RMSE is above 5 % of the path, "
         "above 50 % of the error of standing still or more than 4 to 6 times the median of 3 or more repeats."
     )
-    assert FailureRule(None, None, None, None, None, outliers=False).words == (
+    assert FailureRule(None, None, None, None, None, outliers=False, missed_input_above=None).words == (
         "A run counts as failed if it did not end well or could not be evaluated."
     )
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+
+import pytest
+
 from slamhive.services.experiments.answer import Certainty, DatasetAnswer, answer_on, question
-from slamhive.services.experiments.ranking import RankEntries, RankEntry
+from slamhive.services.experiments.ranking import RankEntries, RankEntry, placed
 from slamhive.store.experiments import CellSample
 from slamhive.store.records import ProtocolLabel
 
@@ -66,6 +70,35 @@ def test_a_configuration_that_fails_rarely_and_is_more_accurate_is_not_beaten() 
     found = answered(entry(1, 5, 0.2), entry(2, 4, 0.1, lost=1))
     assert found.leaders == ("a", "b")
     assert found.certainty is Certainty.NOT_SEPARATED
+
+
+def places(*entries: RankEntry) -> dict[str, int | None]:
+    ordered, found = placed(sorted(entries, key=lambda known: known.key))
+    assert [found[known.number] for known in ordered] == sorted(found.values(), key=lambda place: place or 99)
+    return {"abcdef"[number - 1]: place for number, place in found.items()}
+
+
+def test_one_failure_more_takes_a_place_only_if_the_test_of_the_answer_says_so() -> None:
+    assert places(entry(1, 5, 0.2), entry(2, 4, 0.1, lost=1)) == {"a": 1, "b": 1}
+    assert places(entry(1, 8, 0.1), entry(2, 2, 0.05, lost=6)) == {"a": 1, "b": 2}
+
+
+def test_one_that_shares_the_first_place_stands_before_one_that_does_not() -> None:
+    entries = entry(1, 5, 0.1), entry(2, 5, 0.12, 0.001), entry(3, 2, 0.125, 0.05), entry(4, 1, 0.1)
+    assert places(*entries) == {"a": 1, "c": 1, "b": 3, "d": None}
+    assert answered(*entries).leaders == ("a", "c")
+
+
+@pytest.mark.parametrize("first", [entry(1, 5, 0.1), entry(1, 3, 0.1, lost=1), entry(1, 9, 0.1, 0.03)])
+def test_the_first_place_and_the_answer_name_the_same(first: RankEntry) -> None:
+    others = [
+        entry(2, n, mean_m, std_m, lost)
+        for n, mean_m, std_m, lost in itertools.product((2, 6), (0.08, 0.11, 0.14), (0.005, 0.03), (0, 1, 3))
+    ]
+    for second, third in itertools.combinations(others, 2):
+        entries = first, second, RankEntry(3, third.good, third.lost, third.total)
+        best = {name for name, place in places(*entries).items() if place == 1}
+        assert best == set(answered(*entries).leaders), entries
 
 
 def test_what_has_no_result_keeps_the_answer_open() -> None:

@@ -15,19 +15,17 @@ from typing import TYPE_CHECKING
 
 from slamhive.domain.names import plural
 from slamhive.domain.parameters import Value
-from slamhive.services.experiments.ranking import RankEntries, RankEntry
+from slamhive.services.experiments.ranking import RankEntries, RankEntry, SeparationTest
 from slamhive.store.records import ExperimentRecord
 
 if TYPE_CHECKING:
     from slamhive.services.experiments.progress import AxisTable
 
-SIGNIFICANCE = 0.05
 MOST_NAMED = 3
 MOST_SUGGESTED = 100
 """More repeats than this are named but not offered: the difference is too small to matter."""
 REPEATS_WANTED = 3
 """So many runs of each are asked for where there are fewer than two, which no test can judge."""
-MOST_SEARCHED = 400
 
 
 class Certainty(StrEnum):
@@ -177,17 +175,16 @@ def _competitors(entries: RankEntries, names: Mapping[int, str]) -> dict[str, Ra
 
 def _tested(dataset: str, competitors: Mapping[str, RankEntry], waiting: Sequence[str]) -> DatasetAnswer:
     leader, first = next(iter(competitors.items()))
-    tests = {
-        name: _Test.of(first, entry) for name, entry in competitors.items() if name != leader and not _one_run(entry)
-    }
+    rivals = {name: entry for name, entry in competitors.items() if name != leader and not _one_run(entry)}
+    tests = {name: SeparationTest.of(first, entry) for name, entry in rivals.items()}
     sharing = {name: test for name, test in tests.items() if not test.separated}
     so_far = f" So far, {_listed(waiting)} has no result." if waiting else ""
     if not sharing:
         second, test = next(iter(tests.items()))
-        text = f"{leader} is best: {test.words(first, competitors[second], second)}.{so_far}"
+        text = f"{leader} is best: {_test_words(test, first, competitors[second], second)}.{so_far}"
         certainty = Certainty.OPEN if waiting else Certainty.SEPARATED
         return DatasetAnswer(dataset, certainty, (leader,), test.p_value, None, text)
-    needed = [test.more for test in sharing.values()]
+    needed = [test.repeats_to_decide for test in sharing.values()]
     more = None if None in needed else max(count for count in needed if count is not None)
     p_value = min(test.p_value for test in sharing.values())
     sign = "=" if len(sharing) == 1 else "≥"
@@ -196,60 +193,13 @@ def _tested(dataset: str, competitors: Mapping[str, RankEntry], waiting: Sequenc
     return DatasetAnswer(dataset, Certainty.NOT_SEPARATED, (leader, *sharing), p_value, more, text)
 
 
-@dataclass(frozen=True, slots=True)
-class _Test:
-    """The first of the ranking against another: by failures if their shares differ, otherwise by the means."""
-
-    separated: bool
-    by_failures: bool
-    p_value: float
-    more: int | None
-
-    @classmethod
-    def of(cls, first: RankEntry, other: RankEntry) -> _Test:
-        from slamhive.analysis.statistics import compare_samples, shares_p_value  # noqa: PLC0415 - loads scipy
-
-        failures = (first.lost, first.total), (other.lost, other.total)
-        p_failures = shares_p_value(*failures)
-        if p_failures < SIGNIFICANCE or first.good is None or other.good is None:
-            more = None if p_failures < SIGNIFICANCE else _repeats_for_shares(*failures)
-            return cls(p_failures < SIGNIFICANCE, True, p_failures, more)
-        means = compare_samples(
-            (first.good.n, first.good.mean, first.good.variance), (other.good.n, other.good.mean, other.good.variance)
+def _test_words(test: SeparationTest, first: RankEntry, other: RankEntry, name: str) -> str:
+    if test.by_failures or first.good is None or other.good is None:
+        return (
+            f"{first.lost} of {plural(first.total, 'run')} failed, {other.lost} of {other.total} of {name}, "
+            f"{_p_text(test.p_value)}"
         )
-        ahead = means.difference < 0
-        if means.decided and ahead:
-            return cls(True, False, means.p_value, None)
-        by_failures = means.decided or not ahead
-        # The other is not worse where it succeeds: only its failures can decide.
-        counts = [] if by_failures and first.lost != other.lost else [means.repeats_to_decide]
-        least = min(first.good.n, other.good.n)
-        needed = [max(1, count - least) for count in counts if count is not None]
-        if first.lost != other.lost and (found := _repeats_for_shares(*failures)) is not None:
-            needed.append(found)
-        p_value = p_failures if not counts else means.p_value
-        return cls(False, not counts, p_value, min(needed, default=None))
-
-    def words(self, first: RankEntry, other: RankEntry, name: str) -> str:
-        if self.by_failures or first.good is None or other.good is None:
-            return (
-                f"{first.lost} of {plural(first.total, 'run')} failed, {other.lost} of {other.total} of {name}, "
-                f"{_p_text(self.p_value)}"
-            )
-        return f"ATE {_spread(first)} against {_spread(other)} of {name}, {_p_text(self.p_value)}"
-
-
-def _repeats_for_shares(first: tuple[int, int], second: tuple[int, int]) -> int | None:
-    """Further runs of each with which Fisher's test would tell the present shares apart; None if too many."""
-    from slamhive.analysis.statistics import shares_p_value  # noqa: PLC0415 - loads scipy
-
-    if first[0] * second[1] == second[0] * first[1]:
-        return None
-    for more in range(1, MOST_SEARCHED):
-        counts = [(round(hits * (total + more) / total), total + more) for hits, total in (first, second)]
-        if shares_p_value(counts[0], counts[1]) < SIGNIFICANCE:
-            return more
-    return None
+    return f"ATE {_spread(first)} against {_spread(other)} of {name}, {_p_text(test.p_value)}"
 
 
 def _one_run(entry: RankEntry) -> bool:

@@ -18,6 +18,9 @@ from slamhive.store.experiments import CellSample
 from slamhive.store.records import CellRecord, ExperimentRecord, ProtocolLabel
 
 RANKED_BY = "ate.rmse"
+SIGNIFICANCE = 0.05
+MOST_SEARCHED = 400
+"""Repeats that are searched for the number that would decide."""
 BEST, WORST = 8, 4
 """So many configurations of each dataset are shown, if there are more than both together."""
 MOST_DATASETS = 12
@@ -177,10 +180,9 @@ def _entries(numbers: Sequence[int], samples: Mapping[int, Sequence[CellSample]]
 
 
 def _ranking(t: Transaction, experiment_id: int, dataset: str, entries: RankEntries) -> Ranking | None:
-    order = entries.ended
-    if not order:
+    if not entries.ended:
         return None
-    places = _places(() if entries.other_runs else order)
+    order, places = (entries.ended, {}) if entries.other_runs else placed(entries.ended)
     few = len(order) <= BEST + WORST
     shown = order if few else [*order[:BEST], *order[-WORST:]]
     numbers = [entry.number for entry in shown]
@@ -208,28 +210,85 @@ def _ranking(t: Transaction, experiment_id: int, dataset: str, entries: RankEntr
     return Ranking(dataset, entries.protocol, best, worst, between, waiting, entries.other_runs, without)
 
 
-def _places(order: Iterable[RankEntry]) -> dict[int, int | None]:
-    """The place of each entry. As in challenges, each is compared with the first of the place before it."""
-    places: dict[int, int | None] = {}
-    first: RankEntry | None = None
-    place = 1
-    for position, entry in enumerate(order, start=1):
-        if not entry.ranked:
-            places[entry.number] = None
-            continue
-        if first is None or entry.lost != first.lost or _differ(first.good, entry.good):
-            first, place = entry, position
-        places[entry.number] = place
-    return places
+@dataclass(frozen=True, slots=True)
+class SeparationTest:
+    """A configuration against one behind it in the order: by failures if their shares differ, otherwise by the means.
+
+    Places and the sentence of the answer follow from it alike.
+
+    Attributes:
+        separated: The other is worse by more than chance.
+        by_failures: The p value is that of the shares of failed runs.
+        p_value: Of Fisher's test of the shares, or of Welch's test of the means.
+        repeats_to_decide: Further runs of each that would separate them as they are now; None if none would.
+    """
+
+    separated: bool
+    by_failures: bool
+    p_value: float
+    repeats_to_decide: int | None
+
+    @classmethod
+    def of(cls, first: RankEntry, other: RankEntry) -> SeparationTest:
+        """Test ``first`` against ``other``; two entries with good runs need two of them each."""
+        from slamhive.analysis.statistics import compare_samples, shares_p_value  # noqa: PLC0415 - loads scipy
+
+        failures = (first.lost, first.total), (other.lost, other.total)
+        p_failures = shares_p_value(*failures)
+        if p_failures < SIGNIFICANCE or first.good is None or other.good is None:
+            more = None if p_failures < SIGNIFICANCE else _repeats_for_shares(*failures)
+            return cls(p_failures < SIGNIFICANCE, True, p_failures, more)
+        means = compare_samples(
+            (first.good.n, first.good.mean, first.good.variance), (other.good.n, other.good.mean, other.good.variance)
+        )
+        ahead = means.difference < 0
+        if means.decided and ahead:
+            return cls(True, False, means.p_value, None)
+        by_failures = means.decided or not ahead
+        # The other is not worse where it succeeds: only its failures can decide.
+        counts = [] if by_failures and first.lost != other.lost else [means.repeats_to_decide]
+        least = min(first.good.n, other.good.n)
+        needed = [max(1, count - least) for count in counts if count is not None]
+        if first.lost != other.lost and (found := _repeats_for_shares(*failures)) is not None:
+            needed.append(found)
+        p_value = p_failures if not counts else means.p_value
+        return cls(False, not counts, p_value, min(needed, default=None))
 
 
-def _differ(first: CellSample | None, second: CellSample | None) -> bool:
-    """Tell if Welch's test separates the means."""
-    from slamhive.analysis.statistics import means_differ  # noqa: PLC0415 - loads scipy, for repeats only
+def _repeats_for_shares(first: tuple[int, int], second: tuple[int, int]) -> int | None:
+    """Further runs of each with which Fisher's test would tell the present shares apart; None if too many."""
+    from slamhive.analysis.statistics import shares_p_value  # noqa: PLC0415 - loads scipy
 
-    if first is None or second is None:
-        return True
-    return means_differ((first.n, first.mean, first.variance), (second.n, second.mean, second.variance))
+    if first[0] * second[1] == second[0] * first[1]:
+        return None
+    for more in range(1, MOST_SEARCHED):
+        counts = [(round(hits * (total + more) / total), total + more) for hits, total in (first, second)]
+        if shares_p_value(counts[0], counts[1]) < SIGNIFICANCE:
+            return more
+    return None
+
+
+def placed(order: Sequence[RankEntry]) -> tuple[list[RankEntry], dict[int, int | None]]:
+    """The entries by place, and {number: place}; equal places by the order, None without two good runs.
+
+    An entry shares the first place if no test separates it from the first, as the answer says. Behind it, each
+    is compared with the first of the place before it, as in challenges.
+    """
+    ranked = [entry for entry in order if entry.ranked]
+    shared: list[list[RankEntry]] = []
+    for entry in ranked:
+        heads = dict.fromkeys((0, len(shared) - 1)) if shared else ()
+        home = next((at for at in heads if not SeparationTest.of(shared[at][0], entry).separated), None)
+        if home is None:
+            shared.append([entry])
+        else:
+            shared[home].append(entry)
+    places: dict[int, int | None] = {entry.number: None for entry in order}
+    sorted_entries: list[RankEntry] = []
+    for members in shared:
+        places.update(dict.fromkeys((entry.number for entry in members), len(sorted_entries) + 1))
+        sorted_entries += members
+    return [*sorted_entries, *(entry for entry in order if not entry.ranked)], places
 
 
 NO_FIGURES = CellFigures(None, 0, 0, {})
