@@ -285,6 +285,7 @@ def make_kitti_raw(folder: Path) -> Path:
     return drive
 
 
+NUSCENES_SCENE = "scene-0061"
 KITTI_360 = "2013_05_28_drive_0000_sync"
 
 
@@ -363,6 +364,7 @@ OPTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {
     "tum-rgbd": with_calibration,
     "7-scenes": with_calibration,
     "video": with_truth,
+    "nuscenes": lambda _source: {"sequence": NUSCENES_SCENE},
 }
 """What users have to say of such a folder."""
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import bz2
+import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tests.recordings.format_world import FRAMES, write
+from tests.recordings.format_world import FRAMES, NUSCENES_SCENE, colour, draw, write
 
 CARMEN_RANGES = 5
 
@@ -88,10 +90,67 @@ def make_mulran(folder: Path) -> Path:
     return folder
 
 
+NUSCENES_START_US = 1_532_402_927_600_000
+NUSCENES_CHANNELS = ("LIDAR_TOP", "CAM_FRONT", "CAM_BACK", "RADAR_FRONT")
+
+
+def make_nuscenes(folder: Path) -> Path:
+    """Two scenes, of which the first has files: scans at 20 Hz, two cameras at 10 Hz; each second scan is a sample."""
+    tables: dict[str, list[dict[str, Any]]] = {
+        "scene": [
+            {"token": f"s{n}", "name": name, "first_sample_token": f"a{n}0", "last_sample_token": f"a{n}1"}
+            for n, name in enumerate((NUSCENES_SCENE, "scene-0103"))
+        ],
+        "sample": [
+            {"token": f"a{n}{k}", "scene_token": f"s{n}", "timestamp": NUSCENES_START_US + 100_000 * k}
+            for n in range(2)
+            for k in range(2)
+        ],
+        "sensor": [
+            {"token": f"k{n}", "channel": channel, "modality": channel.partition("_")[0].lower()}
+            for n, channel in enumerate(NUSCENES_CHANNELS)
+        ],
+        "calibrated_sensor": [
+            {
+                "token": f"c{n}",
+                "sensor_token": f"k{n}",
+                "translation": [1.0 + n, 0.1, 1.5],
+                "rotation": [0.5, -0.5, 0.5, -0.5] if n else [0.8, 0.0, 0.0, -0.6],
+                "camera_intrinsic": [[20.0, 0, 15.5], [0, 20.5, 11.5], [0, 0, 1]] if n in (1, 2) else [],
+            }
+            for n in range(len(NUSCENES_CHANNELS))
+        ],
+        "sample_data": [],
+        "ego_pose": [],
+    }
+    points = (np.arange(30).reshape(6, 5) / 10).astype("<f4")
+    points[:, 4] = np.arange(6)
+    for n, channel in enumerate(NUSCENES_CHANNELS[:3]):
+        period_us, count = (100_000, FRAMES) if n else (50_000, 2 * FRAMES)
+        for k in range(count):
+            time_us = NUSCENES_START_US + period_us * k + 7_000 * n
+            name = f"{'sweeps' if k % 2 else 'samples'}/{channel}/n015-{time_us}.{'jpg' if n else 'pcd.bin'}"
+            record = {"token": f"d{n}{k}", "timestamp": time_us}
+            size = {"width": 32, "height": 24} if n else {"width": 0, "height": 0}
+            keys = {"sample_token": f"a0{k % 2}", "ego_pose_token": f"d{n}{k}", "calibrated_sensor_token": f"c{n}"}
+            tables["sample_data"].append({**record, **keys, **size, "filename": name, "is_key_frame": k % 2 == 0})
+            turn = [float(np.cos(0.05 * k)), 0.0, 0.0, float(np.sin(0.05 * k))]
+            tables["ego_pose"].append({**record, "translation": [600.0 + k, 1600.0 - k, 0.5], "rotation": turn})
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            if n:
+                draw(folder / name, colour(k))
+            else:
+                (folder / name).write_bytes(points.tobytes())
+    for table, records in tables.items():
+        write(folder / "v1.0-mini" / f"{table}.json", json.dumps(records, indent=0))
+    return folder
+
+
 RANGE_FORMATS: dict[str, Callable[[Path], Path]] = {
     "carmen": make_carmen,
     "rawseeds": make_rawseeds,
     "nclt": make_nclt,
     "mulran": make_mulran,
+    "nuscenes": make_nuscenes,
 }
 """Makes a folder of each format."""

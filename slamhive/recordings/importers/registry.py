@@ -21,6 +21,7 @@ from slamhive.recordings.importers.kitti_odometry import KittiOdometryImporter
 from slamhive.recordings.importers.kitti_raw import KittiRawImporter
 from slamhive.recordings.importers.mulran import MulranImporter
 from slamhive.recordings.importers.nclt import NcltImporter
+from slamhive.recordings.importers.nuscenes import NuScenesImporter
 from slamhive.recordings.importers.openloris import OpenLorisImporter
 from slamhive.recordings.importers.rawseeds import RawseedsImporter
 from slamhive.recordings.importers.replica import ReplicaImporter
@@ -81,6 +82,7 @@ IMPORTERS.register("hilti-2022", Hilti2022Importer())
 IMPORTERS.register("evalio", EvalioImporter())
 IMPORTERS.register("kitti-raw", KittiRawImporter())
 IMPORTERS.register("kitti-360", Kitti360Importer())
+IMPORTERS.register("nuscenes", NuScenesImporter())
 IMPORTERS.register("7-scenes", SevenScenesImporter())
 IMPORTERS.register("eth3d", Eth3dImporter())
 IMPORTERS.register("tartanair", TartanAirImporter())
@@ -97,6 +99,7 @@ EXPERIMENTAL: Mapping[str, str] = {
     **dict.fromkeys(("nclt", "mulran", "kitti-raw"), _LOADER),
     "evalio": "tried with sequences of its own registry, never with a published one",
     "kitti-360": "transforms as in kitti360scripts, never tried with a published recording",
+    "nuscenes": "poses and points as in nuscenes-devkit, never tried with a published recording",
 }
 """What speaks for importers of which nobody has tried a published recording, by name."""
 
