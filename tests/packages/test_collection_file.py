@@ -18,7 +18,7 @@ from slamhive.recordings.importing import ImportOptions
 FILES = sorted((Path(__file__).parents[2] / "datasets" / "catalogue").glob("*.yaml"))
 WANTED = {
     *("bonn", "eth3d", "euroc", "hilti-2022", "icl-nuim", "kitti", "newer-college", "openloris", "tartanair"),
-    *("tum-rgbd", "tum-vi"),
+    *("tum-rgbd", "tum-vi", "fusionportable", "grand-tour", "hilti-2026", "m2dgr", "msd"),
 }
 GOOD = """
 format: 1

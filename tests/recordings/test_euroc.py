@@ -1,5 +1,6 @@
 """EuRoC import: the ASL layout, TUM-VI's variant of it, every way to break it, and V1_01 where it is."""
 
+import json
 import shutil
 
 import numpy as np
@@ -108,6 +109,83 @@ def test_the_authors_estimate_is_chosen_and_two_measurements_are_refused(source)
     assert (
         "mine.txt; vicon0, leica0 of the folder is left out" in plan(source, groundtruth=source / "mine.txt").notes[0]
     )
+
+
+def basalt(**changed):
+    pose = {"px": 0.1, "py": -0.05, "pz": 0.02, "qx": 0.0, "qy": 0.0, "qz": 0.6, "qw": 0.8}
+    fisheye = {"fx": 20.5, "fy": 20.25, "cx": 15.5, "cy": 11.5, "k1": 0.3, "k2": 0.1, "k3": -0.2, "k4": 0.05}
+    whole = {
+        "T_imu_cam": [pose, {**pose, "py": 0.08}],
+        "intrinsics": [{"camera_type": "kb4", "intrinsics": fisheye}] * 2,
+        "resolution": [[32, 24]] * 2,
+        "calib_accel_bias": [0.1] + [0.0] * 8,
+        "calib_gyro_bias": [0.0] * 12,
+        "imu_update_rate": 1000.0,
+        "accel_noise_std": [0.016] * 3,
+        "gyro_noise_std": [0.000282] * 3,
+        "accel_bias_std": [0.001] * 3,
+        "gyro_bias_std": [0.0001] * 3,
+        "cam_time_offset_ns": 2_000_000,
+    }
+    return json.dumps({"value0": {**whole, **changed}})
+
+
+@pytest.fixture
+def monado(tmp_path):
+    """A folder as the Monado SLAM datasets have them: no ``sensor.yaml``, poses in ``gt``."""
+    folder = make_euroc(tmp_path / "MIO01")
+    for path in folder.glob("mav0/*/sensor.yaml"):
+        path.unlink()
+    (folder / "mav0/state_groundtruth_estimate0").rename(folder / "mav0/gt")
+    rows = [line.split(",")[:8] for line in (folder / "mav0/gt/data.csv").read_text().splitlines()[1:]]
+    (folder / "mav0/gt/data.csv").write_text("#timestamp\n" + "".join(",".join(row) + "\n" for row in rows))
+    (folder / "calibration.json").write_text(basalt())
+    return folder
+
+
+def test_one_calibration_of_basalt_replaces_those_of_the_parts(monado, tmp_path):
+    found = plan(monado)
+    assert "gt has no sensor.yaml: its poses are taken as those of the IMU" in found.notes
+    assert "calib_accel_bias of calibration.json is not read" in found.notes
+    dataset = convert(monado, tmp_path / "made")
+    cam1, imu = dataset.sensor("cam1"), dataset.sensor("imu0")
+    assert np.array(cam1.T_body_sensor).reshape(4, 4) == pytest.approx(
+        np.array([[0.28, -0.96, 0, 0.1], [0.96, 0.28, 0, 0.08], [0, 0, 1, 0.02], [0, 0, 0, 1]])
+    )
+    assert (cam1.calibration["model"], cam1.calibration["distortion"], cam1.calibration["time_offset_s"]) == (
+        "fisheye-kb", (0.3, 0.1, -0.2, 0.05), 0.002
+    )  # fmt: skip
+    assert imu.calibration["accelerometer_noise_density"] == pytest.approx(0.016)
+    assert dataset.title == "Monado SLAM, MIO01"
+    assert truth_of(dataset).stamps_s.size == 31
+
+
+def test_the_calibration_of_the_user_counts_most(monado, tmp_path):
+    given = tmp_path / "mine.json"
+    given.write_text(basalt(cam_time_offset_ns=0))
+    assert "time_offset_s" not in plan(monado, calibration=(given,)).sensors[0].calibration
+
+
+@pytest.mark.parametrize(
+    ("changed", "problem"),
+    [
+        ({"resolution": [[32, 24]]}, "no lists of one length"),
+        ({"intrinsics": [{"camera_type": "ucm"}] * 2}, "camera_type ucm is not read; known: pinhole, kb4, ds"),
+        ({"T_imu_cam": [{"px": 0, "py": 0, "pz": 0, "qx": 0, "qy": 0, "qz": 0, "qw": 2}] * 2}, "quaternion has norm 2"),
+        ({"cam_time_offset_ns": 2e10}, "cam_time_offset_ns is 20 s"),
+        ({"accel_noise_std": "low"}, "accel_noise_std is 'low', no numbers"),
+    ],
+)
+def test_a_mistake_in_basalts_calibration_is_one_clear_line(monado, changed, problem):
+    (monado / "calibration.json").write_text(basalt(**changed))
+    with pytest.raises(InvalidInput, match=problem):
+        plan(monado)
+
+
+def test_without_any_calibration_the_first_part_that_lacks_it_is_named(monado):
+    (monado / "calibration.json").unlink()
+    with pytest.raises(InvalidInput, match=r"cam0/sensor\.yaml does not exist"):
+        plan(monado)
 
 
 def test_what_is_left_out_is_said(source, tmp_path):

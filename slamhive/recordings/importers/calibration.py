@@ -16,7 +16,8 @@ from slamhive.domain.calibration import COEFFICIENTS, TIME_OFFSET, CameraIntrins
 from slamhive.domain.sensors import CalibrationValue, SensorKind
 from slamhive.packages.dataset_file import load_sensors
 from slamhive.recordings.calibration_file import CalibrationFile, read_calibration_file
-from slamhive.recordings.geometry import Array
+from slamhive.recordings.geometry import Array, transform
+from slamhive.trajectory.transforms import rotations_from_quats
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +204,66 @@ def _transform(entry: CalibrationFile, key: str) -> Array | None:
     return entry.rigid(key) if key in entry.content else None
 
 
-# Calibration files that users give: those of Kalibr, and ``dataset.yaml``.
+# Calibration files of Basalt (Usenko et al., RA-L 2020): JSON with everything under ``value0``.
+#
+# https://gitlab.com/VladyslavUsenko/basalt/-/blob/master/doc/Calibration.md describes them.
+
+
+_BASALT_MODELS: dict[str, tuple[CameraModel, tuple[str, ...]]] = {
+    "pinhole": (CameraModel.PINHOLE, ()),
+    "kb4": (CameraModel.FISHEYE_KB, ("k1", "k2", "k3", "k4")),
+    "ds": (CameraModel.DOUBLE_SPHERE, ("xi", "alpha")),
+}
+_BASALT_NOISE = {
+    "gyroscope_noise_density": "gyro_noise_std",
+    "gyroscope_random_walk": "gyro_bias_std",
+    "accelerometer_noise_density": "accel_noise_std",
+    "accelerometer_random_walk": "accel_bias_std",
+}
+
+
+def read_basalt(path: Path, content: Mapping[str, Any]) -> KnownCalibration:
+    """The cameras and the IMU of a file of Basalt's; raises InvalidInput naming the file and the field."""
+    whole = CalibrationFile(str(path), dict(content)).part("value0")
+    known = KnownCalibration()
+    poses, cameras, sizes = whole.parts("T_imu_cam"), whole.parts("intrinsics"), whole.content.get("resolution")
+    if not isinstance(sizes, list) or not len(poses) == len(cameras) == len(sizes):
+        raise InvalidInput(f"{whole.name}: T_imu_cam, intrinsics and resolution are no lists of one length")
+    shift_s = (whole.optional("cam_time_offset_ns") or 0.0) * 1e-9
+    if abs(shift_s) > _MOST_SHIFT_S:
+        raise InvalidInput(f"{whole.name}: cam_time_offset_ns is {shift_s:g} s", "expected at most 10 s")
+    more: dict[str, CalibrationValue] = {TIME_OFFSET: shift_s} if shift_s else {}
+    for number, (pose, camera) in enumerate(zip(poses, cameras, strict=True)):
+        kind = camera.word("camera_type")
+        if kind not in _BASALT_MODELS:
+            models = ", ".join(_BASALT_MODELS)
+            raise InvalidInput(f"{camera.name}: camera_type {kind} is not read", f"known: {models}")
+        model, keys = _BASALT_MODELS[kind]
+        values = camera.part("intrinsics")
+        width, height = CalibrationFile(camera.name, {"resolution": sizes[number]}).size("resolution")
+        fx, fy, cx, cy = (values.number(key) for key in ("fx", "fy", "cx", "cy"))
+        coefficients = tuple(values.number(key) for key in keys)
+        name, frame = f"cam{number}", f"{path}:cam{number}"
+        intrinsics = CameraIntrinsics(width, height, fx, fy, cx, cy, model, coefficients)
+        known.sensors.append(KnownSensor(name, SensorKind.CAMERA, "", frame, intrinsics, more=more))
+        known.transforms.append(("imu0", frame, _basalt_pose(pose)))
+    noise = {key: float(np.mean(whole.numbers(given, 1, 3))) for key, given in _BASALT_NOISE.items()}
+    known.sensors.append(KnownSensor("imu0", SensorKind.IMU, "", "imu0", noise=ImuNoise(**noise)))
+    biases = [key for key in ("calib_accel_bias", "calib_gyro_bias") if any(whole.numbers(key))]
+    if biases:
+        known.notes.append(f"{' and '.join(biases)} of {path.name} {'is' if len(biases) == 1 else 'are'} not read")
+    return known
+
+
+def _basalt_pose(part: CalibrationFile) -> Array:
+    quat_xyzw = np.array([part.number(f"q{axis}") for axis in "xyzw"])
+    norm = float(np.linalg.norm(quat_xyzw))
+    if not 0.99 < norm < 1.01:
+        raise InvalidInput(f"{part.name}: the quaternion has norm {norm:g}", "copy the file again")
+    return transform(rotations_from_quats(quat_xyzw[None] / norm)[0], [part.number(f"p{axis}") for axis in "xyz"])
+
+
+# Calibration files that users give: those of Kalibr and Basalt, and ``dataset.yaml``.
 
 
 BODY = "body"
@@ -243,9 +303,12 @@ def read_calibration(path: Path) -> KnownCalibration:
         return known
     if is_kalibr(content):
         return read_kalibr(path, content)
+    if isinstance(content.get("value0"), dict):
+        return read_basalt(path, content)
     raise InvalidInput(
         f"{path} is no calibration that is read",
-        "expected Kalibr's camchain.yaml (cam0: ...) or imu.yaml, or a dataset.yaml (sensors: ...)",
+        "expected Kalibr's camchain.yaml (cam0: ...) or imu.yaml, Basalt's calibration.json (value0: ...), or a "
+        "dataset.yaml (sensors: ...)",
     )
 
 

@@ -1,6 +1,7 @@
 """Importer of the ASL layout of EuRoC (Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016).
 
 TUM-VI's export in this layout (Schubert et al., "The TUM VI benchmark", IROS 2018) has fisheye cameras and ``mocap0``.
+The Monado SLAM datasets (de Mayo et al., 2025) have ``gt``, and one calibration of Basalt's instead of ``sensor.yaml``.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import COEFFICIENTS, CameraIntrinsics, CameraModel, ImuNoise
-from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind
 from slamhive.recordings.calibration_file import CalibrationFile, read_calibration_file
 from slamhive.recordings.ground_truth import listed_truth, matched_truth, of_body, tum_truth
+from slamhive.recordings.importers.calibration import FrameGraph, KnownCalibration, read_calibrations
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,
@@ -30,11 +32,13 @@ from slamhive.recordings.text_lists import TimedList, read_timed_list
 from slamhive.trajectory.layout import TimeUnit
 
 ROOT, LIST, SENSOR_FILE = "mav0", "data.csv", "sensor.yaml"
+_WHOLE_CALIBRATION = "calibration.json"
 _ESTIMATE = "state_groundtruth_estimate0"
 _MEASURED = {
     "vicon0": "motion capture (Vicon)",
     "mocap0": "motion capture (OptiTrack)",
     "leica0": "laser tracker (Leica MS50)",
+    "gt": "tracking of the headset",
 }
 _POSE = "timestamp [ns], p_x, p_y, p_z, q_w, q_x, q_y, q_z"
 _MODELS = {
@@ -69,7 +73,7 @@ class EurocImporter:
     """
 
     title = "EuRoC (ASL) folder: mav0 with cam0, imu0 and others, each with data.csv and sensor.yaml"
-    options = frozenset({"groundtruth"})
+    options = frozenset({"calibration", "groundtruth"})
     refines: frozenset[str] = frozenset()
 
     def detect(self, path: Path) -> Detection:
@@ -86,16 +90,16 @@ class EurocImporter:
             raise InvalidInput(f"{source} is no EuRoC folder: it lacks cam0", "give the folder that contains mav0")
         streams: list[PlannedStream] = []
         notes: list[str] = []
+        known = _known(source, root, options)
+        notes.extend(known.notes)
         for camera in cameras:
-            stream, remarks = _camera_stream(camera)
+            stream, remarks = _camera_stream(camera, known)
             streams.append(stream)
             notes.extend(remarks)
         if (root / "imu0").is_dir():
             part = _Part(root / "imu0")
             rows = part.rows("timestamp [ns], w_x, w_y, w_z [rad/s], a_x, a_y, a_z [m/s^2]")
-            calibration = part.calibration()
-            noise = ImuNoise(**{key: calibration.optional(key) for key in ImuNoise.__slots__})
-            T_body_imu = tuple(calibration.rigid("T_BS").reshape(-1).tolist())
+            noise, T_body_imu = _imu(part, known)
             sensor = Sensor(
                 part.name, SensorKind.IMU, f"/{part.name}", rate_hz(rows.times_ns), T_body_imu, noise.calibration()
             )
@@ -107,7 +111,7 @@ class EurocImporter:
         return ImportPlan(
             tuple(streams),
             truth,
-            _text(source, tum_vi=fisheye and (root / "mocap0").is_dir()),
+            _text(source, tum_vi=fisheye and (root / "mocap0").is_dir(), monado=(root / "gt").is_dir()),
             notes=(*notes, *remarks, *matched_truth(truth, streams)),
         )
 
@@ -120,10 +124,42 @@ def _truths() -> tuple[str, ...]:
     return (_ESTIMATE, *_MEASURED)
 
 
-def _camera_stream(part: _Part) -> tuple[PlannedStream, tuple[str, ...]]:
+def _known(source: Path, root: Path, options: ImportOptions) -> KnownCalibration:
+    """Calibration that replaces the ``sensor.yaml`` of each part: that of the user, or that of the dataset."""
+    beside = [folder / _WHOLE_CALIBRATION for folder in dict.fromkeys((source, root, root.parent))]
+    return read_calibrations(options.calibration or [path for path in beside if path.is_file()][:1])
+
+
+def _imu(part: _Part, known: KnownCalibration) -> tuple[ImuNoise, Matrix4]:
+    """The noise of the IMU, and its pose relative to the body."""
+    found = next((sensor.noise for sensor in known.sensors if sensor.name == part.name and sensor.noise), None)
+    if found is not None:
+        return found, IDENTITY4
+    calibration = part.calibration()
+    noise = ImuNoise(**{key: calibration.optional(key) for key in ImuNoise.__slots__})
+    return noise, tuple(calibration.rigid("T_BS").reshape(-1).tolist())
+
+
+def _camera_stream(part: _Part, known: KnownCalibration) -> tuple[PlannedStream, tuple[str, ...]]:
     rows = part.rows("timestamp [ns], filename")
     kept, paths = rows.files(part.folder / "data")
-    sensor = camera_sensor(part.name, part.calibration(), rate_hz(kept.times_ns))
+    found = next((sensor for sensor in known.sensors if sensor.name == part.name and sensor.intrinsics), None)
+    if found is None:
+        sensor = camera_sensor(part.name, part.calibration(), rate_hz(kept.times_ns))
+    else:
+        graph = FrameGraph()
+        for parent, child, T in known.transforms:
+            graph.add(parent, child, T)
+        T_body_camera = graph.find("imu0", found.frame)
+        if T_body_camera is None:
+            raise InvalidInput(
+                f"the calibration of {part.name} does not say where it is relative to imu0", "calibrate both together"
+            )
+        assert found.intrinsics is not None
+        calibration = {**found.intrinsics.calibration("mono8"), **found.more}
+        matrix = tuple(T_body_camera.reshape(-1).tolist())
+        topic = f"/{part.name}/image_raw"
+        sensor = Sensor(part.name, SensorKind.CAMERA, topic, rate_hz(kept.times_ns), matrix, calibration)
     return image_stream(sensor, kept.times_ns, paths), rows.notes(kept)
 
 
@@ -197,7 +233,7 @@ def _poses(part: _Part, source: str) -> PlannedTruth:
     return listed_truth(rows, np.roll(rows.numbers(3, 4), -1, axis=1), source, gravity_aligned=True)
 
 
-def _text(source: Path, *, tum_vi: bool) -> DatasetText:
+def _text(source: Path, *, tum_vi: bool, monado: bool) -> DatasetText:
     resolved = source.resolve()
     name = resolved.parent.name if resolved.name == ROOT else resolved.name
     if tum_vi:
@@ -208,6 +244,15 @@ def _text(source: Path, *, tum_vi: bool) -> DatasetText:
             citation="Schubert et al.: The TUM VI benchmark for evaluating visual-inertial odometry. IROS 2018",
             source="https://cvg.cit.tum.de/data/datasets/visual-inertial-dataset",
             attributes=("real", "handheld"),
+        )
+    if monado:
+        return DatasetText(
+            title=f"Monado SLAM, {name}",
+            description="Cameras and IMU of a headset; the body is the IMU.",
+            licence="CC BY 4.0",
+            citation="de Mayo, Cremers, Pire: The Monado SLAM dataset for egocentric visual-inertial tracking. 2025",
+            source="https://huggingface.co/datasets/collabora/monado-slam-datasets",
+            attributes=("real", "indoor", "handheld"),
         )
     return DatasetText(
         title=f"EuRoC, {name}",
