@@ -54,7 +54,7 @@
     return frame;
   }
 
-  const digits = (value) => value.toPrecision(4);
+  const digits = (value) => value.toPrecision(3);
 
   /** Which metrics are not marked, and why; as services/run_comparison.py has it for the pages of a server. */
   function unmarkedParts(runs, protocols) {
@@ -83,7 +83,7 @@
   /** A number in the unit of a metric, as pages write it. */
   function written(metric, value) {
     const shown = value * metric.factor;
-    return Math.abs(shown) >= 1e4 ? shown.toLocaleString("en", { maximumFractionDigits: 0 }) : digits(shown);
+    return Math.abs(shown) >= 100 ? shown.toLocaleString("en", { maximumFractionDigits: 0 }) : digits(shown);
   }
 
   /** The value of a column: that of its run, or the mean of its good runs above its 95 % interval. */

@@ -32,7 +32,7 @@
       link.textContent = value;
       place.append(link);
     } else if (typeof value === "number") {
-      place.textContent = Number(value.toPrecision(5)).toString();
+      place.textContent = Number.isInteger(value) ? String(value) : Number(value.toPrecision(3)).toString();
       place.title = value;
     } else place.textContent = value;
     if (numeric[index]) place.className = "number";

@@ -154,6 +154,9 @@ class Summary(Document):
             "The algorithms by the kind of trajectory that was judged (live, final, keyframes), if several were."
         ),
     ] = Field(default_factory=dict)
+    mixed_protocols: Annotated[
+        str | None, described("How many runs use which protocol, and the remedy, if their errors are not comparable.")
+    ] = None
     mixed_cpus: Annotated[dict[str, int], described("The number of runs on each CPU model if they ran on several.")] = (
         Field(default_factory=dict)
     )

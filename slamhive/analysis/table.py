@@ -19,6 +19,8 @@ from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.dataset import ATTRIBUTE_KINDS
 from slamhive.domain.metrics import CATALOGUE, Direction
 from slamhive.domain.names import plural
+from slamhive.domain.protocol import Protocol
+from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, mixed_protocols
 from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
 from slamhive.domain.verdict import (
     DATED_FRACTION,
@@ -112,6 +114,7 @@ class RunTable:
         not_evaluated: Number of runs left out because they were not evaluated under the protocol, were cancelled, or
             have not ended: they are neither good nor failed.
         without_disturbed: Number of runs left out because the machine was disturbed; None if such runs are kept.
+        definitions: The protocols of the runs by fingerprint, as far as they are known.
     """
 
     frame: pd.DataFrame
@@ -123,6 +126,7 @@ class RunTable:
     installed: Mapping[str, str] = field(default_factory=dict)
     not_evaluated: int = 0
     without_disturbed: int | None = None
+    definitions: Mapping[str, Protocol] = field(default_factory=dict)
 
     def marker(self, algorithm: str, dataset: str | None = None) -> str:
         """The marker of the runs of an algorithm: that of their dataset, or of the algorithm if there is one dataset.
@@ -272,14 +276,24 @@ class RunTable:
         if not needing:
             return None
         having = self.frame[self.frame[needing].notna().any(axis=1)]
-        labels = having.groupby("protocol", sort=True)["protocol_label"].agg(["first", "size"])
-        if len(labels) > 1:
-            found = "; ".join(f"{row['first']} ({row['size']} runs, {key})" for key, row in labels.iterrows())
+        mixed = self._mixed(having)
+        if mixed is not None:
             raise InvalidInput(
-                f"{needing[0]} was evaluated under {len(labels)} protocols, which are never mixed: {found}",
-                "choose one with 'protocol: FINGERPRINT', or evaluate all runs under one protocol first",
+                f"{needing[0]}: {mixed.counts}: not comparable",
+                f"choose one with 'protocol: FINGERPRINT', or {mixed.remedy}",
             )
-        return str(labels["first"].iloc[0]) if len(labels) else None
+        labels = having["protocol_label"].dropna()
+        return str(labels.iloc[0]) if len(labels) else None
+
+    @property
+    def mixed_protocols(self) -> MixedProtocols | None:
+        """The protocols of the runs if there are several, whose errors no plot draws together."""
+        return self._mixed(self.frame) if {"protocol", "protocol_label"} <= set(self.frame) else None
+
+    def _mixed(self, rows: pd.DataFrame) -> MixedProtocols | None:
+        counts = rows.groupby(["protocol", "protocol_label"], sort=True).size()
+        uses = [ProtocolUse(str(key), str(label), None, int(runs)) for (key, label), runs in counts.items()]
+        return mixed_protocols(uses, self.definitions)
 
     def varied(self) -> list[Column]:
         """The parameters that vary within an algorithm; among equal columns, the first.

@@ -93,12 +93,14 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
 
 
 def _show_what_differs(report: Report) -> None:
-    """Print what runs of the report do not have in common: disturbance, versions, kinds of trajectories, CPUs."""
+    """Print what runs of the report do not have in common: disturbance, protocols, versions, trajectories, CPUs."""
     found = report.disturbance
     if found is not None and found.left_out:
         tell(f"left out: {found.left_out} runs that were measured on a disturbed machine")
     if found is not None and found.disturbed:
         tell(f"{found.disturbed} runs were measured on a disturbed machine")
+    if report.mixed_protocols is not None:
+        tell(report.mixed_protocols, style="yellow")
     for name, labels in report.mixed_versions.items():
         tell(f"versions are mixed: {name} ran as {', '.join(labels)}", style="yellow")
     for kind, names in report.mixed_trajectories.items():

@@ -72,6 +72,9 @@ def _notes(comparison: RunComparison) -> list[str]:
     if comparison.protocol is None:
         return ["none of these runs is evaluated; `slamhive evaluate` evaluates them"]
     notes = [f"protocol: {comparison.protocol.label} ({comparison.protocol.fingerprint})"]
+    notes += comparison.sentences
+    if comparison.mixed is not None:
+        notes.append(comparison.mixed.sentences)
     lacking = comparison.protocol.lacking
     if lacking:
         numbers = " ".join(map(str, lacking))

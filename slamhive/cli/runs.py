@@ -256,7 +256,7 @@ def _error(entry: RunRecord) -> str:
     """The error with the protocol that it depends on; empty without an evaluation."""
     if entry.protocol is None:
         return ""
-    found = _number((entry.metrics or {}).get("ate.rmse"), "ATE RMSE {:.4g} m") or "no ATE"
+    found = _number((entry.metrics or {}).get("ate.rmse"), "ATE RMSE {:.3g} m") or "no ATE"
     return f"error: {found}, by {entry.protocol.label} (protocol {entry.protocol.fingerprint})"
 
 

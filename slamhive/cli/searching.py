@@ -162,7 +162,7 @@ def print_groups(listing: Listing) -> None:
 def _spread_text(spread: Spread | None) -> str | None:
     if spread is None:
         return None
-    return f"{spread.mean:.4g}" if spread.std is None else f"{spread.mean:.4g} ± {spread.std:.2g}"
+    return f"{spread.mean:.3g}" if spread.std is None else f"{spread.mean:.3g} ± {spread.std:.2g}"
 
 
 @click.group("search")

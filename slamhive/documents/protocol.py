@@ -156,4 +156,11 @@ class ComparisonDocument(Document):
     unmarked: Annotated[
         str | None, described("Which metrics have no value marked as the best, and why; null for none.")
     ]
+    not_comparable: Annotated[
+        str | None,
+        described("Where runs lack the protocol: how many runs use which one, and the remedy. Null if none lacks it."),
+    ]
+    sentences: Annotated[
+        tuple[str, ...], described("How each group of repeats stands to the first one; empty for single runs.")
+    ]
     address: Annotated[str, described("The path of the same comparison on the web pages.")]

@@ -85,6 +85,11 @@ class MixedProtocols:
         return f"evaluate all under {self.common_name}: {command}"
 
     @property
+    def sentences(self) -> str:
+        """The counts and the way out in one line, for text, files and JSON."""
+        return f"{self.words} {self.remedy[0].upper()}{self.remedy[1:]}"
+
+    @property
     def common_name(self) -> str:
         """The short name of the common protocol, for a button; empty without one."""
         if self.common is None:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from statistics import fmean, variance
 from typing import TYPE_CHECKING, Any
 
 from slamhive.base import strict_yaml
@@ -15,16 +16,18 @@ from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.documents.catalogue import MatchDocument
 from slamhive.documents.protocol import ComparedColumn, ComparedMetric, ComparisonDocument
 from slamhive.domain.algorithm import IMPORTED
-from slamhive.domain.metrics import Direction, Metric, with_unknown
+from slamhive.domain.metrics import CATALOGUE, Direction, Metric, with_unknown
 from slamhive.domain.names import plural
 from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import RunState
+from slamhive.domain.side_by_side import MixedProtocols
 from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
 from slamhive.domain.trust import TrustLevel
-from slamhive.domain.verdict import judge
+from slamhive.domain.verdict import ERROR, judge
 from slamhive.run_folder.folder import RunFolder
+from slamhive.services.evaluations import mixed_of
 from slamhive.store import Store
-from slamhive.store.records import EvaluationState, RunRecord
+from slamhive.store.records import EvaluationState, ProtocolLabel, RunRecord
 from slamhive.store.transaction import Transaction
 
 if TYPE_CHECKING:
@@ -81,8 +84,8 @@ _REMEDY = f"name {FEWEST_RUNS} to {MOST_RUNS} runs, for example 3,5,8"
 
 
 def shown_digits(value: float) -> str:
-    """The four significant digits that pages show; values that agree in them are a tie."""
-    return f"{value:.4g}"
+    """The three significant digits that pages show; values that agree in them are a tie."""
+    return f"{value:.3g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +179,8 @@ class RunComparison:
     """Runs side by side under one protocol; ``protocol`` is None if none of them is evaluated.
 
     ``unmarked`` says in which metrics the runs are not comparable, so that none is marked as better. Differences count
-    from the column at the place ``baseline``.
+    from the column at the place ``baseline``. ``mixed`` is there if runs lack the protocol and have
+    another one. ``sentences`` say how each group of repeats stands to the baseline; none for single runs.
     """
 
     columns: tuple[RunColumn, ...]
@@ -187,6 +191,8 @@ class RunComparison:
     metrics: tuple[MetricLine, ...]
     unmarked: tuple[Unmarked, ...]
     baseline: int = 0
+    mixed: MixedProtocols | None = None
+    sentences: tuple[str, ...] = ()
 
     @property
     def runs(self) -> tuple[RunRecord, ...]:
@@ -228,6 +234,7 @@ class RunComparison:
             settings={line.key: dict(zip(names, line.texts, strict=True)) for line in self.settings},
             metrics={line.metric.key: line.document(names) for line in self.metrics},
             unmarked="; ".join(entry.words for entry in self.unmarked) or None,
+            not_comparable=None if self.mixed is None else self.mixed.sentences,
         )
 
 
@@ -345,6 +352,34 @@ def _differ(first: Sequence[float], second: Sequence[float]) -> bool:
     from slamhive.analysis.statistics import compare_means  # noqa: PLC0415
 
     return compare_means(np.array(first), np.array(second)).decided
+
+
+def group_sentences(
+    columns: Sequence[RunColumn], values: Values, protocol: CommonProtocol, baseline: int
+) -> tuple[str, ...]:
+    """How the repeats of each column stand to those of the column at the place ``baseline``.
+
+    The tests are those of the answer of an experiment.
+    """
+    from slamhive.services.experiments import RankEntry, pair_sentence  # noqa: PLC0415 - for repeats only
+    from slamhive.store.experiments import CellSample  # noqa: PLC0415
+
+    label = ProtocolLabel(protocol.fingerprint, protocol.label)
+
+    def entry(place: int) -> RankEntry:
+        column = columns[place]
+        sample = [values[run][ERROR] for run in column.run_ids if run not in column.failed and ERROR in values[run]]
+        spread = variance(sample) if len(sample) > 1 else 0.0
+        good = CellSample(place, label, len(sample), fmean(sample), spread) if sample else None
+        return RankEntry(place, good, len(column.failed), len(sample) + len(column.failed))
+
+    names = [f"configuration {column.runs[0].configuration_id}" for column in columns]
+    told = [
+        pair_sentence(names[place], entry(place), names[baseline], entry(baseline))
+        for place in range(len(columns))
+        if place != baseline
+    ]
+    return tuple(text[0].upper() + text[1:] for text in told)
 
 
 def colour_order(comparison: RunComparison) -> list[int]:
@@ -531,7 +566,9 @@ class RunComparisons:
         """
         if baseline is not None and baseline not in run_ids:
             raise InvalidInput(f"the baseline {baseline} is none of the compared runs", "name one of them")
-        runs, values, protocols = self._store.read(lambda t: _read(t, run_ids))
+        (runs, values, protocols), mixed = self._store.read(
+            lambda t: (_read(t, run_ids), mixed_of(t, t.evaluations.uses(run_ids)))
+        )
         chosen = _chosen(protocols, runs, protocol)
         fingerprint = None if chosen is None else chosen.fingerprint
         evaluated = {run: found.get(fingerprint, {}) if fingerprint else {} for run, found in values.items()}
@@ -544,6 +581,8 @@ class RunComparisons:
             folders = [RunFolder(self._runs_folder / str(run.id)) for run in column.runs]
             records = [folder.read_record() if folder.record.exists() else {} for folder in folders]
             settings.append([settings_of(run, record) for run, record in zip(column.runs, records, strict=True)])
+        place = next((at for at, column in enumerate(columns) if baseline in column.run_ids), 0)
+        comparable = grouped and not any(entry.holds_for(CATALOGUE[ERROR]) for entry in unmarked)
         return RunComparison(
             columns=columns,
             grouped=grouped,
@@ -552,7 +591,9 @@ class RunComparisons:
             settings=setting_lines(settings),
             metrics=metric_lines(columns, shown, unmarked),
             unmarked=unmarked,
-            baseline=next((place for place, column in enumerate(columns) if baseline in column.run_ids), 0),
+            baseline=place,
+            mixed=mixed if chosen is not None and chosen.lacking else None,
+            sentences=group_sentences(columns, shown, chosen, place) if comparable and chosen is not None else (),
         )
 
     def standing(self, run: RunRecord, most: int) -> RepeatStanding:

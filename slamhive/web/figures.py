@@ -322,7 +322,7 @@ def captions(series: RunSeries, protocol: str | None) -> dict[str, str]:
         )
         if series.estimate.pieces[-1]:
             gaps = plural(int(series.estimate.pieces[-1]), "gap")
-            texts["path"] += f" Dotted: {gaps} of more than {significant(series.gap_s, 3)} s without a pose."
+            texts["path"] += f" Dotted: {gaps} of more than {significant(series.gap_s)} s without a pose."
     if series.groundtruth is not None:
         texts["path"] = texts.get("path", "") + f" Ground truth dashed, {plural(series.groundtruth.poses, 'pose')}."
     if series.error is not None:

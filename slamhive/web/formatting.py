@@ -66,7 +66,7 @@ def display_unit(metric: Metric) -> DisplayUnit:
 
 
 def metric_cell(metric: Metric, value: float | None) -> TableCell:
-    """A value with four significant digits; the stored value and its unit on hover."""
+    """A value with three significant digits; the stored value and its unit on hover."""
     if value is None:
         return TableCell(DASH, f"no {metric.label} known", missing=True)
     shown = display_unit(metric)
@@ -85,7 +85,7 @@ def median_text(n: int, median: float) -> str:
     return f"median {significant(median)}" if n > 2 else ""
 
 
-def significant(value: float, digits: int = 4) -> str:
+def significant(value: float, digits: int = 3) -> str:
     """``value`` with ``digits`` significant digits; no exponent between 1e-4 and 1e7. Integers keep all digits."""
     if not math.isfinite(value):
         return str(value)

@@ -39,7 +39,7 @@ def repeats_path(values: Sequence[float]) -> str:
 
 def repeats_words(values: Sequence[float], factor: float, unit: str) -> str:
     """The drawing of :func:`repeats_path` in words: ``5 good runs in order, from 0.10 to 0.12 m``."""
-    low, high = (significant(value * factor, 3) for value in (min(values), max(values)))
+    low, high = (significant(value * factor) for value in (min(values), max(values)))
     return f"{len(values)} good runs in order, from {low} to {high} {unit}".strip()
 
 

@@ -170,8 +170,12 @@ def test_a_baseline_counts_failed_runs_and_leaves_out_what_has_not_ended(hive: H
 def test_a_baseline_of_two_protocols_is_refused_until_one_is_named(hive: Hive):
     add_good(hive, errors_m(2), nFeatures=5000)
     add_good(hive, errors_m(2), nFeatures=5000, protocol=Protocol(Alignment.SIM3))
-    with pytest.raises(InvalidInput, match="evaluated under 2 protocols, which are never mixed"):
+    with pytest.raises(InvalidInput) as refused:
         hive.gates.baselines.freeze("mixed", "nFeatures = 5000")
+    assert refused.value.message == "eye-slam-stereo on room: 2 runs use SE(3), 2 Sim(3): not comparable"
+    fingerprint = Protocol(Alignment.SIM3).fingerprint
+    command = f"slamhive evaluate RUNS --protocol {fingerprint} --current"
+    assert refused.value.remedy == f"choose one with --protocol, or evaluate all under Sim(3): {command}"
     frozen = hive.gates.baselines.freeze("mixed", "nFeatures = 5000", world.PROTOCOL.fingerprint)
     assert (frozen.baseline.runs, frozen.left_out) == (2, 2)
 

@@ -10,9 +10,11 @@ import pytest
 from slamhive.domain.run import Host
 from slamhive.domain.trust import Trust, TrustLevel
 from slamhive.services.run_comparison import (
+    CommonProtocol,
     MetricLine,
     RunColumn,
     Unmarked,
+    group_sentences,
     metric_lines,
     setting_lines,
     unmarked_parts,
@@ -29,6 +31,7 @@ class Numbered:
     trust: Trust | None = None
     dataset: str = "room"
     host: Host | None = None
+    configuration_id: int = 0
 
 
 def column(*run_ids: int, failed: tuple[int, ...] = (), trust: Trust | None = None) -> RunColumn:
@@ -49,7 +52,7 @@ def parts_of(*runs: Numbered, mixed: bool = False) -> tuple[Unmarked, ...]:
     [
         ("ate.rmse", {1: 0.2, 2: 0.1}, 1),
         ("tracked_fraction", {1: 0.9, 2: 0.8}, 0),
-        ("ate.rmse", {1: 0.10001, 2: 0.10002}, None),  # equal in the four digits that are shown
+        ("ate.rmse", {1: 0.10001, 2: 0.10002}, None),  # equal in the three digits that are shown
         ("scale", {1: 1.0, 2: 1.2}, None),  # neutral
     ],
 )
@@ -134,6 +137,32 @@ def test_the_mean_of_repeats_leaves_failed_runs_out():
     assert figure is not None
     assert figure.count == 2
     assert figure.mean == pytest.approx(0.2)
+
+
+def test_a_sentence_says_how_a_group_stands_to_the_baseline():
+    def repeats(configuration: int, *run_ids: int, failed: tuple[int, ...] = ()) -> RunColumn:
+        return RunColumn(
+            cast("Any", tuple(Numbered(run_id, configuration_id=configuration) for run_id in run_ids)), failed
+        )
+
+    errors_m = {1: 0.10, 2: 0.11, 3: 0.12, 4: 0.50, 5: 0.51, 6: 0.52, 7: 0.10, 8: 0.12, 9: 0.13}
+    values = {run: {"ate.rmse": error_m} for run, error_m in errors_m.items()}
+    columns = repeats(3, 1, 2, 3), repeats(4, 4, 5, 6), repeats(5, 7, 8, 9), repeats(6, 10, 11, failed=(10, 11))
+    protocol = CommonProtocol("f" * 16, "SE(3)", (), ())
+    worse, near, none = group_sentences(columns, values, protocol, 0)
+    assert worse == (
+        "Configuration 4 is worse than configuration 3: ATE 0.510 ± 0.010 m against 0.110 ± 0.010 m, p < 0.001."
+    )
+    assert near.startswith("Configuration 5 and configuration 3 are not separated, p = ")
+    assert near.endswith(" more repeats would decide.")
+    assert none == "Configuration 6 and configuration 3 are not separated, p = 0.1; 1 more repeat would decide."
+    better, *_ = group_sentences(columns, values, protocol, 1)
+    assert better == (
+        "Configuration 3 is better than configuration 4: ATE 0.110 ± 0.010 m against 0.510 ± 0.010 m, p < 0.001."
+    )
+    assert group_sentences((repeats(3, 1), repeats(4, 4, 5)), values, protocol, 0) == (
+        "No test can judge one good run of configuration 3; add 2 repeats.",
+    )
 
 
 def test_settings_of_repeats_list_their_values_and_missing_ones_differ():

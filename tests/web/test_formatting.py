@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from slamhive.domain.metrics import METRICS
-from slamhive.web.formatting import DASH, display_unit, relative_time
+from slamhive.web.formatting import DASH, display_unit, mean_text, metric_cell, relative_time
 
 NOW = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
 
@@ -31,6 +31,27 @@ def test_times_lie_behind_or_ahead(seconds: float, words: str):
 
 def test_no_time_is_a_dash():
     assert relative_time(None, NOW) == DASH
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.10612, "0.106"),
+        (12.345, "12.3"),
+        (123.45, "123"),
+        (1234.5, "1,234"),
+        (0.0, "0"),
+        (2.0, "2"),
+        (4e-5, "4.00e-05"),
+    ],
+)
+def test_lists_show_three_digits_and_the_exact_value_on_hover(value: float, text: str):
+    cell = metric_cell(METRICS.entries["ate.rmse"], value)
+    assert (cell.text, cell.exact) == (text, f"{value!r} m")
+
+
+def test_a_mean_has_three_digits_and_its_deviation_two():
+    assert mean_text(0.10612, 0.01934) == "0.106 ± 0.019"
 
 
 def test_every_share_is_shown_in_percent():

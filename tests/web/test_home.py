@@ -71,7 +71,7 @@ def test_the_title_says_what_is_going_on(shown: Web) -> None:
     assert "<h1>1 run in progress, 1 queued</h1>" in text
     assert 'aria-valuenow="50.0"' in text
     assert "No worker is running, so 1 queued run waits" in text
-    assert "0.04567" in part(text, "results-title")
+    assert "0.0457" in part(text, "results-title")
     assert "no trajectory" in text
 
 

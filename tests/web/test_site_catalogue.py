@@ -57,7 +57,7 @@ def test_a_site_counts_outcomes_and_never_puts_medians_of_two_protocols_side_by_
 
     world.evaluate_run(hive, 2, reason="no timestamp matches")
     site = published(hive)
-    assert counts(site)[:2] == ["1", "0.04567"], "a run that cannot be evaluated has ended, but is not good"
+    assert counts(site)[:2] == ["1", "0.0457"], "a run that cannot be evaluated has ended, but is not good"
     assert f"failed: {VerdictKind.NOT_EVALUABLE.label}" in (site / "assets" / "runs.js").read_text()
     (mono,) = world.add_runs(hive, 1, "eye-slam-mono")
     world.finish_run(hive, mono)

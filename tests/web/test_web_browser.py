@@ -497,12 +497,12 @@ def test_tables_are_copied_as_csv_markdown_and_latex(browsing: Page) -> None:
     ]
     head, line, first, *_ = copied(browsing, "Markdown")
     assert line == "| ---: | --- | ---: | ---: |"
-    assert first == "| 1 | eye-slam-stereo | 0.04567 | 1.250 |"
+    assert first == "| 1 | eye-slam-stereo | 0.0457 | 1.25 |"
     latex = copied(browsing, "LaTeX")
     begin = latex.index("\\begin{tabular}{rlrr}")
     assert latex[0] == "% \\usepackage{booktabs}"
     assert latex[begin + 1] == "\\toprule"
-    assert latex[begin + 4] == "1 & eye-slam-stereo & 0.04567 & 1.250 \\\\"
+    assert latex[begin + 4] == "1 & eye-slam-stereo & 0.0457 & 1.25 \\\\"
     assert head.count("|") == 5
 
 

@@ -83,7 +83,7 @@ def test_the_page_says_where_a_run_is_worse_and_leads_there(compared: Web):
 
 @pytest.mark.integration
 def test_differences_count_from_the_baseline(compared: Web):
-    for baseline, cells in ((1, ["★ better: 0.04567", "+0.454"]), (6, ["★ better: −0.454", "0.5000"])):
+    for baseline, cells in ((1, ["★ better: 0.0457", "+0.454"]), (6, ["★ better: −0.454", "0.500"])):
         text = compared.client.get(f"/compare?runs=1,6&baseline={baseline}").text
         row = re.search(r"ATE RMSE.*?</tr>", text, re.DOTALL)
         assert row is not None
@@ -115,7 +115,7 @@ def test_repeats_become_one_column_and_one_line_with_a_band(compared: Web):
     text = compared.client.get("/compare?runs=1,2,6,7&group=configuration").text
     row = re.search(r"ATE RMSE.*?</tr>", text, re.DOTALL)
     assert row is not None
-    assert "0.5500" in row[0]
+    assert "0.550" in row[0]
     assert "0.500 to 0.600" in row[0]
     found = compared.client.get("/compare/figures.json?runs=1,2,6,7&group=configuration").json
     assert found is not None

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import re
+import threading
 from html import unescape
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from slamhive.base.settings import Mode
+from slamhive.cli import main
 from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.services.stored_analyses import AnalysisJobs
 from tests.web import web_world as world
 from tests.web.web_world import PROTOCOL, Web
 
 pytestmark = pytest.mark.quick
 
 SIM3 = Protocol(Alignment.SIM3)
+SAID = (
+    "3 runs use SE(3), 2 Sim(3): not comparable. "
+    f"Evaluate all under Sim(3): slamhive evaluate RUNS --protocol {SIM3.fingerprint} --current"
+)
 BANNER = re.compile(r"<div class=\"alert alert-warning mixed\".*?</div>", re.DOTALL)
 
 
@@ -105,6 +113,32 @@ def test_a_comparison_and_the_editor_of_analyses_say_the_same(web: Web) -> None:
     named = yaml + f"protocol: {SIM3.fingerprint}\n"
     answer = web.client.post("/analyses/check", data={"csrf_token": web.token, "yaml": named}).get_json()
     assert answer["message"] == "both: valid."
+
+
+@pytest.mark.integration
+def test_a_report_says_it_on_its_page_in_its_file_and_on_the_command_line(web: Web, tmp_path: Path) -> None:
+    mono, stereo = mix(web)
+    runs = ", ".join(map(str, [*mono, *stereo]))
+    yaml = f"name: both\nselect: {{runs: {{runs: [{runs}]}}}}\nforms: [{{form: by_algorithm}}]\n"
+    address = web.client.post("/analyses", data={"csrf_token": web.token, "yaml": yaml}).location
+    jobs = AnalysisJobs(web.hive.settings, web.hive.store, web.hive.catalogue.project_root)
+    assert jobs.work_once("t", threading.Event())
+    text = banner(web, address)
+    assert "3 runs use SE(3), 2 Sim(3): not comparable." in text
+    assert web.client.get(address).text.count("2 Sim(3): not comparable. ") == 0, (
+        "the page says it once above its facts"
+    )
+    assert f"{SAID}</strong>" in web.client.get(f"{address}/files/report.html").text
+    assert "ate.rmse: 3 runs use SE(3), 2 Sim(3): not comparable" in web.client.get(address).text
+    assert press(web, text) == address
+    (tmp_path / "both.yaml").write_text(yaml)
+    said = CliRunner().invoke(main, ["--data", str(web.hive.settings.data), "analyse", str(tmp_path / "both.yaml")])
+    assert SAID in said.stderr
+    named = web.client.post(
+        "/analyses", data={"csrf_token": web.token, "yaml": f"{yaml}protocol: {SIM3.fingerprint}\n"}
+    )
+    assert jobs.work_once("t", threading.Event())
+    assert banner(web, named.location) == ""
 
 
 def test_the_button_never_leads_to_another_server_and_names_a_bad_protocol(web: Web) -> None:

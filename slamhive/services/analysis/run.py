@@ -287,6 +287,7 @@ def make_report(outcome: AnalysisOutcome, now: datetime, references: tuple[Refer
         ),
         mixed_versions=table.mixed_versions,
         mixed_trajectories=table.mixed_trajectories,
+        mixed_protocols=None if table.mixed_protocols is None else table.mixed_protocols.sentences,
         mixed_cpus=table.mixed_cpus,
         rule=table.rule_words,
         protocols=tuple(

@@ -216,7 +216,13 @@ def load_table(
     covered = all(run_id in named for run_id, entry in zip(facts["run_id"], variants, strict=True) if entry)
     repeated = set(_variant_columns(variants)) if covered else set()
     left_out = selected - len(facts["run_id"]) if request.exclude_disturbed else None
-    return replace(table.described(known, repeated), not_evaluated=not_evaluated, without_disturbed=left_out)
+    fingerprints = {entry for entry in facts["protocol"] if entry is not None}
+    return replace(
+        table.described(known, repeated),
+        not_evaluated=not_evaluated,
+        without_disturbed=left_out,
+        definitions=store.read(lambda t: t.evaluations.definitions(fingerprints)) if len(fingerprints) > 1 else {},
+    )
 
 
 def _evaluated(source: Any, facts: Columns, errors_m: Mapping[int, float], protocol: str | None) -> Columns:

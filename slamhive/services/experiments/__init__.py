@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.experiments.answer import Certainty, DatasetAnswer, ExperimentAnswer, question
+    from slamhive.services.experiments.answer import (
+        Certainty,
+        DatasetAnswer,
+        ExperimentAnswer,
+        pair_sentence,
+        question,
+    )
     from slamhive.services.experiments.context import GUESSED_START_S, ExperimentContext, Progress, guessed_duration_s
     from slamhive.services.experiments.folder import RECORD, SOURCE, ExperimentFolder, StoredExperiment
     from slamhive.services.experiments.progress import METRICS, is_failing, status_of
@@ -15,6 +21,7 @@ if TYPE_CHECKING:
         NO_FIGURES,
         RANKED_BY,
         RankedCell,
+        RankEntry,
         Ranking,
         csv_text,
         failures_text,

@@ -188,18 +188,39 @@ def _tested(dataset: str, competitors: Mapping[str, RankEntry], waiting: Sequenc
     more = None if None in needed else max(count for count in needed if count is not None)
     p_value = min(test.p_value for test in sharing.values())
     sign = "=" if len(sharing) == 1 else "≥"
-    would = "no number of repeats would decide" if more is None else f"{plural(more, 'more repeat')} would decide"
-    text = f"{_listed([leader, *sharing])} are not separated, {_p_text(p_value, sign)}; {would}.{so_far}"
+    text = f"{_listed([leader, *sharing])} are not separated, {_p_text(p_value, sign)}; {_would_decide(more)}.{so_far}"
     return DatasetAnswer(dataset, Certainty.NOT_SEPARATED, (leader, *sharing), p_value, more, text)
 
 
-def _test_words(test: SeparationTest, first: RankEntry, other: RankEntry, name: str) -> str:
-    if test.by_failures or first.good is None or other.good is None:
-        return (
-            f"{first.lost} of {plural(first.total, 'run')} failed, {other.lost} of {other.total} of {name}, "
-            f"{_p_text(test.p_value)}"
-        )
-    return f"ATE {_spread(first)} against {_spread(other)} of {name}, {_p_text(test.p_value)}"
+def _test_words(test: SeparationTest, entry: RankEntry, other: RankEntry, name: str = "") -> str:
+    of = f" of {name}" if name else ""
+    if test.by_failures or entry.good is None or other.good is None:
+        failed = f"{entry.lost} of {plural(entry.total, 'run')} failed{',' if of else ' against'}"
+        return f"{failed} {other.lost} of {other.total}{of}, {_p_text(test.p_value)}"
+    return f"ATE {_spread(entry)} against {_spread(other)}{of}, {_p_text(test.p_value)}"
+
+
+def pair_sentence(name: str, entry: RankEntry, other_name: str, other: RankEntry) -> str:
+    """How ``entry`` stands to ``other``, by the tests of the answer: better, worse, or not separated."""
+    ahead, behind = sorted(((name, entry), (other_name, other)), key=lambda pair: pair[1].key)
+    if ahead[1].good is None:
+        lost = entry.lost + other.lost
+        return f"Neither {name} nor {other_name} has a good run: {plural(lost, 'run')} failed."
+    single = [known for known, found in (ahead, behind) if _one_run(found)]
+    if single:
+        more = plural(REPEATS_WANTED - 1, "repeat")
+        return f"No test can judge one good run of {_listed(single)}; add {more}."
+    test = SeparationTest.of(ahead[1], behind[1])
+    if test.separated:
+        told = "better" if ahead[0] == name else "worse"
+        return f"{name} is {told} than {other_name}: {_test_words(test, entry, other)}."
+    return (
+        f"{name} and {other_name} are not separated, {_p_text(test.p_value)}; {_would_decide(test.repeats_to_decide)}."
+    )
+
+
+def _would_decide(more: int | None) -> str:
+    return "no number of repeats would decide" if more is None else f"{plural(more, 'more repeat')} would decide"
 
 
 def _one_run(entry: RankEntry) -> bool:

@@ -22,12 +22,13 @@ from slamhive.domain.names import check_name, plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.run import RunState
+from slamhive.domain.side_by_side import mixed_protocols
 from slamhive.domain.verdict import FROM_REPEATS, VerdictKind
 from slamhive.services.datasets import check_writable
 from slamhive.services.searches import Searches
 from slamhive.store import RunRecord, Store, Transaction
 from slamhive.store.metrics import VERDICT, kind_of
-from slamhive.store.records import verdict_kind
+from slamhive.store.records import protocol_uses, verdict_kind
 
 
 def measured_runs(t: Transaction, runs: Sequence[RunRecord], fingerprint: str) -> dict[int, MeasuredRun]:
@@ -290,14 +291,11 @@ def frozen_configuration(
     Raises InvalidInput if the runs are not comparable, or all failed.
     """
     words = f"{runs[0].algorithm} on {runs[0].dataset}"
-    own = {run.protocol.fingerprint: run.protocol.label for run in runs if run.protocol is not None}
-    if asked is None and len(own) > 1:
-        found = "; ".join(f"{label} ({key})" for key, label in own.items())
-        raise InvalidInput(
-            f"the runs of {words} were evaluated under {len(own)} protocols, which are never mixed: {found}",
-            "choose one with --protocol",
-        )
-    fingerprint = asked or next(iter(own), None)
+    uses = protocol_uses(runs)
+    mixed = mixed_protocols(uses, protocols)
+    if asked is None and mixed is not None:
+        raise InvalidInput(f"{words}: {mixed.counts}: not comparable", f"choose one with --protocol, or {mixed.remedy}")
+    fingerprint = asked or next((use.fingerprint for use in uses), None)
     measured = {} if fingerprint is None else measured_runs(t, runs, fingerprint)
     if all(run.state is RunState.FAILED or (run.id in measured and measured[run.id].failed) for run in runs):
         raise InvalidInput(f"all runs of {words} failed", "a baseline needs a good one; leave these out by the filter")

@@ -289,7 +289,7 @@ def _difference_cell(
     if is_baseline or figure is None or base is None:
         return value
     change = (figure.mean - base.mean) * unit.factor
-    text = "same" if figure.shown == base.shown else f"{'+' if change > 0 else '−'}{significant(abs(change), 3)}"
+    text = "same" if figure.shown == base.shown else f"{'+' if change > 0 else '−'}{significant(abs(change))}"
     return TableCell(text, value.exact, note=f"{value.text} {f'({value.note})' if value.note else ''}".strip())
 
 
@@ -299,5 +299,5 @@ def _metric_cell(figure: Figure | None, unit: DisplayUnit, metric: Metric) -> Ta
     text, exact = significant(figure.mean * unit.factor), f"{figure.mean!r} {metric.unit}".strip()
     if figure.low is None or figure.high is None:
         return TableCell(text, exact)
-    ends = f"{significant(figure.low * unit.factor, 3)} to {significant(figure.high * unit.factor, 3)}"
+    ends = f"{significant(figure.low * unit.factor)} to {significant(figure.high * unit.factor)}"
     return TableCell(text, f"mean of {figure.count}: {exact}", note=ends)

@@ -208,7 +208,7 @@ def heat_map(view: GridView, grid: ExperimentGrid, metric: Metric, means: Metric
             continue
         cell = TableCell(DASH, f"no good run with {metric.label}", missing=True)
         if mean is not None:
-            text = significant(mean.mean * factor, 3)
+            text = significant(mean.mean * factor)
             spread = "" if mean.std is None else f"± {significant(mean.std * factor, 2)}"
             cell = TableCell(text, f"mean of {plural(mean.n, 'good run')}", note=spread, heat=heat)
         explanation = f"{entry.explanation}; {metric.label} {cell.text} {unit_of(metric)} {cell.note}, {cell.exact}"

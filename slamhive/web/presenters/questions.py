@@ -86,7 +86,7 @@ def search_rows(found: SearchStanding, metric: Metric) -> list[SearchRow]:
             thousands(entry.runs),
             entry.failed,
             metric_cell(metric, entry.expected),
-            f"{significant(entry.low * factor, 3)} to {significant(entry.high * factor, 3)}",
+            f"{significant(entry.low * factor)} to {significant(entry.high * factor)}",
             f"{entry.failing:.0%}",
         )
         for entry in found.candidates
@@ -97,4 +97,4 @@ def _behind(entry: DecisionCandidate, metric: Metric) -> str:
     if entry.difference is None or entry.difference_within is None:
         return DASH
     factor = display_unit(metric).factor
-    return f"{significant(entry.difference * factor, 3)} ± {significant(entry.difference_within * factor, 2)}"
+    return f"{significant(entry.difference * factor)} ± {significant(entry.difference_within * factor, 2)}"

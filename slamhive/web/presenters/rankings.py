@@ -168,7 +168,7 @@ def _row(
     if ranked.good is None and ranked.other is not None and ranking.protocol is not None:
         under = f" under {short_names([ranked.other.protocol.label, ranking.protocol.label])[0]}"
     name = configuration_name(ranked.cell.values, axes) or ranked.cell.name
-    texts = [significant(value * shown.factor, 3) for _, value in values]
+    texts = [significant(value * shown.factor) for _, value in values]
     drawn = f"{shown.unit}: {', '.join(texts)}" if texts else "no good run of this protocol" if under else "no good run"
     beside = []
     for key in BESIDE:

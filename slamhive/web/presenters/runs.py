@@ -101,8 +101,8 @@ def tiles(run: RunRecord, standing: RepeatStanding) -> list[Tile]:
         "rpe.rmse": described("rpe.rmse").sample(values),
         "tracked_fraction": "" if losses is None else plural(int(losses), "loss", "losses"),
         "frames.dropped_fraction": "" if dropped is None else plural(int(dropped), "frame"),
-        "latency.p95": "" if median_s is None else f"median {significant(median_s, 3)} s",
-        "cpu.mean": "" if ram_bytes is None else f"RAM {significant(ram_bytes * 1e-6, 3)} MB at most",
+        "latency.p95": "" if median_s is None else f"median {significant(median_s)} s",
+        "cpu.mean": "" if ram_bytes is None else f"RAM {significant(ram_bytes * 1e-6)} MB at most",
     }
     missing = {"ate.rmse": judged, "rpe.rmse": judged, "tracked_fraction": judged, "cpu.mean": "not sampled"}
     found = []
@@ -114,7 +114,7 @@ def tiles(run: RunRecord, standing: RepeatStanding) -> list[Tile]:
             continue
         unit = display_unit(metric)
         exact = f"{metric.definition} {value!r} {metric.unit}".strip()
-        found.append(Tile(title, significant(value * unit.factor, 3), unit.unit, note, exact))
+        found.append(Tile(title, significant(value * unit.factor), unit.unit, note, exact))
     return found
 
 
@@ -299,7 +299,7 @@ def _success(run: RunRecord) -> str:
         parts.append(f" with {plural(run.poses, 'pose')}")
     ate_m = (run.metrics or {}).get("ate.rmse")
     if ate_m is not None and run.protocol is not None:
-        parts.append(f"; ATE RMSE {significant(ate_m, 3)} m ({run.protocol.label})")
+        parts.append(f"; ATE RMSE {significant(ate_m)} m ({run.protocol.label})")
     # The first part counts the poses.
     remarks = (run.detail or "").partition("; ")[2]
     return "".join(parts) + "." + (f" {remarks[0].upper()}{remarks[1:]}." if remarks else "")

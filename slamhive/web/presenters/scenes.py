@@ -208,7 +208,7 @@ def words(moment: Moment) -> str:
     """The error and the fate of the frame, as a sentence each."""
     error = "No matched pose is near"
     if moment.error_m is not None:
-        error = f"The position error is {significant(moment.error_m, 3)} m"
+        error = f"The position error is {significant(moment.error_m)} m"
     return f"{error}. {_fate(moment.frame)}."
 
 
@@ -219,7 +219,7 @@ def _fate(frame: FrameFate | None) -> str:
         return "This frame was dropped"
     if frame.latency_s is None:
         return "This frame gave no result"
-    return f"The frame took {significant(1e3 * frame.latency_s, 3)} ms"
+    return f"The frame took {significant(1e3 * frame.latency_s)} ms"
 
 
 def sensor_views(services: Hive, run: RunRecord, timestamp_s: float) -> list[dict[str, Any]]:

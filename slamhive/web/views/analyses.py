@@ -171,6 +171,7 @@ def show(token: str) -> Response:
             analysis=record,
             source=folder.source,
             page=page,
+            **(_mixed(folder.source) if page is not None and page.mixed_protocols else {"mixed": None}),
             bibliography="" if page is None else bibtex(page.references),
             progress=folder.read_progress(),
             waits_for_worker=services.settings.mode is not Mode.VIEW_ONLY and not services.worker_alive(),

@@ -25,12 +25,11 @@ def show() -> Response:
     compared = asked_comparison()
     series = [] if compared.grouped else presenter.series_of(compared, hive().runs)
     runs = [run.id for run in compared.runs]
-    lacks = compared.protocol is not None and bool(compared.protocol.lacking)
     return make_response(
         render_template(
             "compare/show.html",
             compared=compared,
-            mixed=hive().current_protocols.mixed(runs) if lacks else None,
+            mixed=compared.mixed,
             where=f"id in ({', '.join(map(str, runs))})",
             heads=presenter.heads(compared),
             settings=presenter.setting_rows(compared),
