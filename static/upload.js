@@ -1,4 +1,5 @@
-// Sends an image file to a challenge: in parts of the size that the server asks for, checked by the SHA-256 of the whole.
+// Sends files in parts of the size that the server asks for, checked by the SHA-256 of the whole: an image to a challenge,
+// and recordings and packages to import.
 import { sha256 } from "./vendor/noble-hashes/sha2.js";
 
 const HEADERS = { "X-SLAM-Hive": "1", Accept: "application/json" };
@@ -47,18 +48,42 @@ async function send(file, begun, address, show) {
   }
 }
 
-async function submit(form, say) {
-  const { image, team, phase, algorithm } = form.elements;
-  const [file] = image.files;
-  const { uploads, images } = form.dataset;
-  const digest = await digestOf(file, (share) => say("Reading the file.", share));
-  const upload = await post(uploads, { name: file.name, size_bytes: file.size, sha256: digest });
-  await send(file, upload, `${uploads}/${upload.token}`, (share) => say("Sending the file.", share));
-  say("The server checks the image.", 1);
-  await post(images, { upload: upload.token, team: team.value, phase: phase.value, algorithm: algorithm.value || null });
+/** The upload of a file, complete. One that was begun before, also on another page, goes on where it ended. */
+async function sent(file, uploads, say) {
+  const digest = await digestOf(file, (share) => say(`Reading ${file.name}.`, share));
+  const known = (await ask(uploads, { method: "GET" })).uploads;
+  const begun = known.find((entry) => entry.sha256 === digest && entry.name === file.name && !entry.imported);
+  const upload = begun ?? await post(uploads, { name: file.name, size_bytes: file.size, sha256: digest });
+  await send(file, upload, `${uploads}/${upload.token}`, (share) => say(`Sending ${file.name}.`, share));
+  return upload.token;
 }
 
-for (const form of document.querySelectorAll("[data-image-upload]")) {
+async function submitImage(form, say) {
+  const { image, team, phase, algorithm } = form.elements;
+  const { uploads, images } = form.dataset;
+  const upload = await sent(image.files[0], uploads, say);
+  say("The server checks the image.", 1);
+  await post(images, { upload, team: team.value, phase: phase.value, algorithm: algorithm.value || null });
+  window.location.reload();
+}
+
+/** Send the files of a form, then the form itself with the tokens of their uploads. */
+async function submitFiles(form, say) {
+  form.querySelectorAll("[data-sent]").forEach((field) => field.remove());
+  for (const field of form.querySelectorAll("[data-becomes]")) {
+    for (const file of field.files) {
+      const token = await sent(file, form.dataset.uploads, say);
+      const hidden = document.createElement("input");
+      Object.assign(hidden, { type: "hidden", name: field.dataset.becomes, value: token });
+      hidden.dataset.sent = "";
+      form.append(hidden);
+    }
+  }
+  say("The server looks at it.", 1);
+  form.submit();
+}
+
+function prepare(form, submit, refusal) {
   const [button, bar, words] = ["button", "progress", "[data-says]"].map((part) => form.querySelector(part));
   const say = (text, share = null) => {
     if (words.textContent !== text) words.textContent = text;
@@ -71,10 +96,13 @@ for (const form of document.querySelectorAll("[data-image-upload]")) {
     button.disabled = true;
     try {
       await submit(form, say);
-      window.location.reload();
     } catch (error) {
-      say(`The image was not submitted: ${error.message}.`);
+      say(`${refusal}: ${error.message}.`);
       button.disabled = false;
     }
   });
+  addEventListener("pageshow", () => { button.disabled = false; });
 }
+
+document.querySelectorAll("[data-image-upload]").forEach((form) => prepare(form, submitImage, "The image was not submitted"));
+document.querySelectorAll("[data-send-files]").forEach((form) => prepare(form, submitFiles, "It was not sent"));

@@ -173,11 +173,11 @@ def _text(value: Any) -> str:
 @json_option
 @pass_cli
 def import_(cli: CliContext, source: str, preview: bool, as_json: bool, **asked: Any) -> None:
-    """Import an algorithm that was made for the published SLAM Hive, without changing its files.
+    """Import an algorithm that was made for the published SLAM Hive, without changing its files, or a package.
 
     FOLDER holds slamhive/mapping.py, and a Dockerfile or image.tar. A Git address may end with #COMMIT. IMAGE and TAR
     hold /slamhive themselves; TAR may also be what `slamhive algorithm export` wrote. `algorithm.yaml` is drafted from
-    the files, which are read and not executed.
+    the files, which are read and not executed; a folder that has one is a package, which is copied and built as it is.
     """
     # Importing the services takes half a second, which `--help` need not wait for.
     from slamhive.services.algorithms import PackageImportRequest  # noqa: PLC0415
@@ -229,11 +229,11 @@ def _show_plan(planned: PlannedPackage, *, as_json: bool) -> None:
         return
     say(f"{planned.name} from {planned.origin.words}")
     say(_way(planned))
-    if planned.draft is None:
+    if planned.text is None:
         say("algorithm.yaml is drafted when the image is there")
         return
-    write_out(planned.draft.text)
-    for note in planned.draft.notes:
+    write_out(planned.text)
+    for note in () if planned.draft is None else planned.draft.notes:
         tell(f"note: {note}")
 
 

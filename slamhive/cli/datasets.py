@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamhive.base.errors import InvalidInput
 from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.main import LazyGroup
@@ -74,10 +72,11 @@ def import_(
     cli: CliContext, source: Path, name: str | None, format_name: str | None, preview: bool, as_json: bool, **given: Any
 ) -> None:
     """Make a dataset of the recording at PATH: a file or a folder, its format is detected."""
-    from slamhive.recordings.importing import ImportOptions  # noqa: PLC0415 - lists need neither importers nor OpenCV
+    # Lists need neither importers nor OpenCV.
+    from slamhive.recordings.importing import ImportOptions, read_topics  # noqa: PLC0415
 
     catalogue = cli.hive(indexed=False).catalogue
-    given["topics"] = _topics(given["topics"])
+    given["topics"] = read_topics(given["topics"])
     planned = catalogue.plan_import(source, ImportOptions(**given), format_name=format_name, name=name)
     if preview and as_json:
         print_json(planned.content)
@@ -92,20 +91,6 @@ def import_(
         _report(made, as_json)
     else:
         tell(f"dataset {made.name} is ready: slamhive run ALGORITHM {made.name} --evaluate --wait")
-
-
-def _topics(texts: Iterable[str]) -> dict[str, str]:
-    topics: dict[str, str] = {}
-    for text in texts:
-        sensor, equals, topic = text.partition("=")
-        if not sensor or not equals or not topic:
-            raise InvalidInput(
-                f"--topic {text!r} is not SENSOR=TOPIC", "write for instance --topic cam0=/left/image_raw"
-            )
-        if sensor in topics:
-            raise InvalidInput(f"--topic names two topics for {sensor}: {topics[sensor]} and {topic}", "name one")
-        topics[sensor] = topic
-    return topics
 
 
 def _show_plan(planned: PlannedImport) -> None:

@@ -170,7 +170,7 @@ class Backend(Protocol):
         """Delete an analysis for good."""
 
     def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
-        """Make a dataset of a recording on this machine. ``options`` are those of :class:`DatasetUpload`.
+        """Make a dataset of a recording on this machine. ``options`` are those of :class:`RecordingFacts`.
 
         ``groundtruth`` and ``calibration`` are paths here. Raises InvalidInput or Conflict naming the value.
         """

@@ -82,7 +82,7 @@ class Hive:
         """Make a dataset of the recording at ``path``, a file or a folder of this machine.
 
         It is sent to a server in parts; a broken connection costs one part at most. ``options`` are the fields of
-        :class:`~slamhive.documents.imports.DatasetUpload`; ``groundtruth`` and ``calibration`` are paths. Raises
+        :class:`~slamhive.documents.imports.RecordingFacts`; ``groundtruth`` and ``calibration`` are paths. Raises
         NotFound, InvalidInput or Conflict naming the value.
         """
         return self._backend.import_dataset(Path(path), options, progress=progress)

@@ -14,7 +14,7 @@ from slamhive.client.waiting import percent_bar
 from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
 from slamhive.documents.challenge import ImageEntry
 from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument
-from slamhive.documents.imports import DatasetUpload, ImportedDocument, RunsUpload
+from slamhive.documents.imports import ImportedDocument, RecordingFacts, RunsUpload
 from slamhive.documents.model import parse
 from slamhive.documents.protocol import ProtocolSearchDocument
 from slamhive.documents.question import Decision, SearchStanding
@@ -257,15 +257,16 @@ class LocalBackend:
 
     def import_dataset(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
         """Implement :meth:`~slamhive.client.backend.Backend.import_dataset`."""
-        from slamhive.services.uploads import import_dataset  # noqa: PLC0415 - loads the importers
+        from slamhive.services.uploads import RecordingFiles, import_dataset  # noqa: PLC0415 - loads the importers
 
         given = dict(options)
         files = {key: given.pop(key) for key in ("groundtruth", "calibration") if key in given}
-        request = parse(DatasetUpload, {"upload": _NO_UPLOAD, **given})
+        request = parse(RecordingFacts, given)
         truth = None if "groundtruth" not in files else Path(files["groundtruth"])
         hive = self._writing()
         with percent_bar(path.name, progress=progress) as show:
-            return import_dataset(hive.catalogue, request, path, truth, map(Path, files.get("calibration", ())), show)
+            recording = RecordingFiles(path, truth, tuple(map(Path, files.get("calibration", ()))))
+            return import_dataset(hive.catalogue, request, recording, show)
 
     def import_runs(self, path: Path, options: Mapping[str, Any], *, progress: bool) -> ImportedDocument:
         """Implement :meth:`~slamhive.client.backend.Backend.import_runs`."""

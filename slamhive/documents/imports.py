@@ -125,25 +125,66 @@ class UploadsDocument(Document):
     uploads: tuple[Upload, ...]
 
 
-class DatasetUpload(ApiRequest):
+class RecordingFacts(ApiRequest):
+    """Facts about a recording that its files may not state."""
+
+    name: Annotated[
+        str | None, described("Name of the new dataset; null: that of the file.", title="Name", max_length=64)
+    ] = None
+    format: Annotated[
+        str | None, described("Format of the recording; null: detected.", title="Format", max_length=64)
+    ] = None
+    sequence: Annotated[
+        str | None, described("Sequence, where the recording holds several.", title="Sequence", max_length=300)
+    ] = None
+    groundtruth_topic: Annotated[
+        str | None,
+        described(
+            "Topic that holds the ground truth; TOPIC:FRAME of a transform.",
+            title="Topic of the ground truth",
+            max_length=300,
+        ),
+    ] = None
+    topics: Annotated[
+        dict[str, str],
+        described("Topics of sensors by name; `none` leaves one out.", title="Topics of sensors", max_length=100),
+    ] = Field(default_factory=dict)
+    typestore: Annotated[
+        str | None, described("Message types, for instance ros2_humble.", title="Message types", max_length=64)
+    ] = None
+    depth_units_per_m: Annotated[
+        float | None, described("Value of a depth pixel that means one metre.", title="Depth units per metre", gt=0)
+    ] = None
+    frame_rate_hz: Annotated[
+        float | None, described("Frames per second, without timestamps.", unit="Hz", title="Frame rate", gt=0)
+    ] = None
+    accept_loss: Annotated[
+        bool,
+        described("Import the rest where over 1 % of the messages are lost.", title="Accept losses"),
+    ] = False
+
+
+class DatasetUpload(RecordingFacts):
     """A dataset to make of an uploaded recording: one file, or a zip or tar archive of its folder."""
 
     upload: Token
-    name: Annotated[str | None, described("Name of the new dataset; null: that of the file.", max_length=64)] = None
-    format: Annotated[str | None, described("Format of the recording; null: detected.", max_length=64)] = None
-    sequence: Annotated[str | None, described("Sequence, where the archive holds several.", max_length=300)] = None
     groundtruth: Annotated[Token | None, described("Upload of a ground truth: a TUM or EuRoC file.")] = None
-    groundtruth_topic: Annotated[
-        str | None, described("Topic that holds the ground truth; TOPIC:FRAME of a transform.", max_length=300)
-    ] = None
     calibration: Annotated[tuple[Token, ...], described("Uploads of calibration files.", max_length=20)] = ()
-    topics: Annotated[
-        dict[str, str], described("Topics of sensors by name; `none` leaves one out.", max_length=100)
-    ] = Field(default_factory=dict)
-    typestore: Annotated[str | None, described("Message types, for instance ros2_humble.", max_length=64)] = None
-    depth_units_per_m: Annotated[float | None, described("Value of a depth pixel that means one metre.", gt=0)] = None
-    frame_rate_hz: Annotated[float | None, described("Frames per second, without timestamps.", unit="Hz", gt=0)] = None
-    accept_loss: Annotated[bool, described("Import the rest where over 1 % of the messages are lost.")] = False
+
+
+Place = Annotated[str, described("An absolute path on the server.", title="Path", min_length=1, max_length=4000)]
+
+
+class DatasetOnServer(RecordingFacts):
+    """A dataset to make of a recording that is on the server: a file or a folder."""
+
+    path: Place
+    groundtruth: Annotated[
+        Place | None, described("Path of a ground truth: a TUM or EuRoC file.", title="Ground truth")
+    ] = None
+    calibration: Annotated[
+        tuple[Place, ...], described("Paths of calibration files, one a line.", title="Calibration", max_length=20)
+    ] = ()
 
 
 class RunsUpload(ApiRequest):
@@ -173,11 +214,39 @@ class RunsUpload(ApiRequest):
     evaluate: Annotated[bool, described("Queue an evaluation of each run that has none.")] = True
 
 
-class AlgorithmUpload(ApiRequest):
-    """An algorithm to import: an image that `docker save` wrote, an exported version, or a zip archive of a folder."""
+class PackageFacts(ApiRequest):
+    """Facts about an algorithm to import that its files may not state."""
+
+    name: Annotated[
+        str | None, described("Name of the package; null: that of the file.", title="Name", max_length=64)
+    ] = None
+    setup: Annotated[
+        SensorSetup | None, described("Its sensors, if its files do not say.", title="Sensors that it uses")
+    ] = None
+    replace: Annotated[
+        bool, described("Take the place of an imported package of that name.", title="Replace the package of that name")
+    ] = False
+    executor: Annotated[
+        str | None,
+        described("The executor that gets the image; null: the one in force.", title="Executor", max_length=64),
+    ] = None
+
+
+class AlgorithmUpload(PackageFacts):
+    """An algorithm to import: an image that `docker save` wrote, an exported version, or an archive of a folder."""
 
     upload: Token
-    name: Annotated[str | None, described("Name of the package; null: that of the file.", max_length=64)] = None
-    setup: Annotated[SensorSetup | None, described("Its sensors, if its files do not say.")] = None
-    replace: Annotated[bool, described("Take the place of an imported package of that name.")] = False
-    executor: Annotated[str | None, described("The executor that gets the image; null: the one in force.")] = None
+
+
+class AlgorithmOnServer(PackageFacts):
+    """An algorithm to import from the server: a folder, an image that `docker save` wrote, or an exported version."""
+
+    path: Place
+    image: Annotated[
+        str | None,
+        described(
+            "The image to use with the folder: its name, or a saved image; null: it is built.",
+            title="Image",
+            max_length=300,
+        ),
+    ] = None

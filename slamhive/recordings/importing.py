@@ -71,6 +71,21 @@ class ImportOptions:
         return tuple(name for name in OPTION_HELP if getattr(self, name))
 
 
+def read_topics(texts: Iterable[str]) -> dict[str, str]:
+    """The topic of each sensor, from texts SENSOR=TOPIC. Raises InvalidInput."""
+    topics: dict[str, str] = {}
+    for text in texts:
+        sensor, equals, topic = text.partition("=")
+        if not sensor or not equals or not topic:
+            raise InvalidInput(
+                f"--topic {text!r} is not SENSOR=TOPIC", "write for instance --topic cam0=/left/image_raw"
+            )
+        if sensor in topics:
+            raise InvalidInput(f"--topic names two topics for {sensor}: {topics[sensor]} and {topic}", "name one")
+        topics[sensor] = topic
+    return topics
+
+
 @dataclass(frozen=True, eq=False)
 class PlannedStream:
     """The messages of one sensor.

@@ -36,6 +36,7 @@ from slamhive.packages.published.folder import (
     DOCKERFILE,
     SCRIPTS,
     ForeignFolder,
+    copy_plain_files,
     copy_scripts,
     looks_foreign,
     read_folder,
@@ -156,13 +157,11 @@ def _git(arguments: list[str], address: str) -> str:
 
 def check_folder(path: Path) -> None:
     """Raise InvalidInput if ``path`` is no folder of one algorithm; names those that it holds."""
-    if (path / "algorithm.yaml").is_file():
-        raise InvalidInput(
-            f"{path} has an algorithm.yaml: it is a package of SLAM Hive already", "copy it to the folder algorithms/"
-        )
     if looks_foreign(path):
         return
-    inside = sorted(entry.name for entry in path.iterdir() if looks_foreign(entry))
+    inside = sorted(
+        entry.name for entry in path.iterdir() if looks_foreign(entry) or (entry / ALGORITHM_FILE).is_file()
+    )
     if inside:
         more = "" if len(inside) <= _SHOWN else f" and {len(inside) - _SHOWN} more"
         raise InvalidInput(
@@ -231,6 +230,7 @@ class PlannedPackage:
         folder: What was read; None if the scripts are in the image, which has to be there first.
         facts: What was found in it.
         draft: The drafted ``algorithm.yaml``, with what is known before the image is there.
+        algorithms: Those of a folder that is a package of SLAM Hive, with an ``algorithm.yaml`` of its own.
     """
 
     name: str
@@ -242,12 +242,20 @@ class PlannedPackage:
     folder: ForeignFolder | None = None
     facts: FolderFacts | None = None
     draft: PackageDraft | None = None
+    algorithms: tuple[Algorithm, ...] = ()
 
     @property
     def origin(self) -> PackageOrigin:
         """Where the package comes from, as far as it is known."""
         place = self.source.text if self.source.path is None or self.source.commit else str(self.source.path)
         return PackageOrigin(place, self.source.commit)
+
+    @property
+    def text(self) -> str | None:
+        """The ``algorithm.yaml`` that the package has or will have; None if the image has to be there first."""
+        if self.algorithms:
+            return (self.algorithms[0].package.folder / ALGORITHM_FILE).read_text(encoding="utf-8")
+        return None if self.draft is None else self.draft.text
 
     @property
     def content(self) -> dict[str, Any]:
@@ -257,7 +265,8 @@ class PlannedPackage:
             "source": self.origin.content,
             "kind": self.source.kind.value,
             "image": {"way": self.way.value, "from": self.image, "why": self.why},
-            "algorithm_yaml": None if self.draft is None else self.draft.text,
+            "algorithms": [algorithm.name for algorithm in self.algorithms],
+            "algorithm_yaml": self.text,
             "notes": [] if self.draft is None else list(self.draft.notes),
             "unknown": [] if self.draft is None else list(self.draft.unknown),
         }
@@ -282,6 +291,22 @@ def plan(
     planned = PlannedPackage(name, source, request, way, image, why, folder, facts)
     drafted = draft(folder, facts, DraftRequest(name, planned.origin, request.setup))
     return PlannedPackage(name, source, request, way, image, why, folder, facts, drafted)
+
+
+def plan_own(source: OpenedSource, request: PackageImportRequest) -> PlannedPackage | None:
+    """Say what an import of a package of SLAM Hive will do; None for a source that is none. Raises InvalidInput."""
+    if source.path is None or not (source.path / ALGORITHM_FILE).is_file():
+        return None
+    algorithms = load_algorithms(source.path)
+    name = algorithms[0].package.name
+    for option, asked in (("name", request.name), ("image", request.image), ("setup", request.setup)):
+        if asked not in (None, name):
+            raise InvalidInput(
+                f"the algorithm.yaml of the package {name} says all about it, so --{option} {asked} has no effect",
+                f"leave --{option} out, or change the file",
+            )
+    why = "it is a package of SLAM Hive, with an algorithm.yaml of its own"
+    return PlannedPackage(name, source, request, Way.BUILD, str(source.path), why, algorithms=algorithms)
 
 
 def _image_of(
@@ -340,17 +365,23 @@ class ImageArchive:
         self.path = path
         self.checksum = ""
 
-    def check(self) -> None:
-        """Raise InvalidInput unless the archive holds one image."""
+    @property
+    def images(self) -> int | None:
+        """The number of images in the archive; None if it is no saved image. Raises InvalidInput if it is damaged."""
         with self._reading(), tarfile.open(self.path, mode="r:*") as archive:
             for member in archive:
                 if member.name == _MANIFEST and member.isreg():
                     content = self._json(archive, member)
-                    count = len(content) if isinstance(content, list) else 0
-                    if count != 1:
-                        raise InvalidInput(f"{self.path} holds {count} images, 1 is expected", "save one by itself")
-                    return
-        raise InvalidInput(f"{self.path} is not a saved image: it lacks {_MANIFEST}", "make it with docker save")
+                    return len(content) if isinstance(content, list) else 0
+        return None
+
+    def check(self) -> None:
+        """Raise InvalidInput unless the archive holds one image."""
+        count = self.images
+        if count is None:
+            raise InvalidInput(f"{self.path} is not a saved image: it lacks {_MANIFEST}", "make it with docker save")
+        if count != 1:
+            raise InvalidInput(f"{self.path} holds {count} images, 1 is expected", "save one by itself")
 
     def chunks(self, progress: Callable[[str], None]) -> Iterator[bytes]:
         """The archive without the names of images; afterwards ``checksum`` is that of the file as it is.
@@ -462,19 +493,28 @@ class AlgorithmImports:
         packages = [algorithm.package for algorithm in self._catalogue.algorithms()]
         own = {entry.image for entry in packages if entry.folder.parent != self._settings.algorithms_folder}
         with opened(source) as found:
-            result = plan(found, request, self._tools(request.executor), own)
-            name = check_name("package", result.name)
-            if (self._settings.algorithms_folder / name).exists():
-                if not request.replace:
-                    problem = f"a package {name!r} was imported already"
-                    raise Conflict(problem, "--replace takes its place, or choose --name")
-            elif name in {*(p.name for p in packages), *(a.name for a in self._catalogue.algorithms())}:
-                raise Conflict(f"{name!r} is the name of an algorithm here already", "choose another --name")
+            result = plan_own(found, request) or plan(found, request, self._tools(request.executor), own)
+            self._check_free(result)
             yield result
+
+    def _check_free(self, planned: PlannedPackage) -> None:
+        """Raise Conflict if the package, or one of its algorithms, has a name that is taken."""
+        name = check_name("package", planned.name)
+        here = (self._settings.algorithms_folder / name).exists()
+        if here and not planned.request.replace:
+            raise Conflict(f"a package {name!r} was imported already", "--replace takes its place, or choose --name")
+        others = [entry for entry in self._catalogue.algorithms() if not here or entry.package.name != name]
+        taken = {*(entry.package.name for entry in others), *(entry.name for entry in others)}
+        for wanted in (name, *(entry.name for entry in planned.algorithms)):
+            if wanted in taken:
+                remedy = "change it in its algorithm.yaml" if planned.algorithms else "choose another --name"
+                raise Conflict(f"{wanted!r} is the name of an algorithm here already", remedy)
 
     def perform(self, planned: PlannedPackage, progress: Progress) -> ImportedPackage:
         """Get the image, complete it, and make the package. A failure leaves no package behind."""
         check_writable(self._settings)
+        if planned.algorithms:
+            return self._perform_own(planned, progress)
         tools = self._tools(planned.request.executor)
         checksum: str | None = None
         if planned.way is Way.BUILD:
@@ -514,6 +554,22 @@ class AlgorithmImports:
         if image.missing:
             notes.append(f"the scripts import {', '.join(image.missing)}, which the image lacks")
         return ImportedPackage(load_algorithms(root / planned.name), tuple(notes))
+
+    def _perform_own(self, planned: PlannedPackage, progress: Progress) -> ImportedPackage:
+        """Copy a package of SLAM Hive, build it as the command ``algorithm build`` does, and put it in its place."""
+        assert planned.source.path is not None
+        executor = self._executors.get(self._executors.choose(planned.request.executor))
+        root = self._settings.algorithms_folder
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+            with temporary_folder(".import-", root) as aside:
+                folder = aside / planned.name
+                notes = copy_plain_files(planned.source.path, folder)
+                executor.build(load_algorithms(folder)[0].package, progress)
+                _put(folder, root / planned.name)
+        except OSError as error:
+            raise Unavailable(f"{root} cannot be written: {error.strerror or error}", remedy_of(error)) from None
+        return ImportedPackage(load_algorithms(root / planned.name), notes)
 
     def remove(self, name: str, executor: str | None = None) -> str | None:
         """Remove an imported package and the name of its image; in words what could not be removed.

@@ -9,13 +9,13 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from pathlib import Path, PurePosixPath
-from typing import IO, TypeVar
+from typing import IO, Any, TypeVar
 
 from slamhive.base.bounds import read_record
 from slamhive.base.budget import BudgetShare, Lent
@@ -34,10 +34,13 @@ from slamhive.base.files import (
 from slamhive.base.settings import Settings
 from slamhive.documents.imports import (
     HEXADECIMAL,
+    AlgorithmOnServer,
     AlgorithmUpload,
+    DatasetOnServer,
     DatasetUpload,
     Import,
     ImportedDocument,
+    RecordingFacts,
     RunsUpload,
     UploadRequest,
 )
@@ -47,13 +50,13 @@ from slamhive.downloads.download import check_space
 from slamhive.downloads.unpack import unpack
 from slamhive.packages.collection_file import kind_of
 from slamhive.recordings.importing import ImportOptions
-from slamhive.services.algorithms import AlgorithmImports
+from slamhive.services.algorithms import AlgorithmImports, ImageArchive
 from slamhive.services.algorithms import PackageImportRequest as AlgorithmRequest
-from slamhive.services.datasets import Catalogue, check_writable
+from slamhive.services.datasets import Catalogue, PlannedImport, check_writable
 from slamhive.services.evaluations import Evaluations
 from slamhive.services.executors import Executors
 from slamhive.services.imports import ImportRequest, Imports, TrajectoryFormat
-from slamhive.services.versions import Versions, is_export
+from slamhive.services.versions import Versions, is_export, opened_version
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit
 
 # One upload. Bytes are appended in order, so the size of the file says how far it is, also after a kill. Its SHA-256
@@ -274,7 +277,7 @@ class UploadService:
     """
 
     def __init__(self, settings: Settings, clock: Callable[[], datetime] = utc_now) -> None:
-        self._settings = settings
+        self.settings = settings
         self._clock = clock
         self.root = settings.uploads_folder
 
@@ -286,7 +289,7 @@ class UploadService:
             Conflict: There are too many uploads, or too large ones.
             Unavailable: The disk is too small, or cannot be written.
         """
-        check_writable(self._settings)
+        check_writable(self.settings)
         check_name("file", request.name)
         self._make_root()
         self._sweep()
@@ -330,12 +333,12 @@ class UploadService:
     def check_free(self, name: str) -> None:
         """Raise Unavailable if the disk has no more room than runs need."""
         free = shutil.disk_usage(self.root).free
-        if free < self._settings.min_free_disk_mb * 1_000_000:
+        if free < self.settings.min_free_disk_mb * 1_000_000:
             raise Unavailable(f"{name} does not fit on the disk: {free / 1e6:,.0f} MB are free", "free some space")
 
     def remove(self, token: str, owner: str) -> None:
         """Remove one upload; raises NotFound, and Conflict while it is in use."""
-        check_writable(self._settings)
+        check_writable(self.settings)
         self.folder(token, owner).remove()
 
     def _folders(self) -> Iterator[UploadFolder]:
@@ -353,7 +356,7 @@ class UploadService:
         for folder in self._folders():
             with suppress(NotFound):
                 sizes.append(0 if folder.imported is not None else folder.promise.size_bytes)
-        most = self._settings.uploads_max_bytes
+        most = self.settings.uploads_max_bytes
         if len(sizes) >= MOST_UPLOADS:
             raise Conflict(f"there are {len(sizes):,} uploads", "import or delete some first")
         if sum(sizes) + request.size_bytes > most:
@@ -376,17 +379,35 @@ def _expires_at(folder: UploadFolder) -> datetime:
     return datetime.fromtimestamp(folder.changed_s, UTC) + KEPT
 
 
-# Imports of what has arrived, as by the command line.
+# Imports of what has arrived, or is on the server, as by the command line.
 
 _CHECKED, _UNPACKED = 0.1, 0.3
 """The fractions of an import after which the SHA-256 is checked, and the archive unpacked."""
 
 Kind = TypeVar("Kind", bound=StrEnum)
+Found = dict[str, Any]
+"""Plan of an import as plain JSON, as ``--preview --json`` of the command line prints it."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingFiles:
+    """Files of a recording: the recording itself, a ground truth, and calibrations."""
+
+    source: Path
+    groundtruth: Path | None = None
+    calibration: tuple[Path, ...] = ()
+
+
+DatasetAsked = DatasetUpload | DatasetOnServer
+AlgorithmAsked = AlgorithmUpload | AlgorithmOnServer
+ImportAsked = DatasetAsked | AlgorithmAsked | RunsUpload
 
 
 @dataclass(frozen=True, slots=True)
 class UploadImports:
-    """Imports from uploads. Each removes the bytes of its uploads when it is complete, and keeps them if it fails.
+    """Imports from uploads, and of files and folders on the server.
+
+    Each removes the bytes of its uploads when it is complete, and keeps them if it fails. What is on the server stays.
 
     Attributes:
         uploads: What has arrived.
@@ -406,20 +427,40 @@ class UploadImports:
     versions: Versions
     executors: Executors
 
-    def check(self, request: DatasetUpload | RunsUpload | AlgorithmUpload, owner: str) -> None:
-        """Describe the import before it begins: raises NotFound, and Conflict for uploads that lack bytes."""
+    def check(self, request: ImportAsked, owner: str) -> None:
+        """Check what can be checked before it begins: raises NotFound, and Conflict for uploads that lack bytes."""
+        check_writable(self.uploads.settings)
         for token in _tokens(request):
             self.uploads.folder(token, owner).check_complete()
+        for place in _places(request):
+            _check_place(place)
 
-    def dataset(self, request: DatasetUpload, owner: str, progress: Progress, share: BudgetShare) -> ImportedDocument:
+    def look(self, request: DatasetAsked | AlgorithmAsked, owner: str, progress: Progress, share: BudgetShare) -> Found:
+        """Detect what an import would make, as plain JSON, and store nothing; raises what the import raises."""
+        if isinstance(request, DatasetUpload | DatasetOnServer):
+            with self._recording(request, owner, progress, share) as recording:
+                progress(_UNPACKED, "looking at the recording")
+                return _planned(self.catalogue, request, recording).content
+        with self._package(request, owner, progress, share) as source:
+            if is_export(source):
+                with opened_version(source) as packed:
+                    return {"name": packed.package.name, "kind": "exported version", "version": packed.package.version}
+            progress(_UNPACKED, "looking at the package")
+            with self.algorithms.planned(str(source), _package_request(request)) as planned:
+                return planned.content
+
+    def carry_out(self, request: ImportAsked, owner: str, progress: Progress, share: BudgetShare) -> ImportedDocument:
+        """Import what is asked for."""
+        if isinstance(request, RunsUpload):
+            return self.runs(request, owner, progress, share)
+        if isinstance(request, DatasetUpload | DatasetOnServer):
+            return self.dataset(request, owner, progress, share)
+        return self.algorithm(request, owner, progress, share)
+
+    def dataset(self, request: DatasetAsked, owner: str, progress: Progress, share: BudgetShare) -> ImportedDocument:
         """Make a dataset of a recording; raises what `slamhive dataset import` raises."""
-        with ExitStack() as opened:
-            source = opened.enter_context(self._unpacked(request.upload, owner, progress, share))
-            truth = (
-                None if request.groundtruth is None else opened.enter_context(self.opened(request.groundtruth, owner))
-            )
-            calibration = [opened.enter_context(self.opened(token, owner)) for token in request.calibration]
-            made = import_dataset(self.catalogue, request, source, truth, calibration, _part(progress, _UNPACKED, 1.0))
+        with self._recording(request, owner, progress, share) as recording:
+            made = import_dataset(self.catalogue, request, recording, _part(progress, _UNPACKED, 1.0))
         return self._finish(request, owner, made)
 
     def runs(self, request: RunsUpload, owner: str, progress: Progress, share: BudgetShare) -> ImportedDocument:
@@ -429,32 +470,61 @@ class UploadImports:
         return self._finish(request, owner, made)
 
     def algorithm(
-        self, request: AlgorithmUpload, owner: str, progress: Progress, share: BudgetShare
+        self, request: AlgorithmAsked, owner: str, progress: Progress, share: BudgetShare
     ) -> ImportedDocument:
         """Import a package and its image; raises what `slamhive algorithm import` raises."""
 
         def show(line: str) -> None:
             progress(_UNPACKED, line)
 
-        with self.opened(request.upload, owner, progress) as path:
-            if is_export(path):
+        with self._package(request, owner, progress, share) as source:
+            if is_export(source):
                 executor = self.executors.get(self.executors.choose(request.executor))
-                version, record = self.versions.load(path, executor)
+                version, record = self.versions.load(source, executor)
                 return self._finish(
                     request, owner, ImportedDocument(algorithms=(version.package.name,), notes=(record.label,))
                 )
-            source = self._unpack(path, share) if kind_of(path.name) is FileKind.ZIP else path
-            asked = AlgorithmRequest(
-                name=request.name, setup=request.setup, replace=request.replace, executor=request.executor
-            )
-            with self.algorithms.planned(str(source), asked) as planned:
+            with self.algorithms.planned(str(source), _package_request(request)) as planned:
                 made = self.algorithms.perform(planned, show)
         names = tuple(entry.name for entry in made.algorithms)
         return self._finish(request, owner, ImportedDocument(algorithms=names, notes=made.notes))
 
-    def _finish(
-        self, request: DatasetUpload | RunsUpload | AlgorithmUpload, owner: str, result: ImportedDocument
-    ) -> ImportedDocument:
+    @contextmanager
+    def _recording(
+        self, request: DatasetAsked, owner: str, progress: Progress, share: BudgetShare
+    ) -> Iterator[RecordingFiles]:
+        """The files of a recording, at hand for the block."""
+        if isinstance(request, DatasetOnServer):
+            truth = None if request.groundtruth is None else Path(request.groundtruth)
+            yield RecordingFiles(Path(request.path), truth, tuple(map(Path, request.calibration)))
+            return
+        with ExitStack() as stack:
+            source = stack.enter_context(self._unpacked(request.upload, owner, progress, share))
+            truth = (
+                None if request.groundtruth is None else stack.enter_context(self.opened(request.groundtruth, owner))
+            )
+            calibration = [stack.enter_context(self.opened(token, owner)) for token in request.calibration]
+            yield RecordingFiles(source, truth, tuple(calibration))
+
+    @contextmanager
+    def _package(self, request: AlgorithmAsked, owner: str, progress: Progress, share: BudgetShare) -> Iterator[Path]:
+        """The folder, saved image or exported version of an algorithm, at hand for the block."""
+        if isinstance(request, AlgorithmOnServer):
+            yield Path(request.path)
+            return
+        with self.opened(request.upload, owner, progress) as path:
+            kind = kind_of(path.name)
+            is_image = kind is FileKind.TAR and (is_export(path) or ImageArchive(path).images is not None)
+            is_folder = kind in (FileKind.ZIP, FileKind.TAR) and not is_image
+            yield self._unpack(path, share, progress) if is_folder else path
+
+    def discard(self, request: ImportAsked, owner: str) -> None:
+        """Remove the uploads that a request names; what is on the server stays."""
+        for token in _tokens(request):
+            with suppress(NotFound):
+                self.uploads.remove(token, owner)
+
+    def _finish(self, request: ImportAsked, owner: str, result: ImportedDocument) -> ImportedDocument:
         for token in _tokens(request):
             self.uploads.folder(token, owner).finish(result)
         return result
@@ -478,10 +548,9 @@ class UploadImports:
             if kind_of(path.name) not in (FileKind.ZIP, FileKind.TAR):
                 yield path
                 return
-            progress(_CHECKED, "unpacking")
-            yield self._unpack(path, share)
+            yield self._unpack(path, share, progress)
 
-    def _unpack(self, path: Path, share: BudgetShare) -> Path:
+    def _unpack(self, path: Path, share: BudgetShare, progress: Progress) -> Path:
         """Unpack an archive beside itself; the only folder in it, or all of it if there is more.
 
         What is unpacked is taken out of ``share``, and leaves the room on the disk that runs need.
@@ -490,6 +559,7 @@ class UploadImports:
         folder.mkdir(parents=True)
 
         def room(piece_bytes: int) -> None:
+            progress(_CHECKED, f"unpacking: {share.held[Lent.UNPACKED] / 1e6:,.0f} MB")
             share.take(Lent.UNPACKED, piece_bytes)
             self.uploads.check_free(path.name)
 
@@ -499,18 +569,19 @@ class UploadImports:
 
 
 def import_dataset(
-    catalogue: Catalogue,
-    request: DatasetUpload,
-    source: Path,
-    truth: Path | None,
-    calibration: Iterable[Path],
-    progress: Progress,
+    catalogue: Catalogue, request: RecordingFacts, recording: RecordingFiles, progress: Progress
 ) -> ImportedDocument:
-    """Make a dataset of the file or folder ``source``. The files of ``request`` are those of the other arguments."""
+    """Make a dataset of a recording."""
+    planned = _planned(catalogue, request, recording)
+    made = catalogue.import_dataset(planned, progress)
+    return ImportedDocument(datasets=(made.name,), notes=tuple(planned.plan.notes))
+
+
+def _planned(catalogue: Catalogue, request: RecordingFacts, recording: RecordingFiles) -> PlannedImport:
     options = ImportOptions(
-        groundtruth=truth,
+        groundtruth=recording.groundtruth,
         groundtruth_topic=request.groundtruth_topic,
-        calibration=tuple(calibration),
+        calibration=recording.calibration,
         topics=request.topics,
         typestore=request.typestore,
         depth_units_per_m=request.depth_units_per_m,
@@ -518,9 +589,12 @@ def import_dataset(
         sequence=request.sequence,
         accept_loss=request.accept_loss,
     )
-    planned = catalogue.plan_import(source, options, format_name=request.format, name=request.name)
-    made = catalogue.import_dataset(planned, progress)
-    return ImportedDocument(datasets=(made.name,), notes=tuple(planned.plan.notes))
+    return catalogue.plan_import(recording.source, options, format_name=request.format, name=request.name)
+
+
+def _package_request(request: AlgorithmAsked) -> AlgorithmRequest:
+    image = request.image if isinstance(request, AlgorithmOnServer) else None
+    return AlgorithmRequest(request.name, request.setup, image, request.replace, request.executor)
 
 
 def import_runs(
@@ -582,12 +656,31 @@ def _inside(folder: Path, name: str) -> Path:
     return path
 
 
-def _tokens(request: DatasetUpload | RunsUpload | AlgorithmUpload) -> tuple[str, ...]:
+def _tokens(request: ImportAsked) -> tuple[str, ...]:
     """All uploads that a request needs."""
+    if isinstance(request, DatasetOnServer | AlgorithmOnServer):
+        return ()
     if not isinstance(request, DatasetUpload):
         return (request.upload,)
     truth = () if request.groundtruth is None else (request.groundtruth,)
     return tuple(dict.fromkeys((request.upload, *truth, *request.calibration)))
+
+
+def _places(request: ImportAsked) -> tuple[str, ...]:
+    """All paths on the server that a request names."""
+    if isinstance(request, DatasetOnServer):
+        return (request.path, *filter(None, (request.groundtruth,)), *request.calibration)
+    return (request.path,) if isinstance(request, AlgorithmOnServer) else ()
+
+
+def _check_place(place: str) -> None:
+    """Raise InvalidInput for a path that is not absolute, which would depend on how the server was started."""
+    path = Path(place)
+    if not path.is_absolute():
+        raise InvalidInput(f"{place[:200]!r} is not an absolute path", "begin it with /")
+    if not os.access(path, os.R_OK):
+        why = "cannot be read by this server" if path.exists() else "does not exist on this server"
+        raise InvalidInput(f"{place[:200]} {why}", "give the path of a file or folder there")
 
 
 def _part(progress: Progress, begin: float, end: float) -> Progress:

@@ -84,7 +84,7 @@ RULES = {
     LOGIN: AccessRule(look=Action.SIGN_IN),
     **dict.fromkeys(("accounts.to_provider", "accounts.from_provider"), AccessRule(look=Action.SIGN_IN)),
     "accounts.sign_in": AccessRule(change=Action.SIGN_IN),
-    "administration": AccessRule(Action.ADMINISTER, Action.ADMINISTER),
+    **dict.fromkeys(("administration", "server_imports"), AccessRule(Action.ADMINISTER, Action.ADMINISTER)),
 }
 """By endpoint, or by blueprint for those of its endpoints that are not listed."""
 CLOSED = AccessRule(Action.ADMINISTER, Action.ADMINISTER)
@@ -135,7 +135,7 @@ def _here() -> str | None:
 PAGES = "pages"
 _LARGEST = 2**53 - 1
 _MOST_NUMBERS = 1000
-_NAMED = ("name", "group", "title", "executor", "node", "visibility", "search")
+_NAMED = ("name", "group", "title", "executor", "node", "path", "visibility", "search")
 """Fields of web forms that say on what something is done."""
 
 

@@ -30,9 +30,10 @@ from slamhive.web.caching import PageCache, add_caching, add_compression, keep_p
 from slamhive.web.challenge_files import MOST_SENT_BYTES
 from slamhive.web.columns import ColumnKind
 from slamhive.web.errors import handle_errors, hide_paths
+from slamhive.web.import_jobs import ImportJobs
 from slamhive.web.limits import SignInLimits, visitor_limits
 from slamhive.web.live import LiveHub
-from slamhive.web.long_work import DatasetChecker, DatasetFetcher, DemoWork, TruthJudge, UploadWork, VariantMaker
+from slamhive.web.long_work import DatasetChecker, DatasetFetcher, DemoWork, TruthJudge, VariantMaker
 from slamhive.web.oidc import find_provider
 from slamhive.web.pages import register_pages
 from slamhive.web.presenters import catalogue as catalogue_presenter
@@ -94,6 +95,7 @@ _BLUEPRINTS = (
     search.finding_blueprint,
     analyses.blueprint,
     imports.blueprint,
+    imports.server_blueprint,
     help_pages.blueprint,
     api.blueprint,
     api_docs.blueprint,
@@ -131,7 +133,7 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     app.extensions[context.FETCH_EXTENSION] = DatasetFetcher(hive)
     app.extensions[context.DEMO_EXTENSION] = DemoWork(hive)
     app.extensions[context.TRIALS_EXTENSION] = TruthJudge(hive)
-    app.extensions[context.UPLOADS_EXTENSION] = UploadWork(hive, app.extensions[context.BUDGET_EXTENSION])
+    app.extensions[context.IMPORTS_EXTENSION] = ImportJobs(hive, app.extensions[context.BUDGET_EXTENSION])
     # On a view-only server that accepts analyses, the web server computes them, because no worker runs.
     computes = hive.settings.mode is Mode.VIEW_ONLY and may_analyse(hive.settings)
     app.extensions[context.COMPUTER_EXTENSION] = hive.analysis_computer() if computes else None

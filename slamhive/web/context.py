@@ -12,9 +12,10 @@ if TYPE_CHECKING:
     from slamhive.services.hive import Hive
     from slamhive.services.stored_analyses import AnalysisComputer
     from slamhive.web.access import Callers
+    from slamhive.web.import_jobs import ImportJobs
     from slamhive.web.limits import RateLimit, SignInLimits
     from slamhive.web.live import LiveHub
-    from slamhive.web.long_work import DatasetChecker, DatasetFetcher, DemoWork, TruthJudge, UploadWork, VariantMaker
+    from slamhive.web.long_work import DatasetChecker, DatasetFetcher, DemoWork, TruthJudge, VariantMaker
     from slamhive.web.oidc import IdentityProvider
 
 EXTENSION = "slamhive"
@@ -26,7 +27,7 @@ FETCH_EXTENSION = "slamhive-fetch"
 DEMO_EXTENSION = "slamhive-demo"
 TRIALS_EXTENSION = "slamhive-truth-trials"
 PROVIDER_EXTENSION = "slamhive-oidc"
-UPLOADS_EXTENSION = "slamhive-uploads"
+IMPORTS_EXTENSION = "slamhive-imports"
 COMPUTER_EXTENSION = "slamhive-analyses"
 RATES_EXTENSION = "slamhive-rates"
 CALLERS_EXTENSION = "slamhive-callers"
@@ -73,9 +74,9 @@ def truth_judge() -> TruthJudge:
     return cast("TruthJudge", current_app.extensions[TRIALS_EXTENSION])
 
 
-def upload_work() -> UploadWork:
-    """The background importer of uploads."""
-    return cast("UploadWork", current_app.extensions[UPLOADS_EXTENSION])
+def import_jobs() -> ImportJobs:
+    """The imports in the background."""
+    return cast("ImportJobs", current_app.extensions[IMPORTS_EXTENSION])
 
 
 def analysis_computer() -> AnalysisComputer | None:

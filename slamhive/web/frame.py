@@ -86,7 +86,7 @@ NEW_THINGS = (
     NewThing("start.form", "Run", "one algorithm on one dataset"),
     NewThing("experiment_builder.new", "Experiment", "algorithms × datasets × values"),
     NewThing("analyses.new", "Report", "plots and tables of runs", Action.ANALYSE),
-    NewThing("imports.index", "Import", "datasets, trajectories"),
+    NewThing("imports.index", "Import", "datasets, algorithms, trajectories"),
 )
 
 

@@ -1,22 +1,14 @@
-"""Long work on datasets, uploads and the demo that a request starts, one piece at a time in the background."""
+"""Long work on datasets and the demo that a request starts, one piece at a time in the background."""
 
 from __future__ import annotations
 
 import logging
 import threading
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
-from slamhive.base.budget import Budget, BudgetShare, Lent
 from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError, changed_text
 from slamhive.base.files import relative_paths
-from slamhive.documents.imports import (
-    AlgorithmUpload,
-    DatasetUpload,
-    ImportedDocument,
-    RunsUpload,
-)
 from slamhive.domain.configuration import Variant
 from slamhive.services.demo import start_demo
 from slamhive.services.fetching import FetchRequest
@@ -34,7 +26,7 @@ DEMO = "the demo"
 class LongWork:
     """The latest request. ``fraction`` is from 0 to 1; ``problem`` says why it failed.
 
-    ``dataset`` is what is worked on: the name of a dataset, or the token of an upload.
+    ``dataset`` is what is worked on.
     """
 
     dataset: str
@@ -84,31 +76,28 @@ class Background:
         return self._latest
 
     def _run(self, work: LongWork, task: Callable[[Progress], object]) -> None:
-        self._note(carried_out(self._hive, work, task, self._note))
+        def progress(fraction: float, text: str) -> None:
+            self._note(replace(work, fraction=fraction, activity=text))
+
+        problem = problem_of(self._hive, work.dataset, lambda: task(progress))
+        self._note(replace(work, fraction=1.0, done=True, problem=problem))
 
     def _note(self, work: LongWork) -> None:
         """Note how far a piece of work is. If it has ended, other work can begin from now on."""
         self._latest = work
 
 
-def carried_out(
-    hive: Hive, work: LongWork, task: Callable[[Progress], object], note: Callable[[LongWork], None]
-) -> LongWork:
-    """Carry out ``task``; how it has ended. ``note`` is called with its progress."""
-
-    def progress(fraction: float, text: str) -> None:
-        note(replace(work, fraction=fraction, activity=text))
-
-    problem = None
+def problem_of(hive: Hive, what: str, task: Callable[[], object]) -> str | None:
+    """Carry out ``task`` on ``what``; why it has failed, None if it has not."""
     try:
         with changed_text(relative_paths(hive.settings.data, hive.project_root)):
-            task(progress)
+            task()
     except SlamHiveError as error:
-        problem = str(error)
+        return str(error)
     except Exception:
-        logger.exception("work on %s failed", work.dataset)
-        problem = "an unexpected error; see the server's log"
-    return replace(work, fraction=1.0, done=True, problem=problem)
+        logger.exception("work on %s failed", what)
+        return "an unexpected error; see the server's log"
+    return None
 
 
 # -- variants and checks of datasets, for pages and programs -----------------------------------------------------------
@@ -226,93 +215,3 @@ class TruthJudge(Background):
         began = self.begin(LongWork(dataset.name), lambda _progress: self._hive.truth_trials.judge(dataset))
         self._hive.store.note_act()
         return began
-
-
-# -- imports of uploads, for programs ----------------------------------------------------------------------------------
-
-_MOST_KEPT = 1000
-
-Asked = DatasetUpload | RunsUpload | AlgorithmUpload
-_WHAT: dict[type[Asked], str] = {
-    DatasetUpload: "the import of a dataset",
-    RunsUpload: "the import of runs",
-    AlgorithmUpload: "the import of an algorithm",
-}
-"""The name of an import in messages: who waits for it learns neither whose it is nor the token of its upload."""
-
-
-class UploadWork:
-    """Imports uploads, some at once: a large recording does not keep a small file waiting.
-
-    Args:
-        hive: The services.
-        budget: How many at once, and how much they may unpack.
-    """
-
-    def __init__(self, hive: Hive, budget: Budget) -> None:
-        self._hive = hive
-        self._budget = budget
-        self._lock = threading.Lock()
-        self._works: dict[str, LongWork] = {}
-
-    def latest(self, token: str) -> LongWork | None:
-        """The import of an upload that is in progress, or that failed."""
-        return self._works.get(token)
-
-    def start(
-        self,
-        asked: Asked,
-        owner: str,
-        task: Callable[[Progress, BudgetShare], ImportedDocument],
-        act: AbstractContextManager[None],
-    ) -> threading.Thread:
-        """Start an import whose uploads are complete. ``act`` is entered around the work, to say who does it.
-
-        Raises Conflict if this upload is being imported, and Unavailable while there are as many imports as there may
-        be. The message says which these are, and for how long they have been working.
-        """
-        self._hive.check_writable()
-        self._hive.upload_imports.check(asked, owner)
-        share = self._budget.open_share(_WHAT[type(asked)])
-        try:
-            share.take(Lent.IMPORTS, 1)
-            work = self._begun(asked.upload)
-        except BaseException:  # no thread will give it back
-            share.give_back()
-            raise
-
-        def importing(progress: Progress) -> None:
-            with act:
-                task(progress, share)
-                self._hive.store.note_act()
-
-        def run() -> None:
-            try:
-                self._end(carried_out(self._hive, work, importing, self._note))
-            finally:
-                share.give_back()
-
-        thread = threading.Thread(target=run, name="import", daemon=True)
-        thread.start()
-        return thread
-
-    def _begun(self, token: str) -> LongWork:
-        with self._lock:
-            known = self._works.get(token)
-            if known is not None and not known.done:
-                raise Conflict("this upload is being imported", "wait until that has ended")
-            self._works[token] = work = LongWork(token)
-            return work
-
-    def _note(self, work: LongWork) -> None:
-        self._works[work.dataset] = work
-
-    def _end(self, work: LongWork) -> None:
-        """Forget what has succeeded, which its folder says; keep why others failed, of so many."""
-        with self._lock:
-            del self._works[work.dataset]
-            if work.problem is not None:
-                self._works[work.dataset] = work
-            failed = [token for token, entry in self._works.items() if entry.done]
-            for token in failed[:-_MOST_KEPT]:
-                del self._works[token]

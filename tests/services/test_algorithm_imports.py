@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import random
+import shutil
 import subprocess
 import tarfile
 from collections.abc import Iterator
@@ -18,11 +19,12 @@ from click.testing import CliRunner
 from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.cli import main
 from slamhive.documents.submission import Submission
-from slamhive.domain.algorithm import RunUser
+from slamhive.domain.algorithm import AlgorithmPackage, RunUser
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.executors.base import ImageMissing, ImageTools
 from slamhive.executors.docker.images import KEPT
+from slamhive.executors.process.executor import ProcessExecutor
 from slamhive.executors.registry import installation_id
 from slamhive.services.algorithms import (
     ImageArchive,
@@ -89,14 +91,75 @@ def test_options_and_commands_are_no_sources(source):
         kind_of(source)
 
 
-def test_several_folders_and_own_packages_are_named(tmp_path):
+def test_several_folders_are_named(tmp_path):
     folders.loam(tmp_path)
     folders.vins(tmp_path)
     with pytest.raises(InvalidInput, match="several algorithms: loam, vins-fusion-stereo-imu; import each"):
         check_folder(tmp_path)
-    (tmp_path / "algorithm.yaml").touch()
-    with pytest.raises(InvalidInput, match="package of SLAM Hive already"):
-        check_folder(tmp_path)
+
+
+def own_package(hive: Hive, root: Path, name: str = "other") -> Path:
+    """A folder outside of the project with a copy of the package ``tiny`` under another name."""
+    source = hive.catalogue.project_root / "algorithms" / "tiny"
+    folder = root / "somewhere"
+    shutil.copytree(source, folder)
+    text = (folder / "algorithm.yaml").read_text()
+    (folder / "algorithm.yaml").write_text(text.replace("package: tiny", f"package: {name}"))
+    return folder
+
+
+def test_a_package_of_ours_is_copied_and_built(hive: Hive, tmp_path, monkeypatch):
+    """The copy is built before it is put in its place. Links are left out."""
+    folder = own_package(hive, tmp_path)
+    (folder / "link").symlink_to("/etc/passwd")
+    built: list[Path] = []
+
+    def build(_executor: object, package: AlgorithmPackage, _progress: object) -> str:
+        assert package.folder.parent != hive.settings.algorithms_folder
+        built.append(package.folder)
+        return "identity"
+
+    monkeypatch.setattr(ProcessExecutor, "build", build)
+    with hive.algorithms.planned(str(folder), PackageImportRequest(executor="process")) as planned:
+        assert planned.content["algorithms"] == ["other"]
+        assert planned.text is not None
+        made = hive.algorithms.perform(planned, lambda _line: None)
+    assert [entry.name for entry in made.algorithms] == ["other"]
+    assert made.notes == ("not copied, since they are no plain files: link",)
+    assert len(built) == 1
+    assert hive.catalogue.algorithm("other").package.folder == hive.settings.algorithms_folder / "other"
+    with pytest.raises(Conflict, match="imported already"):
+        with_plan(hive, str(folder), PackageImportRequest(executor="process"))
+    with_plan(hive, str(folder), PackageImportRequest(executor="process", replace=True))
+
+
+def test_a_package_of_ours_that_fails_to_build_leaves_nothing(hive: Hive, tmp_path, monkeypatch):
+    folder = own_package(hive, tmp_path)
+
+    def build(_executor: object, _package: object, _progress: object) -> str:
+        raise ImageMissing("building other failed at step 2")
+
+    monkeypatch.setattr(ProcessExecutor, "build", build)
+    with pytest.raises(ImageMissing, match="step 2"):
+        with_plan(hive, str(folder), PackageImportRequest(executor="process"))
+    assert list(hive.settings.algorithms_folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "request_", "words"),
+    [
+        (
+            "tiny",
+            PackageImportRequest(),
+            "'tiny' is the name of an algorithm here already; change it in its algorithm.yaml",
+        ),
+        ("other", PackageImportRequest(name="third"), "so --name third has no effect"),
+        ("other", PackageImportRequest(image="a:b"), "so --image a:b has no effect"),
+    ],
+)
+def test_names_of_packages_of_ours_are_those_of_their_files(hive: Hive, tmp_path, name, request_, words):
+    with pytest.raises(SlamHiveError, match=words):
+        with_plan(hive, str(own_package(hive, tmp_path, name)), request_)
 
 
 @pytest.mark.quick

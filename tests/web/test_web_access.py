@@ -27,6 +27,9 @@ FOR_ADMINS = {
     *("administration.accounts", "administration.audit", "administration.add_account", "administration.change_role"),
     *("administration.replace_password", "administration.disable_account", "administration.enable_account"),
     "administration.revoke_any_token",
+    *("server_imports.look_at_dataset_here", "server_imports.look_at_algorithm"),
+    *("server_imports.look_at_algorithm_here", "server_imports.show", "server_imports.store"),
+    *("server_imports.cancel", "server_imports.discard"),
 }
 CHANGED_BY_ADMINS = {
     "trash.empty",

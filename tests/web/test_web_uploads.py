@@ -20,7 +20,7 @@ from slamhive.base.clock import utc_now
 from slamhive.documents.imports import OCTETS, DatasetUpload, ImportedDocument, UploadRequest
 from slamhive.services.uploads import PART_BYTES, UploadFolder, UploadImports, UploadService
 from slamhive.web.api.operation import PREFIX
-from slamhive.web.context import BUDGET_EXTENSION, UPLOADS_EXTENSION
+from slamhive.web.context import BUDGET_EXTENSION, IMPORTS_EXTENSION
 from slamhive.web.security import API_HEADER
 from tests.recordings.format_world import make_euroc
 from tests.services.imports.world import trajectory, write
@@ -260,7 +260,7 @@ def test_a_small_import_passes_a_large_one_and_who_waits_learns_for_what(
 ) -> None:
     """Three imports hang; one more is refused without the tokens of the others, and passes when one has ended."""
     go_on, began = threading.Event(), []
-    work = empty.app.extensions[UPLOADS_EXTENSION]
+    work = empty.app.extensions[IMPORTS_EXTENSION]
     make = UploadImports.dataset
 
     def slow(imports: UploadImports, request: DatasetUpload, *rest: Any) -> Any:

@@ -8,12 +8,12 @@ import shutil
 import tarfile
 import tempfile
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
 from textwrap import shorten
 from types import MappingProxyType
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import docker
 import docker.errors
@@ -111,7 +111,9 @@ def build_packed(
         events = client.api.build(
             fileobj=packed, custom_context=True, network_mode="host", rm=True, forcerm=True, decode=True, **options
         )
-        digest = follow_build(events, name, progress)
+        # If ``progress`` raises, the connection is closed, and with it the engine ends the build.
+        with closing(cast("Generator[dict[str, Any], None, None]", events)) as opened:
+            digest = follow_build(opened, name, progress)
     if digest is None:
         raise ImageMissing(f"{name} was built, but the engine does not say where it is", "build it again")
     return digest

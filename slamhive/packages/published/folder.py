@@ -77,29 +77,41 @@ def looks_foreign(path: Path) -> bool:
 
 def copy_scripts(source: Path, target: Path) -> None:
     """Copy the plain files of ``source``/slamhive to a new folder ``target``. Raises InvalidInput, Unavailable."""
+    copy_plain_files(source / SCRIPTS, target)
+
+
+def copy_plain_files(source: Path, target: Path) -> tuple[str, ...]:
+    """Copy what is in ``source`` to a new folder ``target``; in words what is left out, since it is no plain file.
+
+    Neither compiled Python nor the history of Git is copied. Raises InvalidInput, Unavailable.
+    """
+    left_out: list[str] = []
     try:
         target.mkdir(parents=True)
-        for entry in _bounded(source / SCRIPTS):
+        for entry in _bounded(source):
             place = target / entry.place
             if entry.is_folder and entry.entered:
                 place.mkdir(exist_ok=True)
             elif entry.is_file:
                 _copy(entry, place)
+            else:
+                left_out.append(entry.place)
     except OSError as error:
         raise Unavailable(f"{target} cannot be written: {error.strerror}", remedy_of(error)) from None
+    return (f"not copied, since they are no plain files: {_few(left_out)}",) if left_out else ()
 
 
 def _bounded(folder: Path) -> Iterator[FolderEntry]:
     files = size_bytes = 0
     for entry in walk(folder):
-        if "__pycache__" in entry.place.split("/"):
+        if not {"__pycache__", ".git"}.isdisjoint(entry.place.split("/")):
             continue
         files += 1
         size_bytes += entry.status.st_size if entry.is_file else 0
         if files > MOST_FILES or size_bytes > MOST_BYTES:
             raise InvalidInput(
                 f"{folder} holds more than {MOST_FILES} files or {MOST_BYTES // 1_000_000} MB",
-                "each run gets a copy of it; move data into the image",
+                "each run gets a copy of its scripts; move data into the image",
             )
         yield entry
 
@@ -127,7 +139,7 @@ def _text(entry: FolderEntry) -> str | None:
 def _copy(entry: FolderEntry, target: Path) -> None:
     descriptor = _open(entry)
     if descriptor is None:
-        raise InvalidInput(f"{SCRIPTS}/{entry.place} cannot be read", "correct its rights")
+        raise InvalidInput(f"{entry.place} cannot be read", "correct its rights")
     with os.fdopen(descriptor, "rb") as reader, target.open("xb") as writer:
         while block := reader.read(1_000_000):
             writer.write(block)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import nullcontext
 from typing import IO
 
 from flask import request
 
 from slamhive.base.bounds import whole_number
-from slamhive.base.budget import BudgetShare
 from slamhive.documents.api_answers import Removal
 from slamhive.documents.imports import (
     LARGEST_UPLOAD_BYTES,
     AlgorithmUpload,
     DatasetUpload,
-    ImportedDocument,
     ImportProgress,
     RunsUpload,
     Upload,
@@ -25,8 +22,7 @@ from slamhive.documents.imports import (
 from slamhive.services.uploads import PART_BYTES, StoredUpload
 from slamhive.web import access
 from slamhive.web.api.operation import PART_ARGUMENTS, TABLE, Bytes, Section
-from slamhive.web.context import caller, hive, upload_work
-from slamhive.web.long_work import Asked, Progress
+from slamhive.web.context import caller, hive, import_jobs
 
 
 @TABLE.get(Section.UPLOADS, "/uploads", UploadsDocument)
@@ -75,26 +71,23 @@ def delete_upload(upload: str) -> Removal:
 @TABLE.post(Section.UPLOADS, "/datasets/import", Upload, body=DatasetUpload, status=202)
 def import_dataset(body: DatasetUpload) -> Upload:
     """Start making a dataset of an upload: one file, or a zip or tar archive of a folder."""
-    imports, mine = hive().upload_imports, _owner()
-    return _started(body, lambda progress, share: imports.dataset(body, mine, progress, share))
+    return _started(body)
 
 
 @TABLE.post(Section.UPLOADS, "/runs/import", Upload, body=RunsUpload, status=202)
 def import_runs(body: RunsUpload) -> Upload:
     """Start importing the trajectories in an uploaded archive as runs."""
-    imports, mine = hive().upload_imports, _owner()
-    return _started(body, lambda progress, share: imports.runs(body, mine, progress, share))
+    return _started(body)
 
 
 @TABLE.post(Section.UPLOADS, "/algorithms/import", Upload, body=AlgorithmUpload, status=202)
 def import_algorithm(body: AlgorithmUpload) -> Upload:
     """Start importing an algorithm from an upload; only for admins.
 
-    A zip archive of a folder is built where its Dockerfile says so. A tar file is an image that `docker save` wrote, or
-    what `slamhive algorithm export` wrote.
+    A zip or tar archive of a folder is built where its Dockerfile or `algorithm.yaml` says so. A tar file may also be
+    an image that `docker save` wrote, or what `slamhive algorithm export` wrote.
     """
-    imports, mine = hive().upload_imports, _owner()
-    return _started(body, lambda progress, share: imports.algorithm(body, mine, progress, share))
+    return _started(body)
 
 
 def _owner() -> str:
@@ -108,12 +101,12 @@ def _shown(token: str) -> Upload:
 
 
 def _document(upload: StoredUpload) -> Upload:
-    work = upload_work().latest(upload.token)
-    return Upload.of(upload, work=None if work is None or upload.imported else ImportProgress.of(work))
+    job = import_jobs().latest(upload.token)
+    return Upload.of(upload, work=None if job is None or upload.imported else ImportProgress.of(job))
 
 
-def _started(body: Asked, task: Callable[[Progress, BudgetShare], ImportedDocument]) -> Upload:
+def _started(body: DatasetUpload | RunsUpload | AlgorithmUpload) -> Upload:
     """Start an import for the caller; the upload as it is then."""
     act = access.acting(hive().store, caller(), hive().settings.new_runs) if _owner() else nullcontext()
-    upload_work().start(body, _owner(), task, act)
+    import_jobs().start(body, _owner(), act)
     return _shown(body.upload)

@@ -1,28 +1,150 @@
-"""Import in the browser: the page that leads to all kinds, and trajectories, looked at before they are stored."""
+"""Import in the browser: datasets, algorithms and trajectories, looked at before anything is stored."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import nullcontext
+
 from flask import Blueprint, Response, flash, make_response, redirect, render_template, request
 from flask import url_for as address
+from werkzeug.datastructures import MultiDict
 
 from slamhive.base.errors import SlamHiveError, unknown
+from slamhive.documents.imports import AlgorithmOnServer, AlgorithmUpload, DatasetOnServer, DatasetUpload
+from slamhive.domain.accounts import Action
 from slamhive.domain.sensors import SensorSetup
+from slamhive.recordings.importers.registry import IMPORTERS
 from slamhive.services.staged_trajectories import StagedFacts, StagedTrajectories
-from slamhive.web.context import caller, hive
+from slamhive.services.uploads import AlgorithmAsked, DatasetAsked
+from slamhive.web import access
+from slamhive.web.context import caller, hive, import_jobs
 from slamhive.web.errors import status_of
 from slamhive.web.formatting import plural
+from slamhive.web.import_form import FACTS, import_fields, read_import, typed, without_flags
+from slamhive.web.import_jobs import ImportJob
 
 blueprint = Blueprint("imports", __name__, url_prefix="/import")
+server_blueprint = Blueprint("server_imports", __name__, url_prefix="/import/server")
+"""Imports for admins alone: of files on the server, and of algorithms, whose build executes what others wrote."""
 
 MOST_SENT_BYTES = 64_000_000
 """Of the trajectories of one web form."""
+_WAIT_S = 1.5
+"""What is small is looked at in this time, and its page needs no second look."""
 
 
 @blueprint.get("")
 def index() -> str:
-    """Show what can be imported, and the web form for trajectories."""
+    """Show what can be imported, and the web forms for it."""
     hive().check_writable()
     return _page()
+
+
+# -- datasets and algorithms -------------------------------------------------------------------------------------------
+
+
+@blueprint.post("/datasets")
+def look_at_dataset() -> Response:
+    """Detect what is in an uploaded recording."""
+    return _look(lambda: read_import(DatasetUpload, request.form))
+
+
+@server_blueprint.post("/datasets")
+def look_at_dataset_here() -> Response:
+    """Detect what is in a recording on the server."""
+    return _look(lambda: read_import(DatasetOnServer, request.form))
+
+
+@server_blueprint.post("/algorithms")
+def look_at_algorithm() -> Response:
+    """Detect what is in an uploaded algorithm."""
+    return _look(lambda: read_import(AlgorithmUpload, request.form))
+
+
+@server_blueprint.post("/algorithms/here")
+def look_at_algorithm_here() -> Response:
+    """Detect what is in the folder of an algorithm on the server."""
+    return _look(lambda: read_import(AlgorithmOnServer, request.form))
+
+
+def show(token: str) -> str:
+    """Show an import: what was detected, how far it is, its log, and what it has made."""
+    job = _job(token)
+    return render_template(
+        "imports/job.html",
+        job=job,
+        area=job.area,
+        fields=import_fields(FACTS["algorithm" if job.is_algorithm else "dataset"]),
+        values=typed(job.asked),
+        again=_again(job),
+        formats=_formats(),
+        problem=None if job.problem is None else without_flags(job.problem),
+    )
+
+
+def store(token: str) -> Response:
+    """Start the import of what was looked at."""
+    act = access.acting(hive().store, caller(), hive().settings.new_runs) if caller().account else nullcontext()
+    return _to_job(import_jobs().store(_job(token), act))
+
+
+def cancel(token: str) -> Response:
+    """Cancel an import while it is working."""
+    job = _job(token)
+    job.cancel()
+    return _to_job(job)
+
+
+def discard(token: str) -> Response:
+    """Forget an import, and the files that were sent for it."""
+    import_jobs().discard(_job(token))
+    flash("The import is discarded. Nothing of it is stored.", "info")
+    return make_response(redirect(address("imports.index"), 303))
+
+
+for _part in (blueprint, server_blueprint):
+    _part.add_url_rule("/jobs/<token>", view_func=show)
+    for _action in (store, cancel, discard):
+        _part.add_url_rule(f"/jobs/<token>/{_action.__name__}", view_func=_action, methods=["POST"])
+
+
+def _look(read: Callable[[], DatasetAsked | AlgorithmAsked]) -> Response:
+    """Start looking at what the web form names; its page, or the form again with what is wrong."""
+    hive().check_writable()
+    try:
+        job = import_jobs().look(read(), caller().account, str(request.blueprint))
+    except SlamHiveError as error:
+        return make_response(_page(error, str(request.endpoint)), status_of(error))
+    hive().store.note_act()
+    return _to_job(job)
+
+
+def _job(token: str) -> ImportJob:
+    """The import of the caller on the pages of this request, which the rules of access are about."""
+    return import_jobs().get(token, caller().account, str(request.blueprint))
+
+
+def _to_job(job: ImportJob) -> Response:
+    if job.thread is not None:
+        job.thread.join(_WAIT_S)
+    return make_response(redirect(address(f"{job.area}.show", token=job.token), 303))
+
+
+def _again(job: ImportJob) -> str:
+    """The address that looks at the same files once more."""
+    if isinstance(job.asked, AlgorithmOnServer | AlgorithmUpload):
+        name = "look_at_algorithm" if isinstance(job.asked, AlgorithmUpload) else "look_at_algorithm_here"
+        return address(f"server_imports.{name}")
+    if isinstance(job.asked, DatasetOnServer):
+        return address("server_imports.look_at_dataset_here")
+    return address("imports.look_at_dataset")
+
+
+def _formats() -> dict[str, str]:
+    return {name: importer.title for name, importer in IMPORTERS}
+
+
+# -- trajectories ------------------------------------------------------------------------------------------------------
 
 
 @blueprint.post("/trajectories")
@@ -39,12 +161,12 @@ def look() -> Response:
         token = staged.add(files, facts, caller().account)
         report = staged.rehearse(token, caller().account)
     except SlamHiveError as error:
-        return make_response(_page(error), status_of(error))
+        return make_response(_page(error, "imports.look"), status_of(error))
     return make_response(render_template("imports/found.html", token=token, report=report, facts=facts))
 
 
 @blueprint.post("/trajectories/<token>/store")
-def store(token: str) -> Response:
+def store_trajectories(token: str) -> Response:
     """Store the trajectories as runs, and evaluate them."""
     report = StagedTrajectories(hive()).store(token, caller().account)
     flash(
@@ -56,14 +178,31 @@ def store(token: str) -> Response:
 
 
 @blueprint.post("/trajectories/<token>/discard")
-def discard(token: str) -> Response:
+def discard_trajectories(token: str) -> Response:
     """Forget the trajectories."""
     StagedTrajectories(hive()).discard(token, caller().account)
     flash("The trajectories are discarded. Nothing is stored.", "info")
     return make_response(redirect(address("imports.index"), 303))
 
 
-def _page(error: SlamHiveError | None = None) -> str:
+def _page(error: SlamHiveError | None = None, refused: str = "") -> str:
+    """The page of all web forms. ``refused`` is the endpoint of the one that was sent; its values stay."""
+    is_admin = Action.ADMINISTER in caller().may
+    areas = ("imports", "server_imports") if is_admin else ("imports",)
     return render_template(
-        "imports/index.html", error=error, datasets=hive().catalogue.datasets(), setups=list(SensorSetup)
+        "imports/index.html",
+        problem=None if error is None else without_flags(str(error)),
+        refused=refused,
+        values=request.form if error is not None else MultiDict(),
+        is_admin=is_admin,
+        jobs=import_jobs().listed(caller().account, areas),
+        facts={name: import_fields(model) for name, model in FACTS.items()},
+        formats=_formats(),
+        on_server={
+            name: [entry for entry in import_fields(model) if entry not in import_fields(FACTS[name])]
+            for name, model in (("dataset", DatasetOnServer), ("algorithm", AlgorithmOnServer))
+        },
+        most_bytes=hive().settings.uploads_max_bytes,
+        datasets=hive().catalogue.datasets(),
+        setups=list(SensorSetup),
     )
