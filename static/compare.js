@@ -1,5 +1,5 @@
-// The page of a comparison: a tick on a chip hides the curves and the path of its run, a sentence shows its moment, and
-// another protocol is shown as soon as it is chosen.
+// The page of a comparison: a tick on a chip hides the curves and the path of its run, and a sentence shows its
+// moment.
 "use strict";
 (() => {
   const boxes = [...document.querySelectorAll("[data-shows]")];
@@ -12,10 +12,6 @@
   for (const box of boxes) {
     box.checked = true; // a reload would keep a tick, and draw what it hides
     box.addEventListener("change", hide);
-  }
-  for (const form of document.querySelectorAll("[data-at-once]")) {
-    form.querySelector("button").hidden = true;
-    form.addEventListener("change", () => form.requestSubmit());
   }
   document.addEventListener("timeline", ({ detail: { origin_s: origin } }) => {
     for (const link of document.querySelectorAll("[data-moment-of]")) {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from decimal import Decimal
 
@@ -37,3 +38,19 @@ def plain(number: float) -> str:
 def plural(count: int, noun: str, many: str | None = None) -> str:
     """``1 run``, ``1,234 runs``; ``many`` where the plural takes more than an s."""
     return f"{count:,} {noun if count == 1 else many or noun + 's'}"
+
+
+def mean_and_std(mean: float, std: float | None) -> str:
+    """``0.0312 ± 0.0008``: three significant digits of the mean, one more if the spread is smaller than they show.
+
+    Both have the same decimals. The mean alone without a standard deviation.
+    """
+    whole = std in (None, 0.0) and float(mean).is_integer()
+    digits = 0 if whole else max(0, 2 - _exponent(mean))
+    if std and round(std, digits + 1):
+        digits = min(max(digits, -_exponent(std)), digits + 1)
+    return f"{mean:.{digits}f}" if std is None else f"{mean:.{digits}f} ± {std:.{digits}f}"
+
+
+def _exponent(value: float) -> int:
+    return math.floor(math.log10(abs(value))) if value else 0

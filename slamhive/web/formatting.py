@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from slamhive.domain.metrics import Metric
-from slamhive.domain.names import plural
+from slamhive.domain.names import mean_and_std, plural
 
 DASH = "–"
 PERCENT_METRICS = frozenset(
@@ -74,10 +74,10 @@ def metric_cell(metric: Metric, value: float | None) -> TableCell:
 
 
 def mean_text(mean: float, std: float | None) -> str:
-    """``0.112 ± 0.010``, or the mean alone without a standard deviation. A deviation that is rounding shows as 0."""
+    """``0.112 ± 0.010``, or the value of a single run. A deviation that is rounding shows as 0."""
     if std is not None and std < 1e-9 * abs(mean):
         std = 0.0
-    return significant(mean) if std is None else f"{significant(mean)} ± {significant(std, 2)}"
+    return significant(mean) if std is None else mean_and_std(mean, std)
 
 
 def median_text(n: int, median: float) -> str:

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.plot_types import PLOT_TYPES
-from slamhive.analysis.plot_types.base import mean_and_std
 from slamhive.analysis.plot_types.metric_table import _Entry, ranks
 from slamhive.analysis.report import PlotResult
 from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import Direction
+from slamhive.domain.names import mean_and_std
 from slamhive.services.analysis.bundle import table_latex
 from slamhive.services.markdown import table_markdown
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, data_of, sweep_table
@@ -101,7 +101,7 @@ def test_a_group_without_a_good_run_has_no_value() -> None:
 def test_digits_fit_the_spread(values: list[float], text: str) -> None:
     summary = summarise(np.array(values))
     assert summary is not None
-    assert mean_and_std(summary) == text
+    assert mean_and_std(summary.mean, summary.std) == text
 
 
 def test_a_paper_has_sequences_by_algorithms_with_the_best_marked() -> None:

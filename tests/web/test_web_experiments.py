@@ -305,7 +305,7 @@ def test_the_page_shows_every_state_of_every_cell(trial: Web):
     assert "algorithm eye-slam-mono, nFeatures 500: 2 good" in text
     assert "algorithm eye-slam-mono, nFeatures 1000: 1 failed, 1 queued" in text
     assert "1 no trajectory" in seen
-    assert "0.0600 ± 0.014" in seen
+    assert "0.0600 ± 0.0141" in seen
     assert "ATE RMSE [m]" in seen
     assert "SE(3)" in seen
     assert "Configurations 1 to 6 of 6" in seen

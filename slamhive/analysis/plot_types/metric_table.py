@@ -11,11 +11,12 @@ from pydantic import Field
 
 from slamhive.analysis.chart import file_key
 from slamhive.analysis.plot_types import base
-from slamhive.analysis.plot_types.base import mean_and_std, shown_unit, summary_of
+from slamhive.analysis.plot_types.base import shown_unit, summary_of
 from slamhive.analysis.report import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import Column, RunTable
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import Direction
+from slamhive.domain.names import mean_and_std
 
 # The table of one metric as papers print it: sequences by algorithms, best and second marked, failures in view.
 
@@ -78,7 +79,9 @@ def grid_table(table: RunTable, column: Column, by: str, title: str | None) -> R
 
 def _entry(group: pd.DataFrame, column: Column) -> _Entry:
     summary = summary_of(group, column)
-    return _Entry(len(group), base.failed_count(group), None if summary is None else mean_and_std(summary))
+    return _Entry(
+        len(group), base.failed_count(group), None if summary is None else mean_and_std(summary.mean, summary.std)
+    )
 
 
 def ranks(entries: Sequence[_Entry], direction: Direction) -> list[int | None]:
@@ -205,4 +208,4 @@ def _heading(column: Column) -> TableColumn:
 
 def _cell(group: pd.DataFrame, column: Column) -> str | None:
     summary = summary_of(group, column)
-    return None if summary is None else mean_and_std(summary)
+    return None if summary is None else mean_and_std(summary.mean, summary.std)

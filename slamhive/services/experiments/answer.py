@@ -6,14 +6,13 @@ algorithm compares its configurations.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from slamhive.domain.names import plural
+from slamhive.domain.names import mean_and_std, plural
 from slamhive.domain.parameters import Value
 from slamhive.services.experiments.ranking import RankEntries, RankEntry, SeparationTest
 from slamhive.store.records import ExperimentRecord
@@ -286,13 +285,10 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _spread(entry: RankEntry) -> str:
-    """``0.106 ± 0.019 m``, with three digits of the mean."""
+    """``0.106 ± 0.019 m``."""
     if entry.good is None:
         return "unknown"
-    mean = entry.good.mean
-    decimals = max(0, 2 - math.floor(math.log10(mean))) if mean > 0 else 3
-    spread = f" ± {entry.good.variance**0.5:.{decimals}f}" if entry.ranked else ""
-    return f"{mean:.{decimals}f}{spread} m"
+    return f"{mean_and_std(entry.good.mean, entry.good.variance**0.5 if entry.ranked else None)} m"
 
 
 def _p_text(p_value: float, sign: str = "=") -> str:
