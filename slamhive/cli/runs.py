@@ -26,6 +26,7 @@ from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import FailureReason, NotesChange, RunNotes, RunState
 from slamhive.services.exports import disturbed_text, trust_text
 from slamhive.store import RunRecord, RunSort
+from slamhive.store.records import protocol_uses
 
 if TYPE_CHECKING:
     from slamhive.services.hive import Hive
@@ -99,6 +100,8 @@ def list_runs(hive: Hive, options: dict[str, Any], *, as_json: bool) -> None:
     sort = RunSort(options["sort"], not options["ascending"])
     listing = Listing(hive, search, sort, tuple(split_columns(options["columns"])), options["limit"])
     grouped = options["group"] is not None
+    if options["parquet"] is not None or options["as_csv"] or (as_json and (grouped or listing.columns)):
+        listing.tell_mixed(None, hive.searches.count(search))
     if options["parquet"] is not None:
         path = options["parquet"]
         rows = write_parquet(*listing.groups(), path) if grouped else write_parquet(*listing.runs(), path)
@@ -118,6 +121,7 @@ def list_runs(hive: Hive, options: dict[str, Any], *, as_json: bool) -> None:
             print_table(content.columns, list(content.rows(pages)))
         elif page.records or as_json:
             print_runs(list(page.records), as_json)
+        listing.tell_mixed(protocol_uses(page.records), page.count)
         if not as_json:
             tell(listing.summary(len(page.records), page.count))
 

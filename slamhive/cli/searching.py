@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias
@@ -17,6 +17,7 @@ from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say, write_out
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.side_by_side import ProtocolUse
 from slamhive.filters.binding import Search, bind, read_search
 from slamhive.filters.means import means_of
 from slamhive.filters.parser import parse_filter
@@ -25,7 +26,7 @@ from slamhive.filters.words import in_words
 from slamhive.services.exports import RUNS_AT_ONCE, GroupExport, Record, RunExport, TableExport, by_protocol
 from slamhive.services.searches import order_in_words, runs_text, summary
 from slamhive.store import Count, RunSort
-from slamhive.store.records import GroupRecord, SavedSearchRecord, Spread
+from slamhive.store.records import GroupRecord, SavedSearchRecord, Spread, group_uses
 from slamhive.store.run_cells import RunCells
 
 if TYPE_CHECKING:
@@ -116,6 +117,12 @@ class Listing:
         search = means_of(self.search) if grouped else self.search
         return ", ".join(part for part in (in_words(search), order) if part)
 
+    def tell_mixed(self, shown: Iterable[ProtocolUse] | None, count: Count) -> None:
+        """Say on stderr if the errors of the runs are not comparable, and what makes them so."""
+        mixed = self.hive.searches.mixed(self.search, shown, count)
+        if mixed is not None:
+            tell(mixed.sentences, style="yellow")
+
     def summary(self, shown: int, count: Count, *, grouped: bool = False) -> str:
         """Say what is shown, how many, and what is left out."""
         left_out = self.hive.searches.left_out(self.search, count)
@@ -156,6 +163,7 @@ def print_groups(listing: Listing) -> None:
     ]
     if rows:
         print_table((*GROUP_HEAD, *metrics), rows, right=("configuration", "runs", "failed", "disturbed", *metrics))
+    listing.tell_mixed(group_uses(page.records), page.runs)
     tell(listing.summary(len(page.records), page.runs, grouped=True))
 
 

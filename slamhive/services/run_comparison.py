@@ -25,7 +25,6 @@ from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
 from slamhive.domain.trust import TrustLevel
 from slamhive.domain.verdict import ERROR, judge
 from slamhive.run_folder.folder import RunFolder
-from slamhive.services.evaluations import mixed_of
 from slamhive.store import Store
 from slamhive.store.records import EvaluationState, ProtocolLabel, RunRecord
 from slamhive.store.transaction import Transaction
@@ -567,7 +566,7 @@ class RunComparisons:
         if baseline is not None and baseline not in run_ids:
             raise InvalidInput(f"the baseline {baseline} is none of the compared runs", "name one of them")
         (runs, values, protocols), mixed = self._store.read(
-            lambda t: (_read(t, run_ids), mixed_of(t, t.evaluations.uses(run_ids)))
+            lambda t: (_read(t, run_ids), t.evaluations.mixed(t.evaluations.uses(run_ids)))
         )
         chosen = _chosen(protocols, runs, protocol)
         fingerprint = None if chosen is None else chosen.fingerprint

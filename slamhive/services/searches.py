@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from slamhive.base.clock import monotonic_s, utc_now
@@ -11,12 +11,14 @@ from slamhive.domain.accounts import Viewer
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.names import check_name, plural
 from slamhive.domain.parameters import Parameter, ParameterType
+from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse
 from slamhive.filters.binding import Search, read_search
 from slamhive.filters.datasets import attributes_of
 from slamhive.filters.fields import FieldKind, ParameterKind, Vocabulary, vocabulary_of
 from slamhive.services.datasets import Catalogue, check_writable, imported_algorithms
-from slamhive.store import Store
+from slamhive.store import Store, Transaction
 from slamhive.store.records import Count, GroupPage, GroupRecord, Repeats, RunSort, SavedSearchRecord
+from slamhive.store.run_listing import COUNTED
 
 _KINDS = {
     ParameterType.INT: FieldKind.NUMBER,
@@ -113,6 +115,10 @@ class Searches:
         """The ids of all matching runs, in order."""
         return self._store.read(lambda t: t.searches.run_ids(search))
 
+    def count(self, search: Search) -> Count:
+        """The number of matching runs, exact as far as that is cheap."""
+        return self._store.read(lambda t: t.searches.count(search))
+
     def exact_count(self, search: Search) -> int:
         """The exact number of matching runs, however long counting takes."""
         return self._store.read(lambda t: t.searches.exact_count(search))
@@ -146,6 +152,23 @@ class Searches:
     def groups(self, search: Search, sort: RunSort, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         """The configurations of the matching runs, with mean and spread of ``metrics`` over the repeats."""
         return self._store.read(lambda t: t.searches.groups(search, sort, after, limit, metrics))
+
+    def mixed(self, search: Search, shown: Iterable[ProtocolUse] | None, count: Count) -> MixedProtocols | None:
+        """The protocols of the runs that match, if their errors are not comparable.
+
+        Of very many runs, those that are ``shown`` decide, as they do if the search names a protocol. No more than
+        :data:`COUNTED` ids are read. ``shown`` is None where all runs go into a file.
+        """
+        uses = None if shown is None else list(shown)
+        few = search.protocol is None and count.exact and count.number <= COUNTED
+
+        def work(t: Transaction) -> MixedProtocols | None:
+            found = None if uses is None else t.evaluations.mixed(uses)
+            if not few or (found is None and uses is not None):
+                return found
+            return t.evaluations.mixed(t.evaluations.uses(t.searches.run_ids(search))) or found
+
+        return self._store.read(work)
 
     def repeats(self, search: Search, groups: Sequence[GroupRecord], metrics: Sequence[str]) -> Repeats:
         """The values behind the means of ``groups``, in order of the runs."""

@@ -14,7 +14,7 @@ from sqlalchemy.exc import IntegrityError
 from slamhive.base.errors import Conflict, NotFound
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunState
-from slamhive.domain.side_by_side import ProtocolUse
+from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, mixed_protocols
 from slamhive.evaluation.job import Artefacts, EvaluationResult
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.changes import AskedEvaluations, changes_of
@@ -189,6 +189,12 @@ class EvaluationRepository(LeaseQueue[int]):
             for fingerprint, label, trajectory, count in self._connection.execute(query):
                 found[ProtocolUse(fingerprint, label, trajectory, 0)] += count
         return [replace(use, runs=count) for use, count in found.items()]
+
+    def mixed(self, uses: Iterable[ProtocolUse]) -> MixedProtocols | None:
+        """The protocols of runs side by side if they are not comparable, with the one that all of them can have."""
+        found = list(uses)
+        fingerprints = {use.fingerprint for use in found}
+        return mixed_protocols(found, self.definitions(fingerprints) if len(fingerprints) > 1 else None)
 
     def definitions(self, fingerprints: Collection[str]) -> dict[str, domain.Protocol]:
         """{fingerprint: protocol}; unknown ones are left out."""

@@ -265,6 +265,12 @@ def protocol_uses(runs: Iterable[RunRecord]) -> list[ProtocolUse]:
     ]
 
 
+def group_uses(groups: Iterable[GroupRecord]) -> list[ProtocolUse]:
+    """The protocols behind the errors of these groups; the kinds of their trajectories are not known."""
+    labels = (label for group in groups for label in group.figures if label is not None)
+    return [ProtocolUse(label.fingerprint, label.label, None) for label in labels]
+
+
 def trust_in(
     metrics: Mapping[str, float],
     disturbance: Disturbance | None,

@@ -48,6 +48,10 @@ def evaluated(store: Store, samples: Samples, *errors_m: float | None, protocol=
     return runs
 
 
+def count_dropped(store: Store, run_id: int, share: float) -> None:
+    store.write(lambda tx: tx.metrics.put(run_id, None, {DROPPED_FRAMES: share}))
+
+
 def kinds(store: Store, runs: list[int]) -> list[VerdictKind | None]:
     """The stored verdicts; what pages derive from the metrics says the same."""
     found = store.read(lambda tx: tx.runs.get_many(runs, with_metrics=True))
@@ -100,7 +104,7 @@ def test_a_run_that_got_69_of_150_sweeps_is_not_good(store: Store, samples: Samp
     """Its error is seven times that of its repeats, and yet too small to be an outlier."""
     runs = [samples.run_in(RunState.SUCCEEDED) for _ in range(4)]
     for run_id, error_m, dropped in zip(runs, (0.012, 0.011, 0.013, 0.084), (0.0, 0.0, 0.3, 81 / 150), strict=True):
-        store.write(lambda tx, run=run_id, share=dropped: tx.metrics.put(run, None, {DROPPED_FRAMES: share}))
+        count_dropped(store, run_id, dropped)
         evaluate(store, run_id, outcome(error_m))
     missed = VerdictKind.MISSED_INPUT
     assert kinds(store, runs) == [GOOD, GOOD, GOOD, missed]
@@ -114,7 +118,7 @@ def test_a_run_that_got_69_of_150_sweeps_is_not_good(store: Store, samples: Samp
 def test_runs_from_before_input_was_counted_are_judged_again_by_the_migration(store: Store, samples: Samples) -> None:
     (run_id,) = evaluated(store, samples, 0.1)
     migrate.downgrade(store.engine, "0025")
-    store.write(lambda tx: tx.metrics.put(run_id, None, {DROPPED_FRAMES: 0.6}))
+    count_dropped(store, run_id, 0.6)
     migrate.upgrade(store.engine)
     assert kinds(store, [run_id]) == [VerdictKind.MISSED_INPUT]
     migrate.downgrade(store.engine, "0025")

@@ -13,7 +13,9 @@ from click.testing import CliRunner
 from slamhive.base.settings import Mode
 from slamhive.cli import main
 from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.services.stored_analyses import AnalysisJobs
+from slamhive.filters.binding import Search
+from slamhive.services.stored_analyses.computing import AnalysisJobs
+from slamhive.store.searches import SearchRepository
 from tests.web import web_world as world
 from tests.web.web_world import PROTOCOL, Web
 
@@ -65,6 +67,36 @@ def test_a_list_says_how_many_use_what_and_offers_the_protocol_that_fits_all(web
     assert "4 evaluations queued" in web.client.get(target).text
     waiting = {entry.run_id: entry.protocol for entry in web.hive.evaluations.waiting()}
     assert waiting == dict.fromkeys([*stereo, web.runs["bare"]], SIM3)
+
+
+@pytest.mark.parametrize("address", ["/runs", "/runs?group=configuration"])
+def test_of_very_many_runs_those_on_the_page_decide_and_no_ids_are_read(
+    web: Web, monkeypatch: pytest.MonkeyPatch, address: str
+) -> None:
+    mix(web)
+    read: list[object] = []
+
+    def run_ids(searches: SearchRepository, search: Search) -> list[int]:
+        read.append(search)
+        return original(searches, search)
+
+    original = SearchRepository.run_ids
+    monkeypatch.setattr(SearchRepository, "run_ids", run_ids)
+    assert "not comparable" in banner(web, address)
+    assert len(read) == 1
+    monkeypatch.setattr("slamhive.services.searches.COUNTED", 5)
+    assert "not comparable" in banner(web, f"{address}{'&' if '?' in address else '?'}where=id > 0")
+    assert len(read) == 1
+
+
+def test_the_command_line_says_it_below_lists_groups_and_files(web: Web) -> None:
+    mix(web)
+    for options in ((), ("--group", "configuration"), ("--json",), ("--csv",), ("--csv", "--group", "configuration")):
+        said = CliRunner().invoke(main, ["--data", str(web.hive.settings.data), "runs", *options])
+        assert said.exit_code == 0, said.output
+        assert SAID in said.stderr.replace("\n", " "), options
+    alone = ["--data", str(web.hive.settings.data), "runs", "--where", "algorithm = eye-slam-mono"]
+    assert "not comparable" not in CliRunner().invoke(main, alone).stderr
 
 
 def test_the_new_results_are_shown_as_soon_as_they_are_there(web: Web) -> None:

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
         CurrentProtocols,
         Together,
         ToolFigures,
-        mixed_of,
     )
     from slamhive.services.evaluations.protocols import (
         SENSOR_FRAME,

@@ -13,14 +13,14 @@ from slamhive.domain.metrics import described
 from slamhive.domain.names import plural
 from slamhive.domain.protocol import Protocol, ProtocolRequest, exactly
 from slamhive.domain.run import RunState
-from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, mixed_protocols
+from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse
 from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.evaluation.job import Artefacts
 from slamhive.evaluation.presets import PRESETS, Preset
 from slamhive.run_folder.folder import RunFolder
 from slamhive.services.datasets import check_writable
 from slamhive.services.evaluations.service import Evaluations, evaluation_notes
-from slamhive.store import Store, Transaction
+from slamhive.store import Store
 from slamhive.store.records import EvaluationRecord, EvaluationState, ProtocolLabel, RunRecord
 
 
@@ -49,13 +49,6 @@ class Together:
         if self.left_out:
             parts.append(f"{plural(self.left_out, 'run')} left out: only a run that succeeded can be evaluated.")
         return " ".join(parts) or "All of these runs are under this protocol already."
-
-
-def mixed_of(t: Transaction, uses: Iterable[ProtocolUse]) -> MixedProtocols | None:
-    """The protocols of runs side by side if they are not comparable, with the stored definitions."""
-    found = list(uses)
-    fingerprints = {use.fingerprint for use in found}
-    return mixed_protocols(found, t.evaluations.definitions(fingerprints) if len(fingerprints) > 1 else None)
 
 
 class CurrentProtocols:
@@ -121,11 +114,11 @@ class CurrentProtocols:
 
     def mixed(self, run_ids: Iterable[int]) -> MixedProtocols | None:
         """The protocols of these runs if their errors are not comparable, with the one that all can have."""
-        return self._store.read(lambda t: mixed_of(t, t.evaluations.uses(run_ids)))
+        return self._store.read(lambda t: t.evaluations.mixed(t.evaluations.uses(run_ids)))
 
     def mixed_among(self, uses: Iterable[ProtocolUse]) -> MixedProtocols | None:
         """The same for runs whose protocols are known."""
-        return self._store.read(lambda t: mixed_of(t, uses))
+        return self._store.read(lambda t: t.evaluations.mixed(uses))
 
     def _known(self, fingerprint: str) -> Protocol:
         found = self._store.read(lambda t: t.evaluations.definitions([fingerprint]))

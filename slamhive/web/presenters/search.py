@@ -11,14 +11,11 @@ from urllib.parse import quote
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE, Metric
-from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse
-from slamhive.filters.binding import Search
 from slamhive.filters.fields import PARAMETER_PREFIX, VARIANT_PREFIX, FieldKind, Vocabulary
 from slamhive.filters.syntax import filter_text
 from slamhive.services.exports import by_protocol
 from slamhive.services.hive import Hive
-from slamhive.store.records import Count, GroupRecord, ProtocolLabel, Repeats, RunRecord, SavedSearchRecord, Spread
-from slamhive.store.run_listing import COUNTED
+from slamhive.store.records import GroupRecord, ProtocolLabel, Repeats, RunRecord, SavedSearchRecord, Spread
 from slamhive.web.columns import PINNED, ColumnKind, ListColumn, ListLook, all_columns, column, settings_of
 from slamhive.web.formatting import (
     DASH,
@@ -176,17 +173,6 @@ def with_repeats(rows: Sequence[GroupRow], columns: Sequence[GroupColumn], repea
         return (path, repeats_words(values, factor, column.unit)) if path else None
 
     return [replace(row, sparks=tuple(spark(row, column) for column in columns)) for row in rows]
-
-
-def mixed_in(hive: Hive, search: Search, shown: Iterable[ProtocolUse], count: Count) -> MixedProtocols | None:
-    """The protocols of the runs that match, if their errors are not comparable.
-
-    Of very many runs, those on this page decide, as they do if the search names a protocol.
-    """
-    found = hive.current_protocols.mixed_among(shown)
-    if found is None or search.protocol is not None or not count.exact or count.number > COUNTED:
-        return found
-    return hive.current_protocols.mixed(hive.searches.run_ids(search)) or found
 
 
 def _spread_cell(metric: Metric, spread: Spread | None) -> TableCell:

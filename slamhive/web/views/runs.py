@@ -24,7 +24,6 @@ from slamhive.base.errors import NotFound
 from slamhive.documents.api_requests import LARGEST_RUN_ID
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import NotesChange, RunState, split_tags
-from slamhive.domain.side_by_side import ProtocolUse
 from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.filters.fields import Vocabulary
@@ -34,7 +33,7 @@ from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import MOST_RUNS
 from slamhive.services.run_differences import odd_stretch
 from slamhive.services.runs import list_downloads, open_download
-from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord, protocol_uses
+from slamhive.store.records import EvaluationRecord, EvaluationState, RunRecord, group_uses, protocol_uses
 from slamhive.web.columns import SPARK_AFTER, column, settings_of
 from slamhive.web.context import hive
 from slamhive.web.errors import status_of, wants_json
@@ -76,7 +75,7 @@ def index() -> Response:
     shown = [column(key, vocabulary) for key in query.columns]
     page = services.runs.page(query.search, query.sort, query.after, query.limit)
     left_out = services.searches.left_out(query.search, page.count)
-    mixed = search.mixed_in(services, query.search, protocol_uses(page.records), page.count)
+    mixed = services.searches.mixed(query.search, protocol_uses(page.records), page.count)
     rows = search.with_differences(presenter.rows(page.records, shown, services.catalogue.algorithms()))
     return make_response(
         _search_page(
@@ -99,9 +98,7 @@ def _group_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary) -> 
         query.search, query.sort, query.after, query.limit, [entry.metric.key for entry in figures]
     )
     left_out = services.searches.left_out(query.search, page.runs)
-    labels = (label for group in page.records for label in group.figures if label is not None)
-    shown = [ProtocolUse(label.fingerprint, label.label, None) for label in labels]
-    mixed = search.mixed_in(services, query.search, shown, page.runs)
+    mixed = services.searches.mixed(query.search, group_uses(page.records), page.runs)
     rows = search.group_rows(page.records, figures)
     if query.look.sparks:
         metrics = [entry.metric.key for entry in figures]
