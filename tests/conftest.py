@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import pytest
 from _pytest.mark.expression import Expression
 
-from tests import durability
+from tests import durability, fresh_tables
 from tests.sharing import SHARED_FOLDER
 from tests.workers import pytest_addoption, pytest_runtestloop  # noqa: F401 - pytest finds them here
 
@@ -142,8 +142,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_runtest_setup() -> None:
-    """Let tests go without fsync."""
+    """Let tests go without fsync, and without migrating each new database."""
     durability.leave_out(True)
+    fresh_tables.copy_tables()
 
 
 def pytest_configure(config: pytest.Config) -> None:

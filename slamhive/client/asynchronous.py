@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from slamhive.client import requests
 from slamhive.client.backend import RunQuery
-from slamhive.client.http import CONNECTING_AGAIN, answer_of, connection_options, load_httpx, message_of, silent
+from slamhive.client.http import (
+    CONNECTING_AGAIN,
+    answer_of,
+    certificates,
+    connection_options,
+    load_httpx,
+    message_of,
+    silent,
+)
 from slamhive.client.requests import Request
 from slamhive.client.runs import submission_of
 from slamhive.client.waiting import PAUSE_S, is_complete, rests
@@ -37,7 +45,7 @@ class AsyncHive:
         self._url = url
         library = load_httpx()
         self._failures: tuple[type[Exception], ...] = (library.HTTPError, library.InvalidURL)
-        transport = library.AsyncHTTPTransport(retries=CONNECTING_AGAIN)
+        transport = library.AsyncHTTPTransport(verify=certificates(), retries=CONNECTING_AGAIN)
         self._client: httpx.AsyncClient = library.AsyncClient(transport=transport, **connection_options(url, token))
 
     async def ask(self, request: Request[T]) -> T:

@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -21,6 +22,8 @@ from slamhive.documents.imports import OCTETS, ImportedDocument, Upload
 from slamhive.documents.protocol import ProtocolSearchDocument
 
 if TYPE_CHECKING:
+    import ssl
+
     import httpx
 
     from slamhive.documents.api_answers import ActedOn, AnalysisDocument, AnalysisWithFile, CellPageDocument, RunPage
@@ -138,6 +141,13 @@ def load_httpx() -> Any:
     return httpx
 
 
+@cache
+def certificates() -> ssl.SSLContext:
+    """What checks the certificates of servers. Reading the authorities takes longer than most requests."""
+    context: ssl.SSLContext = load_httpx().create_ssl_context()
+    return context
+
+
 def message_of(request: Request[Any]) -> dict[str, Any]:
     """Arguments that an httpx client takes for a request."""
     body: dict[str, Any] = {} if request.body is None else {"json": request.body}
@@ -169,7 +179,7 @@ class HttpBackend:
         self.label = url
         library = load_httpx()
         self._failures: tuple[type[Exception], ...] = (library.HTTPError, library.InvalidURL)
-        transport = library.HTTPTransport(retries=CONNECTING_AGAIN)
+        transport = library.HTTPTransport(verify=certificates(), retries=CONNECTING_AGAIN)
         self._client: httpx.Client = library.Client(transport=transport, **connection_options(url, token))
 
     def runs(self, query: RunQuery) -> Iterator[RunDocument]:

@@ -47,14 +47,20 @@ SERVICES = sorted(
 )
 
 
-@pytest.mark.integration
-@pytest.mark.parametrize("command", FORBIDDEN)
-def test_a_reading_command_loads_no_heavy_library(tmp_path: Path, command: tuple[str, ...]) -> None:
-    data = tmp_path / "data"
-    (data / "datasets").mkdir(parents=True)
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data root with two runs."""
+    data = tmp_path_factory.mktemp("data")
+    (data / "datasets").mkdir()
     store = open_store(f"sqlite:///{data / 'slamhive.db'}")
     fill(store, make(2))
     store.close()
+    return data
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("command", FORBIDDEN)
+def test_a_reading_command_loads_no_heavy_library(data: Path, command: tuple[str, ...]) -> None:
     words = [sys.executable, "-c", SCRIPT, ",".join(FORBIDDEN[command]), "--data", str(data), *command]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     assert done.stderr.splitlines()[-1].strip() == ""

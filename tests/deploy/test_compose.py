@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import shutil
 import subprocess
@@ -15,6 +16,7 @@ COMPOSE_FILE = ROOT / "docker-compose.yml"
 FILLED_IN = {"MYSQL_PASSWORD": "secret1", "SLAMHIVE_SECRET_KEY": "secret2", "SLAMHIVE_DATA": "/srv/slamhive"}
 
 
+@functools.cache
 def compose_command() -> list[str]:
     """``docker compose`` or ``docker-compose``, whichever works here."""
     for command in (["docker", "compose"], ["docker-compose"]):

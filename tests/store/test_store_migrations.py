@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sqlite3
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -18,10 +20,19 @@ from slamhive.store import migrate, open_store
 from slamhive.store.engine import make_engine
 from slamhive.store.migrate import METADATA
 from slamhive.store.models import MEASURED_PROTOCOL_ID
+from tests import fresh_tables
+from tests.fresh_tables import migrated_tables
 
 pytestmark = pytest.mark.integration
 
 BOTH = ["sqlite", pytest.param("mysql", marks=pytest.mark.mysql)]
+
+
+@pytest.fixture(autouse=True)
+def migrated() -> Iterator[None]:
+    """Other tests copy the tables of new databases."""
+    with migrated_tables():
+        yield
 
 
 @pytest.fixture(params=BOTH)
@@ -52,6 +63,17 @@ def test_up_down_and_up_again(engine: Engine) -> None:
         migrate.downgrade(engine)
         assert migrate.current(engine) is None
         assert tables(engine) == set()
+
+
+def test_tests_copy_the_tables_that_migrations_make(tmp_path: Path) -> None:
+    def dump(name: str) -> list[str]:
+        open_store(f"sqlite:///{tmp_path / name}").close()
+        with closing(sqlite3.connect(tmp_path / name)) as connection:
+            return list(connection.iterdump())
+
+    migrated = dump("migrated.db")
+    migrate.upgrade = fresh_tables.upgrade
+    assert dump("copied.db") == migrated
 
 
 def test_the_newest_revision_of_the_file_names_is_that_of_alembic() -> None:
