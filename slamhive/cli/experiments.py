@@ -90,6 +90,8 @@ def print_preview(found: ExperimentPreview) -> None:
         say(f"… and {found.cells - len(found.rows):,} more")
     for text in found.warnings:
         tell(f"warning: {text}", style="yellow")
+    if found.mixed is not None:
+        tell(f"warning: {found.mixed.sentences}", style="yellow")
     for text in found.refusals:
         tell(f"refused: {text}", style="bold red")
 

@@ -88,6 +88,9 @@ class ExperimentPreviewDocument(Document):
     run_bytes: Annotated[int, described("Estimated space of the run folders.", unit="bytes")]
     free_bytes: Annotated[int, described("Free space.", unit="bytes")]
     warnings: tuple[str, ...]
+    mixed_protocols: Annotated[
+        str | None, described("Which runs would use which protocol, and the remedy, if errors would not be comparable.")
+    ] = None
     refusals: Annotated[tuple[str, ...], described("Why it would be refused.")]
     to_fetch: Annotated[ToFetchDocument | None, described("Null if all datasets are here.")] = None
     repeat_disturbed: int

@@ -88,6 +88,10 @@ class ExperimentFields:
         """True if any limit or stop rule is set."""
         return any(text for name, text in self.values.items() if name.startswith(("limits/", "stop_when/")))
 
+    def with_value(self, name: str, text: str) -> ExperimentFields:
+        """Set the text of a field."""
+        return replace(self, values={**self.values, name: text})
+
     def with_step(self, step: StepFields) -> ExperimentFields:
         """Append a step under an unused name."""
         taken = {entry.name for entry in self.steps}

@@ -100,6 +100,21 @@ def test_the_fields_write_the_yaml_and_the_preview_counts(web: Web):
     assert names(web) == []
 
 
+def test_the_builder_says_before_the_start_that_protocols_would_be_mixed_and_one_click_joins_them(web: Web):
+    fields = {"from": "fields", "name": "mine", "algorithms": ["eye-slam-mono", "eye-slam-stereo"], "datasets": "room"}
+    state = edit(web, **fields, do="write", **{"parameters/nFeatures": "500:1500:500"})
+    assert "3 runs use SE(3), 3 Sim(3): not comparable." in words(state["preview"])
+    button = re.search(r'<button form="builder" name="do" value="([^"]+)"[^>]*>([^<]+)', state["preview"])
+    assert button is not None
+    assert button[2] == "Evaluate all under Sim(3)"
+    joined = edit(web, **fields, do=button[1])
+    assert "evaluate:\n  alignment: sim3\n" in joined["yaml"]
+    assert "not comparable" not in joined["preview"]
+    apart = edit(web, **{**fields, "algorithms": "eye-slam-mono"}, do="write")
+    assert "not comparable" not in apart["preview"]
+    assert "not comparable" not in edit(web, **fields, do="write", evaluate="no")["preview"]
+
+
 def test_the_builder_asks_for_repetitions_of_disturbed_runs(web: Web):
     fields = {"from": "fields", "do": "write", "name": "mine", "algorithms": "eye-slam-mono", "datasets": "room"}
     state = edit(web, **fields, repeat_disturbed="2")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import threading
 from html import unescape
@@ -97,6 +98,24 @@ def test_the_command_line_says_it_below_lists_groups_and_files(web: Web) -> None
         assert SAID in said.stderr.replace("\n", " "), options
     alone = ["--data", str(web.hive.settings.data), "runs", "--where", "algorithm = eye-slam-mono"]
     assert "not comparable" not in CliRunner().invoke(main, alone).stderr
+
+
+def test_a_plan_says_it_before_the_start_and_names_the_option(
+    web: Web, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "other").mkdir()
+    project = world.make_project(tmp_path / "other")
+    (project / "configuration.py").touch()
+    monkeypatch.setenv("SLAMHIVE_ROOT", str(project))
+    file = tmp_path / "both.yaml"
+    file.write_text("name: both\nalgorithms: [eye-slam-mono, eye-slam-stereo]\ndatasets: room\nrepeats: 2\n")
+    plan = ["--data", str(web.hive.settings.data), "experiment", "plan", str(file)]
+    option = "evaluate: {alignment: sim3}"
+    said = f"2 runs use SE(3), 2 Sim(3): not comparable. To evaluate all under Sim(3), add to the file: {option}"
+    assert said in CliRunner().invoke(main, plan).stderr
+    assert json.loads(CliRunner().invoke(main, [*plan, "--json"]).stdout)["mixed_protocols"] == said
+    file.write_text(f"{file.read_text()}{option}\n")
+    assert json.loads(CliRunner().invoke(main, [*plan, "--json"]).stdout)["mixed_protocols"] is None
 
 
 def test_the_new_results_are_shown_as_soon_as_they_are_there(web: Web) -> None:

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
         MetricGrid,
         MetricSpread,
         NodesPlan,
+        PlannedMixture,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import nlargest
@@ -17,6 +17,7 @@ from slamhive.domain.configuration import Configuration, Variant
 from slamhive.domain.matching import Origin, match_of, shown
 from slamhive.domain.placement import DataRuns, makespan_s, place
 from slamhive.domain.protocol import Protocol
+from slamhive.domain.side_by_side import ProtocolUse, mixed_protocols
 from slamhive.experiments.binding import at
 from slamhive.experiments.expansion import Expansion, PlannedRun
 from slamhive.experiments.experiment import Experiment
@@ -29,6 +30,7 @@ from slamhive.services.experiments.views import (
     ConfigurationStanding,
     ExperimentPreview,
     NodesPlan,
+    PlannedMixture,
     PreviewRow,
     VariantNeed,
 )
@@ -118,6 +120,30 @@ def protocol_of_pair(
         return None
     algorithm, dataset = next((a, d) for a, d in expansion.pairs if (a.name, d.name) == pair)
     return protocol_for(algorithm, dataset, context.settings, experiment.evaluation.alignment)
+
+
+def planned_mixture(
+    context: ExperimentContext, experiment: Experiment, expansion: Expansion, planned: Mapping[Pair, int]
+) -> PlannedMixture | None:
+    """The protocols of the planned runs if their errors would not be comparable; None if they would be."""
+    if not experiment.evaluation.enabled:
+        return None
+    definitions: dict[str, Protocol] = {}
+    uses = []
+    for algorithm, dataset in expansion.pairs:
+        runs = planned.get((algorithm.name, dataset.name), 0)
+        if not runs or (dataset.groundtruth is None and dataset.relations is None):
+            continue
+        try:
+            protocol = protocol_for(algorithm, dataset, context.settings, experiment.evaluation.alignment)
+        except SlamHiveError:
+            continue  # it is among the refusals
+        definitions[protocol.fingerprint] = protocol
+        uses.append(ProtocolUse(protocol.fingerprint, protocol.label, None, runs))
+    mixed = mixed_protocols(uses, definitions)
+    if mixed is None:
+        return None
+    return PlannedMixture(mixed, None if mixed.common is None else definitions[mixed.common.fingerprint].alignment)
 
 
 def find_disk_space(
@@ -299,6 +325,8 @@ class _Sums:
     rows: list[PreviewRow] = field(default_factory=list)
     first: dict[Pair, Configuration] = field(default_factory=dict)
     """The first configuration of each algorithm on each dataset."""
+    planned: Counter[Pair] = field(default_factory=Counter)
+    """The number of runs of each algorithm on each dataset."""
 
 
 def preview(
@@ -377,6 +405,7 @@ def preview(
         repeat_disturbed=experiment.repeat_disturbed,
         cluster=cluster,
         to_fetch=wanted,
+        mixed=planned_mixture(context, experiment, expansion, sums.planned),
     )
 
 
@@ -428,6 +457,7 @@ def _add(
     sums.first.setdefault((configuration.algorithm, configuration.dataset), configuration)
     sums.cells += 1
     sums.runs += len(cell)
+    sums.planned[configuration.algorithm, configuration.dataset] += len(cell)
     if known is not None:
         sums.known_cells += 1
         sums.known_runs += known.runs

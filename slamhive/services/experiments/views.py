@@ -14,8 +14,10 @@ from slamhive.domain.configuration import Variant
 from slamhive.domain.outcome import Failure, Outcome
 from slamhive.domain.parameters import Value
 from slamhive.domain.placement import Remaining
+from slamhive.domain.protocol import Alignment
 from slamhive.domain.question import ExperimentQuestion
 from slamhive.domain.run import FailureReason
+from slamhive.domain.side_by_side import MixedProtocols
 from slamhive.services.experiments.unfetched import ToFetch
 from slamhive.store.records import CellRun, ProtocolLabel
 
@@ -89,6 +91,22 @@ class NodesPlan:
 
 
 @dataclass(frozen=True, slots=True)
+class PlannedMixture:
+    """Planned runs whose errors would not be comparable; ``alignment`` would make them so, None if none is known."""
+
+    protocols: MixedProtocols
+    alignment: Alignment | None
+
+    @property
+    def sentences(self) -> str:
+        """The counts and the way out in one line."""
+        if self.alignment is None:
+            return f"{self.protocols.words} Choose one alignment: evaluate: {{alignment: ...}}."
+        option = f"evaluate: {{alignment: {self.alignment}}}"
+        return f"{self.protocols.words} To evaluate all under {self.protocols.common_name}, add to the file: {option}"
+
+
+@dataclass(frozen=True, slots=True)
 class ExperimentPreview:
     """A preview of an experiment that has not been started.
 
@@ -101,7 +119,8 @@ class ExperimentPreview:
     the worker does before and after it, and its evaluation.
     ``run_bytes`` estimates the size of the run folders from earlier ones. ``refusals`` are the reasons why the
     experiment cannot start. ``standing`` is that of the experiment if it is stored already. ``repeat_disturbed`` is
-    how often each run is repeated at most because of a disturbed machine; the other numbers leave that out.
+    how often each run is repeated at most because of a disturbed machine; the other numbers leave that out. ``mixed``
+    is there if the runs would be evaluated under several protocols.
     """
 
     name: str
@@ -130,6 +149,12 @@ class ExperimentPreview:
     between_s: float = 0.0
     cluster: NodesPlan | None = None
     to_fetch: ToFetch | None = None
+    mixed: PlannedMixture | None = None
+
+    @property
+    def mixed_protocols(self) -> str | None:
+        """The mixture in one line, for JSON."""
+        return None if self.mixed is None else self.mixed.sentences
 
 
 @dataclass(frozen=True, slots=True)

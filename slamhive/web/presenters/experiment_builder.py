@@ -14,6 +14,7 @@ from slamhive.documents.api_requests import LONGEST_YAML
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter
+from slamhive.domain.protocol import Alignment
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
 from slamhive.recordings.variants.rules import OptionInfo, describe_options, describe_step
 from slamhive.recordings.variants.steps import STEPS
@@ -319,6 +320,8 @@ def _changed(fields: ExperimentFields, action: str, kind: str) -> ExperimentFiel
         return fields.with_step(new_step(kind))
     if what == "drop" and 0 <= index < len(fields.steps):
         return fields.without_step(index)
+    if what == "align" and number in set(Alignment):
+        return fields.with_value("evaluate/alignment", number)
     if what == "earlier":
         return fields.with_step_earlier(index)
     return fields
