@@ -1,5 +1,5 @@
-// The editor of analysis files: line numbers, a check and the list of plots while typing, and previews of a text that is
-// valid. Also reloads a page that waits for its report.
+// The editor of reports: line numbers, a check and the list of plots while typing, and pictures of the plots of a text
+// that is valid. Also reloads a page that waits for its report.
 "use strict";
 (() => {
   const DELAY_MS = 500;
@@ -39,40 +39,76 @@
     bad = found.line;
     if (found.plots && found.plots !== listed) {
       listed = found.plots;
-      document.getElementById("plots").replaceChildren(...new DOMParser().parseFromString(listed, "text/html").body.childNodes);
+      list(partOf(listed));
     }
     verdict.textContent = [found.message, found.remedy].filter(Boolean).join("; ");
     verdict.classList.toggle("bad", !found.ok);
     text.toggleAttribute("aria-invalid", !found.ok);
     number();
-    if (found.ok && previews && !part.hidden) preview();
+    if (found.ok && live) preview();
+  }
+
+  const plots = document.getElementById("plots");
+  const partOf = (markup) => new DOMParser().parseFromString(markup, "text/html").body;
+
+  /** Shows the list of plots anew; a plot keeps its picture until there is another one. */
+  function list(fresh) {
+    const pictures = new Map([...plots.querySelectorAll("li:has(figure)")].map((entry) => [entry.dataset.plot, entry.querySelector("figure")]));
+    for (const entry of fresh.querySelectorAll("li:not(:has(figure))")) {
+      const kept = pictures.get(entry.dataset.plot);
+      if (kept) entry.append(kept.cloneNode(true));
+    }
+    plots.replaceChildren(...fresh.childNodes);
   }
 
   // One request at a time: a text that changed meanwhile is previewed after it.
-  const previews = document.getElementById("previews");
-  const part = document.getElementById("previews-part");
+  let live = "live" in form.dataset;
   let shown = null;
   let busy = false;
   async function preview() {
     const wanted = text.value;
     if (busy || wanted === shown) return;
     busy = true;
-    part.hidden = false;
-    part.setAttribute("aria-busy", "true");
+    plots.setAttribute("aria-busy", "true");
     try {
       const body = new FormData();
       body.set("csrf_token", form.elements.csrf_token.value);
       body.set("yaml", wanted);
-      const answer = await fetch(previews.dataset.previews, { method: "POST", body });
-      const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
-      if (answer.ok) previews.replaceChildren(...fresh.body.children);
+      const answer = await fetch(form.dataset.previews, { method: "POST", body });
+      if (answer.ok && text.value === wanted) list(partOf(await answer.text()));
       shown = wanted;
     } finally {
       busy = false;
-      part.setAttribute("aria-busy", "false");
+      plots.setAttribute("aria-busy", "false");
     }
     if (text.value !== wanted) plan();
   }
+
+  // What changes the list of plots does so in place, by the answer that a browser without scripts would show.
+  const IN_PLACE = /^(insert|remove|earlier|later):/;
+  document.addEventListener("click", async (event) => {
+    const button = event.target.closest("button[name=do]");
+    if (!button || !IN_PLACE.test(button.value)) return;
+    event.preventDefault();
+    const body = new FormData(form);
+    body.set("do", button.value);
+    body.delete("file");
+    try {
+      const answer = await fetch(form.action, { method: "POST", body });
+      const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
+      text.value = fresh.getElementById("yaml").value;
+      verdict.textContent = fresh.getElementById("verdict").textContent;
+      verdict.classList.toggle("bad", !answer.ok);
+      if (!answer.ok) return;
+      list(fresh.getElementById("plots"));
+      listed = null;
+      number();
+      if (button.value.startsWith("insert:")) plots.querySelector("li:last-child")?.scrollIntoView({ block: "nearest" });
+      if (live) preview();
+    } catch {
+      verdict.textContent = "The server does not respond.";
+    }
+  });
 
   const plan = () => {
     clearTimeout(timer);
@@ -90,9 +126,9 @@
   });
   document.getElementById("preview")?.addEventListener("click", (event) => {
     event.preventDefault();
-    part.hidden = false;
+    live = true;
     check();
   });
   number();
-  if (!verdict.textContent || !part?.hidden) plan();
+  if (live || !verdict.textContent) plan();
 })();

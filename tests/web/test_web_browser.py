@@ -401,7 +401,7 @@ def test_a_ranking_follows_its_runs_and_configurations_are_compared(own_hive: Hi
 def test_the_yaml_fills_its_panel(chromium: Browser, own: str, address: str) -> None:
     for look in LOOKS:
         with opened(chromium, own, look) as (page, _):
-            visit(page, address)
+            visit(page, f"{address}#yaml-part" if "analyses" in address else address)
             panel, text = (page.locator(part).bounding_box() for part in (".panel:has(#yaml)", "#yaml"))
             assert panel is not None
             assert text is not None
@@ -410,9 +410,10 @@ def test_the_yaml_fills_its_panel(chromium: Browser, own: str, address: str) -> 
 
 def test_a_plot_type_is_inserted_into_a_new_analysis(browsing: Page) -> None:
     browsing.goto("/analyses/new")
-    browsing.locator("summary", has_text="table").first.click()
-    browsing.get_by_role("button", name="Insert Table of metrics").click()
+    browsing.get_by_role("button", name="Add Table of metrics").click()
     eventually(lambda: "form: table" in browsing.locator("#yaml").input_value(), "the insertion")
+    assert browsing.url.endswith("/analyses/new"), "in place"
+    browsing.get_by_role("link", name="YAML").click()
     browsing.locator("#yaml").fill("name: bad\nselect: {all: {where: 'id >= 1'}}\nforms: [{form: nope}]\n")
     browsing.locator("#verdict.bad", has_text="nope").wait_for()
 
@@ -421,8 +422,10 @@ def test_the_plots_of_a_text_are_edited(browsing: Page) -> None:
     browsing.goto("/analyses/new")
     plots, text = browsing.locator("#plots li"), browsing.locator("#yaml")
     before = plots.count()
+    browsing.get_by_role("link", name="YAML").click()
     text.fill(text.input_value().rstrip() + "\n  - {form: scatter, x: ate.rmse, y: cpu.mean}\n")
     eventually(lambda: plots.count() == before + 1, "the plot in the list")
+    browsing.get_by_role("link", name="Report", exact=True).click()
     plots.last.get_by_role("button", name="Edit").click()
     browsing.locator('[name="scatter.y"]').select_option("rpe.rmse")
     browsing.get_by_role("button", name=f"Replace plot {before + 1}").click()
@@ -435,18 +438,17 @@ def test_the_plots_of_a_text_are_edited(browsing: Page) -> None:
 
 
 def test_previews_follow_a_valid_text(browsing: Page) -> None:
-    browsing.goto("/analyses/new")
-    browsing.get_by_role("button", name="Preview").click()
-    pictures = browsing.locator("#previews img")
-    pictures.first.wait_for(timeout=60_000)
+    browsing.goto("/analyses/new#yaml-part")
+    pictures = browsing.locator("#plots img")
+    pictures.first.wait_for(timeout=60_000, state="attached")
     before = pictures.count()
     assert pictures.first.evaluate("image => image.naturalWidth") > 200
     text = browsing.locator("#yaml").input_value()
     browsing.locator("#yaml").fill(text.rstrip() + "\n  - {form: scatter, x: ate.rmse, y: nope}\n")
     browsing.locator("#verdict.bad", has_text="nope").wait_for()
-    assert pictures.count() == before, "a text that is not valid keeps the pictures of the one before"
+    assert pictures.count() == before, "a text that is not valid keeps the pictures that it had"
     browsing.locator("#yaml").fill(text.rstrip() + "\n  - {form: scatter, x: ate.rmse, y: cpu.mean}\n")
-    browsing.get_by_alt_text("Preview of Scatter").wait_for(timeout=60_000)
+    browsing.get_by_alt_text("Preview of Scatter").wait_for(timeout=60_000, state="attached")
     assert pictures.count() == before + 1
 
 

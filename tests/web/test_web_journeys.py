@@ -119,6 +119,13 @@ def forms_of(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("key", PLOT_TYPES.names())
+def test_every_plot_type_has_a_picture_of_its_own(shown: Web, key: str) -> None:
+    template = shown.app.jinja_env.get_template("analyses/_thumbnails.html").module
+    assert template.thumbnail(key) != template.thumbnail("of a plug-in")
+    assert "<path" in template.thumbnail("of a plug-in")
+
+
+@pytest.mark.parametrize("key", PLOT_TYPES.names())
 def test_every_plot_type_can_be_inserted(key: str) -> None:
     before = first_text("")
     (card,) = (card for card in cards() if card.key == key)
@@ -149,7 +156,8 @@ def test_what_cannot_be_inserted_is_refused_in_words() -> None:
 
 def test_a_button_inserts_a_plot_type_without_scripts(shown: Web) -> None:
     page = shown.client.get("/analyses/new").text
-    assert page.count('name="do" value="insert:') == len(cards())
+    assert page.count('class="plot-type"') == len(cards())
+    assert page.count('name="do" value="insert:') == 2 * len(cards()), "with sensible axes, or with chosen ones"
     data = {"csrf_token": shown.token, "yaml": first_text("id > 1"), "do": "insert:scatter"}
     answer = shown.client.post("/analyses", data=data)
     assert answer.status_code == 200

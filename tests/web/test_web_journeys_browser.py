@@ -156,8 +156,16 @@ def test_heat_map_share_and_print(journey: Journey, server: str) -> None:
         walk.choose(page.get_by_label("Shows"), "ate.rmse", leads=True)
         page.locator("table.cells.heat").wait_for()
         walk.click(walk.link("Make a report"))
+        plots = page.locator("#plots li")
+        before = plots.count()
+        walk.click(walk.button("Add Scatter"))
+        eventually(lambda: plots.count() == before + 1, "the plot in the report")
         walk.click(walk.button("Compute"))
         page.locator("#ready").wait_for(state="attached", timeout=90_000)
+        page.emulate_media(media="print")
+        breaks = "[...document.querySelectorAll('figure')].map((part) => getComputedStyle(part).breakInside)"
+        assert set(page.evaluate(breaks)) == {"avoid"}, "no plot is on two pages"
+        page.emulate_media(media="screen")
         walk.click(walk.button("Copy link"))
         eventually(lambda: page.evaluate("navigator.clipboard.readText()") == page.url, "the copy")
 

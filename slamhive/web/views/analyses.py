@@ -108,9 +108,10 @@ def _mixed(text: str) -> dict[str, Any]:
 
 @blueprint.post("/previews")
 def previews() -> str:
-    """The part of the editor with small pictures of the plots of a text; an error says why there are none."""
+    """The list of plots with small pictures of them; an error says why there are none."""
     _count(CHECKS, "checks")
-    return render_template("analyses/_previews.html", **_previews(_text()))
+    text = _text()
+    return render_template("analyses/_plots.html", plots=entries(text), taken=_taken(), **_previews(text))
 
 
 @blueprint.post("")
