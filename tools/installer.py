@@ -53,8 +53,8 @@ def install(label: str, python: str, arguments: Sequence[str], environment: Mapp
     with suppress(CannotFollow), uv_command(python, environment, root) as (command, variables):
         try:
             run_step(label, [*command, *arguments], {**environment, **variables})
-        except StepFailed:
-            say(f"{label}, with uv", "failed; trying pip")
+        except StepFailed as error:
+            say(f"{label}, with uv", f"failed; trying pip ({str(error).splitlines()[-1].strip()})")
         else:
             return
     run_step(label, [python, "-m", "pip", "install", "--no-compile", *arguments], dict(environment))

@@ -5,6 +5,7 @@ The tier ``machines`` tests the same on live kernels; these are plain files, and
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -186,6 +187,44 @@ def test_a_home_that_never_gets_empty_is_given_up(root, delegated):
         settle(find_home(root, own(root, SERVICE)))
     assert (unit / LEAF / "cgroup.procs").read_text() == str(os.getpid())
     assert (unit / "cgroup.subtree_control").read_text() == ""
+
+
+def test_processes_that_cannot_be_seen_are_not_moved(root, delegated):
+    """In a container that shares its group with others, theirs are listed as 0, and to write 0 moves the writer."""
+    unit = group(root / SERVICE)
+    delegated(unit)
+    (unit / "cgroup.procs").write_text("0\n")
+    with pytest.raises(DoesNotHold, match="holds processes from outside of this container"):
+        settle(find_home(root, own(root, SERVICE)))
+
+
+@pytest.mark.parametrize("number", [errno.EPERM, errno.ENOENT, errno.EOPNOTSUPP])
+def test_what_the_kernel_refuses_beyond_a_delegation_is_said(root, delegated, monkeypatch, number):
+    """With ``nsdelegate`` no process is moved over the edge of a namespace, whatever the rights on the files say."""
+    unit = group(root / SERVICE)
+    delegated(unit)
+    (unit / "cgroup.procs").write_text(f"{os.getpid()}\n")
+    home = find_home(root, own(root, SERVICE))
+    write_text = Path.write_text
+
+    def refuse(path: Path, *words: str, **options: str) -> int:
+        if path == unit / LEAF / "cgroup.procs":
+            raise OSError(number, os.strerror(number), str(path))
+        return write_text(path, *words, **options)
+
+    monkeypatch.setattr(Path, "write_text", refuse)
+    monkeypatch.setattr(containment, "find_home", lambda **_words: home)
+    chosen = choose_containment(ContainmentRequest("tests", "key", 16))
+    chosen.containment.remove()
+    assert chosen.does_not_hold["cgroup"] == f"{unit / LEAF / 'cgroup.procs'}: {os.strerror(number)}"
+    assert (unit / "cgroup.subtree_control").read_text() == ""
+
+
+@pytest.mark.parametrize("path", ["..", "../other.slice", "../../etc"])
+def test_a_group_outside_of_the_own_namespace_is_no_home(root, delegated, path):
+    """The kernel names groups above the root of a namespace so."""
+    with pytest.raises(DoesNotHold, match=f"this user may not change the control group /{path}$"):
+        find_home(root, own(root, path))
 
 
 def test_a_settled_home_is_used_as_it_is(root):

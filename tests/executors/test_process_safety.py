@@ -220,6 +220,38 @@ def test_a_kernel_that_refuses_is_asked_by_a_child(monkeypatch):
     assert confinement.refused_because() == "unshare: Operation not permitted"
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("user.max_user_namespaces", "0", "user.max_user_namespaces is 0"),
+        ("user.max_user_namespaces", "95410", None),
+        ("kernel.unprivileged_userns_clone", "0", "kernel.unprivileged_userns_clone is 0"),  # Debian 10
+        (  # Ubuntu 24.04
+            "kernel.apparmor_restrict_unprivileged_userns",
+            "1",
+            "kernel.apparmor_restrict_unprivileged_userns is 1",
+        ),
+        ("kernel.apparmor_restrict_unprivileged_userns", "0", None),
+    ],
+)
+def test_the_setting_that_forbids_namespaces_is_named(tmp_path, monkeypatch, name, value, said):
+    """The kernel's own words are "No space left on device" for a limit of 0."""
+    file = tmp_path / name.replace(".", "/")
+    file.parent.mkdir(parents=True)
+    file.write_text(f"{value}\n")
+    assert confinement.forbidding_setting(tmp_path) == said
+
+    def refuse() -> None:
+        raise OSError(28, "unshare: No space left on device")
+
+    monkeypatch.setattr(confinement, "enter_namespaces", refuse)
+    monkeypatch.setattr(os, "getuid", lambda: 1000)
+    monkeypatch.setattr(confinement, "forbidding_setting", lambda: said)
+    refused = confinement.refused_because()
+    words = f"users without rights get no user namespace here, because {said} (unshare: No space left on device)"
+    assert refused == (words if said else "unshare: No space left on device")
+
+
 @pytest.mark.integration
 @process_only
 def test_a_run_that_somebody_else_ends_is_lost_though_it_saved_its_map(bench):

@@ -141,7 +141,7 @@ def test_pip_installs_what_uv_does_not(project, monkeypatch, capsys):
     monkeypatch.setattr(installer, "uv_command", lambda *_: nullcontext((["/tmp/uv", "pip", "install"], {})))
     installer.install("install", "python", ["x"], {}, project)
     assert ran == [["/tmp/uv", "pip", "install", "x"], ["python", "-m", "pip", "install", "--no-compile", "x"]]
-    assert "trying pip" in capsys.readouterr().out
+    assert "trying pip (uv has no index)" in capsys.readouterr().out
 
 
 def test_step_shows_the_end_of_the_output_when_it_fails():

@@ -116,7 +116,7 @@ def _v2_home(root: Path, own: str, *, own_scope: bool) -> CgroupHome:
 
 
 def _shown(folder: Path, root: Path) -> str:
-    return f"/{folder.relative_to(root)}".replace("/.", "/")
+    return "/" if folder == root else f"/{folder.relative_to(root)}"
 
 
 def _is_delegated(unit: Path, root: Path) -> bool:
@@ -202,6 +202,8 @@ def _empty_and_enable(home: CgroupHome) -> None:
                 with contextlib.suppress(OSError):  # a group of a run below still uses it
                     (folder / "cgroup.subtree_control").write_text(f"-{controller}", encoding="ascii")
         pids = (folder / "cgroup.procs").read_text(encoding="ascii").split()
+        if "0" in pids:  # to write 0 would move this process
+            raise DoesNotHold(f"{folder} holds processes from outside of this container")
         for pid in pids:
             with contextlib.suppress(ProcessLookupError):  # it has ended
                 (leaf / "cgroup.procs").write_text(pid, encoding="ascii")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import fcntl
 import os
@@ -159,6 +160,11 @@ SHARED_MEMORY = "/dev/shm"  # noqa: S108 - the place that processes share memory
 SHARED_MEMORY_BYTES = 256 * 1024 * 1024
 """As much as containers get."""
 
+_FORBIDDING = {
+    "user.max_user_namespaces": "0",
+    "kernel.unprivileged_userns_clone": "0",
+    "kernel.apparmor_restrict_unprivileged_userns": "1",
+}
 _CLONE_NEWNS, _CLONE_NEWUSER, _CLONE_NEWNET = 0x00020000, 0x10000000, 0x40000000
 _MS_RDONLY, _MS_NOSUID, _MS_NODEV, _MS_REMOUNT = 1 << 0, 1 << 1, 1 << 2, 1 << 5
 _MS_BIND, _MS_REC, _MS_PRIVATE, _MS_RELATIME = 1 << 12, 1 << 14, 1 << 18, 1 << 21
@@ -183,7 +189,22 @@ def refused_because() -> str | None:
     with os.fdopen(reader, "rb") as answer:
         reason = answer.read().decode()
     os.waitpid(child, 0)
+    # A limit of 0 is reported as "No space left on device", which sounds like a full disk.
+    if reason and os.getuid() != 0 and (setting := forbidding_setting()) is not None:
+        return f"users without rights get no user namespace here, because {setting} ({reason})"
     return reason or None
+
+
+def forbidding_setting(settings: Path = Path("/proc/sys")) -> str | None:
+    """The setting of this kernel, with its value, that forbids user namespaces to users without rights; None if none.
+
+    The last one is AppArmor's of Ubuntu 24.04: the namespace is made, but nothing may be done in it.
+    """
+    for name, forbids in _FORBIDDING.items():
+        with contextlib.suppress(OSError):  # a kernel without this setting
+            if (settings / name.replace(".", "/")).read_text(encoding="ascii").strip() == forbids:
+                return f"{name} is {forbids}"
+    return None
 
 
 def enter_namespaces() -> None:
