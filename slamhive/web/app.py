@@ -25,9 +25,8 @@ from slamhive.services.markdown import markdown_html
 from slamhive.services.searches import runs_text
 from slamhive.services.stored_analyses import may_analyse
 from slamhive.store import Store
-from slamhive.web import api, assets, context, formatting, frame
+from slamhive.web import api, assets, context, formatting, pages
 from slamhive.web.caching import PageCache, add_caching, add_compression, keep_pages
-from slamhive.web.challenge_files import MOST_SENT_BYTES
 from slamhive.web.columns import ColumnKind
 from slamhive.web.errors import handle_errors, hide_paths
 from slamhive.web.import_jobs import ImportJobs
@@ -40,27 +39,24 @@ from slamhive.web.presenters import catalogue as catalogue_presenter
 from slamhive.web.security import protect, secret_key
 from slamhive.web.views import (
     accounts,
-    algorithms,
     analyses,
     api_docs,
+    catalogue,
     challenges,
     compare,
     configurations,
     dashboard,
-    datasets,
     experiments,
     imports,
-    nodes,
-    questions,
     run_plots,
     runs,
     search,
     search_actions,
     selected_runs,
     start,
-    trash,
 )
 from slamhive.web.views import help as help_pages
+from slamhive.web.views.challenges import MOST_SENT_BYTES
 
 MOST_UPLOAD_BYTES = 1_000_000
 BODY_LIMITS = {
@@ -74,23 +70,23 @@ MB = 1_000_000
 _ACCOUNT_BLUEPRINTS = (accounts.blueprint, accounts.administration_blueprint)
 _BLUEPRINTS = (
     dashboard.blueprint,
-    algorithms.blueprint,
+    catalogue.algorithms_blueprint,
     configurations.blueprint,
-    datasets.blueprint,
-    datasets.public_blueprint,
+    catalogue.blueprint,
+    catalogue.public_blueprint,
     start.blueprint,
     runs.blueprint,
     run_plots.blueprint,
     run_plots.scenes_blueprint,
     search_actions.blueprint,
     selected_runs.blueprint,
-    trash.blueprint,
-    nodes.blueprint,
+    selected_runs.trash_blueprint,
+    dashboard.nodes_blueprint,
     challenges.blueprint,
     compare.blueprint,
     experiments.blueprint,
     experiments.experiment_builder_blueprint,
-    questions.blueprint,
+    experiments.questions_blueprint,
     search.blueprint,
     search.finding_blueprint,
     analyses.blueprint,
@@ -253,7 +249,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         has_challenges=lambda: bool(hive.challenges.names()),
         has_algorithm=has_algorithm,
         catalogue=catalogue_presenter,
-        frame=frame,
+        frame=pages,
         help_of=help_pages.OF_PAGE,
         relative_time=formatting.relative_time,
         version=__version__,

@@ -16,7 +16,7 @@ from werkzeug.routing import Map, Rule
 from werkzeug.test import EnvironBuilder, TestResponse, run_wsgi_app
 from werkzeug.wrappers import Request
 
-from slamhive.web.api.idempotency import KEY_HEADER
+from slamhive.web.api.operation import KEY_HEADER
 from slamhive.web.security import API_HEADER
 from tests.fuzzing import NASTY_BYTES, NASTY_JSON, NASTY_TEXTS, NASTY_VALUES, mutated
 

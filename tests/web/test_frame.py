@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from slamhive.domain.accounts import EVERYTHING, MAY, VISITOR_MAY, Action, Caller, Role
-from slamhive.web import frame
+from slamhive.web import pages
 from tests.web.web_world import Web
 
 
 def titles(caller: Caller) -> list[str]:
-    return [section.title for section in frame.sections(caller, challenges=False)]
+    return [section.title for section in pages.sections(caller, challenges=False)]
 
 
 def test_only_visitors_of_a_view_only_server_see_no_machines() -> None:
@@ -20,13 +20,13 @@ def test_only_visitors_of_a_view_only_server_see_no_machines() -> None:
 
 
 def test_visitors_may_make_a_report_at_most() -> None:
-    assert frame.new_things(Caller(VISITOR_MAY)) == []
-    assert [entry.title for entry in frame.new_things(Caller(VISITOR_MAY | {Action.ANALYSE}))] == ["Report"]
-    assert {"Run", "Experiment", "Report", "Import"} <= {entry.title for entry in frame.new_things(Caller(EVERYTHING))}
+    assert pages.new_things(Caller(VISITOR_MAY)) == []
+    assert [entry.title for entry in pages.new_things(Caller(VISITOR_MAY | {Action.ANALYSE}))] == ["Report"]
+    assert {"Run", "Experiment", "Report", "Import"} <= {entry.title for entry in pages.new_things(Caller(EVERYTHING))}
 
 
 def test_challenges_have_an_entry_once_there_are_some() -> None:
-    assert [section.title for section in frame.sections(Caller(EVERYTHING), challenges=True)].count("Challenges") == 1
+    assert [section.title for section in pages.sections(Caller(EVERYTHING), challenges=True)].count("Challenges") == 1
     assert "Challenges" not in titles(Caller(EVERYTHING))
 
 
@@ -39,14 +39,14 @@ def test_challenges_have_an_entry_once_there_are_some() -> None:
     ],
 )
 def test_a_page_belongs_to_a_section(endpoint: str, title: str) -> None:
-    section = frame.section_of(endpoint)
+    section = pages.section_of(endpoint)
     assert section is not None
     assert section.title == title
 
 
 def test_help_and_unknown_pages_belong_to_none() -> None:
-    assert frame.section_of("help.page") is None
-    assert frame.section_of(None) is None
+    assert pages.section_of("help.page") is None
+    assert pages.section_of(None) is None
 
 
 @pytest.mark.quick

@@ -17,10 +17,9 @@ from slamhive.domain.run import RunState
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.web.api import TABLE
-from slamhive.web.api.idempotency import KEY_HEADER, REPEATED_HEADER
-from slamhive.web.api.openapi import description
-from slamhive.web.api.operation import PREFIX
+from slamhive.web.api.operation import KEY_HEADER, PREFIX, REPEATED_HEADER
 from slamhive.web.security import API_HEADER
+from slamhive.web.views.api_docs import description
 from tests.web import web_world as world
 from tests.web.request_fuzz import ANALYSIS, CONFIGURATION, EXPERIMENT
 from tests.web.web_world import Web

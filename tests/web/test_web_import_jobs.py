@@ -21,7 +21,7 @@ from slamhive.executors.base import ImageMissing
 from slamhive.executors.process.executor import ProcessExecutor
 from slamhive.services.executors import Executors
 from slamhive.web.context import IMPORTS_EXTENSION
-from slamhive.web.import_form import import_fields, read_import, typed, without_flags
+from slamhive.web.views.imports import import_fields, read_import, typed, without_flags
 from tests.recordings.format_world import make_euroc
 from tests.waiting import eventually
 from tests.web.account_world import AccountWeb, account_web, token_of

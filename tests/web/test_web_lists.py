@@ -22,9 +22,8 @@ from slamhive.filters.fields import FieldKind, ParameterKind, vocabulary_of
 from slamhive.services.runs import Samples
 from slamhive.store.records import RunSort, SavedSearchRecord
 from slamhive.web.columns import DEFAULT_COLUMNS, all_columns
-from slamhive.web.heat import WORST, levels
 from slamhive.web.presenters.search import OTHERS, SHARED, arranged, column_groups
-from slamhive.web.small_plots import MOST_POINTS, error_image
+from slamhive.web.small_plots import MOST_POINTS, WORST, error_image, levels
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 

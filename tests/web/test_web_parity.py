@@ -20,8 +20,8 @@ from slamhive.domain.configuration import PlaybackMode, VariantStep
 from slamhive.domain.protocol import Alignment
 from slamhive.experiments.file import experiment_schema
 from slamhive.services.executors import Executors
-from slamhive.web.run_form import read_form
 from slamhive.web.security import API_HEADER
+from slamhive.web.views.start import read_form
 from tests.web.web_world import Web
 
 pytestmark = pytest.mark.quick

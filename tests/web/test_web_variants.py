@@ -15,8 +15,8 @@ from slamhive.base.project import project_root
 from slamhive.services.executors import Executors
 from slamhive.services.hive import open_hive
 from slamhive.web.context import VARIANTS_EXTENSION
-from slamhive.web.run_form import read_steps
 from slamhive.web.security import API_HEADER
+from slamhive.web.views.start import read_steps
 from tests.services.recorded_track import make_recorded_track
 from tests.services.tiny_project import environment, make_project
 from tests.web.web_world import Web, make_web

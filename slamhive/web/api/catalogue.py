@@ -51,7 +51,7 @@ from slamhive.web.api.operation import CONFIGURATION_ARGUMENTS, PUBLIC_ARGUMENTS
 from slamhive.web.context import dataset_checker, hive, truth_judge, variant_maker
 from slamhive.web.long_work import LongWork
 from slamhive.web.queries import ConfigurationQuery
-from slamhive.web.views.datasets import asked_time_s, frame_answer
+from slamhive.web.views.catalogue import asked_time_s, frame_answer
 
 
 @TABLE.get(Section.CATALOGUE, "/algorithms", Algorithms)

@@ -44,7 +44,7 @@ from slamhive.documents.question import Decision, SearchStanding
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.sharing import SharingChange
 from slamhive.services.stored_analyses import MEDIA_TYPES
-from slamhive.web import challenge_files, context
+from slamhive.web import context
 from slamhive.web.api.operation import (
     CELL_ARGUMENTS,
     ENTRY_ARGUMENTS,
@@ -54,11 +54,11 @@ from slamhive.web.api.operation import (
     Bytes,
     Section,
 )
-from slamhive.web.challenge_files import MOST_SENT_BYTES
 from slamhive.web.context import hive
 from slamhive.web.experiment_fields import SOURCE
 from slamhive.web.queries import CellsQuery, GridQuery
 from slamhive.web.request_input import answer
+from slamhive.web.views.challenges import MOST_SENT_BYTES, cancel_submission, own_submissions, send_body, send_image
 
 
 @TABLE.get(Section.EXPERIMENTS, "/experiments", ExperimentsDocument)
@@ -248,7 +248,7 @@ def challenge_ranking(name: str) -> ChallengeRanking:
 @TABLE.get(Section.CHALLENGES, "/challenges/{name}/submissions", ChallengeSubmissions)
 def challenge_submissions(name: str) -> ChallengeSubmissions:
     """The submissions of the caller, the newest first."""
-    return ChallengeSubmissions(submissions=tuple(challenge_files.own_submissions(name)))
+    return ChallengeSubmissions(submissions=tuple(own_submissions(name)))
 
 
 @TABLE.post(
@@ -264,7 +264,7 @@ def submit_to_challenge(name: str, body: IO[bytes]) -> ChallengeSubmission:
 
     The same files sent again on the same day are the same submission, and count once.
     """
-    return challenge_files.send_body(name, request.args.get("team", ""), request.args.get("phase", ""), body)
+    return send_body(name, request.args.get("team", ""), request.args.get("phase", ""), body)
 
 
 @TABLE.post(Section.CHALLENGES, "/challenges/{name}/images", ChallengeSubmission, body=ImageEntry, status=202)
@@ -273,10 +273,10 @@ def submit_image_to_challenge(name: str, body: ImageEntry) -> ChallengeSubmissio
 
     The answer comes when the upload has been checked. That takes about ten seconds for each GB.
     """
-    return challenge_files.send_image(name, body)
+    return send_image(name, body)
 
 
 @TABLE.post(Section.CHALLENGES, "/challenges/{name}/submissions/{submission}/cancel", ChallengeSubmission)
 def cancel_challenge_submission(name: str, submission: str) -> ChallengeSubmission:
     """Cancel a submission whose result is not shown yet. It still counts for its day."""
-    return challenge_files.cancel(name, submission)
+    return cancel_submission(name, submission)

@@ -1,8 +1,13 @@
-"""The table of operations: what each takes and answers. Routes, checks and documentation follow from it."""
+"""The table of operations: what each takes and answers. Routes, checks and documentation follow from it.
+
+A change with an ``Idempotency-Key`` that is sent again is not done again.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import inspect
+import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,14 +18,15 @@ from typing import IO, Any, ParamSpec, TypeAlias, cast
 from flask import Blueprint, Response, request
 from werkzeug.wsgi import LimitedStream
 
-from slamhive.base.errors import InvalidInput
+from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.documents.api_requests import LARGEST_RUN_ID
 from slamhive.documents.imports import HEXADECIMAL, LARGEST_UPLOAD_BYTES, OCTETS
 from slamhive.documents.model import Document
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trust import TrustLevel
 from slamhive.services.exports import ExportFormat
-from slamhive.web.api.idempotency import once
+from slamhive.services.kept_answers import KeptAnswer
+from slamhive.web.context import caller, hive
 from slamhive.web.figures import PLOTS_WITH_DATA
 from slamhive.web.queries import (
     CELLS_LENGTH,
@@ -350,3 +356,41 @@ LOG_ARGUMENTS = (
 # -- the table of all operations of the web API, which the modules beside it fill --------------------------------------
 
 TABLE = Table(PLACES)
+
+
+# -- the header Idempotency-Key: a change that is sent again is not done again -----------------------------------------
+
+KEY_HEADER = "Idempotency-Key"
+REPEATED_HEADER = "Idempotency-Replayed"
+
+
+def once(view: Callable[..., Response]) -> Callable[..., Response]:
+    """A view that does nothing for a request whose key is known, and answers as the first time."""
+
+    @wraps(view)
+    def respond(**values: Any) -> Response:
+        key = request.headers.get(KEY_HEADER)
+        if key is None:
+            return view(**values)
+        kept = hive().kept_answers.of(caller().account or "")
+        known = kept.claim(key, _fingerprint())
+        if known is not None:
+            repeated = answer(json.loads(known.body), known.status)
+            repeated.headers[REPEATED_HEADER] = "true"
+            return repeated
+        try:
+            response = view(**values)
+        except SlamHiveError:
+            kept.release(key)  # a refusal changes nothing, so the request may be sent again
+            raise
+        kept.keep(key, KeptAnswer(response.status_code, response.get_data(as_text=True)))
+        return response
+
+    return respond
+
+
+def _fingerprint() -> str:
+    """Identifies what was asked for."""
+    digest = hashlib.sha256(f"{request.method} {request.full_path}\n".encode())
+    digest.update(request.get_data())
+    return digest.hexdigest()

@@ -66,11 +66,11 @@ from slamhive.web.api.operation import (
     Section,
 )
 from slamhive.web.context import hive
-from slamhive.web.exports import export_file
 from slamhive.web.figures import figure_csv
 from slamhive.web.presenters.search import fields_of_filters
 from slamhive.web.queries import EXPORT_LIMIT, RunListQuery
 from slamhive.web.views.run_plots import asked_timestamp_s
+from slamhive.web.views.search import export_file
 
 MOST_LOG_BYTES = 200_000
 FILE_TYPES = (

@@ -27,10 +27,9 @@ from slamhive.web.formatting import (
     significant,
     value_text,
 )
-from slamhive.web.heat import ComparableClass, levels
 from slamhive.web.presenters.runs import ListRow
 from slamhive.web.queries import RunListQuery
-from slamhive.web.small_plots import repeats_path, repeats_words
+from slamhive.web.small_plots import ComparableClass, levels, repeats_path, repeats_words
 
 GONE = "no longer exists"
 """Group of the names that runs refer to but no folder provides."""

@@ -19,7 +19,7 @@ from slamhive.web.presenters import configurations as presenter
 from slamhive.web.presenters.catalogue import dataset_choices, match_of_configuration, step_kinds
 from slamhive.web.queries import CONFIGURATION_ID, ConfigurationQuery
 from slamhive.web.request_input import form_text, uploaded_text
-from slamhive.web.run_form import CONTENT_OPTIONS, RunForm, form_values, read_form
+from slamhive.web.views.start import CONTENT_OPTIONS, RunForm, form_values, read_form
 
 blueprint = Blueprint("configurations", __name__, url_prefix="/configurations")
 RUNS_SHOWN = 20

@@ -1,8 +1,8 @@
-"""The first page, and the events that keep open pages up to date."""
+"""The first page, the events that keep open pages up to date, and the machines."""
 
 from __future__ import annotations
 
-from flask import Blueprint, Response, jsonify, make_response, redirect, render_template
+from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
 from flask import url_for as address
 
 from slamhive.base.errors import Unavailable
@@ -112,3 +112,33 @@ def health() -> Response:
     """Answer 200 while the server and its database work."""
     hive().runs.counts()
     return make_response(jsonify(status="ok"))
+
+
+# -- the nodes: which machines execute runs, and what they do ----------------------------------------------------------
+
+nodes_blueprint = Blueprint("nodes", __name__, url_prefix="/nodes")
+
+
+@nodes_blueprint.get("", endpoint="index")
+def machines() -> str:
+    """Show nodes, what runs on them, throughput and disturbance."""
+    return render_template("nodes/index.html", found=hive().nodes.overview())
+
+
+@nodes_blueprint.post("/drain")
+def drain() -> Response:
+    """Keep further runs away from a node."""
+    return _set_drained(True, "No further run starts on {}.")
+
+
+@nodes_blueprint.post("/undrain")
+def undrain() -> Response:
+    """Let runs start on a node again."""
+    return _set_drained(False, "Runs start on {} again.")
+
+
+def _set_drained(drained: bool, done: str) -> Response:
+    node = request.form.get("node", "")
+    hive().nodes.drain(request.form.get("executor", ""), node, drained)
+    flash(done.format(node), "success")
+    return make_response(redirect(address("nodes.index"), 303))

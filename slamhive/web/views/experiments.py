@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
@@ -12,8 +12,9 @@ from werkzeug.datastructures import MultiDict
 from slamhive.base.errors import NotFound, SlamHiveError, unknown
 from slamhive.documents.limits import Limits, StopWhen
 from slamhive.documents.options import options_of
+from slamhive.documents.question import Decision
 from slamhive.domain.accounts import Action, Visibility
-from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.metrics import CATALOGUE, described
 from slamhive.domain.outcome import Outcome
 from slamhive.domain.protocol import ALIGNMENT_LABELS
 from slamhive.domain.verdict import DEFAULT_RULE
@@ -32,7 +33,7 @@ from slamhive.services.stored_analyses import may_analyse
 from slamhive.web.context import caller, hive
 from slamhive.web.errors import status_of, wants_json
 from slamhive.web.experiment_fields import SOURCE
-from slamhive.web.formatting import plural
+from slamhive.web.formatting import display_unit, plural
 from slamhive.web.presenters import experiments as presenter
 from slamhive.web.presenters import rankings
 from slamhive.web.presenters.experiment_builder import (
@@ -267,6 +268,33 @@ def with_time_left(found: Iterable[ExperimentStatus]) -> list[ExperimentStatus]:
     return [
         experiments.status(entry.name) if entry.standing is ConfigurationStanding.ACTIVE else entry for entry in found
     ]
+
+
+# -- an experiment that chooses its runs: how it stands, what comes next, and why --------------------------------------
+
+questions_blueprint = Blueprint("questions", __name__, url_prefix="/experiments")
+
+
+@questions_blueprint.get("/<name>/question", endpoint="show")
+def show_question(name: str) -> str:
+    """Show the candidates of an experiment, the best first, and the answer or the next runs."""
+    status = hive().experiments.status(name)
+    found = hive().questions.standing(name)
+    metric = described(found.metric)
+    rows: Sequence[presenter.CandidateRow | presenter.SearchRow]
+    rows = (
+        presenter.candidate_rows(found, metric) if isinstance(found, Decision) else presenter.search_rows(found, metric)
+    )
+    return render_template(
+        "experiments/question.html",
+        status=status,
+        found=found,
+        decides=isinstance(found, Decision),
+        facts=presenter.facts(found),
+        rows=rows,
+        unit=display_unit(metric).unit or "1",
+        metric=metric,
+    )
 
 
 # -- the experiment builder: fields and YAML side by side, a preview, and the start ------------------------------------

@@ -1,4 +1,4 @@
-"""Datasets: the list, and one page each."""
+"""Datasets and algorithms: the lists, and one page each."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from itertools import groupby
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request, url_for
 
-from slamhive.analysis.chart import OKABE_ITO
+from slamhive.analysis.chart import OKABE_ITO, algorithm_colours
 from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.documents.catalogue import public_sequence
 from slamhive.documents.model import load
@@ -19,9 +19,9 @@ from slamhive.services.datasets import constant_in_words, stretch_in_words, stri
 from slamhive.store.records import RunSort
 from slamhive.web.context import dataset_checker, dataset_fetcher, hive, truth_judge, variant_maker
 from slamhive.web.figures import sweep_json
-from slamhive.web.presenters.catalogue import ground_truth_figures, lacking, step_kinds
+from slamhive.web.presenters.catalogue import dataset_choices, ground_truth_figures, lacking, step_kinds
 from slamhive.web.presenters.scripts import dataset_scripts
-from slamhive.web.run_form import read_steps
+from slamhive.web.views.start import read_steps
 
 _COLOUR = OKABE_ITO[0]
 _RUNS = 8
@@ -191,3 +191,37 @@ def asked_time_s(dataset: Dataset) -> float:
 
 def _to_variants(name: str) -> Response:
     return make_response(redirect(url_for("datasets.show", name=name, _anchor="variants"), 303))
+
+
+# -- algorithms: the list, and one page each ---------------------------------------------------------------------------
+
+algorithms_blueprint = Blueprint("algorithms", __name__, url_prefix="/algorithms")
+
+
+@algorithms_blueprint.get("", endpoint="index")
+def algorithms() -> str:
+    """List all algorithms, and packages that cannot be read."""
+    catalogue = hive().catalogue
+    algorithms = catalogue.algorithms()
+    names = [algorithm.name for algorithm in algorithms]
+    return render_template(
+        "algorithms/index.html",
+        algorithms=algorithms,
+        colours=algorithm_colours(names, names),
+        broken=[entry for entry in catalogue.broken() if entry.is_algorithm],
+    )
+
+
+@algorithms_blueprint.get("/<name>", endpoint="show")
+def show_algorithm(name: str) -> str:
+    """Show one algorithm: inputs, parameters and origin."""
+    services = hive()
+    algorithm = services.catalogue.algorithm(name)
+    runs = services.runs.page(matching(algorithms=(name,)), RunSort(), None, 1)
+    return render_template(
+        "algorithms/show.html",
+        algorithm=algorithm,
+        choices=dataset_choices(algorithm, services.catalogue.datasets()),
+        run_count=runs.total,
+        versions=services.versions.of(algorithm.package.name)[::-1],
+    )
