@@ -153,11 +153,13 @@ def _split(
         return [members[index : index + 1] for index in range(len(members))]
     own = bits[members]
     centres = own[rng.choice(len(members), branching, replace=False)]
-    labels = np.zeros(len(members), dtype=np.int64)
+    labels = np.full(len(members), -1)
     for _ in range(ITERATIONS):
         # Hamming distance |a - b| = |a| + |b| - 2 a.b; |a| is the same for all centres.
-        distances = centres.sum(axis=1)[None, :] - 2 * own @ centres.T
-        labels = distances.argmin(axis=1)
+        distances = centres.sum(axis=1)[None, :] - own @ (2 * centres).T
+        before, labels = labels, distances.argmin(axis=1)
+        if np.array_equal(labels, before):
+            break
         for number in range(branching):
             if np.any(labels == number):
                 centres[number] = own[labels == number].mean(axis=0) > 0.5
