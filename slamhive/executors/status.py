@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from slamhive.domain.algorithm import GivenGpu
-from slamhive.domain.run import Host
+if TYPE_CHECKING:
+    from slamhive.domain.algorithm import GivenGpu
+    from slamhive.domain.run import Host
 
 BY_SIGNAL = (137, 143)
 """Exit codes of what SIGKILL or SIGTERM ended, as the shutdown of a machine does."""

@@ -66,6 +66,14 @@ def test_a_reading_command_loads_no_heavy_library(data: Path, command: tuple[str
     assert done.stderr.splitlines()[-1].strip() == ""
 
 
+@pytest.mark.integration
+def test_the_supervisor_of_a_run_loads_no_heavy_library() -> None:
+    heavy = {*HEAVY, "numpy", "pydantic", "slamhive.domain"} - {"psutil"}  # which reads the processes of the run
+    code = "import sys, slamhive.executors.process.shim; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert heavy.isdisjoint(done.stdout.split())
+
+
 @pytest.mark.parametrize("package", SERVICES)
 def test_every_name_of_a_lazy_package_is_there(package: str) -> None:
     module = import_module(f"slamhive.services.{package}")

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.executors.sampler import RefusalWatch
+from slamhive.executors.refusals import RefusalWatch
 
 P = 3.0
 

@@ -41,7 +41,7 @@ from slamhive.executors.docker.engine import (
 )
 from slamhive.executors.docker.run_user import container_user
 from slamhive.executors.host import owner_is_dead
-from slamhive.executors.sampler import RefusalWatch
+from slamhive.executors.refusals import RefusalWatch
 from slamhive.executors.spec import ROS_ENVIRONMENT, RunSpec
 from slamhive.executors.status import Protections
 from slamhive.executors.transfer import has_written, make_own_copies, read_places, written_places

@@ -21,7 +21,7 @@ from slamhive.executors.cgroup import CGROUP_ROOT, CgroupV1, CgroupV2, TaskCount
 from slamhive.executors.process.cgroup_home import V1_CONTROLLERS, V2_CONTROLLERS, CgroupHome, smallest_limit_above
 from slamhive.executors.process.containment_base import ContainmentLook, ContainmentRequest, DoesNotHold, ProcessTree
 from slamhive.executors.process.table import ProcessEntry, end_all, living, read_process
-from slamhive.executors.sampler import REFUSAL_PATIENCE_S
+from slamhive.executors.refusals import REFUSAL_PATIENCE_S
 from slamhive.executors.status import UsageSource
 
 PREFIX = "slamhive-"

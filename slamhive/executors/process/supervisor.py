@@ -31,7 +31,7 @@ from slamhive.executors.process.exit_file import CappedLog, LostOutput, reap, wr
 from slamhive.executors.process.priority import raise_supervisor, urgent
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.process.table import end_all, process_birth, send, send_to_group
-from slamhive.executors.sampler import RefusalWatch
+from slamhive.executors.refusals import RefusalWatch
 from slamhive.executors.status import Protections
 
 OUTPUT_FOLDER = "output"

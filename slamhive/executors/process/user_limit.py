@@ -26,7 +26,7 @@ from slamhive.executors.process.confinement import (
 )
 from slamhive.executors.process.containment_base import ContainmentLook, ContainmentRequest, DoesNotHold, ProcessTree
 from slamhive.executors.process.table import ProcessEntry, end_all, living, processes_of_user
-from slamhive.executors.sampler import REFUSAL_PATIENCE_S
+from slamhive.executors.refusals import REFUSAL_PATIENCE_S
 
 FIRST_UID = 200_000
 USERS = 64
