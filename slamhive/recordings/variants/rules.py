@@ -10,8 +10,10 @@ from typing import Any
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.configuration import VariantStep
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.names import plain
 from slamhive.domain.parameters import Scalar
-from slamhive.domain.sensors import Sensor
+from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.recordings.variants.step import SeededStep
 from slamhive.recordings.variants.steps import STEPS, make_step
 
 _BOUNDS = {
@@ -24,7 +26,10 @@ _BOUNDS = {
 
 @dataclass(frozen=True, slots=True)
 class OptionInfo:
-    """One option of a step, for pages and docs; a ``default`` of None means required, or left out."""
+    """One option of a step, for pages and docs; a ``default`` of None means required, or left out.
+
+    ``choices`` are the words of an option that takes only some.
+    """
 
     name: str
     type: str
@@ -33,6 +38,21 @@ class OptionInfo:
     unit: str
     allowed: str
     help: str
+    choices: tuple[str, ...] = ()
+
+    @property
+    def explanation(self) -> str:
+        """The help with what is allowed: ``Width and height times this; above 0, at most 1``."""
+        return f"{self.help.removesuffix('.')}; {self.allowed or self.type}."
+
+    @property
+    def hint(self) -> str:
+        """The default for an empty field: ``default 4``, ``required``, ``not set``."""
+        if self.required:
+            return "required"
+        if isinstance(self.default, int | float) and not isinstance(self.default, bool):
+            return f"default {plain(self.default)}"
+        return "not set" if self.default is None else f"default {str(self.default).lower()}"
 
 
 class RegisteredSteps:
@@ -86,12 +106,19 @@ def explain_step(kind: str) -> str:
     return inspect.cleandoc(STEPS.get(kind).__doc__ or "").replace("``", "`")
 
 
+def treated_kinds(kind: str) -> tuple[SensorKind, ...]:
+    """The kinds of sensors that a step can be used on; raises NotFound."""
+    step = STEPS.get(kind).model_construct()
+    return tuple(entry for entry in SensorKind if step.applies_to(Sensor("", entry, "", 1.0)))
+
+
 def describe_options(kind: str) -> tuple[OptionInfo, ...]:
-    """Every option of a step with type, unit, range and meaning; raises NotFound."""
+    """Every option of a step with type, unit, range and meaning, the seed last; raises NotFound."""
     step_type = STEPS.get(kind)
     schema = step_type.model_json_schema()
     required = schema.get("required", [])
-    return tuple(_option(name, entry, required=name in required) for name, entry in schema["properties"].items())
+    entries = sorted(schema["properties"].items(), key=lambda entry: entry[0] in SeededStep.model_fields)
+    return tuple(_option(name, entry, required=name in required) for name, entry in entries)
 
 
 def _option(name: str, entry: Mapping[str, Any], *, required: bool) -> OptionInfo:
@@ -107,6 +134,7 @@ def _option(name: str, entry: Mapping[str, Any], *, required: bool) -> OptionInf
         unit=str(entry.get("unit", "")),
         allowed=" or ".join(choices) if choices else ", ".join(bounds),
         help=str(entry.get("description", "")),
+        choices=("true", "false") if value.get("type") == "boolean" else tuple(choices or ()),
     )
 
 

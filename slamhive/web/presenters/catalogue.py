@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from slamhive.analysis.chart import OKABE_ITO
@@ -12,8 +14,14 @@ from slamhive.documents.catalogue import MatchDocument, TruthTrialDocument
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter, ParameterType
-from slamhive.domain.sensors import IDENTITY4, Sensor
-from slamhive.recordings.variants.rules import OptionInfo, RegisteredSteps, describe_options, describe_step
+from slamhive.domain.sensors import IDENTITY4, Sensor, SensorKind
+from slamhive.recordings.variants.rules import (
+    OptionInfo,
+    RegisteredSteps,
+    describe_options,
+    describe_step,
+    treated_kinds,
+)
 from slamhive.services.datasets import ground_truth_motion
 from slamhive.services.hive import Hive
 from slamhive.services.runs import read_dataset_path
@@ -66,16 +74,39 @@ def sensors_in_words(dataset: Dataset) -> str:
 
 @dataclass(frozen=True, slots=True)
 class StepKind:
-    """The description of a pre-processing step."""
+    """The description of a pre-processing step, and the kinds of sensors that it treats."""
 
     kind: str
     help: str
     options: tuple[OptionInfo, ...]
+    sensors: tuple[SensorKind, ...]
+
+    @property
+    def group(self) -> str:
+        """The sensors that it treats, in words."""
+        if len(self.sensors) == len(SensorKind):
+            return ANY_SENSOR
+        return " and ".join(entry.value for entry in self.sensors)
 
 
-def step_kinds() -> list[StepKind]:
+ANY_SENSOR = "any sensor"
+
+
+@cache
+def step_kinds() -> tuple[StepKind, ...]:
     """All pre-processing steps."""
-    return [StepKind(kind, describe_step(kind), describe_options(kind)) for kind in RegisteredSteps().kinds()]
+    return tuple(
+        StepKind(kind, describe_step(kind), describe_options(kind), treated_kinds(kind))
+        for kind in RegisteredSteps().kinds()
+    )
+
+
+def step_groups(kinds: Iterable[StepKind]) -> dict[str, list[StepKind]]:
+    """{sensors: the steps that treat them}, those for any sensor first."""
+    found: dict[str, list[StepKind]] = {ANY_SENSOR: []}
+    for step in kinds:
+        found.setdefault(step.group, []).append(step)
+    return found
 
 
 def range_in_words(parameter: Parameter) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 
 from werkzeug.datastructures import MultiDict
 
@@ -15,8 +14,8 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.protocol import Alignment
-from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
-from slamhive.recordings.variants.rules import OptionInfo, describe_options, describe_step
+from slamhive.domain.sensors import SensorKind, SensorSetup
+from slamhive.recordings.variants.rules import OptionInfo, describe_options, describe_step, treated_kinds
 from slamhive.recordings.variants.steps import STEPS
 from slamhive.services.experiments import ExperimentPreview, ExperimentSource
 from slamhive.services.hive import Hive
@@ -32,10 +31,9 @@ from slamhive.web.experiment_fields import (
     yaml_from_fields,
 )
 from slamhive.web.formatting import value_text
-from slamhive.web.presenters.catalogue import lacking
+from slamhive.web.presenters.catalogue import StepKind, lacking, step_groups, step_kinds
 from slamhive.web.request_input import form_text, uploaded_text
 
-ANY_SENSOR = "any sensor"
 _AXIS_PREFIX = {SensorKind.CAMERA: "image", SensorKind.DEPTH: "image", SensorKind.LIDAR: "lidar", SensorKind.IMU: "imu"}
 
 
@@ -87,7 +85,7 @@ class Builder:
     own: Mapping[str, list[ParameterField]]
     strange: list[str]
     steps: list[StepRow]
-    kinds: Mapping[str, list[tuple[str, str]]]
+    kinds: Mapping[str, list[StepKind]]
 
     def typed(self, entries: Iterable[ParameterField]) -> bool:
         """True if any of these parameters has a value."""
@@ -119,7 +117,7 @@ def builder(fields: ExperimentFields, algorithms: Sequence[Algorithm], datasets:
         own=own,
         strange=[name for name in fields.values if name.startswith("parameters/") and name not in known],
         steps=steps,
-        kinds=kinds_by_sensor(),
+        kinds=step_groups(step_kinds()),
     )
 
 
@@ -142,7 +140,7 @@ def own_parameters(algorithm: Algorithm) -> list[ParameterField]:
 
 def new_step(kind: str) -> StepFields:
     """A new step of ``kind`` with its usual sensors and empty options; raises NotFound for an unknown kind."""
-    kinds = _sensor_kinds(kind)
+    kinds = treated_kinds(kind)
     sensor = kinds[0]
     everything = len(kinds) == len(SensorKind)
     shared = kind in ("rate", "resolution")
@@ -151,22 +149,6 @@ def new_step(kind: str) -> StepFields:
     return StepFields(
         f"{_AXIS_PREFIX[sensor]}_{kind}" if shared else kind, kind, "camera" if everything else sensors, options
     )
-
-
-@cache
-def kinds_by_sensor() -> dict[str, list[tuple[str, str]]]:
-    """{kinds of sensors: steps that apply to them, with descriptions}."""
-    found: dict[str, list[tuple[str, str]]] = {ANY_SENSOR: []}
-    for kind in STEPS.names():
-        kinds = _sensor_kinds(kind)
-        group = ANY_SENSOR if len(kinds) == len(SensorKind) else " and ".join(entry.value for entry in kinds)
-        found.setdefault(group, []).append((kind, describe_step(kind)))
-    return found
-
-
-def _sensor_kinds(kind: str) -> list[SensorKind]:
-    step = STEPS.get(kind).model_construct()
-    return [entry for entry in SensorKind if step.applies_to(Sensor("", entry, "", 1.0))]
 
 
 def _algorithm_choices(fields: ExperimentFields, algorithms: Iterable[Algorithm]) -> dict[str, list[ValueChoice]]:

@@ -259,7 +259,7 @@ def import_fields(model: Any) -> tuple[ImportField, ...]:
         value = next(part for part in entry.get("anyOf", [entry]) if part.get("type") != "null")
         choices = schema.get("$defs", {}).get(value.get("$ref", "").rpartition("/")[2], {}).get("enum", ())
         unit = f" [{entry['unit']}]" if entry.get("unit") else ""
-        words = entry.get("description", "").replace("null:", "empty:")
+        words = entry.get("description", "").replace("null:", "empty:").replace("`", "")
         kind = kinds.get(value.get("type", "string"), "text")
         fields.append(ImportField(name, entry.get("title", name) + unit, words, kind, tuple(choices)))
     return tuple(fields)
