@@ -5,6 +5,12 @@ chapters 2 and 5) says what a candidate's runs would give, from all runs of cand
 of candidates that are best in samples of what is still possible (W. R. Thompson, Biometrika 25, 1933). So a candidate
 is repeated while it may win, and no longer. The same samples say how far the best one may be from the truly best.
 
+With several objectives each has a process of its own. What is sought is the front: the candidates of which none is
+worse than another one in all objectives. How far the front may be from the true one is the additive epsilon indicator
+(E. Zitzler et al., IEEE Transactions on Evolutionary Computation 7, 2003). It is what must be taken off the scores of
+all of its candidates until no sampled candidate is better in all objectives. With one objective this is the distance
+from the best.
+
 A failed run is never missing. Its share is estimated from the runs of like candidates, with weights that fall with the
 distance. A candidate is judged by the mean of its scores, in which a failed run counts as the worst one.
 """
@@ -26,6 +32,8 @@ Places = NDArray[np.intp]
 SAMPLES = 400
 _PROMISING, _LEADING = 150, 30
 """So many candidates are sampled together: those that may be best, and those that seem to be."""
+MOST_ON_FRONT = 40
+"""Of a longer front, those candidates are looked at without which it would lack most."""
 _WEIGHT = 4.0
 """How fast the failures of other candidates lose weight with their squared distance."""
 _FAILED_BEFORE, _GOOD_BEFORE = 0.01, 0.3
@@ -63,23 +71,24 @@ class SearchState:
     """Result of a search so far.
 
     Attributes:
-        scores: (candidates,), the expected mean score; smaller is better.
-        spread: (candidates,), its standard deviation.
+        scores: (candidates, objectives), the expected mean scores; smaller is better.
+        spread: (candidates, objectives), their standard deviations.
         failing: (candidates,), the expected share of failed runs.
-        best: The place of the smallest.
-        gap: So far at most is the best one's score above that of the truly best, with the confidence asked for.
+        front: The places of the best trade-offs, those that are best in the first objective first. With one objective
+            it is the best candidate alone.
+        gap: So far at most is the front from the true one, with the confidence asked for.
         expected_gap: The same on average: what going on may gain.
-        importance: (axes,), the share of the variance of the scores that an axis explains alone.
+        importance: (objectives, axes), the share of the variance of the scores that an axis explains alone.
         next: The places of the next runs, one for each; the same place may come twice.
     """
 
     scores: Numbers
     spread: Numbers
     failing: Numbers
-    best: int
+    front: tuple[int, ...]
     gap: float
     expected_gap: float
-    importance: tuple[float, ...]
+    importance: tuple[tuple[float, ...], ...]
     next: tuple[int, ...]
 
 
@@ -88,50 +97,131 @@ def first_places(candidates: int, seed: int) -> Places:
     return np.random.default_rng(seed).permutation(candidates)
 
 
-def search(
-    space: SearchSpace, places: Places, scores: Numbers, worst: float, confidence: float, at_once: int
-) -> SearchState:
-    """Fit the model to all runs.
+@dataclass(frozen=True, slots=True)
+class SearchRuns:
+    """The runs of a search so far.
 
-    Args:
-        space: The candidates.
+    Attributes:
         places: (runs,) of the candidates that ran.
-        scores: (runs,), infinite for a failed run. Two good ones or more.
-        worst: The score that a failed run counts as.
-        confidence: Of ``gap``.
-        at_once: How many runs are to come next.
+        scores: (runs, objectives), infinite for a failed run. Two good ones or more.
+        worst: (objectives,), the scores that a failed run counts as.
+        pending: The number of runs under way: other runs come next than without them.
     """
-    rng = np.random.default_rng(len(scores))  # the same runs lead to the same next ones
-    everywhere = np.arange(len(space.codes))
-    good = np.isfinite(scores)
+
+    places: Places
+    scores: Numbers
+    worst: Numbers
+    pending: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SearchAim:
+    """The question of a search.
+
+    Attributes:
+        confidence: Of the gap.
+        at_once: How many runs are to come next.
+        failing_counts: The share of failed runs is a further objective, the last one.
+        allowed_failing: A candidate counts as failing always once a larger share of its own runs has failed; None
+            allows any.
+    """
+
+    confidence: float
+    at_once: int
+    failing_counts: bool = False
+    allowed_failing: float | None = None
+
+
+def search(space: SearchSpace, runs: SearchRuns, aim: SearchAim) -> SearchState:
+    """Fit the model to all runs, and say what may be best and which runs come next."""
+    places, scores, worst = runs.places, runs.scores, runs.worst
+    rng = np.random.default_rng(len(scores) + runs.pending)  # the same runs lead to the same next ones
+    good: NDArray[np.bool_] = np.asarray(np.isfinite(scores).all(axis=1))
     tried, inverse, counts = np.unique(places[good], return_inverse=True, return_counts=True)
-    means = np.bincount(inverse, scores[good]) / counts
-    centre, scale = float(means.mean()), max(float(means.std()), 1e-9)
-    process = _Process(space, tried, (means - centre) / scale, counts.astype(float))
-    mean, deviation, lead = process.at(everywhere)
     failed, succeeded = _failures(space, places, good)
     failing = failed / (failed + succeeded)
-    mean, deviation = centre + scale * mean, scale * deviation
-    expected = (1 - failing) * mean + failing * worst
-    near = np.unique(
-        np.concatenate([np.argsort(expected - 2 * deviation)[:_PROMISING], np.argsort(expected)[:_LEADING]])
-    )
-    possible = mean[near][:, None] + scale * process.samples(near, lead, rng)
-    shares = rng.beta(failed[near][:, None], succeeded[near][:, None], possible.shape)
-    possible = (1 - shares) * possible + shares * worst
-    best = int(np.argmin(expected[near]))
-    gaps = possible[best] - possible.min(axis=0)
-    winners = np.argmin(possible, axis=0)
+    out = _out(places, good, len(space.codes), aim.allowed_failing)
+    counted = np.where(out, 1.0, failing)
+    objectives = [
+        _Objective(space, tried, np.bincount(inverse, values[good]) / counts, counts.astype(float))
+        for values in scores.T
+    ]
+    mean = np.column_stack([objective.mean for objective in objectives])
+    deviation = np.column_stack([objective.deviation for objective in objectives])
+    expected = (1 - counted[:, None]) * mean + counted[:, None] * worst
+    if aim.failing_counts:
+        expected = np.column_stack([expected, counted])
+        share = np.sqrt(failing * (1 - failing) / (failed + succeeded + 1))
+        deviation = np.column_stack([deviation, share])
+    front = front_of(expected)
+    lacking = _lacking(expected[front], expected - 2 * deviation)
+    seeming = _lacking(expected[front], expected)
+    near = np.unique(np.concatenate([np.argsort(-lacking)[:_PROMISING], np.argsort(-seeming)[:_LEADING], front]))
+    possible = np.stack([objective.samples(near, rng) for objective in objectives])  # (objectives, near, samples)
+    shares = rng.beta(failed[near][:, None], succeeded[near][:, None], possible.shape[1:])
+    shares[out[near]] = 1.0
+    possible = (1 - shares) * possible + shares * worst[:, None, None]
+    if aim.failing_counts:
+        possible = np.concatenate([possible, shares[None]])
+    gaps, winners = _behind(possible, np.searchsorted(near, front), rng)
     return SearchState(
         scores=expected,
         spread=deviation,
         failing=failing,
-        best=int(near[best]),
-        gap=float(np.quantile(gaps, confidence)),
+        front=tuple(map(int, front)),
+        gap=float(np.quantile(gaps, aim.confidence)),
         expected_gap=float(gaps.mean()),
-        importance=_importance(space, expected),
-        next=tuple(int(near[winner]) for winner in winners[:at_once]),
+        importance=tuple(_importance(space, values) for values in expected.T),
+        next=tuple(int(near[winner]) for winner in winners[: aim.at_once]),
     )
+
+
+def _out(places: Places, good: NDArray[np.bool_], candidates: int, allowed: float | None) -> NDArray[np.bool_]:
+    """(candidates,), of which a larger share of their own runs has failed than is allowed."""
+    runs, failed = (np.bincount(chosen, minlength=candidates) for chosen in (places, places[~good]))
+    found: NDArray[np.bool_] = failed > math.inf if allowed is None else failed > allowed * runs
+    return found
+
+
+def front_of(scores: Numbers) -> Places:
+    """The places of (n, objectives) that no other one is better than in all objectives, the best in the first first.
+
+    Of equal ones the first counts. Of a long front, only :data:`MOST_ON_FRONT` are kept.
+    """
+    order = np.lexsort([np.arange(len(scores)), *reversed(scores.T)])
+    kept: list[int] = []
+    for place in order:
+        if not (scores[kept] <= scores[place]).all(axis=1).any():
+            kept.append(int(place))
+    while len(kept) > MOST_ON_FRONT:
+        short = [_lacking(scores[kept[:i] + kept[i + 1 :]], scores[[place]])[0] for i, place in enumerate(kept)]
+        del kept[int(np.argmin(short))]
+    return np.array(kept, dtype=np.intp)
+
+
+def _lacking(front: Numbers, scores: Numbers) -> Numbers:
+    """(n,), by how much each of (n, objectives) is better than any of the front in all objectives.
+
+    Negative behind the front.
+    """
+    found: Numbers = (front[:, None, :] - scores[None, :, :]).max(axis=2).min(axis=0)
+    return found
+
+
+def _behind(possible: Numbers, front: Places, rng: np.random.Generator) -> tuple[Numbers, Places]:
+    """By how much the front lacks in each sample of (objectives, candidates, samples), and the place that shows it.
+
+    If it lacks nothing, the place is one of the front, by chance.
+    """
+    size = possible.shape[2]
+    lacking = np.full(possible.shape[1:], math.inf)
+    for member in front:
+        lacking = np.minimum(lacking, (possible[:, [member], :] - possible).max(axis=0))
+    winners = np.argmax(lacking, axis=0)
+    gaps = np.maximum(lacking[winners, np.arange(size)], 0.0)
+    known = gaps <= 0
+    winners[known] = rng.choice(front, int(known.sum()))
+    return gaps, winners
 
 
 def _failures(space: SearchSpace, places: Places, good: NDArray[np.bool_]) -> tuple[Numbers, Numbers]:
@@ -152,6 +242,24 @@ def _importance(space: SearchSpace, scores: Numbers) -> tuple[float, ...]:
         between = float((counts * (means - scores.mean()) ** 2).sum()) / len(scores)
         shares.append(between / whole if whole > 0 else 0.0)
     return tuple(shares)
+
+
+class _Objective:
+    """One objective: its mean and standard deviation at each candidate, and samples of what is still possible.
+
+    Args: as of :class:`_Process`, with means that are not standardised.
+    """
+
+    def __init__(self, space: SearchSpace, tried: Places, means: Numbers, counts: Numbers) -> None:
+        centre, self._scale = float(means.mean()), max(float(means.std()), 1e-9)
+        self._process = _Process(space, tried, (means - centre) / self._scale, counts)
+        mean, deviation, self._lead = self._process.at(np.arange(len(space.codes)))
+        self.mean, self.deviation = centre + self._scale * mean, self._scale * deviation
+
+    def samples(self, places: Places, rng: np.random.Generator) -> Numbers:
+        """Draw (places, samples)."""
+        drawn: Numbers = self.mean[places][:, None] + self._scale * self._process.samples(places, self._lead, rng)
+        return drawn
 
 
 class _Process:

@@ -86,7 +86,8 @@ def _taken_to_its_end(hive: Hive, file: Path, question: ExperimentQuestion, exec
 def print_search(found: SearchStanding) -> None:
     """Print the candidates that may be best, what matters, and the answer."""
     unit = f" {found.unit}" if found.unit else ""
-    heads = ("candidate", "runs", "failed", f"{found.label}{unit}", "from", "to", "failing")
+    others = [f"{other.label}{f' {other.unit}' if other.unit else ''}" for other in found.against]
+    heads = ("candidate", "runs", "failed", f"{found.label}{unit}", "from", "to", "failing", *others)
     rows = [
         (
             entry.label,
@@ -96,12 +97,15 @@ def print_search(found: SearchStanding) -> None:
             f"{entry.low:.4g}",
             f"{entry.high:.4g}",
             f"{entry.failing:.0%}",
+            *(f"{value.expected:.4g}" for value in entry.against.values()),
         )
         for entry in found.candidates
     ]
     if rows:
         print_table(heads, rows, right=heads[1:])
-        say(f"what matters: {', '.join(f'{entry.axis} {entry.share:.0%}' for entry in found.importance)}")
+        for key, label in ((found.metric, found.label), *((other.metric, other.label) for other in found.against)):
+            shares = ", ".join(f"{one.axis} {one.share:.0%}" for one in found.importance if one.objective == key)
+            say(f"what matters for {label}: {shares}")
     for note in found.notes:
         tell(note)
     say(f"{found.experiment}: {found.words}")

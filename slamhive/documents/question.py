@@ -50,8 +50,16 @@ class Decision(Document):
     notes: Annotated[tuple[str, ...], described("What was left out, and why.")]
 
 
+class ExpectedValue(Document):
+    """A value that a candidate is expected to have, failed runs included."""
+
+    expected: float
+    low: Annotated[float, described("The smaller end of an interval that holds it with 95 %.")]
+    high: Annotated[float, described("The larger end.")]
+
+
 class SearchedCandidate(Document):
-    """One of the candidates that may be best."""
+    """One of the candidates that may be best, or one of the best trade-offs."""
 
     label: Annotated[str, described("What sets it apart.")]
     values: Values
@@ -62,13 +70,32 @@ class SearchedCandidate(Document):
     low: Annotated[float, described("The smaller end of an interval that holds it with 95 %.")]
     high: Annotated[float, described("The larger end.")]
     failing: Annotated[float, described("Expected share of failed runs.")]
+    against: Annotated[dict[str, ExpectedValue], described("The same of each further objective.")]
+    on_front: Annotated[bool, described("No other candidate is better in all objectives.")]
 
 
 class AxisImportance(Document):
-    """The influence of one axis of a search."""
+    """The influence of one axis of a search on one objective."""
 
     axis: str
+    objective: str
     share: Annotated[float, described("Share of the variance over all candidates that it explains alone.")]
+
+
+class SearchObjective(Document):
+    """A further objective of a search: a metric, or the share of failed runs."""
+
+    metric: str
+    label: str
+    unit: str
+
+
+class SearchGrowth(Document):
+    """State of a search after so many runs."""
+
+    runs: int
+    gap: Annotated[float, described("How far the best was from the truly best at most, as a share.")]
+    front: Annotated[tuple[dict[str, float], ...], described("The expected values of each of the best, by objective.")]
 
 
 class SearchStanding(Document):
@@ -81,6 +108,7 @@ class SearchStanding(Document):
     metric: str
     label: Annotated[str, described("The metric in words.")]
     unit: str
+    against: Annotated[tuple[SearchObjective, ...], described("What is traded against the metric.")]
     limits: Annotated[tuple[str, ...], described("What a run must keep.")]
     within: Annotated[float, described("How near to the truly best is near enough, as a share.")]
     confidence: float
@@ -93,6 +121,9 @@ class SearchStanding(Document):
     combinations: Annotated[int, described("All combinations with all datasets.")]
     datasets: tuple[str, ...]
     candidates: Annotated[tuple[SearchedCandidate, ...], described("Those that may be best, the best first.")]
-    importance: Annotated[tuple[AxisImportance, ...], described("The axes that vary, the most important first.")]
+    importance: Annotated[
+        tuple[AxisImportance, ...], described("The axes that vary, by objective, the most important first.")
+    ]
+    growth: Annotated[tuple[SearchGrowth, ...], described("After 24, 48, 96 runs and so on, and now.")]
     next: Annotated[str, described("What comes next, and why.")]
     notes: Annotated[tuple[str, ...], described("What was left out, and why.")]

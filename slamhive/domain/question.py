@@ -12,6 +12,14 @@ class ExperimentQuestion(StrEnum):
     OPTIMISE = "optimise"
 
 
+class SearchSampler(StrEnum):
+    """Whoever chooses the next runs of a search: the model of SLAM Hive, or one of Optuna's samplers."""
+
+    MODEL = "model"
+    TPE = "tpe"
+    NSGA2 = "nsga2"
+
+
 class CandidateStanding(StrEnum):
     """Standing of a candidate."""
 

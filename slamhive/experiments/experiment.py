@@ -14,7 +14,7 @@ from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.gate import Margin
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Alignment
-from slamhive.domain.question import ExperimentQuestion
+from slamhive.domain.question import ExperimentQuestion, SearchSampler
 from slamhive.experiments.condition import CombinationCondition
 
 
@@ -131,6 +131,10 @@ class DecidePlan:
     worst: float | None = None
 
 
+FAILED = "failed"
+"""The share of failed runs, among objectives and limits."""
+
+
 @dataclass(frozen=True, slots=True)
 class MetricLimit:
     """A value of a metric that a run may have at most, or at least; in the metric's unit."""
@@ -152,6 +156,9 @@ class OptimisePlan:
         metric: Its typical value is to be the best.
         budget: Of all runs.
         limits: A run that breaks one counts as failed.
+        against: What else is to be the best: metrics, and :data:`FAILED`. The best trade-offs are searched.
+        failing: The largest share of failed runs that a candidate may have; None allows any.
+        sampler: Whoever chooses the next runs.
         within: The search ends when the best one is so near to the truly best, as a share.
         confidence: Of that.
         worst: The value that a failed run counts as, in the metric's unit. None takes one from the good runs.
@@ -164,6 +171,14 @@ class OptimisePlan:
     within: float = 0.05
     confidence: float = 0.95
     worst: float | None = None
+    against: tuple[str, ...] = ()
+    failing: float | None = None
+    sampler: SearchSampler = SearchSampler.MODEL
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """The metrics that are to be the best."""
+        return (self.metric, *(key for key in self.against if key != FAILED))
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,8 +231,10 @@ class Experiment:
     @property
     def question_metrics(self) -> tuple[str, ...]:
         """The metrics that its question is about."""
-        limits = () if self.optimise is None else self.optimise.limits
-        return () if self.plan is None else (self.plan.metric, *(limit.metric for limit in limits))
+        if self.optimise is not None:
+            limits = (limit.metric for limit in self.optimise.limits)
+            return tuple(dict.fromkeys((*self.optimise.metrics, *limits)))
+        return () if self.decide is None else (self.decide.metric,)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -243,6 +260,9 @@ _LATER: tuple[tuple[str, object], ...] = (
     ("map", None),
     ("decide", None),
     ("optimise", None),
+    ("against", ()),
+    ("failing", None),
+    ("sampler", SearchSampler.MODEL),
     *((option.name, option.default) for option in fields(Limits) if option.name not in _FIRST_LIMITS),
 )
 """Fields that came later, at their defaults: experiments that were stored before keep their hash."""

@@ -37,9 +37,11 @@ from slamhive.domain.gate import Margin
 from slamhive.domain.metrics import Direction, Metric, metric
 from slamhive.domain.names import NAME_PATTERN, check_name
 from slamhive.domain.parameters import Value
+from slamhive.domain.question import SearchSampler
 from slamhive.experiments.binding import at
 from slamhive.experiments.condition import parse_condition
 from slamhive.experiments.experiment import (
+    FAILED,
     DecidePlan,
     EvaluationChoice,
     Experiment,
@@ -63,6 +65,8 @@ from slamhive.filters.fields import number, units_of
 _SEED, _RATE = OPTIONS["seed"], OPTIONS["playback_rate"]
 _NAME = re.compile(NAME_PATTERN)
 _LIMIT = re.compile(r"([\w.]+)\s*(<=|>=)\s*(.+)")
+MOST_AGAINST = 3
+_FAILED_LIMIT = re.compile(r"failed\s*(<=|=)\s*(.+)")
 
 _SCALAR_SCHEMA: dict[str, Any] = {"type": ["number", "string", "boolean"]}
 _MATRIX_SCHEMA: dict[str, Any] = {"type": "array", "items": {"type": "number"}, "minItems": 1}
@@ -229,14 +233,22 @@ class OptimiseModel(_Model):
     """The search for the best of many candidates: the experiment chooses its runs, and stops when it is near enough."""
 
     metric: str = Field(default="ate.rmse", description="What is to be the best: its typical value.")
+    against: Words = Field(
+        default=(), description="Up to three that are traded against it: cpu.mean | ram.max | failed."
+    )
     budget: str = Field(description="Of all runs: 300 runs, 8 h.")
-    limits: list[str] = Field(
-        default_factory=list, description="What a run must keep, else it counts as failed: cpu.mean <= 2."
+    limits: Words = Field(
+        default=(),
+        description="What a run must keep, else it counts as failed: cpu.mean <= 2. And failed = 0, failed <= 10%: how "
+        "many of a candidate's runs may fail.",
     )
     within: float | str = Field(default=0.05, description="How near to the truly best is near enough: 5%.")
     confidence: float = Field(default=0.95, ge=0.5, le=0.999, description="Of being so near.")
     worst: float | str | None = Field(
         default=None, description="What a failed run counts as: 1 m. Else twice the worst good value, or 0 for a share."
+    )
+    sampler: SearchSampler = Field(
+        default=SearchSampler.MODEL, description="Who chooses the next runs: our model, or Optuna's tpe or nsga2."
     )
 
 
@@ -365,7 +377,9 @@ def _optimise(optimise: OptimiseModel, model: ExperimentModel, places: strict_ya
         key = "budget"
         budget = read_budget(optimise.budget)
         key = "limits"
-        limits = tuple(map(_limit, optimise.limits))
+        failing, limits = _limits(optimise.limits)
+        key = "against"
+        against = _against(compared.key, optimise.against)
         key = "within"
         within = number(str(optimise.within), "")
         if within is None or not 0 < within <= 1:
@@ -374,7 +388,43 @@ def _optimise(optimise: OptimiseModel, model: ExperimentModel, places: strict_ya
         worst = None if optimise.worst is None else _amount(optimise.worst, compared)
     except SlamHiveError as error:
         raise at(places.of("optimise", key), error) from None
-    return OptimisePlan(compared.key, budget, places.of("optimise"), limits, within, optimise.confidence, worst)
+    return OptimisePlan(
+        compared.key,
+        budget,
+        places.of("optimise"),
+        limits,
+        within,
+        optimise.confidence,
+        worst,
+        against,
+        failing,
+        optimise.sampler,
+    )
+
+
+def _against(first: str, others: Sequence[str]) -> tuple[str, ...]:
+    keys = tuple(FAILED if key == FAILED else _compared(key).key for key in others)
+    if len(keys) > MOST_AGAINST:
+        raise InvalidInput(f"{len(keys)} objectives are too many beside {first}", f"name {MOST_AGAINST} at most")
+    for place, key in enumerate(keys):
+        if key in (first, *keys[:place]):
+            raise InvalidInput(f"{key} is there twice", "name each objective once")
+    return keys
+
+
+def _limits(texts: Sequence[str]) -> tuple[float | None, tuple[MetricLimit, ...]]:
+    """The share of runs that may fail, and the limits of runs."""
+    failing: float | None = None
+    limits: list[MetricLimit] = []
+    for text in texts:
+        found = _FAILED_LIMIT.fullmatch(text.strip())
+        if found is None:
+            limits.append(_limit(text))
+            continue
+        failing = number(found[2], "")
+        if failing is None or not 0 <= failing < 1 or (found[1] == "=" and failing):
+            raise InvalidInput(f"{text!r} is no limit", "write failed = 0, or failed <= 10%")
+    return failing, tuple(limits)
 
 
 def _check_alone(model: ExperimentModel, places: strict_yaml.Places) -> None:

@@ -32,6 +32,8 @@ _SECTIONS = {
     "playback": ("mode", "rate"),
     "stop_when": RULES,
     "limits": tuple(option.name for option in options_of(Limits)),
+    "optimise": ("budget", "metric", "against", "limits", "within", "confidence", "worst", "sampler"),
+    "decide": ("budget", "difference", "metric", "error", "worst"),
 }
 _SETS = ("linked", "tied")
 _PARAMETERS = "parameters/"
@@ -91,6 +93,10 @@ class ExperimentFields:
     def with_value(self, name: str, text: str) -> ExperimentFields:
         """Set the text of a field."""
         return replace(self, values={**self.values, name: text})
+
+    def has_section(self, section: str) -> bool:
+        """True if any field of a section is filled in."""
+        return any(text for name, text in self.values.items() if name.startswith(f"{section}/"))
 
     def with_step(self, step: StepFields) -> ExperimentFields:
         """Append a step under an unused name."""

@@ -9,14 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.analysis import optuna_sampling
+from slamhive.base.errors import InvalidInput, NotFound, Unavailable
 from slamhive.documents.question import SearchStanding
 from slamhive.domain.question import QuestionAnswer
 from slamhive.domain.run import FailureReason
+from slamhive.services.deciding import optimise
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
+from tests.services.gate_world import finish
 from tests.services.test_questions import Outcome, end, play
 from tests.web import web_world as world
 
@@ -59,6 +62,10 @@ def noisy(run: RunRecord) -> float:
     return error_m(run) * math.exp(0.05 * np.random.default_rng(run.id).standard_normal())
 
 
+def very_noisy(run: RunRecord) -> float:
+    return error_m(run) * math.exp(np.random.default_rng(run.id).normal(0, 0.5))
+
+
 def searched(hive: Hive, outcome: Callable[[RunRecord], Outcome] = noisy) -> SearchStanding:
     play(hive, outcome, "many")
     return hive.questions.search("many")
@@ -84,7 +91,7 @@ def test_a_search_ends_near_the_best_with_few_runs(hive: Hive):
 
 def test_a_spent_budget_says_how_near_it_came(hive: Hive):
     start(hive, MANY.replace("90 runs", "30 runs").replace("10%", "0.1%"))
-    found = searched(hive, lambda run: error_m(run) * math.exp(np.random.default_rng(run.id).normal(0, 0.5)))
+    found = searched(hive, very_noisy)
     assert (found.answer, found.runs) == (QuestionAnswer.UNDECIDED, 30)
     assert "within" in found.words
     assert found.expected_gain is not None
@@ -119,6 +126,88 @@ def test_a_trial_that_is_cancelled_takes_no_part(hive: Hive):
     assert found.notes[0].startswith("Cancelled by hand, and takes no part: nFeatures")
 
 
+TRADED = MANY.replace("within: 10%", "within: 10%, against: [cpu.mean, failed]")
+
+
+def test_several_objectives_end_with_the_best_trade_offs(hive: Hive):
+    start(hive, TRADED.replace("90 runs", "40 runs"))
+    found = searched(hive, lambda run: FailureReason.TIMEOUT if run.parameters["solver"] == "gn" else noisy(run))
+    assert [other.metric for other in found.against] == ["cpu.mean", "failed"]
+    assert found.gap is not None
+    assert all(entry.on_front and entry.values["solver"] == "lm" for entry in found.candidates)
+    best = found.candidates[0]
+    assert best.expected == min(entry.expected for entry in found.candidates)
+    assert set(best.against) == {"cpu.mean", "failed"}
+    assert 0 <= best.against["failed"].low <= best.against["failed"].high <= 1
+    assert {entry.objective for entry in found.importance} == {"ate.rmse", "cpu.mean", "failed"}
+
+
+def test_the_answer_of_several_objectives_names_the_ends_of_the_front(hive: Hive):
+    start(hive, TRADED.replace("90 runs", "30 runs").replace("10%", "0.1%"))
+    found = searched(hive, very_noisy)
+    assert found.answer is QuestionAnswer.UNDECIDED
+    assert found.words.startswith("After 30 runs of 72, ")
+    assert ("best trade-offs of ATE RMSE against CPU mean and failed runs" in found.words) or (
+        "is the best in everything" in found.words
+    )
+
+
+def test_it_is_told_how_the_best_grew(hive: Hive):
+    start(hive, MANY.replace("90 runs", "52 runs").replace("10%", "0.1%"))
+    found = searched(hive, very_noisy)
+    assert [step.runs for step in found.growth] == [24, 48, 52]
+    assert found.growth[-1].gap == found.gap
+    assert found.growth[-1].front == ({"ate.rmse": found.candidates[0].expected},)
+
+
+def test_other_runs_are_asked_for_when_half_of_the_places_are_free(hive: Hive):
+    start(hive)
+    hive.questions.advance("many")
+    end(hive, very_noisy, "many")
+    assert hive.questions.advance("many") == 4
+    first, second, *_ = hive.experiments.unfinished("many")
+    finish(hive, first, 0.06)
+    assert hive.questions.advance("many") == 0
+    assert not hive.questions.work_once()
+    finish(hive, second, 0.06)
+    assert hive.questions.work_once()
+    assert len(hive.experiments.unfinished("many")) == 4
+
+
+def test_no_candidate_is_best_of_which_a_run_has_failed_where_none_may(hive: Hive):
+    start(hive, MANY.replace("within: 10%", 'within: 10%, limits: ["failed = 0"]').replace("90 runs", "36 runs"))
+    found = searched(hive, lambda run: FailureReason.TIMEOUT if run.parameters["solver"] == "lm" else noisy(run))
+    assert found.limits == ("failed <= 0",)
+    assert found.candidates[0].values["solver"] == "gn"
+    assert found.candidates[0].failed == 0
+
+
+def test_the_model_is_fitted_once_for_the_same_runs(hive: Hive, monkeypatch: pytest.MonkeyPatch):
+    start(hive)
+    hive.questions.advance("many")
+    end(hive, noisy, "many")
+    first = hive.questions.search("many")
+    monkeypatch.setattr(optimise, "search", lambda *_: pytest.fail("the model is fitted again"))
+    assert hive.questions.search("many") is first
+
+
+def test_optuna_chooses_the_next_runs_where_it_is_asked_to(hive: Hive):
+    start(hive, MANY.replace("90 runs", "28 runs, sampler: tpe").replace("10%", "0.1%"))
+    hive.questions.advance("many")
+    end(hive, very_noisy, "many")
+    assert "as tpe of Optuna suggests" in hive.questions.search("many").next
+    assert searched(hive, very_noisy).runs == 28
+
+
+def test_a_sampler_that_is_not_installed_is_refused_before_anything_is_stored(
+    hive: Hive, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(optuna_sampling, "find_spec", lambda _name: None)
+    with pytest.raises(Unavailable, match="sampler nsga2 needs Optuna, which is not installed"):
+        start(hive, MANY.replace("90 runs", "90 runs, sampler: nsga2"))
+    assert hive.experiments.list() == ()
+
+
 def test_a_metric_where_more_is_better_is_searched_upwards(hive: Hive):
     start(hive, MANY.replace("budget: 90 runs", "metric: tracked.path, budget: 60 runs"))
     found = searched(hive)
@@ -135,6 +224,10 @@ def test_a_metric_where_more_is_better_is_searched_upwards(hive: Hive):
         (MANY.replace("10%", "10 m"), "many.yaml line 5: '10 m' is no share; write 5%, or 0.05"),
         (MANY.replace("within: 10%", "limits: [cpu.mean = 2]"), "'cpu.mean = 2' is no limit"),
         (MANY.replace("within: 10%", "limits: [cpu.mena <= 2]"), "unknown metric 'cpu.mena'; did you mean"),
+        (MANY.replace("within: 10%", "limits: [failed = 1]"), "'failed = 1' is no limit; write failed = 0"),
+        (MANY.replace("within: 10%", "against: [ate.rmse]"), "ate.rmse is there twice; name each objective once"),
+        (MANY.replace("within: 10%", "against: [poses]"), "no direction of .* is better"),
+        (MANY.replace("within: 10%", "sampler: cma"), "many.yaml line 5"),
         (MANY.replace("within: 10%", "limits: [cpu.mean <= 2 m]"), "'2 m' is no value of cpu.mean"),
         (MANY.replace("executor", "decide: {difference: 1 cm, budget: 90 runs}\nexecutor"), "one question"),
     ],

@@ -5,8 +5,10 @@ from __future__ import annotations
 import pytest
 
 from slamhive.documents.question import Decision, SearchStanding
+from slamhive.experiments.file import parse_experiment
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
+from slamhive.web.experiment_fields import fields_from_yaml, yaml_from_fields
 from tests.services.test_questions import TWO, noisy, play
 from tests.services.test_searching_experiments import MANY
 from tests.services.test_searching_experiments import noisy as searched_error_m
@@ -57,3 +59,29 @@ def test_a_search_has_its_page_and_its_answer(web: Web):
     assert found.words in page
     assert "Candidates that may be best" in page
     assert web.client.get("/api/v1/experiments/many/decision").status_code == 400
+
+
+def test_the_page_of_a_search_shows_the_trade_offs_as_they_grew(web: Web):
+    traded = MANY.replace("budget: 90 runs, within: 10%", "budget: 28 runs, within: 0.1%, against: cpu.mean | failed")
+    web.hive.experiments.start(ExperimentSource(traded))
+    play(web.hive, searched_error_m, "many")
+    found = web.hive.questions.search("many")
+    page = web.client.get("/experiments/many/question").text
+    assert "Best trade-offs" in page
+    assert page.count('<svg class="front"') == 2
+    assert page.count("<circle") == 2 * sum(len(step.front) for step in found.growth)
+    assert "What matters for CPU mean" in page
+    assert [step.runs for step in found.growth] == [24, 28]
+
+
+def test_the_builder_keeps_a_question_and_offers_a_search(web: Web):
+    page = web.client.get("/new-experiment").text
+    assert "Search instead of all combinations" in page
+    text = MANY.replace(
+        "budget: 90 runs", "budget: 90 runs, against: [cpu.mean, failed], limits: [ram.max <= 1 GB, failed = 0]"
+    )
+    again = parse_experiment(yaml_from_fields(fields_from_yaml(text)))
+    assert again.optimise is not None
+    assert (again.optimise.against, again.optimise.failing) == (("cpu.mean", "failed"), 0.0)
+    assert again.content_hash == parse_experiment(text).content_hash
+    assert parse_experiment(yaml_from_fields(fields_from_yaml(TWO))).content_hash == parse_experiment(TWO).content_hash

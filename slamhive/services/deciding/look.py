@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -58,6 +59,17 @@ class QuestionLook:
     def datasets(self) -> tuple[str, ...]:
         """The datasets, in the order of the file."""
         return tuple(self.candidates[0].cells)
+
+    @property
+    def fingerprint(self) -> bytes:
+        """Identifies all that the next step follows from."""
+        runs = [
+            (cell, run.id, run.use, run.cancelled, run.reason, sorted(run.metrics.items()))
+            for cell, runs in sorted(self.runs.items())
+            for run in runs
+        ]
+        told = repr((self.record.uid, self.experiment.content_hash, self.asked, self.spent_s, runs))
+        return hashlib.sha256(told.encode()).digest()
 
     def results(self, cell: int) -> list[ObservedRun]:
         """The runs of a cell that say something, in order."""

@@ -5,20 +5,35 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slamhive.analysis.adaptive_search import SearchSpace, SearchState, first_places, search
+from slamhive.analysis.adaptive_search import (
+    Places,
+    SearchAim,
+    SearchRuns,
+    SearchSpace,
+    SearchState,
+    first_places,
+    search,
+)
 from slamhive.analysis.statistics import Numbers
-from slamhive.documents.question import AxisImportance, SearchedCandidate, SearchStanding
-from slamhive.domain.metrics import Direction, Metric, described
+from slamhive.documents.question import (
+    AxisImportance,
+    ExpectedValue,
+    SearchedCandidate,
+    SearchGrowth,
+    SearchObjective,
+    SearchStanding,
+)
+from slamhive.domain.metrics import Direction, described
 from slamhive.domain.names import plural
 from slamhive.domain.parameters import Value
-from slamhive.domain.question import ExperimentQuestion, QuestionAnswer
+from slamhive.domain.question import ExperimentQuestion, QuestionAnswer, SearchSampler
 from slamhive.domain.run import FailureReason
 from slamhive.experiments.candidates import ALGORITHM, LEAST_SEARCH_RUNS, ExperimentCandidate
-from slamhive.experiments.experiment import OptimisePlan
+from slamhive.experiments.experiment import FAILED, OptimisePlan
 from slamhive.services.deciding.look import ObservedRun, QuestionLook, RunUse
 
 _SHOWN = 12
@@ -40,36 +55,63 @@ class SearchStep:
 
 
 @dataclass(frozen=True, slots=True)
-class _Scale:
-    """Scores from values of the metric and back: logarithms of positive errors, else the values, smaller is better."""
+class _Objective:
+    """A metric, or the share of failed runs, that is to be the best, and its scores: smaller is better.
 
-    logarithmic: bool
-    sign: float
+    They are the logarithms of positive errors, else the values in units of their typical size. So a difference of
+    scores is a share of the value, nearly.
+    """
+
+    key: str
+    label: str
+    unit: str
+    logarithmic: bool = False
+    sign: float = 1.0
+    size: float = 1.0
 
     def score(self, value: float) -> float:
-        return math.log(value) if self.logarithmic else self.sign * value
+        return math.log(value) if self.logarithmic else self.sign * value / self.size
 
     def value(self, score: float) -> float:
-        return math.exp(score) if self.logarithmic else self.sign * score
+        return math.exp(score) if self.logarithmic else self.sign * score * self.size
 
-    def share(self, gap: float, score: float) -> float:
-        """A difference of scores as a share of the value at ``score``."""
-        return math.expm1(gap) if self.logarithmic else gap / max(abs(score), 1e-12)
+    def words(self, score: float) -> str:
+        """Name and value: an ATE RMSE of 0.05 m."""
+        if self.key == FAILED:
+            return f"{self.value(score):.0%} failed"
+        return f"{self.label} {self.value(score):.4g} {self.unit}".strip()
 
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """Content of a search: the candidates that take part, their runs, and what follows from these."""
+    """Content of a search: the candidates that take part, their runs, and what follows from these.
+
+    ``scores``: (runs, metrics), in the order of the runs, infinite for a failed one; it counts as ``worst``.
+    """
 
     plan: OptimisePlan
-    metric: Metric
     candidates: tuple[ExperimentCandidate, ...]
     space: SearchSpace
     axes: tuple[str, ...]
-    places: tuple[int, ...]
+    places: Places
+    pending: Places
     scores: Numbers
-    scale: _Scale
+    worst: Numbers
+    objectives: tuple[_Objective, ...]
     state: SearchState | None
+
+    def fitted(self, runs: int, at_once: int = 1) -> SearchState | None:
+        """The model of the first runs; None if they are too few."""
+        scores = self.scores[:runs]
+        if len(scores) < min(LEAST_SEARCH_RUNS, len(self.candidates)) or np.isfinite(scores).all(axis=1).sum() < 2:
+            return None
+        pending = len(self.pending) if runs == len(self.scores) else 0
+        aim = SearchAim(self.plan.confidence, at_once, FAILED in self.plan.against, self.plan.failing)
+        return search(self.space, SearchRuns(self.places[:runs], scores, self.worst, pending), aim)
+
+    def share(self, gap: float) -> float:
+        """A difference of scores as a share of the value."""
+        return math.expm1(gap) if self.objectives[0].logarithmic else gap
 
 
 def next_search(look: QuestionLook, plan: OptimisePlan, at_once: int) -> SearchStep:
@@ -79,14 +121,16 @@ def next_search(look: QuestionLook, plan: OptimisePlan, at_once: int) -> SearchS
         look: The experiment.
         plan: Its question.
         at_once: Runs that can go on at the same time; a step asks for so many.
+
+    Raises:
+        Unavailable: The sampler is one of Optuna's, which is not installed.
     """
-    seen = _see(look, plan, max(4, at_once))
-    answer, words, more = _outcome(look, seen, max(4, at_once))
+    seen = _see(look, plan, at_once)
+    answer, words, more = _outcome(look, seen, at_once)
     return SearchStep(_standing(look, seen, answer, words), more)
 
 
 def _see(look: QuestionLook, plan: OptimisePlan, at_once: int) -> _Seen:
-    metric = described(plan.metric)
     broken = {
         candidate.values[ALGORITHM]
         for candidate in look.candidates
@@ -100,35 +144,67 @@ def _see(look: QuestionLook, plan: OptimisePlan, at_once: int) -> _Seen:
         and not any(run.cancelled for run in look.of(candidate))
     )
     space, axes = _space(candidates)
-    places: list[int] = []
-    found: list[tuple[str, float | None]] = []
+    found: list[tuple[int, int, str, tuple[float, ...] | None]] = []
+    pending: list[int] = []
     for place, candidate in enumerate(candidates):
         for dataset, cell in candidate.cells.items():
+            pending += [place for run in look.runs.get(cell, ()) if run.use is RunUse.OPEN]
             for run in look.results(cell):
-                kept, value = _value(run, plan)
-                if value is not None or not kept:
-                    places.append(place)
-                    found.append((dataset, value if kept else None))
-    good = [value for _, value in found if value is not None]
-    logarithmic = metric.direction is Direction.LOWER and all(value > 0 for value in good)
-    scale = _Scale(logarithmic, -1.0 if metric.direction is Direction.HIGHER else 1.0)
-    scores, worst = _scores(found, scale, plan.worst)
-    state = None
-    if len(scores) >= min(LEAST_SEARCH_RUNS, len(candidates)) and len(good) > 1:
-        state = search(space, np.array(places), scores, worst, plan.confidence, at_once)
-    return _Seen(plan, metric, candidates, space, axes, tuple(places), scores, scale, state)
-
-
-def _value(run: ObservedRun, plan: OptimisePlan) -> tuple[bool, float | None]:
-    """Tell if the run keeps all limits, and its value; None without one."""
-    kept = run.use is RunUse.GOOD and not any(
-        limit.metric in run.metrics and limit.broken_by(run.metrics[limit.metric]) for limit in plan.limits
+                values = _values(run, plan)
+                if values is None:
+                    found.append((run.id, place, dataset, None))
+                elif len(values) == len(plan.metrics):
+                    found.append((run.id, place, dataset, values))
+    found.sort()
+    told = np.array([row[3] or [math.nan] * len(plan.metrics) for row in found]).reshape(-1, len(plan.metrics))
+    datasets = np.array([row[2] for row in found])
+    scores, worst = np.empty_like(told), np.zeros(len(plan.metrics))
+    objectives: list[_Objective] = []
+    for column, key in enumerate(plan.metrics):
+        objective = _objective(key, told[:, column])
+        stated = plan.worst if key == plan.metric else None
+        scores[:, column], worst[column] = _scores(objective, told[:, column], datasets, stated)
+        objectives.append(objective)
+    if FAILED in plan.against:
+        objectives.append(_Objective(FAILED, "failed runs", ""))
+    places = np.array([row[1] for row in found], dtype=np.intp)
+    seen = _Seen(
+        plan,
+        candidates,
+        space,
+        axes,
+        places,
+        np.array(pending, dtype=np.intp),
+        scores,
+        worst,
+        tuple(objectives),
+        None,
     )
-    return kept, run.metrics.get(plan.metric)
+    return replace(seen, state=seen.fitted(len(scores), at_once))
+
+
+def _values(run: ObservedRun, plan: OptimisePlan) -> tuple[float, ...] | None:
+    """The values of the metrics that it has; None for a run that failed or broke a limit."""
+    broken = any(limit.metric in run.metrics and limit.broken_by(run.metrics[limit.metric]) for limit in plan.limits)
+    if run.use is not RunUse.GOOD or broken:
+        return None
+    return tuple(run.metrics[key] for key in plan.metrics if key in run.metrics)
+
+
+def _objective(key: str, values: Numbers) -> _Objective:
+    """The scale of (runs,), NaN for failed ones."""
+    metric = described(key)
+    good = values[np.isfinite(values)]
+    if metric.direction is Direction.LOWER and (good > 0).all():
+        return _Objective(key, metric.label, metric.unit, logarithmic=True)
+    size = float(np.median(np.abs(good))) if len(good) else 1.0
+    return _Objective(
+        key, metric.label, metric.unit, sign=-1.0 if metric.direction is Direction.HIGHER else 1.0, size=size or 1.0
+    )
 
 
 def _scores(
-    found: Sequence[tuple[str, float | None]], scale: _Scale, stated_worst: float | None
+    objective: _Objective, values: Numbers, datasets: Sequence[str] | np.ndarray, stated_worst: float | None
 ) -> tuple[Numbers, float]:
     """The score of each run, infinite if it failed, and that of a failed run.
 
@@ -136,19 +212,18 @@ def _scores(
     runs on one than on another. What is left of a difference between candidates from dataset to dataset counts as
     noise.
     """
-    scores = np.array([math.inf if value is None else scale.score(value) for _, value in found], dtype=float)
-    datasets = np.array([dataset for dataset, _ in found])
+    scores = np.array([math.inf if math.isnan(value) else objective.score(value) for value in values], dtype=float)
     good = np.isfinite(scores)
     if not good.any():
         return scores, 0.0
-    mean = np.mean([scores[good & (datasets == dataset)].mean() for dataset in set(datasets[good])])
-    for dataset in set(datasets[good]):
-        of_dataset = good & (datasets == dataset)
-        scores[of_dataset] -= scores[of_dataset].mean() - mean
+    of_dataset = [good & (datasets == dataset) for dataset in sorted(set(datasets[good]))]
+    mean = np.mean([scores[chosen].mean() for chosen in of_dataset])
+    for chosen in of_dataset:
+        scores[chosen] -= scores[chosen].mean() - mean
     if stated_worst is not None:
-        return scores, scale.score(stated_worst)
-    largest = scale.value(float(scores[good].max())) * scale.sign
-    return scores, scale.score(scale.sign * (largest + abs(largest)))
+        return scores, objective.score(stated_worst)
+    largest = objective.value(float(scores[good].max())) * objective.sign
+    return scores, objective.score(objective.sign * (largest + abs(largest)))
 
 
 def _space(candidates: Sequence[ExperimentCandidate]) -> tuple[SearchSpace, tuple[str, ...]]:
@@ -163,7 +238,9 @@ def _space(candidates: Sequence[ExperimentCandidate]) -> tuple[SearchSpace, tupl
         if len(known) < 2 and None not in values:
             continue
         numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in known)
-        ranks = _ranks(known, numbers)
+        key: Callable[[Value], object] = (lambda value: value) if numbers else str
+        order = sorted(known, key=key)  # type: ignore[arg-type]
+        ranks = {value: rank / max(1, len(order) - 1) for rank, value in enumerate(order)}
         columns.append([math.nan if value is None else ranks[value] for value in values])
         ordered.append(numbers)
         told.append(axis)
@@ -171,38 +248,59 @@ def _space(candidates: Sequence[ExperimentCandidate]) -> tuple[SearchSpace, tupl
     return SearchSpace(codes, tuple(ordered) or (True,)), tuple(told)
 
 
-def _ranks(known: set[Value], numbers: bool) -> dict[Value, float]:
-    key: Callable[[Value], object] = (lambda value: value) if numbers else str
-    order = sorted(known, key=key)  # type: ignore[arg-type]
-    return {value: rank / max(1, len(order) - 1) for rank, value in enumerate(order)}
-
-
 def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAnswer, str, Mapping[int, int]]:
-    """The answer, what is to be said, and the next runs by cell."""
+    """The answer, what is to be said, and the next runs by cell.
+
+    Runs may be under way: others join them when half of the places are free.
+    """
     plan, state = seen.plan, seen.state
     if not seen.candidates:
         return QuestionAnswer.UNDECIDED, "Undecided: no candidate can run.", {}
-    waiting = sum(run.use is RunUse.OPEN for runs in look.runs.values() for run in runs)
-    if waiting:
-        return QuestionAnswer.OPEN, f"{plural(waiting, 'run')} under way.", {}
-    if state is not None:
-        repeated = sum(place == state.best for place in seen.places)
-        if _share(seen, state.gap) <= plan.within and repeated > 1:
-            return QuestionAnswer.BEST, _sentence(look, seen, state), {}
-    room = min(at_once, plan.budget.runs_left(look.asked, look.spent_s))
-    if room < 1:
-        words = _nothing_good(look, seen) if state is None else _sentence(look, seen, state)
-        return QuestionAnswer.UNDECIDED, words, {}
+    waiting = len(seen.pending)
+    under_way: tuple[QuestionAnswer, str, Mapping[int, int]] = (
+        QuestionAnswer.OPEN,
+        f"{plural(waiting, 'run')} under way.",
+        {},
+    )
+    near_enough = state is not None and seen.share(state.gap) <= plan.within
+    unproven = [] if state is None else _unproven(seen, state)
+    if near_enough and not unproven and state is not None:
+        return under_way if waiting else (QuestionAnswer.BEST, _sentence(look, seen, state), {})
+    room = min(at_once - waiting, plan.budget.runs_left(look.asked, look.spent_s))
     if state is None:
+        missing = LEAST_SEARCH_RUNS - len(seen.scores) - waiting
+        missing = min(max(missing, 0 if waiting else 1), plan.budget.runs_left(look.asked, look.spent_s))
+        if missing < 1:
+            return under_way if waiting else (QuestionAnswer.UNDECIDED, _nothing_good(look, seen), {})
         order = first_places(len(seen.candidates), int(look.record.uid[:8], 16))
         new = [int(place) for place in order if not look.of(seen.candidates[place])]
-        missing = max(1, LEAST_SEARCH_RUNS - len(seen.scores))
-        chosen = [*new, *map(int, order)][: min(missing, plan.budget.runs_left(look.asked, look.spent_s))]
+        chosen = [*new, *map(int, order)][:missing]
         return QuestionAnswer.OPEN, "The first runs, at random places.", _cells(look, seen, chosen)
-    chosen = list(state.next[:room])
+    if room < 1 or waiting > at_once // 2:
+        return under_way if waiting else (QuestionAnswer.UNDECIDED, _sentence(look, seen, state), {})
+    if near_enough:
+        chosen, why = unproven[:room], "it seems to be the best, and has too few runs"
+    elif plan.sampler is SearchSampler.MODEL:
+        chosen, why = list(state.next[:room]), "each may be the best"
+    else:
+        chosen, why = _sampled(seen, room), f"as {plan.sampler.value} of Optuna suggests"
     counts = Counter(chosen).most_common()
     words = "; ".join(f"{seen.candidates[place].label} ({plural(count, 'run')})" for place, count in counts)
-    return QuestionAnswer.OPEN, f"{words}: each may be the best.", _cells(look, seen, chosen)
+    return QuestionAnswer.OPEN, f"{words}: {why}.", _cells(look, seen, chosen)
+
+
+def _unproven(seen: _Seen, state: SearchState) -> list[int]:
+    """The best ones that have too few runs of their own: one on a front, two without one."""
+    least = 1 if len(seen.objectives) > 1 else 2
+    runs = Counter(map(int, [*seen.places, *seen.pending]))
+    return [place for place in state.front if runs[place] < least]
+
+
+def _sampled(seen: _Seen, room: int) -> list[int]:
+    from slamhive.analysis.optuna_sampling import suggested  # noqa: PLC0415 - an extra
+
+    scores = np.where(np.isfinite(seen.scores), seen.scores, seen.worst)
+    return list(suggested(seen.plan.sampler, seen.space, seen.places, scores, room, seen.pending))
 
 
 def _cells(look: QuestionLook, seen: _Seen, chosen: Sequence[int]) -> dict[int, int]:
@@ -215,18 +313,33 @@ def _cells(look: QuestionLook, seen: _Seen, chosen: Sequence[int]) -> dict[int, 
     return dict(more)
 
 
-def _share(seen: _Seen, gap: float) -> float:
-    assert seen.state is not None
-    return seen.scale.share(gap, float(seen.state.scores[seen.state.best]))
-
-
 def _sentence(look: QuestionLook, seen: _Seen, state: SearchState) -> str:
-    plan = seen.plan
-    label = seen.candidates[state.best].label
-    value = f"{seen.scale.value(float(state.scores[state.best])):.4g} {seen.metric.unit}".strip()
-    near = f"within {100 * _share(seen, state.gap):.2g} % of the best at {100 * plan.confidence:.4g} % confidence"
+    """Say what is known, for somebody who stops now."""
+    plan, first = seen.plan, seen.objectives[0]
+    share = f"{100 * seen.share(state.gap):.2g} %"
+    confidence = f"at {100 * plan.confidence:.4g} % confidence"
     spent = f"After {look.asked} runs of {_combinations(look)}"
-    return f"{spent}, {label} is {near}, with a typical {seen.metric.label} of {value}."
+    ends = {state.front[0]: None} | {
+        min(state.front, key=lambda place: float(state.scores[place, column])): None
+        for column in range(1, len(seen.objectives))
+    }
+    told = [f"{seen.candidates[place].label} ({', '.join(_told(seen, state, place))})" for place in ends]
+    if len(seen.objectives) == 1:
+        label, score = seen.candidates[state.front[0]].label, float(state.scores[state.front[0], 0])
+        value = f"{first.value(score):.4g} {first.unit}".strip()
+        return f"{spent}, {label} is within {share} of the best {confidence}, with a typical {first.label} of {value}."
+    if len(state.front) == 1:
+        return f"{spent}, {told[0]} is the best in everything within {share}, {confidence}."
+    others = " and ".join(objective.label for objective in seen.objectives[1:])
+    return (
+        f"{spent}, {len(state.front)} combinations are the best trade-offs of {first.label} against {others}: no other "
+        f"is better in all of them by more than {share}, {confidence}. At the ends: {'; '.join(told)}."
+    )
+
+
+def _told(seen: _Seen, state: SearchState, place: int) -> list[str]:
+    """The values of a candidate, in words."""
+    return [objective.words(float(state.scores[place, column])) for column, objective in enumerate(seen.objectives)]
 
 
 def _nothing_good(look: QuestionLook, seen: _Seen) -> str:
@@ -247,8 +360,9 @@ def _nothing_good(look: QuestionLook, seen: _Seen) -> str:
                 f"Undecided: no run kept {limit.metric} {sign} {limit.value:.4g} {unit}; the nearest is {label} with "
                 f"{nearest:.4g}."
             )
-    if good and not any(plan.metric in run.metrics for run in good):
-        return f"Undecided: no run reports {plan.metric}. Another metric can be searched for."
+    for key in plan.metrics:
+        if good and not any(key in run.metrics for run in good):
+            return f"Undecided: no run reports {key}. Another metric can be searched for."
     return f"Undecided: fewer than two of {plural(look.asked, 'run')} were good."
 
 
@@ -257,62 +371,99 @@ def _combinations(look: QuestionLook) -> int:
 
 
 def _standing(look: QuestionLook, seen: _Seen, answer: QuestionAnswer, words: str) -> SearchStanding:
-    plan, state = seen.plan, seen.state
+    plan, state, first = seen.plan, seen.state, seen.objectives[0]
     is_open = answer is QuestionAnswer.OPEN
-    importance: list[AxisImportance] = []
-    if state is not None:
-        importance = [
-            AxisImportance(axis=axis, share=share) for axis, share in zip(seen.axes, state.importance, strict=False)
-        ]
+    limits = [
+        f"{limit.metric} {'<=' if limit.at_most else '>='} {limit.value:.6g} {described(limit.metric).unit}".strip()
+        for limit in plan.limits
+    ]
+    if plan.failing is not None:
+        limits.append(f"failed <= {plan.failing:.4g}")
+    importance = [
+        AxisImportance(axis=axis, objective=objective.key, share=share)
+        for objective, shares in zip(seen.objectives, () if state is None else state.importance, strict=False)
+        for axis, share in sorted(zip(seen.axes, shares, strict=False), key=lambda entry: -entry[1])
+    ]
     return SearchStanding(
         experiment=look.record.name,
         question=ExperimentQuestion.OPTIMISE,
         answer=answer,
         words=("Nothing is known yet." if state is None else _sentence(look, seen, state)) if is_open else words,
-        metric=seen.metric.key,
-        label=seen.metric.label,
-        unit=seen.metric.unit,
-        limits=tuple(
-            f"{limit.metric} {'<=' if limit.at_most else '>='} {limit.value:.6g} {described(limit.metric).unit}".strip()
-            for limit in plan.limits
+        metric=first.key,
+        label=first.label,
+        unit=first.unit,
+        against=tuple(
+            SearchObjective(metric=other.key, label=other.label, unit=other.unit) for other in seen.objectives[1:]
         ),
+        limits=tuple(limits),
         within=plan.within,
         confidence=plan.confidence,
-        gap=None if state is None else _share(seen, state.gap),
-        expected_gain=None if state is None else _share(seen, state.expected_gap),
+        gap=None if state is None else seen.share(state.gap),
+        expected_gain=None if state is None else seen.share(state.expected_gap),
         budget=plan.budget.words,
         runs=look.asked,
         combinations=_combinations(look),
         datasets=look.datasets,
         candidates=tuple(_leading(look, seen)),
-        importance=tuple(sorted(importance, key=lambda entry: -entry.share)),
+        importance=tuple(importance),
+        growth=tuple(_growth(seen)),
         next=words if is_open else "",
         notes=tuple(_notes(look, seen)),
     )
 
 
+def _growth(seen: _Seen) -> list[SearchGrowth]:
+    """State after 24, 48, 96 runs and so on, and now: computed from the runs, so that a kill loses nothing."""
+    steps: list[int] = []
+    runs = LEAST_SEARCH_RUNS
+    while runs < len(seen.scores):
+        steps.append(runs)
+        runs *= 2
+    found = []
+    for runs in [*steps, len(seen.scores)]:
+        state = seen.state if runs == len(seen.scores) else seen.fitted(runs)
+        if state is not None:
+            front = tuple(
+                {
+                    objective.key: objective.value(float(state.scores[place, column]))
+                    for column, objective in enumerate(seen.objectives)
+                }
+                for place in state.front
+            )
+            found.append(SearchGrowth(runs=runs, gap=seen.share(state.gap), front=front))
+    return found
+
+
 def _leading(look: QuestionLook, seen: _Seen) -> list[SearchedCandidate]:
-    """The candidates with the best expected scores, the best first."""
+    """The candidates with the best expected scores, the best first; with several objectives, the best trade-offs."""
     state = seen.state
     if state is None:
         return []
+    shown = np.argsort(state.scores[:, 0])[:_SHOWN] if len(seen.objectives) == 1 else state.front
     found = []
-    for place in np.argsort(state.scores)[:_SHOWN]:
+    for place in shown:
         candidate = seen.candidates[place]
         runs = [run for cell in candidate.cells.values() for run in look.results(cell)]
-        score, spread = float(state.scores[place]), _TWO_SIDED * float(state.spread[place])
-        ends = sorted(seen.scale.value(score + side * spread) for side in (-1, 1))
+        expected: list[ExpectedValue] = []
+        for column, objective in enumerate(seen.objectives):
+            score, spread = float(state.scores[place, column]), _TWO_SIDED * float(state.spread[place, column])
+            ends = sorted(objective.value(score + side * spread) for side in (-1, 1))
+            if objective.key == FAILED:
+                ends = [max(0.0, ends[0]), min(1.0, ends[1])]
+            expected.append(ExpectedValue(expected=objective.value(score), low=ends[0], high=ends[1]))
         found.append(
             SearchedCandidate(
                 label=candidate.label,
                 values=candidate.values,
                 cells=dict(candidate.cells),
                 runs=len(runs),
-                failed=sum(not _value(run, seen.plan)[0] for run in runs),
-                expected=seen.scale.value(score),
-                low=ends[0],
-                high=ends[1],
+                failed=sum(_values(run, seen.plan) is None for run in runs),
+                **expected[0].model_dump(),
                 failing=float(state.failing[place]),
+                against={
+                    objective.key: value for objective, value in zip(seen.objectives[1:], expected[1:], strict=True)
+                },
+                on_front=int(place) in state.front,
             )
         )
     return found

@@ -11,6 +11,7 @@ from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
 from slamhive.documents.question import Decision, SearchStanding
 from slamhive.experiments.experiment import DecidePlan
+from slamhive.services.kept_answers import KeptViews
 from slamhive.store import Transaction
 from slamhive.store.records import ExperimentState
 
@@ -31,6 +32,9 @@ LONGEST_STEP_S = 60.0
 """Another process that takes an experiment a step further has ended after so long."""
 PAUSE_S = 0.3
 
+LEAST_AT_ONCE = 4
+_KEPT_STEPS = 32
+
 
 class Questions:
     """The experiments of an installation that choose their runs.
@@ -49,6 +53,8 @@ class Questions:
         self._store = store
         self._experiments = experiments
         self._not_before_s: dict[str, float] = {}
+        self._waited: dict[str, int] = {}
+        self._steps: KeptViews[bytes, DecisionStep | SearchStep] = KeptViews(_KEPT_STEPS, lambda _step: 1)
 
     def decision(self, name: str) -> Decision:
         """State of an experiment that compares; raises NotFound, or InvalidInput for one without that question."""
@@ -71,7 +77,8 @@ class Questions:
     def advance(self, name: str) -> int:
         """Take the experiment a step further: queue its next runs, or store its conclusion.
 
-        Nothing happens while its runs are under way, while it is paused, and after its conclusion.
+        Nothing happens while it is paused, and after its conclusion. A comparison waits for its runs; a search asks
+        for others as soon as half of its places are free.
 
         Returns:
             The number of runs that were queued.
@@ -116,8 +123,10 @@ class Questions:
         for record in self._store.read(lambda t: t.experiments.undecided()):
             if monotonic_s() < self._not_before_s.get(record.name, 0.0):
                 continue
-            if self._store.read(lambda t, i=record.id: t.experiments.unfinished(i)):  # type: ignore[misc]
+            waiting = len(self._store.read(lambda t, i=record.id: t.experiments.unfinished(i)))  # type: ignore[misc]
+            if waiting and (waiting > self._at_once // 2 or self._waited.get(record.name) == waiting):
                 continue
+            self._waited[record.name] = waiting
             try:
                 queued += self.advance(record.name)
             except Unavailable:
@@ -142,11 +151,17 @@ class Questions:
         return self._store.read(work)
 
     def _step(self, look: QuestionLook) -> DecisionStep | SearchStep:
+        """The step that follows from a look. It takes up to a second, and is kept until the runs have changed."""
         from slamhive.services.deciding.decide import next_decision  # noqa: PLC0415 - loads scipy
         from slamhive.services.deciding.optimise import next_search  # noqa: PLC0415 - the same
 
         plan = look.experiment.plan
         assert plan is not None
         if isinstance(plan, DecidePlan):
-            return next_decision(look, plan, self._settings.worker_slots)
-        return next_search(look, plan, self._settings.worker_slots)
+            return self._steps.get(look.fingerprint, lambda: next_decision(look, plan, self._settings.worker_slots))
+        return self._steps.get(look.fingerprint, lambda: next_search(look, plan, self._at_once))
+
+    @property
+    def _at_once(self) -> int:
+        """Runs of a search that go on together: fewer would make the model wait for each of them."""
+        return max(LEAST_AT_ONCE, self._settings.worker_slots)

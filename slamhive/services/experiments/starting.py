@@ -21,6 +21,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.metrics import metric
 from slamhive.domain.placement import run_affinity
 from slamhive.domain.protocol import Protocol
+from slamhive.domain.question import SearchSampler
 from slamhive.experiments.candidates import ExperimentCandidate, candidates_of, check_candidates
 from slamhive.experiments.expansion import Expansion, PlannedRun
 from slamhive.experiments.experiment import Experiment
@@ -355,6 +356,14 @@ def check_question(context: ExperimentContext, experiment: Experiment, expansion
     if plan is None:
         return
     check_candidates(experiment, planned_candidates(context, experiment))
+    if experiment.optimise is not None and experiment.optimise.sampler is not SearchSampler.MODEL:
+        from slamhive.analysis.optuna_sampling import check_sampler  # noqa: PLC0415 - loads numpy
+
+        check_sampler(experiment.optimise.sampler)
+    if experiment.optimise is not None and experiment.optimise.sampler is not SearchSampler.MODEL:
+        from slamhive.analysis.optuna_sampling import check_sampler  # noqa: PLC0415 - loads numpy
+
+        check_sampler(experiment.optimise.sampler)
     if not metric(plan.metric).needs_protocol:
         return
     if not experiment.evaluation.enabled:

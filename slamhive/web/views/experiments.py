@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
@@ -12,7 +12,7 @@ from werkzeug.datastructures import MultiDict
 from slamhive.base.errors import NotFound, SlamHiveError, unknown
 from slamhive.documents.limits import Limits, StopWhen
 from slamhive.documents.options import options_of
-from slamhive.documents.question import Decision
+from slamhive.documents.question import SearchStanding
 from slamhive.domain.accounts import Action, Visibility
 from slamhive.domain.metrics import CATALOGUE, described
 from slamhive.domain.outcome import Outcome
@@ -35,7 +35,7 @@ from slamhive.web.errors import status_of, wants_json
 from slamhive.web.experiment_fields import SOURCE
 from slamhive.web.formatting import display_unit, plural
 from slamhive.web.presenters import experiments as presenter
-from slamhive.web.presenters import rankings
+from slamhive.web.presenters import questions, rankings
 from slamhive.web.presenters.experiment_builder import (
     MOST_TEXT,
     ExperimentDraft,
@@ -281,17 +281,17 @@ def show_question(name: str) -> str:
     status = hive().experiments.status(name)
     found = hive().questions.standing(name)
     metric = described(found.metric)
-    rows: Sequence[presenter.CandidateRow | presenter.SearchRow]
-    rows = (
-        presenter.candidate_rows(found, metric) if isinstance(found, Decision) else presenter.search_rows(found, metric)
-    )
+    searches = isinstance(found, SearchStanding)
     return render_template(
         "experiments/question.html",
         status=status,
         found=found,
-        decides=isinstance(found, Decision),
-        facts=presenter.facts(found),
-        rows=rows,
+        decides=not searches,
+        facts=questions.facts(found),
+        rows=questions.search_rows(found, metric) if searches else questions.candidate_rows(found, metric),
+        heads=questions.heads(found) if searches else [],
+        growth=questions.growth_rows(found) if searches else [],
+        plots=questions.front_plots(found) if searches else [],
         unit=display_unit(metric).unit or "1",
         metric=metric,
     )
