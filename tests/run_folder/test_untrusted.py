@@ -16,7 +16,7 @@ from slamhive.run_folder.folder import RunFolder
 from slamhive.run_folder.outcome import inspect_trajectory
 from slamhive.run_folder.untrusted import measured_number, read_numeric_columns, read_untrusted_json
 from slamhive.services.runs.series import read_track
-from slamhive.services.worker.evidence import read_about
+from slamhive.services.worker.collecting import read_about
 
 pytestmark = pytest.mark.quick
 

@@ -21,7 +21,7 @@ from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound, Sl
 from slamhive.base.files import TEMPORARY
 from slamhive.domain.challenge import Failure
 from slamhive.services.challenges import Entrant, opened_files, sweep_challenges
-from slamhive.services.challenges.folder import ChallengeFolder
+from slamhive.services.challenges.definition import ChallengeFolder
 from slamhive.services.evaluations import Evaluations
 from tests.services import challenge_world as made
 from tests.services.challenge_world import (

@@ -17,8 +17,8 @@ from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Running
 from slamhive.run_folder.outcome import UNSEEN
 from slamhive.services.configurations import unwatchable
+from slamhive.services.worker.collecting import STOP_RULE, STOPPED_BECAUSE
 from slamhive.services.worker.driver import RunDriver
-from slamhive.services.worker.evidence import STOP_RULE, STOPPED_BECAUSE
 from slamhive.services.worker.run_in_hand import DriverContext
 from slamhive.store import Lease, RunRecord
 from tests.services.fake_executor import FakeExecutor, write_trajectory

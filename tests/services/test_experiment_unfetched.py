@@ -10,7 +10,7 @@ from slamhive.base.errors import NotFound
 from slamhive.base.project import project_root
 from slamhive.domain.matching import match_of
 from slamhive.services.experiments import ExperimentSource
-from slamhive.services.experiments.unfetched import assumed_dataset, to_fetch, unfetched
+from slamhive.services.experiments.views import assumed_dataset, to_fetch, unfetched
 from slamhive.services.fetching import Collections
 from slamhive.services.hive import Hive, open_hive
 

@@ -14,7 +14,7 @@ from slamhive.executors.status import Exited, RunHandle, Running
 from slamhive.run_folder.folder import RunFolder
 from slamhive.run_folder.untrusted import DiskLimits
 from slamhive.services.runs.specification import disk_limit_bytes
-from slamhive.services.worker.evidence import disk_limits, gather_evidence
+from slamhive.services.worker.collecting import disk_limits, gather_evidence
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 from tests.services.test_worker import finish, hive, submit
 from tests.waiting import PATIENCE_S

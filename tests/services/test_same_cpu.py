@@ -46,7 +46,7 @@ def at(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     def change(host: Host) -> None:
         monkeypatch.setattr(turns, "describe_host", lambda: host)
-        monkeypatch.setattr("slamhive.services.worker.preparing.describe_host", lambda: host)
+        monkeypatch.setattr("slamhive.services.worker.driver.describe_host", lambda: host)
 
     return change
 

@@ -22,7 +22,7 @@ from slamhive.recordings.variants.rules import RegisteredSteps
 from slamhive.services.configurations import ConfigurationChange
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
-from slamhive.services.ledger.lines import configurations_of, record_line
+from slamhive.services.ledger.book import configurations_of, record_line
 from slamhive.web.experiment_fields import fields_from_yaml, yaml_from_fields
 from slamhive.web.security import API_HEADER
 from tests.services.tiny_project import environment

@@ -17,5 +17,4 @@ from slamhive.services.analysis.bundle import (
     write_folder,
     zipped,
 )
-from slamhive.services.analysis.run import AnalysisLimits, OfferedColumns, file_name, previews_of
-from slamhive.services.analysis.service import AnalysisService
+from slamhive.services.analysis.run import AnalysisLimits, AnalysisService, OfferedColumns, file_name, previews_of

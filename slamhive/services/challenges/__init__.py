@@ -8,7 +8,7 @@ from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from slamhive.services.challenges.checking import opened_files
-    from slamhive.services.challenges.folder import sweep_challenges
+    from slamhive.services.challenges.definition import sweep_challenges
     from slamhive.services.challenges.image_runs import ImageWork
     from slamhive.services.challenges.images import Installation
     from slamhive.services.challenges.judging import ChallengeJudge

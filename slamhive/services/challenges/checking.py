@@ -20,8 +20,7 @@ from slamhive.domain.names import plural
 from slamhive.downloads.unpack import UnpackLimits, unpack
 from slamhive.packages.collection_file import kind_of
 from slamhive.run_folder.folder import RunFolder
-from slamhive.services.challenges.definition import Definition
-from slamhive.services.challenges.folder import ChallengeFolder, SubmissionFolder
+from slamhive.services.challenges.definition import ChallengeFolder, Definition, SubmissionFolder
 from slamhive.trajectory.completeness import measure_completeness
 from slamhive.trajectory.kitti import parse_kitti_matrices
 from slamhive.trajectory.layout import format_tum, parse_tum

@@ -22,7 +22,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.challenge import Failure, RunFailure
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.run_folder.outcome import read_tail
-from slamhive.services.challenges.folder import (
+from slamhive.services.challenges.definition import (
     ENDED_RUNS,
     LOGS,
     RESULT,

@@ -29,7 +29,7 @@ from slamhive.packages.dataset_file import load_dataset
 from slamhive.packages.folders import version_folder
 from slamhive.recordings.staging import seal
 from slamhive.services.algorithms import AlgorithmImports, ImageArchive, PackageImportRequest
-from slamhive.services.challenges.folder import SubmissionFolder
+from slamhive.services.challenges.definition import SubmissionFolder
 from slamhive.services.executors import Executors
 from slamhive.services.runs import RunService, check_executor
 from slamhive.services.versions import Versions, is_export, opened_version

@@ -19,10 +19,11 @@ from slamhive.domain.challenge import Failure, RunFailure, rounded
 from slamhive.evaluation.evaluators.base import KITTI_ESTIMATE, KITTI_REFERENCE
 from slamhive.evaluation.job import Artefacts, EvaluationResult, EvaluationTask
 from slamhive.services.challenges.checking import Estimate, Estimates, estimates_of
-from slamhive.services.challenges.definition import WEIGHT, Definition
-from slamhive.services.challenges.folder import (
+from slamhive.services.challenges.definition import (
     RESULT,
+    WEIGHT,
     ChallengeFolder,
+    Definition,
     SubmissionFolder,
     challenge_names,
 )

@@ -32,8 +32,7 @@ from slamhive.domain.challenge import Format, PhaseState, Reveal, Taken, phase_s
 from slamhive.packages.algorithm_file import load_algorithms
 from slamhive.packages.folders import version_folder
 from slamhive.services.challenges.checking import check_files, frame_trajectory
-from slamhive.services.challenges.definition import Definition, load_definition
-from slamhive.services.challenges.folder import (
+from slamhive.services.challenges.definition import (
     CANCELLED,
     CHANGES,
     DEFINITION,
@@ -42,9 +41,11 @@ from slamhive.services.challenges.folder import (
     SUBMISSIONS,
     TIMES,
     ChallengeFolder,
+    Definition,
     SubmissionFolder,
     challenge_folder,
     challenge_names,
+    load_definition,
 )
 from slamhive.services.challenges.images import check_image, choose_algorithm, keep_recording
 from slamhive.services.challenges.submitting import Entrant, check_taken, enter, enter_image, open_phase

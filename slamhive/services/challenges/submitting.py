@@ -22,8 +22,7 @@ from slamhive.documents.challenge import PhaseEntry, StoredImage, StoredSubmissi
 from slamhive.domain.challenge import Format, PhaseState, Taken, phase_state
 from slamhive.domain.names import check_name, plural
 from slamhive.services.challenges.checking import CheckedFile, check_files, frame_trajectory, in_memory
-from slamhive.services.challenges.definition import Definition
-from slamhive.services.challenges.folder import IMAGE, SENT, ChallengeFolder, SubmissionFolder
+from slamhive.services.challenges.definition import IMAGE, SENT, ChallengeFolder, Definition, SubmissionFolder
 from slamhive.services.challenges.images import check_image
 from slamhive.trajectory.kitti import parse_kitti_matrices
 

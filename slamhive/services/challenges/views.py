@@ -24,8 +24,7 @@ from slamhive.documents.challenge import (
 from slamhive.domain.challenge import Counted, Failure, PhaseState, Reveal, Rule, SubmissionState, phase_state, rounded
 from slamhive.domain.names import plural
 from slamhive.domain.packages import version_label
-from slamhive.services.challenges.definition import Definition
-from slamhive.services.challenges.folder import SubmissionFolder
+from slamhive.services.challenges.definition import Definition, SubmissionFolder
 
 
 def scores_shown(phase: PhaseEntry, now: datetime) -> bool:

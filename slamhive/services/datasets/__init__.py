@@ -18,19 +18,17 @@ if TYPE_CHECKING:
         stored_numbers,
         trajectory_frame,
     )
-    from slamhive.services.datasets.trials import (
-        TRIAL_FILE,
-        TruthTrials,
-        constant_in_words,
-        draw_trial,
-        stretch_in_words,
-    )
     from slamhive.services.datasets.variants import (
         IDENTITY,
         REPORT_FILE,
+        TRIAL_FILE,
         DatasetChecks,
+        TruthTrials,
         UsedVariant,
         VariantService,
+        constant_in_words,
+        draw_trial,
+        stretch_in_words,
         variant_key,
     )
     from slamhive.services.datasets.views import (

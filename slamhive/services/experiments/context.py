@@ -73,7 +73,7 @@ class ExperimentContext:
         from slamhive.experiments.expansion import expand  # noqa: PLC0415
         from slamhive.recordings.variants.rules import RegisteredSteps  # noqa: PLC0415
         from slamhive.services.configurations import find_map  # noqa: PLC0415
-        from slamhive.services.experiments.unfetched import to_fetch, unfetched  # noqa: PLC0415
+        from slamhive.services.experiments.views import to_fetch, unfetched  # noqa: PLC0415
 
         broken = {entry.name for entry in self.catalogue.broken()}
         for axis, look_up in (

@@ -25,14 +25,18 @@ from slamhive.recordings.variants.cache import VariantEntry
 from slamhive.services.configurations import unwatchable
 from slamhive.services.evaluations import protocol_for
 from slamhive.services.experiments.context import Costs, ExperimentContext, Progress, guessed_duration_s
-from slamhive.services.experiments.unfetched import ASSUMED_DURATION_S, ToFetch, assumed_dataset, to_fetch, unfetched
 from slamhive.services.experiments.views import (
+    ASSUMED_DURATION_S,
     ConfigurationStanding,
     ExperimentPreview,
     NodesPlan,
     PlannedMixture,
     PreviewRow,
+    ToFetch,
     VariantNeed,
+    assumed_dataset,
+    to_fetch,
+    unfetched,
 )
 from slamhive.services.runs import check_disk, check_executor, check_recorded, recorded_topics
 from slamhive.services.versions import check_version

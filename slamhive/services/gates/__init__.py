@@ -15,15 +15,18 @@ if TYPE_CHECKING:
         measured_runs,
         pairing_key,
     )
-    from slamhive.services.gates.checking import Repeats, compared, good_values, repeat_until_decided
-    from slamhive.services.gates.reporting import (
+    from slamhive.services.gates.checking import (
         METRIC_HEADS,
         VALUE_HEADS,
+        Repeats,
         answer_junit,
         answer_markdown,
         change_words,
+        compared,
+        good_values,
         metric_row,
         p_words,
+        repeat_until_decided,
         value_rows,
     )
     from slamhive.services.gates.service import Gates

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.ledger.book import LedgerFiles
+    from slamhive.services.ledger.book import LedgerFiles, shared_line
     from slamhive.services.ledger.keeping import Ledger
-    from slamhive.services.ledger.lines import shared_line
     from slamhive.services.ledger.restoring import LedgerRestore
 
 

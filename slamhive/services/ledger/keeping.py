@@ -14,9 +14,11 @@ from slamhive.documents.archive import DatasetLine, LedgerAlgorithmLine, SearchL
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.run import RunState
 from slamhive.run_folder.folder import RunFolder
-from slamhive.services.ledger.book import Book, LedgerFiles, Line
-from slamhive.services.ledger.lines import (
+from slamhive.services.ledger.book import (
     NOT_A_LINE,
+    Book,
+    LedgerFiles,
+    Line,
     asked_line,
     cancelled_line,
     cell_line,

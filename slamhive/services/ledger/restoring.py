@@ -19,12 +19,14 @@ from slamhive.domain.run import RunEvent, RunState
 from slamhive.run_folder.folder import RunFolder
 from slamhive.services.archive import dataset_from_line, search_from_line
 from slamhive.services.datasets import Catalogue
-from slamhive.services.ledger.book import Book, LedgerFiles, Line
-from slamhive.services.ledger.lines import (
+from slamhive.services.ledger.book import (
     NOT_A_LINE,
+    Book,
     LedgerConfiguration,
     LedgerEvaluations,
+    LedgerFiles,
     LedgerRun,
+    Line,
     cells_of,
     configurations_of,
     last_shared,

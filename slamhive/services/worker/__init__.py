@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.worker.beside import WORKED_ON, WorkerProcess, WorkingMeanwhile
     from slamhive.services.worker.holding import WorkerLock
-    from slamhive.services.worker.worker import Chores, Worker
+    from slamhive.services.worker.worker import WORKED_ON, Chores, Worker, WorkerProcess, WorkingMeanwhile
 
 
 if not TYPE_CHECKING:

@@ -25,7 +25,7 @@ from slamhive.services.datasets import VariantService
 from slamhive.services.evaluations import sweep_scratch
 from slamhive.services.imports import sweep_imports
 from slamhive.services.runs import handle_from_json
-from slamhive.services.worker.evidence import sweep_scratch as sweep_run_scratch
+from slamhive.services.worker.collecting import sweep_scratch as sweep_run_scratch
 from slamhive.store import Store
 from slamhive.store.records import RunRecord
 
