@@ -199,6 +199,8 @@ class PackageImportRequest:
         executor: The executor that gets the image; None for the one in force.
         builds: Whether an image may be built, or completed by a build. A build executes the steps of others, with the
             network.
+        place: What the package remembers as its source; None for the source itself. What was sent to a server has
+            no place that would mean anything to somebody.
     """
 
     name: str | None = None
@@ -207,6 +209,7 @@ class PackageImportRequest:
     replace: bool = False
     executor: str | None = None
     builds: bool = True
+    place: str | None = None
 
 
 class Way(StrEnum):
@@ -248,7 +251,7 @@ class PlannedPackage:
     def origin(self) -> PackageOrigin:
         """Where the package comes from, as far as it is known."""
         place = self.source.text if self.source.path is None or self.source.commit else str(self.source.path)
-        return PackageOrigin(place, self.source.commit)
+        return PackageOrigin(self.request.place or place, self.source.commit)
 
     @property
     def text(self) -> str | None:

@@ -446,7 +446,7 @@ class UploadImports:
                 with opened_version(source) as packed:
                     return {"name": packed.package.name, "kind": "exported version", "version": packed.package.version}
             progress(_UNPACKED, "looking at the package")
-            with self.algorithms.planned(str(source), _package_request(request)) as planned:
+            with self.algorithms.planned(str(source), _package_request(request, source)) as planned:
                 return planned.content
 
     def carry_out(self, request: ImportAsked, owner: str, progress: Progress, share: BudgetShare) -> ImportedDocument:
@@ -484,7 +484,7 @@ class UploadImports:
                 return self._finish(
                     request, owner, ImportedDocument(algorithms=(version.package.name,), notes=(record.label,))
                 )
-            with self.algorithms.planned(str(source), _package_request(request)) as planned:
+            with self.algorithms.planned(str(source), _package_request(request, source)) as planned:
                 made = self.algorithms.perform(planned, show)
         names = tuple(entry.name for entry in made.algorithms)
         return self._finish(request, owner, ImportedDocument(algorithms=names, notes=made.notes))
@@ -592,9 +592,16 @@ def _planned(catalogue: Catalogue, request: RecordingFacts, recording: Recording
     return catalogue.plan_import(recording.source, options, format_name=request.format, name=request.name)
 
 
-def _package_request(request: AlgorithmAsked) -> AlgorithmRequest:
-    image = request.image if isinstance(request, AlgorithmOnServer) else None
-    return AlgorithmRequest(request.name, request.setup, image, request.replace, request.executor)
+def _package_request(request: AlgorithmAsked, source: Path) -> AlgorithmRequest:
+    here = isinstance(request, AlgorithmOnServer)
+    return AlgorithmRequest(
+        name=request.name,
+        setup=request.setup,
+        image=request.image if here else None,
+        replace=request.replace,
+        executor=request.executor,
+        place=None if here else f"an upload of {source.name}",
+    )
 
 
 def import_runs(

@@ -41,6 +41,7 @@ from slamhive.services.hive import Hive
 from tests.foreign import folders
 from tests.fuzzing import mutated
 from tests.services.docker_base import project_base, run_docker
+from tests.waiting import eventually
 
 DOCKER = PackageImportRequest(executor="docker")
 TOOLS = {
@@ -288,6 +289,27 @@ def built_folder(root: Path, base: str) -> Path:
         (path / "tools" / name).write_text(f"#!/bin/sh\n{script}")
         (path / "tools" / name).chmod(0o755)
     return path
+
+
+@pytest.mark.docker
+def test_a_build_that_is_cancelled_ends_in_the_engine_and_leaves_nothing(engine_hive: Hive, base_image: str, tmp_path):
+    path = built_folder(tmp_path / "published", base_image)
+    mark = f"tick-{tmp_path.name}"
+    with (path / "Dockerfile").open("a") as file:
+        file.write(f"RUN for number in $(seq 1 300); do echo {mark}; sleep 1; done\n")
+
+    def running() -> bool:
+        return mark in run_docker("ps", "--no-trunc", "--format", "{{.Command}}").stdout
+
+    def cancel(line: str) -> None:
+        if line.endswith(mark) and "RUN" not in line:
+            assert running()
+            raise SlamHiveError("cancelled")
+
+    with engine_hive.algorithms.planned(str(path), DOCKER) as planned, pytest.raises(SlamHiveError, match="cancelled"):
+        engine_hive.algorithms.perform(planned, cancel)
+    eventually(lambda: not running(), "the end of the build")
+    assert not (engine_hive.settings.algorithms_folder / path.name).exists()
 
 
 @pytest.mark.docker

@@ -8,25 +8,30 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import create_autospec
 
 import pytest
 from werkzeug.datastructures import MultiDict
 from werkzeug.test import TestResponse
 
 from slamhive.base.errors import InvalidInput
+from slamhive.base.settings import Mode
 from slamhive.documents.imports import AlgorithmOnServer, DatasetOnServer
 from slamhive.domain.accounts import Role
 from slamhive.domain.algorithm import AlgorithmPackage
-from slamhive.executors.base import ImageMissing
+from slamhive.executors.base import ImageMissing, ImageTools
+from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.process.executor import ProcessExecutor
 from slamhive.services.executors import Executors
 from slamhive.web.context import IMPORTS_EXTENSION
 from slamhive.web.views.imports import import_fields, read_import, typed, without_flags
+from tests.foreign import folders
 from tests.recordings.format_world import make_euroc
 from tests.waiting import eventually
+from tests.web import web_world as world
 from tests.web.account_world import AccountWeb, account_web, token_of
 from tests.web.test_web_uploads import create, send, tar_of, upload
-from tests.web.web_world import Web
+from tests.web.web_world import Web, make_web
 
 DATASETS_HERE, ALGORITHMS_HERE = "/import/server/datasets", "/import/server/algorithms/here"
 
@@ -277,6 +282,22 @@ def test_an_archive_that_leads_out_of_its_folder_is_refused(web: Web, package: P
     )
 
 
+@pytest.mark.integration
+def test_a_published_folder_remembers_the_file_that_was_sent(
+    web: Web, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither its ``algorithm.yaml`` nor its page names the folder in which it was unpacked."""
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: "docker")
+    monkeypatch.setattr(DockerExecutor, "image_tools", lambda _executor: create_autospec(ImageTools))
+    path = folders.loam(tmp_path)
+    (path / "Dockerfile").write_text("FROM scratch\nCOPY slamhive /slamhive\n")
+    page = page_of(web, post(web, "/import/server/algorithms", upload=upload(web, tar_of(path), "mine.tar")))
+    assert "a folder of the published SLAM Hive" in words(page)
+    assert "algorithm.yaml , as drafted from its files" in words(page)
+    assert "source: &#34;an upload of loam&#34;" in page
+    assert ".slamhive-" not in page
+
+
 # -- who may -----------------------------------------------------------------------------------------------------------
 
 
@@ -306,6 +327,16 @@ def test_only_admins_import_from_the_server_and_nobody_sees_the_imports_of_other
     assert member.get(address).status_code == 403
     assert member.get(address.replace("/server", "")).status_code == 404
     assert any(f"path {source}" in line.subject for line in accounts.web.hive.accounts.audit(50, None, None))
+
+
+@pytest.mark.quick
+def test_a_view_only_server_imports_nothing(filled: Path, compiled: Path, tmp_path: Path) -> None:
+    shutil.copytree(filled, tmp_path, symlinks=True, dirs_exist_ok=True)
+    web = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+    assert web.client.get("/import").status_code == 403
+    for address in (DATASETS_HERE, ALGORITHMS_HERE, "/import/datasets", "/import/server/algorithms"):
+        assert web.client.post(address, data={"path": "/"}).status_code in (400, 403)
+    web.hive.close()
 
 
 @pytest.mark.quick
