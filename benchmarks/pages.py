@@ -3,7 +3,8 @@
     python benchmarks/pages.py FOLDER [--repeats 3] [--address /runs/3 ...]
 
 Serves the data root FOLDER, such as that of ``slamhive demo``, in view-only mode in a process of its own. Opens the
-start page, the lists, the newest evaluated run, a comparison and an experiment in Chromium, without its cache.
+start page, the lists, the newest evaluated run, a comparison, an experiment, a dataset and the editor of reports in
+Chromium, without its cache.
 
 - bytes and requests of the first view: until the page is loaded, its plots are drawn and nothing was asked for half a
   second, compressed as they are sent. What needs a click, such as a 3D view, is not part of it.
@@ -12,7 +13,7 @@ start page, the lists, the newest evaluated run, a comparison and an experiment 
   silence; that wait is left out.
 - busy: the CPU time of the main thread, which hardly depends on what else the machine does.
 
-Asked of a run, an experiment and a comparison: at most 350 kB, and interactive within 1 s on 2 cores.
+Asked of each page: at most 350 kB, and interactive within 1 s on 2 cores.
 """
 
 from __future__ import annotations
@@ -111,10 +112,12 @@ def usual_addresses(data: Path) -> list[str]:
     with contextlib.closing(open_hive({"data": data, "mode": "view-only"})) as hive:
         runs = [run for run in hive.runs.page().records if run.protocol is not None]
         names = [status.name for status in hive.experiments.list()]
+        datasets = [dataset.name for dataset in hive.catalogue.datasets()]
     found = ["/", "/runs", "/experiments"]
     found += [f"/runs/{runs[0].id}"] if runs else []
     found += [f"/compare?runs={','.join(str(run.id) for run in runs[:4])}"] if len(runs) > 1 else []
-    return [*found, *(f"/experiments/{name}" for name in names[:1])]
+    found += [f"/experiments/{name}" for name in names[:1]]
+    return [*found, *(f"/datasets/{name}" for name in datasets[:1]), "/analyses/new"]
 
 
 def main() -> None:

@@ -1,7 +1,9 @@
-// Shows the frames and sweeps of a dataset at the time of the slider, without loading the page again.
+// Shows the frames and sweeps of a dataset at the time of the slider, without loading the page again. They are loaded when
+// they come into view, or when the page is printed.
 "use strict";
 (() => {
   const WAIT_MS = 120;
+  const NEAR = "200px";
   const { loadSweep, watchImage } = slamhiveRecording;
   const part = document.querySelector("[data-recording]");
   if (!part) return;
@@ -24,7 +26,19 @@
     timer = setTimeout(load, WAIT_MS);
   }
 
-  part.querySelectorAll("img").forEach(watchImage);
+  /** Loads the pictures of the recording, once. */
+  function begin() {
+    near.disconnect();
+    for (const image of part.querySelectorAll("img[data-src]:not([src])")) {
+      watchImage(image);
+      image.src = image.dataset.src;
+    }
+    loadSweeps();
+  }
+
+  const near = new IntersectionObserver((entries) => { if (entries.some((entry) => entry.isIntersecting)) begin(); }, { rootMargin: NEAR });
+  near.observe(part);
+  window.addEventListener("beforeprint", begin);
   slider.addEventListener("input", show);
   part.addEventListener("click", (event) => {
     const link = event.target.closest("a[data-time]");
@@ -33,5 +47,4 @@
     slider.value = link.dataset.time;
     show();
   });
-  loadSweeps();
 })();

@@ -78,10 +78,9 @@
     const folded = fold(traces);
     if (!folded) return [];
     const [red, green, blue] = [1, 3, 5].map((place) => parseInt(colour.slice(place, place + 2), 16));
-    const edge = { type: "scatter", mode: "lines", x: folded.times, line: { width: 0, color: colour }, legendgroup: column.name, showlegend: false, hoverinfo: "skip" };
+    const around = (forth, back) => [...forth, ...[...back].reverse()];
     return [
-      { ...edge, y: folded.low, name: `${column.name}: smallest` },
-      { ...edge, y: folded.high, name: `${column.name}: largest`, fill: "tonexty", fillcolor: `rgba(${red},${green},${blue},0.2)` },
+      { type: "scatter", mode: "lines", x: around(folded.times, folded.times), y: around(folded.high, folded.low), line: { width: 0, color: colour }, fill: "toself", fillcolor: `rgba(${red},${green},${blue},0.2)`, legendgroup: column.name, name: `${column.name}: smallest to largest`, showlegend: false, hoverinfo: "skip" },
       { type: "scatter", mode: "lines", x: folded.times, y: folded.mean, line: { width: 1.5, color: colour }, legendgroup: column.name, name: `${column.name}, mean of ${traces.length}`, showlegend: true },
     ];
   }

@@ -1,4 +1,5 @@
 // Draws the plots of a static site from the scripts of its runs. A path is stored once, in 3D, and its planes are made here.
+// Plotly is loaded for a path in 3D only.
 "use strict";
 (() => {
   const MARGIN = { l: 64, r: 16, t: 36, b: 52 };
@@ -38,10 +39,18 @@
       line.textContent = content.reasons[place.dataset.plot] || "No data for this plot.";
       place.replaceWith(line);
       if (place.dataset.plot === "path") document.querySelector("[data-views]").hidden = true;
-      return;
+      return undefined;
     }
     const figure = place.dataset.plot === "path" && view !== "3d" ? inPlane(stored, view) : stored;
-    slamhiveShow(place, figure, MARGIN, { toImageButtonOptions: { format: "svg" } });
+    const flat = [slamhivePlanes, slamhiveCurves].find((kind) => kind.draws(figure));
+    if (place.classList.contains("js-plotly-plot") && flat) {
+      Plotly.purge(place);
+      place.classList.remove("js-plotly-plot");
+    }
+    if (flat) return flat.draw(place, figure);
+    slamhivePlanes.clear(place);
+    place.replaceChildren();
+    return slamhiveShow(place, figure, MARGIN, { toImageButtonOptions: { format: "svg" } });
   }
 
   function drawAll() {
@@ -55,7 +64,7 @@
       drawAll();
     });
   }
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (content) drawAll(); });
+  slamhivePlots.preferred.addEventListener("change", () => { if (content) drawAll(); });
 
   /** Draws {figures, reasons, plane} into the places of the page. */
   window.slamhiveDraw = (shown) => {

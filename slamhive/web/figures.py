@@ -1,7 +1,7 @@
 """The interactive plots of runs and datasets, as the JSON that Plotly reads.
 
-Pages draw curves and planes of it with ``curves.js`` and ``planes.js``, and only static sites with Plotly. Scripts fill
-in light or dark colours. Traces may carry what only our scripts read: ``times_s``, ``errors_m`` and ``run``.
+Pages draw curves and planes of it with ``curves.js`` and ``planes.js``; Plotly draws paths in space on static sites.
+Scripts fill in light or dark colours. Traces may carry what only our scripts read: ``times_s``, ``errors_m``, ``run``.
 """
 
 from __future__ import annotations

@@ -65,6 +65,7 @@ _TEMPLATES = (
     "published/run.html",
     "published/base.html",
     "published/_view3d.html",
+    "published/_drawing.html",
     "published/_views.html",
     "viewer.html",
 )
@@ -73,7 +74,8 @@ LOG_BYTES = 16_000
 """Of the end of the log of each run."""
 _ASSETS = (
     *("tokens.css", "report.css", "print.css", "plots.js", "report.js", "site.css", "site-list.js", "site-plots.js"),
-    *("site-groups.js", "site-compare.js"),
+    *("site-groups.js", "site-compare.js", "curves.js", "planes.js", "figures.css"),
+    *("vendor/uplot/uPlot.iife.min.js", "vendor/uplot/uPlot.min.css"),
     *("viewer.css", "viewer.js", "site-load.js", "site-viewer.js"),
 )
 MODULES = "viewer-modules.js"
@@ -156,7 +158,7 @@ class StaticSite:
             (folder / part).mkdir(parents=True)
         shutil.copyfile(PLOTLY_FILE, folder / "assets" / "plotly.min.js")
         for name in _ASSETS:
-            shutil.copyfile(self._root / "static" / name, folder / "assets" / name)
+            shutil.copyfile(self._root / "static" / name, folder / "assets" / Path(name).name)
         (folder / "assets" / MODULES).write_text(module_script(self._root / "static"), encoding="utf-8")
         site = {
             "title": self._request.title,

@@ -96,7 +96,18 @@ def test_a_chip_hides_its_run_and_the_sentence_leads_to_its_moment(chromium: Bro
         assert page.locator("[data-figure=error] .plot-values .value").count() == 1
 
 
-@pytest.mark.parametrize("address", ["/runs/1", "/compare?runs=1,6"])
+def test_pictures_of_a_recording_come_on_sight(chromium: Browser, server: str) -> None:
+    with opened(chromium, server, "phone") as (page, _faults):
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        visit(page, "/datasets/room")
+        page.wait_for_timeout(500)
+        assert [url for url in asked if "/frames/" in url] == []
+        page.locator("#recording").scroll_into_view_if_needed()
+        page.locator("[data-recording] img[src*='overview=11']").first.wait_for(state="attached")
+
+
+@pytest.mark.parametrize("address", ["/runs/1", "/compare?runs=1,6", "/datasets/room"])
 @pytest.mark.parametrize("look", ["light", "phone"])
 def test_the_first_view_is_light_until_a_3d_view_is_opened(
     chromium: Browser, server: str, address: str, look: str

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 pytestmark = BROWSER
 
 MAP_POINTS = 20_000
+FIGURE = "document.querySelector('[data-plot={}] + details').figure"
+"""What a plot draws, which the table below it reads."""
 REPEATED_ATE_M = {20: 0.021, 21: 0.019, 22: 0.02, 23: 0.041}
 """Repeats of runs 6 (the first three) and 7."""
 ANALYSIS = """\
@@ -123,18 +125,21 @@ def test_runs_are_found_ordered_and_compared(chromium: Browser, place: str) -> N
         page.get_by_label("Search").fill("no_trajectory")
         assert rows(page) == ["3"]
         compare.click()
-        page.wait_for_selector("[data-plot=memory].js-plotly-plot", timeout=60_000)
+        page.wait_for_selector("[data-plot=memory][data-drawn]", timeout=60_000)
         assert page.url.endswith("compare.html?runs=6,7")
         best = page.locator("tr", has_text="ATE RMSE").locator("td").all_inner_texts()
-        assert best == ["★ 0.02000", "0.04000"]
+        assert best == ["★ 0.0200", "0.0400"]
         settings = page.locator("[data-settings] table").first
         assert "nFeatures" in settings.inner_text()
-        path = "document.querySelector('[data-plot=path]').data"
+        path = FIGURE.format("path") + ".data"
         names = page.evaluate(f"{path}.map((trace) => [trace.type, trace.name])")
         assert {("scatter", "Run 6"), ("scatter", "Run 7"), ("scatter", "ground truth")} <= set(map(tuple, names))
         page.get_by_role("button", name="3D", exact=True).click()
-        page.wait_for_function(f"{path}[0].type === 'scatter3d'")
-        time = "document.querySelector('[data-plot=cpu]').layout"
+        page.wait_for_selector("[data-plot=path].js-plotly-plot", timeout=60_000)
+        assert page.evaluate(f"{path}[0].type") == "scatter3d"
+        page.get_by_role("button", name="xz", exact=True).click()
+        page.wait_for_selector("[data-plot=path][data-drawn=plane]")
+        time = FIGURE.format("cpu") + ".layout"
         assert page.evaluate(f"{time}.xaxis.title.text") == "time since the start of the run [s]"
         assert page.evaluate(f"{time}.shapes ?? []") == []
 
@@ -143,18 +148,19 @@ def test_repeats_are_one_column_with_mean_and_band(chromium: Browser, site: Path
     with faultless(chromium, site.as_uri()) as page:
         page.goto(f"{site.as_uri()}/compare.html?runs=6,7,20,21,22,23")
         page.get_by_role("link", name="Group by configuration").click()
-        page.wait_for_selector("[data-plot=memory].js-plotly-plot", timeout=60_000)
+        page.wait_for_selector("[data-plot=memory][data-drawn]", timeout=60_000)
         assert page.url.endswith("compare.html?runs=6,7,20,21,22,23&group=configuration")
         assert page.locator("h1").inner_text() == "Comparison of 2 configurations"
         heads = page.locator("[data-metrics] table").first.locator("thead th").all_inner_texts()
         assert "runs 6, 20, 21, 22" in heads[1]
         values = page.locator("tr", has_text="ATE RMSE").locator("td").all_inner_texts()
-        assert values == ["★ 0.02000\n0.01870 to 0.02130", "0.04050\n0.03415 to 0.04685"]
-        traces = page.evaluate("document.querySelector('[data-plot=error]').data.map((trace) => trace.name)")
-        assert [name.partition(" ")[0] for name in traces] == ["Configuration"] * 6
-        assert "mean of 4" in traces[2]
-        band = "document.querySelector('[data-plot=error]').data.slice(0, 3).map((trace) => trace.y)"
-        low, high, mean = map(np.array, page.evaluate(band))
+        assert values == ["★ 0.0200\n0.0187 to 0.0213", "0.0405\n0.0341 to 0.0469"]
+        data = FIGURE.format("error") + ".data"
+        traces = page.evaluate(f"{data}.map((trace) => trace.name)")
+        assert [name.partition(" ")[0] for name in traces] == ["Configuration"] * 4
+        assert "mean of 4" in traces[1]
+        around, mean = map(np.array, page.evaluate(f"{data}.slice(0, 2).map((trace) => trace.y)"))
+        high, low = around[: len(mean)], around[len(mean) :][::-1]
         np.testing.assert_allclose(high, 2 * low, rtol=1e-6)
         np.testing.assert_allclose(mean, 1.25 * low, rtol=1e-6)
         seeds = page.locator("[data-settings] details tr", has_text="nFeatures")
@@ -166,8 +172,8 @@ def test_repeats_are_one_column_with_mean_and_band(chromium: Browser, site: Path
 def test_runs_are_compared_over_the_time_of_the_recording(chromium: Browser, site: Path) -> None:
     with faultless(chromium, site.as_uri()) as page:
         page.goto(f"{site.as_uri()}/compare.html?runs=1,6")
-        page.wait_for_selector("[data-plot=memory].js-plotly-plot", timeout=60_000)
-        plot = "document.querySelector('[data-plot=cpu]')"
+        page.wait_for_selector("[data-plot=memory][data-drawn]", timeout=60_000)
+        plot = FIGURE.format("cpu")
         assert page.evaluate(f"{plot}.layout.xaxis.title.text") == "recording time [s]"
         assert page.evaluate(f"{plot}.layout.xaxis.range.map(Math.round)") == [-1, 40]
         page.locator("figure:has([data-plot=cpu]) figcaption").get_by_text("Without data: run 6.").wait_for()
@@ -177,13 +183,14 @@ def test_a_run_is_drawn_in_every_view(chromium: Browser, site: Path) -> None:
     place = site.as_uri()
     with faultless(chromium, place) as page:
         page.goto(f"{place}/runs/1.html")
-        page.wait_for_selector("[data-plot=memory].js-plotly-plot", timeout=60_000)
-        drawn = page.evaluate("[...document.querySelectorAll('.js-plotly-plot')].map((plot) => plot.dataset.plot)")
+        page.wait_for_selector("[data-plot=memory][data-drawn]", timeout=60_000)
+        drawn = page.evaluate("[...document.querySelectorAll('[data-drawn]')].map((plot) => plot.dataset.plot)")
         assert drawn == ["path", "error", "latency", "cpu", "memory"]
         page.get_by_role("button", name="xz").press("Enter")
-        titles = "['xaxis', 'yaxis'].map((name) => document.querySelector('[data-plot=path]').layout[name].title.text)"
+        assert not page.evaluate("'Plotly' in window"), "it is loaded for a path in 3D only"
+        titles = f"['xaxis', 'yaxis'].map((name) => {FIGURE.format('path')}.layout[name].title.text)"
         assert page.evaluate(titles) == ["x [m]", "z [m]"]
-        page.locator("[data-plot=cpu] + details summary").press("Enter")
+        page.locator("[data-plot=cpu]").get_by_role("button", name="Table").press("Enter")
         page.locator("[data-plot=cpu] + details tbody tr").wait_for()
 
 
@@ -250,7 +257,7 @@ def test_every_kind_of_page_is_drawn_without_faults(chromium: Browser, site: Pat
         for name in (*pages, "algorithms/eye-slam-stereo", "experiments/trial"):
             page.goto(f"{place}/{name}.html{'?runs=1,6,7' if name == 'compare' else ''}")
             if name not in {"index", "runs/3", "algorithms/eye-slam-stereo", "experiments/trial"}:
-                page.wait_for_selector(".js-plotly-plot", timeout=60_000)
+                page.wait_for_selector(".js-plotly-plot, [data-drawn]", timeout=60_000)
             found = [*faults.taken(), *wide_parts(page), *violations(page, look)]
             seen += [f"{name}: {fault}" for fault in found]
             faults.taken()
@@ -263,5 +270,5 @@ def test_the_list_and_runs_can_be_read_without_scripts(chromium: Browser, site: 
         page.get_by_role("link", name="6", exact=True).click()
         assert page.locator("h1").inner_text() == "Run 6: eye-slam-stereo on room"
         assert page.locator("noscript p").first.is_visible()
-        assert "0.02000" in page.locator("tr", has_text="ATE RMSE").inner_text()
+        assert "0.0200" in page.locator("tr", has_text="ATE RMSE").inner_text()
         assert faults.found == []
