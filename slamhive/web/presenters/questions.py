@@ -75,7 +75,7 @@ def facts(found: Decision | SearchStanding) -> list[tuple[str, str]]:
     named = " against ".join(
         [found.label, " and ".join(label for _, label in objectives[1:])][: 1 + bool(found.against)]
     )
-    rows = [
+    told = [
         ("To be best", f"{named} on {', '.join(found.datasets)}"),
         ("A run must keep", ", ".join(found.limits)),
         ("Near enough", f"{found.within:.3g} of the best, at {found.confidence:.1%} confidence"),
@@ -89,10 +89,15 @@ def facts(found: Decision | SearchStanding) -> list[tuple[str, str]]:
             for key, label in objectives
         ),
     ]
-    return [(term, text) for term, text in rows if text]
+    return [(term, text) for term, text in told if text]
 
 
-def candidate_rows(found: Decision, metric: Metric) -> list[CandidateRow]:
+def rows(found: Decision | SearchStanding, metric: Metric) -> list[CandidateRow] | list[SearchRow]:
+    """One row for each candidate, the best first."""
+    return _candidate_rows(found, metric) if isinstance(found, Decision) else _search_rows(found, metric)
+
+
+def _candidate_rows(found: Decision, metric: Metric) -> list[CandidateRow]:
     """One row for each candidate, the best first."""
     return [
         CandidateRow(
@@ -109,7 +114,7 @@ def candidate_rows(found: Decision, metric: Metric) -> list[CandidateRow]:
     ]
 
 
-def search_rows(found: SearchStanding, metric: Metric) -> list[SearchRow]:
+def _search_rows(found: SearchStanding, metric: Metric) -> list[SearchRow]:
     """One row for each candidate that may be best, the best first."""
     factor = display_unit(metric).factor
     return [
@@ -132,16 +137,16 @@ def heads(found: SearchStanding) -> list[str]:
 
 
 def growth_rows(found: SearchStanding) -> list[GrowthRow]:
-    """How the best grew, one row for each step."""
+    """One row for each step in which the best grew."""
     metric = described(found.metric)
-    rows = []
+    grown = []
     for step in found.growth:
         best = metric_cell(metric, min(values[found.metric] for values in step.front)).text
         best = f"{best} {_unit(found.metric)}"
         if found.against:
             best = f"{plural(len(step.front), 'combination')}, from {best}"
-        rows.append(GrowthRow(thousands(step.runs), best, f"{step.gap:.1%}"))
-    return rows
+        grown.append(GrowthRow(thousands(step.runs), best, f"{step.gap:.1%}"))
+    return grown
 
 
 def front_plots(found: SearchStanding) -> list[FrontPlot]:

@@ -281,17 +281,17 @@ def show_question(name: str) -> str:
     status = hive().experiments.status(name)
     found = hive().questions.standing(name)
     metric = described(found.metric)
-    searches = isinstance(found, SearchStanding)
+    search = found if isinstance(found, SearchStanding) else None
     return render_template(
         "experiments/question.html",
         status=status,
         found=found,
-        decides=not searches,
+        decides=search is None,
         facts=questions.facts(found),
-        rows=questions.search_rows(found, metric) if searches else questions.candidate_rows(found, metric),
-        heads=questions.heads(found) if searches else [],
-        growth=questions.growth_rows(found) if searches else [],
-        plots=questions.front_plots(found) if searches else [],
+        rows=questions.rows(found, metric),
+        heads=[] if search is None else questions.heads(search),
+        growth=[] if search is None else questions.growth_rows(search),
+        plots=[] if search is None else questions.front_plots(search),
         unit=display_unit(metric).unit or "1",
         metric=metric,
     )
