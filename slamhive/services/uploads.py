@@ -433,7 +433,11 @@ class UploadImports:
         for token in _tokens(request):
             self.uploads.folder(token, owner).check_complete()
         for place in _places(request):
-            _check_place(place)
+            if not Path(place).is_absolute():  # it would depend on where the server was started
+                raise InvalidInput(f"{place[:200]!r} is not an absolute path", "begin it with /")
+            if not os.access(place, os.R_OK):
+                why = "cannot be read by this server" if Path(place).exists() else "does not exist on this server"
+                raise InvalidInput(f"{place[:200]} {why}", "give the path of a file or folder there")
 
     def look(self, request: DatasetAsked | AlgorithmAsked, owner: str, progress: Progress, share: BudgetShare) -> Found:
         """Detect what an import would make, as plain JSON, and store nothing; raises what the import raises."""
@@ -678,16 +682,6 @@ def _places(request: ImportAsked) -> tuple[str, ...]:
     if isinstance(request, DatasetOnServer):
         return (request.path, *filter(None, (request.groundtruth,)), *request.calibration)
     return (request.path,) if isinstance(request, AlgorithmOnServer) else ()
-
-
-def _check_place(place: str) -> None:
-    """Raise InvalidInput for a path that is not absolute, which would depend on how the server was started."""
-    path = Path(place)
-    if not path.is_absolute():
-        raise InvalidInput(f"{place[:200]!r} is not an absolute path", "begin it with /")
-    if not os.access(path, os.R_OK):
-        why = "cannot be read by this server" if path.exists() else "does not exist on this server"
-        raise InvalidInput(f"{place[:200]} {why}", "give the path of a file or folder there")
 
 
 def _part(progress: Progress, begin: float, end: float) -> Progress:

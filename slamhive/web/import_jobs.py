@@ -18,8 +18,8 @@ from slamhive.services.hive import Hive
 from slamhive.services.uploads import AlgorithmAsked, DatasetAsked, Found, ImportAsked
 from slamhive.web.long_work import problem_of
 
-_MOST_KEPT = 1000
-_MOST_LINES = 5000
+_MOST_KEPT = 200
+_MOST_LINES = 2000
 _DIGITS = re.compile(r"\d+")
 
 
@@ -237,7 +237,8 @@ class ImportJobs:
         with self._lock:
             known = self._jobs.get(job.token)
             if known is not None and not known.done:
-                raise Conflict("this upload is being imported", "wait until that has ended")
+                what = "this path" if isinstance(job.asked, DatasetOnServer | AlgorithmOnServer) else "this upload"
+                raise Conflict(f"{what} is being imported", "wait until that has ended")
             job.begin(stage)
             self._jobs.pop(job.token, None)
             self._jobs[job.token] = job

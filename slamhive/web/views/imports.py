@@ -96,9 +96,12 @@ def show(token: str) -> str:
 
 
 def store(token: str) -> Response:
-    """Start the import of what was looked at."""
-    act = access.acting(hive().store, caller(), hive().settings.new_runs) if caller().account else nullcontext()
-    return _to_job(import_jobs().store(_job(token), act))
+    """Start the import of what was looked at; the page of one that was started already."""
+    job = _job(token)
+    if job.done:
+        act = access.acting(hive().store, caller(), hive().settings.new_runs) if caller().account else nullcontext()
+        import_jobs().store(job, act)
+    return _to_job(job)
 
 
 def cancel(token: str) -> Response:

@@ -1,0 +1,40 @@
+"""The page of a run that is going on: its log, progress, CPU and dropped frames come without a reload."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.serving import serving
+from tests.web import web_world as world
+from tests.web.browser_world import BROWSER, faultless
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+pytestmark = BROWSER
+
+
+@pytest.mark.parametrize("look", ["light", "phone"])
+def test_log_and_dropped_frames_come_as_they_are_written(chromium: Browser, tmp_path: Path, look: str) -> None:
+    with closing(world.make_hive(tmp_path)) as hive:
+        world.fill(hive)
+        folder = hive.runs.folder(world.RUNS["running"])
+        folder.log.write_text("the first line\n")
+        with serving(hive) as address, faultless(chromium, address, look=look) as page:
+            page.goto(f"{address}/runs/{world.RUNS['running']}")
+            log = page.get_by_role("region", name="The end of the log")
+            log.get_by_text("the first line").wait_for()
+            progress = page.get_by_role("region", name="Progress")
+            assert "CPU" in progress.inner_text()
+            page.evaluate("window.wasNotLoadedAgain = true")
+            with folder.log.open("a") as file:
+                file.write("the second line\n")
+            folder.progress.write_text('{"fraction": 0.75, "frames": 10, "dropped": 3}')
+            log.get_by_text("the second line").wait_for()
+            progress.get_by_text("3 frames dropped").wait_for()
+            assert page.get_by_role("progressbar").first.get_attribute("aria-valuenow") == "75"
+            assert page.evaluate("window.wasNotLoadedAgain")
