@@ -10,6 +10,7 @@ from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say
+from slamhive.domain.outcome import Outcome
 from slamhive.services.run_comparison import Figure, RunComparison, read_run_ids
 
 
@@ -80,12 +81,14 @@ def _notes(comparison: RunComparison) -> list[str]:
         numbers = " ".join(map(str, lacking))
         command = f"slamhive evaluate {numbers} --protocol {comparison.protocol.fingerprint}"
         notes.append(f"not evaluated under this protocol: run {numbers}; to change that: {command}")
-    failed = [run_id for column in comparison.columns for run_id in column.failed]
-    if failed:
-        notes.append(f"failed: run {', '.join(map(str, failed))}")
-    doubtful = [run_id for column in comparison.columns for run_id in column.doubtful]
-    if doubtful:
-        notes.append(f"not to be trusted fully (slamhive runs show): run {', '.join(map(str, doubtful))}")
+    failed = {run_id for column in comparison.columns for run_id in column.failed}
+    told: dict[str, list[int]] = {}
+    for run in comparison.runs:
+        if run.outcome is not Outcome.GOOD or run.id in failed:
+            told.setdefault("failed" if run.outcome is Outcome.GOOD else run.outcome_words, []).append(run.id)
+        if run.trust is not None and run.trust.doubt:
+            told.setdefault(run.trust.doubt, []).append(run.id)
+    notes += [f"{words}: run {', '.join(map(str, runs))}" for words, runs in told.items()]
     for kind, runs in comparison.mixed_trajectories.items():
         notes.append(f"kinds of trajectories are mixed: {kind} of run {', '.join(map(str, runs))}")
     notes += [entry.words for entry in comparison.unmarked]

@@ -24,6 +24,7 @@ from slamhive.domain.accounts import Visibility
 from slamhive.domain.names import plural
 from slamhive.domain.outcome import Outcome, failure_words
 from slamhive.domain.parameters import Value
+from slamhive.domain.run import FailureReason
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.experiments.file import parse_experiment
 from slamhive.services.experiments import (
@@ -120,9 +121,9 @@ def print_status(status: ExperimentStatus) -> None:
     """Print the progress of one experiment."""
     counts = ", ".join(f"{count:,} {phase.label}" for phase, count in status.counts.items() if count)
     say(f"{status.name}: {status.standing}; {status.runs:,} runs of {status.cells:,} configurations: {counts}")
-    if status.failures:
-        found = (f"{failure_words(failure)} {count:,}" for failure, count in status.failures.items())
-        say(f"failed: {', '.join(found)}")
+    failures = {key: count for key, count in status.failures.items() if key is not FailureReason.LOST}
+    if failures:
+        say(f"failed: {', '.join(f'{failure_words(failure)} {count:,}' for failure, count in failures.items())}")
     if status.retried:
         say(f"not counted: {plural(status.retried, 'failed or disturbed run')} that another run replaces")
     if status.disturbed:

@@ -24,7 +24,7 @@ from slamhive.domain.metrics import described
 from slamhive.domain.names import plural
 from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import FailureReason, NotesChange, RunNotes, RunState
-from slamhive.services.exports import disturbed_text, trust_text
+from slamhive.services.exports import disturbed_text
 from slamhive.store import RunRecord, RunSort
 from slamhive.store.records import protocol_uses
 
@@ -240,8 +240,9 @@ def _summary(entry: RunRecord, folder: str) -> list[str]:
     parameters = "".join(named) + (f" and {more} more" if more else "")
     steps = ", ".join(step.brief for step in entry.variant) or "unchanged"
     played = "" if entry.executor == IMPORTED else f", played in {entry.playback.mode} mode"
+    doubt = f", {entry.trust.doubt}" if entry.trust is not None and entry.trust.doubt else ""
     lines = [
-        f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {outcome_words(entry)}",
+        f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {outcome_words(entry)}{doubt}",
         f"{entry.reason or 'note'}: {entry.detail}" if entry.detail else "",
         f"verdict: {entry.verdict.kind.label}. {entry.verdict.words}" if entry.verdict is not None else "",
         f"configuration: {entry.configuration_id}, {entry.package}{f'@{number}' if number else ''}{parameters}",
@@ -285,7 +286,7 @@ def _trust(entry: RunRecord) -> str:
     if entry.trust is None:
         return ""
     said = [part for part in (entry.trust.words, *entry.trust.remedies) if part]
-    return f"trust: {entry.trust.level or 'unknown'}{'. ' if said else ''}{'; '.join(said)}"
+    return f"trust: {entry.trust.mark or 'unknown'}{'. ' if said else ''}{'; '.join(said)}"
 
 
 def _next(entry: RunRecord) -> str:
@@ -325,7 +326,7 @@ def run_row(entry: RunRecord) -> tuple[Any, ...]:
         entry.algorithm,
         entry.dataset,
         outcome_words(entry),
-        trust_text(entry.trust),
+        None if entry.trust is None else entry.trust.mark or None,
         disturbed_text(entry.disturbance),
         entry.poses,
         _number(metrics.get("ate.rmse"), "{:.4f}"),

@@ -62,6 +62,7 @@ class TrustDocument(Document):
     """Trust in the measurements of a run, with reasons."""
 
     level: Annotated[TrustLevel | None, described("Null if too little was measured.")]
+    doubt: Annotated[str, described("The mark that people read: doubtful or very doubtful; empty for none.")] = ""
     reasons: tuple[TrustReasonDocument, ...]
     not_measured: Annotated[tuple[str, ...], described("What was not measured, if the level is null.")]
 
@@ -136,6 +137,7 @@ class RunDocument(Document):
     trust: TrustDocument | None = None
     protocol: ProtocolName | None
     outcome: Annotated[Outcome, described("Good, failed, lost and so on: the state together with the verdict.")]
+    outcome_words: Annotated[str, described("The outcome with its reason, such as: failed: out of memory.")] = ""
     verdict: VerdictDocument | None
     metrics: Metrics
 

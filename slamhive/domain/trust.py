@@ -345,6 +345,11 @@ class Trust:
         return {TrustLevel.LOW: "very doubtful", TrustLevel.LIMITED: "doubtful"}.get(self.level or TrustLevel.HIGH, "")
 
     @property
+    def mark(self) -> str:
+        """The doubt, or the level where there is none; empty if too little was measured."""
+        return self.doubt or (self.level.value if self.level is not None else "")
+
+    @property
     def words(self) -> str:
         """All reasons in one line, or what was not measured."""
         return "; ".join([reason.words for reason in self.reasons] or self.not_measured)

@@ -21,7 +21,7 @@ from slamhive.documents.json_values import timestamp
 from slamhive.domain.accounts import visibility_of
 from slamhive.domain.configuration import Variant
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.domain.outcome import Outcome
+from slamhive.domain.outcome import outcome_words
 from slamhive.domain.packages import version_label
 from slamhive.domain.trust import TRUST_METRICS, Disturbance, Trust
 from slamhive.filters.fields import PARAMETER_PREFIX, FieldKind, Vocabulary
@@ -217,7 +217,7 @@ _COLUMNS: dict[str, _Column] = {
     "state": _stored("state", read=lambda row: row.state.value),
     "outcome": _Column(
         CellsWanted(frozenset({"state", "reason"}), frozenset({VERDICT})),
-        lambda runs: [Outcome.of(run).value for run in runs],
+        lambda runs: [outcome_words(run) for run in runs],
     ),
     "reason": _stored("reason", read=lambda row: None if row.reason is None else row.reason.value),
     "verdict": _Column(

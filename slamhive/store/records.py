@@ -13,7 +13,7 @@ from slamhive.documents.limits import RunOptions
 from slamhive.domain.accounts import TEAM_SEES, Sharing, Visibility, visibility_of
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode, Variant
-from slamhive.domain.outcome import Outcome
+from slamhive.domain.outcome import Outcome, outcome_words
 from slamhive.domain.packages import version_label
 from slamhive.domain.parameters import Parameter, Value
 from slamhive.domain.protocol import Protocol
@@ -238,6 +238,11 @@ class RunRecord(RunOptions):
     def outcome(self) -> Outcome:
         """The outcome, from the state and the stored verdict; without metrics, a good run counts as not evaluated."""
         return Outcome.of(self)
+
+    @property
+    def outcome_words(self) -> str:
+        """The outcome with its reason, as people read it everywhere."""
+        return outcome_words(self)
 
     @property
     def verdict(self) -> Verdict | None:

@@ -14,6 +14,7 @@ from sqlalchemy import ColumnElement, Connection, FromClause, Select, and_, case
 
 from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.run import FailureReason
 from slamhive.filters.binding import Bound, Condition, Search
 from slamhive.filters.fields import BUILT_IN
 from slamhive.filters.means import split_means
@@ -113,7 +114,7 @@ class Groups:
 
     def _value(self, runs: FromClause, query: Select[Any]) -> ColumnElement[Any]:  # noqa: ARG002
         if self.sort.key == "failed":
-            return func.count(case((self.sql.failed(runs), 1)))
+            return self._count_failed(runs)
         if self.sort.key in {"algorithm", "dataset"}:
             table = (AlgorithmRow if self.sort.key == "algorithm" else DatasetRow).__table__.alias()
             rows = ConfigurationRow.__table__.alias()
@@ -157,12 +158,17 @@ class Groups:
         by_value = [columns[0].is_(None)] if len(columns) > 1 else []
         return query.order_by(*by_value, *ordered(columns, descending=descending)).limit(limit)
 
+    def _count_failed(self, runs: FromClause) -> ColumnElement[Any]:
+        """The failed runs; a lost one has no result either, but says nothing of its configuration."""
+        lost = and_(runs.c.reason.is_not(None), runs.c.reason == FailureReason.LOST)
+        return func.count(case((and_(self.sql.failed(runs), not_(lost)), 1)))
+
     def _records(self, ids: Sequence[int], metrics: Sequence[str]) -> tuple[GroupRecord, ...]:
         runs, table = RUNS.alias(), ConfigurationRow.__table__
         matching = [runs.c.configuration_id.in_(ids), self.sql.test(self.of_runs, runs)]
         everything = select(runs.c.configuration_id, func.count()).where(matching[0]).group_by(runs.c.configuration_id)
         of_all = {row[0]: int(row[1]) for row in self.connection.execute(everything)}
-        failed = func.count(case((self.sql.failed(runs), 1)))
+        failed = self._count_failed(runs)
         disturbed = func.count(case((runs.c.disturbed_by > "", 1)))
         counted = select(runs.c.configuration_id, func.count(), failed, disturbed).where(*matching)
         counted = counted.group_by(runs.c.configuration_id)

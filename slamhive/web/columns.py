@@ -256,7 +256,7 @@ def _trust(run: RunRecord) -> TableCell:
     found = run.trust
     if found is None or found.level is None:
         return TableCell(DASH, "not measured" if found is None else found.words, missing=True)
-    return TableCell(found.level.value, found.words)
+    return TableCell(found.mark, found.words)
 
 
 def _disturbed(run: RunRecord) -> TableCell:

@@ -151,7 +151,7 @@ def table_row(run: RunRecord) -> dict[str, Any]:
         "algorithm": run.algorithm,
         "dataset": run.dataset,
         "outcome": outcome_words(run),
-        "doubt": None if run.trust is None or not run.trust.reasons else run.trust.words,
+        "doubt": None if run.trust is None or not run.trust.doubt else f"{run.trust.doubt}: {run.trust.words}",
         "state": state_words(run),
         "experiment": run.experiment,
         "parameters": ", ".join(f"{key} {value}" for key, value in run.parameters.items()),

@@ -66,7 +66,9 @@ def test_lists_say_how_far_runs_can_be_trusted_and_why(data: Path) -> None:
     rows = json.loads(call(data, "--where", "trust = low", "--columns", "id,trust", "--json").stdout)
     assert rows == [{"id": 2, "trust": "low"}]
     shown = call(data, "show", "2").stdout
-    assert "trust: low. the algorithm was too slow for 79 % of the frames, which were dropped; give it" in shown
+    assert (
+        "trust: very doubtful. the algorithm was too slow for 79 % of the frames, which were dropped; give it" in shown
+    )
     assert "trust: unknown. dropped frames were not counted" in call(data, "show", "1").stdout
 
 

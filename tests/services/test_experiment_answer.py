@@ -14,10 +14,10 @@ from slamhive.store.records import ProtocolLabel
 SE3 = ProtocolLabel("f" * 16, "SE(3)")
 
 
-def entry(number: int, n: int, mean_m: float = 0.1, std_m: float = 0.01, lost: int = 0) -> RankEntry:
-    """A configuration with ``n`` good and ``lost`` failed runs."""
+def entry(number: int, n: int, mean_m: float = 0.1, std_m: float = 0.01, failed: int = 0) -> RankEntry:
+    """A configuration with ``n`` good and ``failed`` failed runs."""
     good = CellSample(number, SE3, n, mean_m, std_m**2) if n else None
-    return RankEntry(number, good, lost, n + lost)
+    return RankEntry(number, good, failed, n + failed)
 
 
 def answered(*entries: RankEntry, waiting: tuple[int, ...] = ()) -> DatasetAnswer:
@@ -59,15 +59,15 @@ def test_one_run_each_cannot_separate_anything() -> None:
 
 
 def test_few_failures_do_not_separate_and_many_do() -> None:
-    few = answered(entry(1, 5, 0.1), entry(2, 4, 0.1, lost=1))
+    few = answered(entry(1, 5, 0.1), entry(2, 4, 0.1, failed=1))
     assert few.certainty is Certainty.NOT_SEPARATED
-    many = answered(entry(1, 8, 0.1), entry(2, 2, 0.05, lost=6))
+    many = answered(entry(1, 8, 0.1), entry(2, 2, 0.05, failed=6))
     assert many.certainty is Certainty.SEPARATED
     assert "0 of 8 runs failed, 6 of 8 of b" in many.sentence
 
 
 def test_a_configuration_that_fails_rarely_and_is_more_accurate_is_not_beaten() -> None:
-    found = answered(entry(1, 5, 0.2), entry(2, 4, 0.1, lost=1))
+    found = answered(entry(1, 5, 0.2), entry(2, 4, 0.1, failed=1))
     assert found.leaders == ("a", "b")
     assert found.certainty is Certainty.NOT_SEPARATED
 
@@ -79,8 +79,8 @@ def places(*entries: RankEntry) -> dict[str, int | None]:
 
 
 def test_one_failure_more_takes_a_place_only_if_the_test_of_the_answer_says_so() -> None:
-    assert places(entry(1, 5, 0.2), entry(2, 4, 0.1, lost=1)) == {"a": 1, "b": 1}
-    assert places(entry(1, 8, 0.1), entry(2, 2, 0.05, lost=6)) == {"a": 1, "b": 2}
+    assert places(entry(1, 5, 0.2), entry(2, 4, 0.1, failed=1)) == {"a": 1, "b": 1}
+    assert places(entry(1, 8, 0.1), entry(2, 2, 0.05, failed=6)) == {"a": 1, "b": 2}
 
 
 def test_one_that_shares_the_first_place_stands_before_one_that_does_not() -> None:
@@ -89,14 +89,14 @@ def test_one_that_shares_the_first_place_stands_before_one_that_does_not() -> No
     assert answered(*entries).leaders == ("a", "c")
 
 
-@pytest.mark.parametrize("first", [entry(1, 5, 0.1), entry(1, 3, 0.1, lost=1), entry(1, 9, 0.1, 0.03)])
+@pytest.mark.parametrize("first", [entry(1, 5, 0.1), entry(1, 3, 0.1, failed=1), entry(1, 9, 0.1, 0.03)])
 def test_the_first_place_and_the_answer_name_the_same(first: RankEntry) -> None:
     others = [
-        entry(2, n, mean_m, std_m, lost)
-        for n, mean_m, std_m, lost in itertools.product((2, 6), (0.08, 0.11, 0.14), (0.005, 0.03), (0, 1, 3))
+        entry(2, n, mean_m, std_m, failed)
+        for n, mean_m, std_m, failed in itertools.product((2, 6), (0.08, 0.11, 0.14), (0.005, 0.03), (0, 1, 3))
     ]
     for second, third in itertools.combinations(others, 2):
-        entries = first, second, RankEntry(3, third.good, third.lost, third.total)
+        entries = first, second, RankEntry(3, third.good, third.failed, third.total)
         best = {name for name, place in places(*entries).items() if place == 1}
         assert best == set(answered(*entries).leaders), entries
 
@@ -106,7 +106,7 @@ def test_what_has_no_result_keeps_the_answer_open() -> None:
     found = answered(entry(1, 5, 0.1), entry(2, 5, 0.2), waiting=(3,))
     assert found.certainty is Certainty.OPEN
     assert found.sentence.endswith("So far, c has no result.")
-    assert answered(entry(1, 0, lost=3)).sentence == "No run gave a result: 3 runs failed."
+    assert answered(entry(1, 0, failed=3)).sentence == "No run gave a result: 3 runs failed."
 
 
 def test_a_single_competitor_is_described() -> None:

@@ -100,15 +100,16 @@ def test_a_run_that_dropped_most_frames_does_not_look_good(marked: Web) -> None:
     assert "<li>The run used 99 % of the CPU time that its limit allows. Raise the limit of CPU cores.</li>" in text
     found = marked.client.get("/searches/export.json?where=trust = low&columns=id,trust").get_json()
     assert found == [{"id": run_id, "trust": "low"}]
-    assert page(marked, "/runs?trust=low&columns=id,trust").count('">very doubtful</span>') == 0
+    assert page(marked, "/runs?trust=low&columns=id,trust").count('">very doubtful</span>') == 1
     assert page(marked, "/runs?trust=low").count('">very doubtful</span>') == 1
 
 
 def test_json_has_the_trust_with_reasons(marked: Web) -> None:
     found = marked.client.get(f"/api/v1/runs/{marked.runs['done']}").get_json()["trust"]
     (reason,) = found["reasons"]
-    assert (found["level"], reason["kind"], reason["level"]) == ("limited", "disturbed", "limited")
+    assert (found["level"], found["doubt"]) == ("limited", "doubtful")
+    assert (reason["kind"], reason["level"]) == ("disturbed", "limited")
     assert reason["remedy"] == "stop other programs and run it again"
     unknown = marked.client.get(f"/api/v1/runs/{marked.runs['bare']}").get_json()["trust"]
-    assert unknown == {"level": None, "reasons": [], "not_measured": ["dropped frames were not counted"]}
+    assert unknown == {"level": None, "doubt": "", "reasons": [], "not_measured": ["dropped frames were not counted"]}
     assert marked.client.get(f"/api/v1/runs/{marked.runs['queued']}").get_json()["trust"] is None

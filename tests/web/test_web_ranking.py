@@ -98,9 +98,9 @@ def test_a_ranking_is_preliminary_until_all_have_ended_and_counts_what_waits(web
 def test_a_run_that_was_retried_is_no_failure(web: Web) -> None:
     start(web, (500, 600), repeats=2)
     end(web, 1, (None, 0.1))
-    assert ranked(web).best[0].lost == 1
+    assert ranked(web).best[0].failed == 1
     web.hive.experiments.retry_failed("ranked")
-    assert ranked(web).best[0].lost == 0
+    assert ranked(web).best[0].failed == 0
     assert [run.state for run in ranked(web).best[0].runs] == ["succeeded"]
 
 

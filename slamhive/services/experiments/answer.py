@@ -146,8 +146,8 @@ def answer_on(dataset: str, entries: RankEntries, names: Mapping[int, str]) -> D
         return DatasetAnswer(dataset, Certainty.OPEN, (), None, None, text)
     good = {name: entry for name, entry in competitors.items() if entry.good is not None}
     if not good:
-        lost = sum(entry.lost for entry in entries.ended)
-        text = f"No run gave a result: {plural(lost, 'run')} failed." if lost else "No run has been evaluated yet."
+        failed = sum(entry.failed for entry in entries.ended)
+        text = f"No run gave a result: {plural(failed, 'run')} failed." if failed else "No run has been evaluated yet."
         return DatasetAnswer(dataset, Certainty.OPEN, (), None, None, text)
     leader, first = next(iter(good.items()))
     if len(competitors) == 1:
@@ -194,8 +194,8 @@ def _tested(dataset: str, competitors: Mapping[str, RankEntry], waiting: Sequenc
 def _test_words(test: SeparationTest, entry: RankEntry, other: RankEntry, name: str = "") -> str:
     of = f" of {name}" if name else ""
     if test.by_failures or entry.good is None or other.good is None:
-        failed = f"{entry.lost} of {plural(entry.total, 'run')} failed{',' if of else ' against'}"
-        return f"{failed} {other.lost} of {other.total}{of}, {_p_text(test.p_value)}"
+        failed = f"{entry.failed} of {plural(entry.total, 'run')} failed{',' if of else ' against'}"
+        return f"{failed} {other.failed} of {other.total}{of}, {_p_text(test.p_value)}"
     return f"ATE {_spread(entry)} against {_spread(other)}{of}, {_p_text(test.p_value)}"
 
 
@@ -203,8 +203,8 @@ def pair_sentence(name: str, entry: RankEntry, other_name: str, other: RankEntry
     """How ``entry`` stands to ``other``, by the tests of the answer: better, worse, or not separated."""
     ahead, behind = sorted(((name, entry), (other_name, other)), key=lambda pair: pair[1].key)
     if ahead[1].good is None:
-        lost = entry.lost + other.lost
-        return f"Neither {name} nor {other_name} has a good run: {plural(lost, 'run')} failed."
+        failed = entry.failed + other.failed
+        return f"Neither {name} nor {other_name} has a good run: {plural(failed, 'run')} failed."
     single = [known for known, found in (ahead, behind) if _one_run(found)]
     if single:
         more = plural(REPEATS_WANTED - 1, "repeat")

@@ -32,15 +32,16 @@ MOST_RUNS = 100
 class RankedCell:
     """A configuration. ``place`` is None with fewer than two good runs.
 
-    ``runs`` are those that succeeded or failed and were not replaced by another run. ``lost`` of them failed or were
-    cancelled. ``good`` have a value under the protocol of the ranking; None if it has none. ``other`` are then good
-    runs under another protocol, or with another kind of trajectory.
+    ``runs`` are those that succeeded or failed and were not replaced by another run; ``failed`` of them failed. Lost
+    and cancelled runs say nothing of their configuration and count nowhere. ``good`` have a value under the protocol of
+    the ranking; None if it has none. ``other`` are then good runs under another protocol, or with another kind of
+    trajectory.
     """
 
     place: int | None
     cell: CellRecord
     good: CellSample | None
-    lost: int
+    failed: int
     total: int
     runs: tuple[RunRecord, ...]
     other: CellSample | None = None
@@ -68,14 +69,14 @@ class Ranking:
 
 @dataclass(frozen=True, slots=True)
 class RankEntry:
-    """A configuration by number: its good runs under the protocol of the ranking, and failed or cancelled ones.
+    """A configuration by number: its good runs under the protocol of the ranking, and failed ones.
 
     ``other``: good runs under another protocol, where there are none under that of the ranking.
     """
 
     number: int
     good: CellSample | None
-    lost: int
+    failed: int
     total: int
     other: CellSample | None = None
 
@@ -88,8 +89,8 @@ class RankEntry:
     def key(self) -> tuple[int, int, float, int]:
         """Configurations with a place come first, then those with one good run, of another protocol, and with none."""
         if self.good is None:
-            return int(self.other is None), self.lost, 0.0, self.number
-        return -min(self.good.n, 2), self.lost, self.good.mean, self.number
+            return int(self.other is None), self.failed, 0.0, self.number
+        return -min(self.good.n, 2), self.failed, self.good.mean, self.number
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,14 +166,14 @@ def _entries(numbers: Sequence[int], samples: Mapping[int, Sequence[CellSample]]
             RankEntry(
                 number,
                 good,
-                phases[Outcome.FAILED] + phases[Outcome.LOST] + phases[Outcome.CANCELLED],
-                phases.total(),
+                phases[Outcome.FAILED],
+                phases.total() - phases[Outcome.LOST] - phases[Outcome.CANCELLED],
                 next(iter(samples.get(number, ())), None) if good is None else None,
             )
         )
         if phases[Outcome.GOOD]:
             evaluated.add(number)
-    ended = [entry for entry in entries if entry.good is not None or entry.other is not None or entry.lost]
+    ended = [entry for entry in entries if entry.good is not None or entry.other is not None or entry.failed]
     waiting = [entry.number for entry in entries if entry not in ended]
     others = weights.total() - (weights[protocol] if protocol else 0)
     without = frozenset(evaluated.intersection(waiting))
@@ -196,7 +197,7 @@ def _ranking(t: Transaction, experiment_id: int, dataset: str, entries: RankEntr
             places.get(entry.number),
             cells[entry.number],
             entry.good,
-            entry.lost,
+            entry.failed,
             entry.total,
             tuple(records[run] for run in runs.get(entry.number, ())),
             entry.other,
@@ -233,7 +234,7 @@ class SeparationTest:
         """Test ``first`` against ``other``; two entries with good runs need two of them each."""
         from slamhive.analysis.statistics import compare_samples, shares_p_value  # noqa: PLC0415 - loads scipy
 
-        failures = (first.lost, first.total), (other.lost, other.total)
+        failures = (first.failed, first.total), (other.failed, other.total)
         p_failures = shares_p_value(*failures)
         if p_failures < SIGNIFICANCE or first.good is None or other.good is None:
             more = None if p_failures < SIGNIFICANCE else _repeats_for_shares(*failures)
@@ -246,10 +247,10 @@ class SeparationTest:
             return cls(True, False, means.p_value, None)
         by_failures = means.decided or not ahead
         # The other is not worse where it succeeds: only its failures can decide.
-        counts = [] if by_failures and first.lost != other.lost else [means.repeats_to_decide]
+        counts = [] if by_failures and first.failed != other.failed else [means.repeats_to_decide]
         least = min(first.good.n, other.good.n)
         needed = [max(1, count - least) for count in counts if count is not None]
-        if first.lost != other.lost and (found := _repeats_for_shares(*failures)) is not None:
+        if first.failed != other.failed and (found := _repeats_for_shares(*failures)) is not None:
             needed.append(found)
         p_value = p_failures if not counts else means.p_value
         return cls(False, not counts, p_value, min(needed, default=None))

@@ -13,6 +13,7 @@ from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.report import Plot
 from slamhive.domain.metrics import Direction, Group, Metric
 from slamhive.domain.names import plural
+from slamhive.domain.outcome import Outcome
 from slamhive.services.run_comparison import Figure, RunColumn, RunComparison
 from slamhive.services.run_differences import differences, from_start
 from slamhive.services.runs import RunSeries, RunService
@@ -278,7 +279,10 @@ def _note(column: RunColumn, *, grouped: bool) -> str:
         return ", ".join(
             [plural(len(column.runs), "run"), *(f"{count} {word}" for word, count in counts.items() if count)]
         )
-    return "failed" if column.failed else ""
+    run = column.runs[0]
+    if run.outcome is not Outcome.GOOD:
+        return run.outcome_words
+    return "failed" if column.failed else ""  # under the chosen protocol alone
 
 
 def _difference_cell(

@@ -121,16 +121,18 @@ def needs(services: Hive, experiments: Sequence[ExperimentStatus], cards: Sequen
 
 
 def _failed(status: ExperimentStatus) -> Iterator[Attention]:
-    why = failures_in_words(status.failures)
+    counts, why = status.counts, failures_in_words(status.failures)
+    failed, lost = counts[Outcome.FAILED], counts[Outcome.LOST]
     if status.ended_badly:
+        number = failed + lost
         yield Attention(
             "outcome-failed",
-            f"{plural(status.ended_badly, 'run')} of {status.name} failed: {why}",
-            "Try again",
+            f"{plural(number, 'run')} of {status.name} {'failed or lost' if lost else 'failed'}: {why}",
+            "Try again" if status.ended_badly == number else f"Try {status.ended_badly} again",
             "experiments.act",
             {"name": status.name, "action": "retry-failed"},
         )
-    elif failed := status.counts[Outcome.FAILED]:
+    elif failed:
         yield Attention(
             "outcome-failed",
             f"{plural(failed, 'run')} of {status.name} failed: {why}",

@@ -9,6 +9,7 @@ from statistics import fmean
 
 from slamhive.analysis.chart import algorithm_colours
 from slamhive.domain.metrics import CATALOGUE, Metric
+from slamhive.domain.outcome import Outcome
 from slamhive.domain.parameters import Value
 from slamhive.domain.side_by_side import short_names
 from slamhive.domain.trust import TrustLevel
@@ -186,12 +187,14 @@ def _row(
             for (run, value), text in zip(values, texts, strict=True)
         ),
         crosses=tuple(
-            Mark(run.id, place, f"run {run.id}: {'failed' if run.verdict is None else run.verdict.words}")
+            Mark(
+                run.id, place, f"run {run.id}: {run.outcome_words}. {run.verdict.words if run.verdict else ''}".strip()
+            )
             for run, place in zip(failed, failure_places(len(failed)), strict=False)
         ),
         mean=_mean(metric, ranked),
         good=f"{thousands(n)} of {thousands(ranked.total)}{under}",
-        failed=ranked.lost,
+        failed=ranked.failed,
         beside=tuple(beside),
         trust=_trust(good),
         selects=selection([run.id for run in ranked.runs]),
@@ -216,7 +219,7 @@ def _values(ranked: RankedCell, ranking: Ranking) -> list[tuple[RunRecord, float
 
 
 def _failed(ranked: RankedCell) -> list[RunRecord]:
-    return [run for run in ranked.runs if run.verdict is not None and run.verdict.failed]
+    return [run for run in ranked.runs if run.outcome is Outcome.FAILED]
 
 
 def _mean(metric: Metric, ranked: RankedCell) -> TableCell:
