@@ -35,7 +35,7 @@ from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.recordings.importers.registry import plan_import
 from slamhive.recordings.importing import ImportOptions, perform
-from slamhive.recordings.ros1_writer import BagWriter
+from slamhive.recordings.writers import BagWriter
 
 WIDTH, HEIGHT, IMU_PER_IMAGE = 752, 480, 10
 START_NS, PERIOD_NS = 10**18, 50_000_000

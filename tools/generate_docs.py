@@ -50,7 +50,7 @@ from slamhive.executors.registry import declared_settings
 from slamhive.experiments.file import experiment_schema
 from slamhive.packages.algorithm_file import ALGORITHM_FILE, load_algorithms
 from slamhive.packages.protocol_file import protocol_schema
-from slamhive.recordings.variants.rules import RegisteredSteps, describe_options, explain_step
+from slamhive.recordings.variants.steps import RegisteredSteps, describe_options, explain_step
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PYTHON_PAGE = DOCS / "python.md"

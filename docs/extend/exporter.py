@@ -9,8 +9,7 @@ from pathlib import Path
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import SensorKind
-from slamhive.recordings.exporters.frames import ImuSink, export_frames, left_out, message_counts
-from slamhive.recordings.exporters.plan import ExportPlan
+from slamhive.recordings.exporters.base import ExportPlan, ImuSink, export_frames, left_out, message_counts
 from slamhive.recordings.staging import Progress
 
 LINE_BYTES = 160

@@ -19,7 +19,7 @@ from slamhive.recordings.importing import (
     PlannedTruth,
     rate_hz,
 )
-from slamhive.recordings.ros1_writer import BagWriter, nanoseconds
+from slamhive.recordings.writers import BagWriter, nanoseconds
 from slamhive.trajectory.layout import read_tum
 
 LIST = "depth.txt"

@@ -7,8 +7,7 @@ a dataset. Copy this file and change the options and what happens to a message.
 from typing import ClassVar
 
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.variants.step import Array, Message, Operation, Step, Stream
-from slamhive.recordings.variants.steps.options import option
+from slamhive.recordings.variants.step import Array, Message, Operation, Step, Stream, option
 
 
 class ImuScale(Step):

@@ -14,7 +14,7 @@ from slamhive.documents.catalogue import CachedVariant, StepDocument, StepOption
 from slamhive.documents.model import load
 from slamhive.domain.configuration import Variant
 from slamhive.recordings.variants.cache import VariantEntry
-from slamhive.recordings.variants.rules import RegisteredSteps, describe_options, describe_step
+from slamhive.recordings.variants.steps import RegisteredSteps, describe_options, describe_step
 
 KEY_SHOWN = 12
 

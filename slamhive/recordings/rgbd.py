@@ -16,9 +16,9 @@ from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind, is_r
 from slamhive.recordings.frame_files import has_colour, read_image
 from slamhive.recordings.geometry import Array, quaternions_from_rotations
 from slamhive.recordings.importing import PlannedStream, PlannedTruth, rate_hz
-from slamhive.recordings.ros1_writer import NS_PER_S
 from slamhive.recordings.streams import ReadFrame, image_stream
 from slamhive.recordings.text_lists import read_timed_list
+from slamhive.recordings.writers import NS_PER_S
 from slamhive.trajectory.layout import TimeUnit
 from slamhive.trajectory.table import NumberTable, parse_table, read_bounded
 

@@ -23,7 +23,7 @@ from slamhive.base.files import size_bytes, sweep_folder
 from slamhive.domain.dataset import Dataset
 from slamhive.packages.dataset_file import DATASET_FILE, dataset_to_yaml
 from slamhive.recordings.geometry import Array
-from slamhive.recordings.ros1_writer import BagWriter
+from slamhive.recordings.writers import BagWriter
 from slamhive.trajectory.layout import write_tum
 
 Progress = Callable[[float, str], None]

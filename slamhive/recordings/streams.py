@@ -14,8 +14,8 @@ from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
 from slamhive.recordings.frame_files import pixel_bytes, read_image
 from slamhive.recordings.geometry import Array
 from slamhive.recordings.importing import PlannedStream
-from slamhive.recordings.ros1_writer import BagWriter
 from slamhive.recordings.text_lists import Track
+from slamhive.recordings.writers import BagWriter
 
 OVERHEAD_BYTES = 1000
 """Of a message: header, camera info, index."""

@@ -1,4 +1,4 @@
-"""Lists with a timestamp in each row: image lists, IMU samples and poses as text or CSV.
+"""Lists with a timestamp in each row: image lists, IMU samples, poses and ground truth as text or CSV.
 
 TUM RGB-D writes ``seconds file``, EuRoC ``nanoseconds,value,...``. Timestamps become whole nanoseconds without
 rounding: a float64 holds those of today only to 256 ns.
@@ -21,9 +21,11 @@ import numpy as np
 
 from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.recordings.geometry import Array
-from slamhive.recordings.importing import Loss
-from slamhive.recordings.ros1_writer import NS_PER_S
+from slamhive.recordings.importing import Loss, PlannedTruth
+from slamhive.recordings.writers import NS_PER_S
 from slamhive.trajectory.layout import TimeUnit
+from slamhive.trajectory.model import find_problem
+from slamhive.trajectory.orientation import no_rotations
 from slamhive.trajectory.table import read_bounded
 
 _SHOWN = 60
@@ -130,6 +132,26 @@ def read_timed_list(path: Path, layout: str, unit: TimeUnit, *, columns: int | N
         InvalidInput: There is no such file, no row, or a bad row, named by its line.
     """
     return parse_timed_list(_lines(path), path, layout, unit, columns=columns or len(layout.replace(",", " ").split()))
+
+
+def listed_truth(rows: TimedList, quats_xyzw: Array | None, source: str, *, gravity_aligned: bool) -> PlannedTruth:
+    """The poses of a list whose first three columns are x, y, z in m; raises InvalidInput naming the line.
+
+    Args:
+        rows: The list.
+        quats_xyzw: Unit quaternions (n, 4), None for positions only.
+        source: What measured them.
+        gravity_aligned: The z axis of the world points up.
+    """
+    times_s, positions_m = rows.times_ns / NS_PER_S, rows.numbers(0, 3)
+    if quats_xyzw is not None and not quats_xyzw.any():
+        quats_xyzw = None
+    quats = no_rotations(len(rows)) if quats_xyzw is None else quats_xyzw
+    problem = find_problem(times_s, positions_m, quats)
+    if problem is not None:
+        raise rows.error(problem.index, problem.found, problem.remedy)
+    unit = None if quats_xyzw is None else quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    return PlannedTruth(times_s, positions_m, unit, gravity_aligned=gravity_aligned, source=source)
 
 
 def parse_timed_list(lines: list[str], path: Path, layout: str, unit: TimeUnit, *, columns: int) -> TimedList:

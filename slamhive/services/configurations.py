@@ -27,7 +27,7 @@ from slamhive.experiments.configuration_file import (
     configuration_to_yaml,
 )
 from slamhive.recordings.staging import checksum
-from slamhive.recordings.variants.rules import RegisteredSteps
+from slamhive.recordings.variants.steps import RegisteredSteps
 from slamhive.run_folder.folder import RunFolder
 from slamhive.services.datasets import Catalogue, VariantService, check_writable
 from slamhive.store import (

@@ -18,7 +18,7 @@ from slamhive.recordings.importers.registry import plan_import
 from slamhive.recordings.importing import ImportOptions
 from slamhive.recordings.room.dataset import RoomOptions, sensors_of
 from slamhive.recordings.room.sensors import make_rig
-from slamhive.recordings.variants.rules import RegisteredSteps, on_all_sensors
+from slamhive.recordings.variants.steps import RegisteredSteps, on_all_sensors
 from slamhive.runtime.config import RunConfig, from_yaml, to_yaml
 
 SHARED = project_root().parent / "shared" / "data"

@@ -24,7 +24,7 @@ from slamhive.base.errors import InvalidInput
 from slamhive.base.project import project_root
 from slamhive.domain.parameters import parse_settings
 from slamhive.packages.algorithm_file import load_algorithms
-from slamhive.recordings.ros1_writer import BagWriter
+from slamhive.recordings.writers import BagWriter
 from slamhive.runtime.config import RunConfig, to_yaml
 from slamhive.runtime.frames import Frame
 from slamhive.runtime.paths import weights_file

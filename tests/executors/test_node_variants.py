@@ -23,9 +23,8 @@ from slamhive.executors.slurm.jobs import job_request
 from slamhive.executors.spec import VariantOrder
 from slamhive.packages.dataset_file import dataset_to_yaml, load_dataset
 from slamhive.recordings.staging import checksum
-from slamhive.recordings.variants import plan as planning
-from slamhive.recordings.variants.build import build_variant
-from slamhive.recordings.variants.plan import plan_variant
+from slamhive.recordings.variants import build as planning
+from slamhive.recordings.variants.build import build_variant, plan_variant
 from tests.executors.test_slurm_units import SPEC
 from tests.services.recorded_track import make_recorded_track
 

@@ -18,10 +18,10 @@ from slamhive.experiments.expansion import count, expand
 from slamhive.experiments.experiment import Experiment
 from slamhive.experiments.file import experiment_schema, parse_experiment
 from slamhive.packages.algorithm_file import load_algorithms
-from slamhive.recordings.importers.kitti_odometry import velodyne_layout
+from slamhive.recordings.importers.kitti import velodyne_layout
 from slamhive.recordings.room.dataset import RoomOptions, sensors_of
 from slamhive.recordings.room.sensors import make_rig
-from slamhive.recordings.variants.rules import RegisteredSteps
+from slamhive.recordings.variants.steps import RegisteredSteps
 from slamhive.recordings.variants.streams import treat
 from tests.experiments.sweep_world import CAMERA, IMU, LIDAR, ROOM, dataset
 

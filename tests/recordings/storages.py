@@ -15,8 +15,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.ros1_writer import BagWriter
 from slamhive.recordings.staging import checksum
+from slamhive.recordings.writers import BagWriter
 from tests.recordings.variant_bags import camera, pixels_of
 
 START_NS, PERIOD_NS, FRAMES = 10**12 + 7, 50_000_000, 12

@@ -18,7 +18,7 @@ from slamhive.recordings.exporters import export_dataset, plan_export
 from slamhive.recordings.importers.registry import IMPORTERS, detect_format
 from slamhive.recordings.importing import ImportOptions, perform
 from slamhive.recordings.room import RoomOptions, render_room
-from slamhive.recordings.ros1_writer import playable_ns
+from slamhive.recordings.writers import playable_ns
 from slamhive.trajectory.layout import read_tum
 from slamhive.trajectory.transforms import rotation_angles_rad, rotations_from_quats
 from tests.recordings.storages import content_of

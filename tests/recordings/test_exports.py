@@ -22,8 +22,8 @@ from slamhive.domain.sensors import SensorKind
 from slamhive.packages.dataset_file import load_dataset
 from slamhive.recordings.exporters import EXPORTERS, export_dataset, plan_export
 from slamhive.recordings.room import RoomOptions, render_room
-from slamhive.recordings.ros1_writer import BagWriter
 from slamhive.recordings.staging import checksum
+from slamhive.recordings.writers import BagWriter
 from slamhive.trajectory.layout import read_tum
 from tests.recordings.storages import content_of, convert_to
 

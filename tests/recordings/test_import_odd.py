@@ -20,10 +20,10 @@ from rosbags.typesys import Stores, get_typestore
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.importers.mcap_storage import McapStorage
+from slamhive.recordings.importers.lenient_reader import McapStorage
 from slamhive.recordings.importers.registry import plan_import
 from slamhive.recordings.importing import ImportOptions, ImportPlan, KeptRecording, RewrittenRecording, perform
-from slamhive.recordings.ros1_writer import BagWriter
+from slamhive.recordings.writers import BagWriter
 from slamhive.runtime.recording import Recording
 from tests.cases import case
 from tests.fuzzing import mutated

@@ -11,7 +11,7 @@ import pytest
 
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.ros1_writer import BagWriter
+from slamhive.recordings.writers import BagWriter
 
 pytestmark = pytest.mark.integration
 

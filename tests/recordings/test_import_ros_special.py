@@ -21,7 +21,7 @@ from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.recordings.importers.registry import detect_format, plan_import
 from slamhive.recordings.importing import ImportOptions, RewrittenRecording, perform
 from slamhive.recordings.reader import decode, messages, open_bag
-from slamhive.recordings.ros1_writer import BagWriter
+from slamhive.recordings.writers import BagWriter
 from slamhive.runtime.messages import to_points
 from slamhive.trajectory.layout import read_tum
 from tests.recordings.test_import_ros import silent, write_with_truth

@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.recordings.reader import decode, inspect_bag, messages, open_bag
-from slamhive.recordings.ros1_writer import BagWriter
+from slamhive.recordings.writers import BagWriter
 
 pytestmark = pytest.mark.quick
 

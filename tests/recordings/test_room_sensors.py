@@ -8,10 +8,17 @@ import pytest
 
 from slamhive.recordings.geometry import quaternions_from_rotations, rotation_xyz, transform
 from slamhive.recordings.room.camera import Camera, Renderer
-from slamhive.recordings.room.motion import motion_at
-from slamhive.recordings.room.sensing import sample_views
-from slamhive.recordings.room.sensors import BASELINE_M, GRAVITY_MPS2, NO_NOISE, Lidar, LidarModel, make_rig, measure
-from slamhive.recordings.room.world import clearance_m, room_faces
+from slamhive.recordings.room.sensors import (
+    BASELINE_M,
+    GRAVITY_MPS2,
+    NO_NOISE,
+    Lidar,
+    LidarModel,
+    make_rig,
+    measure,
+    sample_views,
+)
+from slamhive.recordings.room.world import clearance_m, motion_at, room_faces
 
 pytestmark = pytest.mark.integration
 

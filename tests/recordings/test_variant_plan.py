@@ -12,9 +12,9 @@ from slamhive.domain.configuration import VariantStep, parse_step
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.experiments.binding import resolve_variant
-from slamhive.recordings.variants import plan as plan_module
-from slamhive.recordings.variants.plan import plan_variant
-from slamhive.recordings.variants.rules import RegisteredSteps, describe_options, describe_step, on_all_sensors
+from slamhive.recordings.variants import build as plan_module
+from slamhive.recordings.variants.build import plan_variant
+from slamhive.recordings.variants.steps import RegisteredSteps, describe_options, describe_step, on_all_sensors
 
 IMAGE: dict[str, float | int | str | tuple[float, ...]] = {
     "width": 100,

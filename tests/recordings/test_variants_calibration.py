@@ -12,7 +12,7 @@ from slamhive.domain.configuration import Configuration, VariantStep
 from slamhive.domain.sensors import Sensor, SensorKind, SensorSetup
 from slamhive.packages.run_config import build_run_config
 from slamhive.recordings.variants.calibration import pixel_map, scale_camera_info, scale_sensor
-from slamhive.recordings.variants.rules import RegisteredSteps
+from slamhive.recordings.variants.steps import RegisteredSteps
 from tests.recordings.variant_bags import (
     SIZE,
     START_NS,

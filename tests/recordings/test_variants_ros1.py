@@ -15,8 +15,7 @@ from slamhive.domain.configuration import VariantStep
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.packages.dataset_file import load_dataset
 from slamhive.recordings.variants import ros1_rewrite
-from slamhive.recordings.variants.build import build_variant
-from slamhive.recordings.variants.plan import plan_variant
+from slamhive.recordings.variants.build import build_variant, plan_variant
 from slamhive.recordings.variants.ros1_index import Ros1File, parse_fields, read_index
 from tests.recordings.variant_bags import (
     COMPRESSED,

@@ -24,9 +24,9 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.packages.dataset_file import load_dataset
 from slamhive.recordings.reader import inspect_bag
-from slamhive.recordings.rosbag2_writer import storage_of
 from slamhive.recordings.staging import checksum
 from slamhive.recordings.variants.steps import STEPS
+from slamhive.recordings.writers import storage_of
 from tests.recordings.storages import (
     FRAMES,
     SENSORS,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.ros1_writer import BagWriter
+from slamhive.recordings.writers import BagWriter
 from slamhive.runtime.config import RunConfig
 from slamhive.runtime.playback import player_options
 from slamhive.runtime.player import PlayerOptions

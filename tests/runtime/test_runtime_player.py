@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.domain.calibration import LaserLayout
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.ros1_writer import BagWriter
+from slamhive.recordings.writers import BagWriter
 from slamhive.runtime.playback import Player, PlayerDied
 from slamhive.runtime.recording import Recording
 from tests.runtime.runtime_samples import LEFT, START_NS, options, write_bag

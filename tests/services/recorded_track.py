@@ -10,8 +10,8 @@ import numpy as np
 from slamhive.domain.dataset import Dataset
 from slamhive.packages.dataset_file import dataset_to_yaml
 from slamhive.recordings.room.sensors import POINT_TYPE
-from slamhive.recordings.ros1_writer import BagWriter
 from slamhive.recordings.staging import checksum
+from slamhive.recordings.writers import BagWriter
 from tests.services.tiny_project import make_dataset
 
 SCANS = 20

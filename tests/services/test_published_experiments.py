@@ -13,7 +13,7 @@ from slamhive.experiments.binding import CatalogueView
 from slamhive.experiments.expansion import expand
 from slamhive.experiments.file import parse_experiment
 from slamhive.packages.published.experiment import Converted
-from slamhive.recordings.variants.rules import RegisteredSteps
+from slamhive.recordings.variants.steps import RegisteredSteps
 from slamhive.services.datasets import Catalogue
 from slamhive.services.experiments.converting import convert_published
 from slamhive.services.experiments.views import ExperimentSource

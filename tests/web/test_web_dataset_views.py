@@ -16,7 +16,7 @@ from slamhive.base.errors import NotFound
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.recordings import views
 from slamhive.recordings.reader import open_bag
-from slamhive.recordings.ros1_writer import BagWriter
+from slamhive.recordings.writers import BagWriter
 from slamhive.services.datasets import DatasetViews, strip_times_s
 from slamhive.services.datasets.views import THUMBNAILS
 from slamhive.trajectory.model import Poses

@@ -18,7 +18,7 @@ from slamhive.experiments.binding import CatalogueView
 from slamhive.experiments.expansion import expand
 from slamhive.experiments.file import parse_experiment
 from slamhive.packages.run_config import build_run_config
-from slamhive.recordings.variants.rules import RegisteredSteps
+from slamhive.recordings.variants.steps import RegisteredSteps
 from slamhive.services.configurations import ConfigurationChange
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource

@@ -285,9 +285,8 @@ class OtherBytes(SlamHiveError):
 def make(order: VariantOrder, recording: Path, folder: Path, progress: MadeProgress) -> Dataset:
     """Make the variant in ``folder``, with the bytes that other machines would make. Raises SlamHiveError, OSError."""
     from slamhive.recordings.staging import seal  # noqa: PLC0415 - they load OpenCV
-    from slamhive.recordings.variants.build import build_variant  # noqa: PLC0415
+    from slamhive.recordings.variants.build import build_variant, plan_variant  # noqa: PLC0415
     from slamhive.recordings.variants.cache import flush  # noqa: PLC0415
-    from slamhive.recordings.variants.plan import plan_variant  # noqa: PLC0415
 
     dataset = _beside(order, recording, folder / _SOURCE)
     variant: Variant = adapter(Variant).validate_python(order.steps)

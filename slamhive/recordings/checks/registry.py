@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from slamhive.domain.dataset import CheckReport, Dataset, Finding, NotChecked, Severity
-from slamhive.recordings.checks import camera_motion, images, inertial, sweeps, timestamps, truth
+from slamhive.recordings.checks import images, inertial, sweeps, timestamps, truth
 from slamhive.recordings.checks.collect import collect
 from slamhive.recordings.checks.evidence import DatasetEvidence, Findings
 from slamhive.recordings.staging import Progress
@@ -40,7 +40,7 @@ CHECKS = (
     Check(("image-frozen",), images.frozen),
     Check(("stereo-partners", "stereo-sync"), images.synchronisation),
     Check(("stereo-geometry",), images.epipolar),
-    Check(("camera-motion", "stereo-scale", "truth-scale"), camera_motion.camera_and_truth),
+    Check(("camera-motion", "stereo-scale", "truth-scale"), images.camera_and_truth),
     Check(("depth-values", "depth-scale"), images.depth_values),
     Check(("lidar-empty",), sweeps.empty_sweeps),
     Check(("lidar-ranges",), sweeps.ranges),

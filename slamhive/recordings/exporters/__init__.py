@@ -10,9 +10,9 @@ from pathlib import Path
 from slamhive.base.errors import Conflict, InvalidInput
 from slamhive.base.registry import Registry, instances_of
 from slamhive.domain.dataset import Dataset
+from slamhive.recordings.exporters.base import Exporter, ExportPlan
 from slamhive.recordings.exporters.euroc import EurocExporter
 from slamhive.recordings.exporters.kitti import KittiExporter
-from slamhive.recordings.exporters.plan import Exporter, ExportPlan
 from slamhive.recordings.exporters.ros import McapExporter, Ros1Exporter, Ros2Exporter
 from slamhive.recordings.exporters.tum_rgbd import TumRgbdExporter
 from slamhive.recordings.exporters.vslam_lab import VslamLabExporter

@@ -10,8 +10,9 @@ from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel, ImuNoise
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind
-from slamhive.recordings.exporters.frames import (
+from slamhive.recordings.exporters.base import (
     ELSEWHERE,
+    ExportPlan,
     ImageSink,
     ImuSink,
     Sink,
@@ -24,7 +25,6 @@ from slamhive.recordings.exporters.frames import (
     read_truth,
     truth_left_out,
 )
-from slamhive.recordings.exporters.plan import ExportPlan
 from slamhive.recordings.staging import Progress
 
 _IMU_HEADER = (

@@ -17,9 +17,10 @@ from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind
-from slamhive.recordings.exporters.frames import (
+from slamhive.recordings.exporters.base import (
     ELSEWHERE,
     ExportedTruth,
+    ExportPlan,
     ImageSink,
     Work,
     export_frames,
@@ -29,7 +30,6 @@ from slamhive.recordings.exporters.frames import (
     read_truth,
     truth_left_out,
 )
-from slamhive.recordings.exporters.plan import ExportPlan
 from slamhive.recordings.frame_files import POINT_TYPE
 from slamhive.recordings.geometry import Array
 from slamhive.recordings.reader import decode, messages, open_bag

@@ -25,20 +25,20 @@ from rosbags.typesys import Stores, get_typestore
 from slamhive.base.files import size_bytes
 from slamhive.domain.dataset import Dataset
 from slamhive.packages.dataset_file import DATASET_FILE, dataset_to_yaml
-from slamhive.recordings.exporters.plan import ExportPlan
+from slamhive.recordings.exporters.base import ExportPlan
 from slamhive.recordings.reader import messages, open_bag
-from slamhive.recordings.ros1_writer import playable_ns
-from slamhive.recordings.rosbag2_writer import (
+from slamhive.recordings.staging import Progress, checksum, copy_recording
+from slamhive.recordings.variants.ros1_index import Ros1File, read_index
+from slamhive.recordings.writers import (
     PLAIN_MCAP,
     SQLITE_FOLDER,
     Rosbag2Storage,
     copy_connection,
     mcap_files,
+    playable_ns,
     rosbag2_writer,
     storage_of,
 )
-from slamhive.recordings.staging import Progress, checksum, copy_recording
-from slamhive.recordings.variants.ros1_index import Ros1File, read_index
 from slamhive.runtime.recording import DAMAGE, damaged
 
 _RECORDED = 0.95

@@ -13,8 +13,9 @@ from slamhive.base.files import write_aside
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import IDENTITY4, Sensor, SensorKind
 from slamhive.packages.dataset_file import DATASET_FILE, dataset_to_yaml
-from slamhive.recordings.exporters.frames import (
+from slamhive.recordings.exporters.base import (
     ELSEWHERE,
+    ExportPlan,
     ImageSink,
     export_frames,
     image_bytes,
@@ -24,7 +25,6 @@ from slamhive.recordings.exporters.frames import (
     share_pixels,
     truth_left_out,
 )
-from slamhive.recordings.exporters.plan import ExportPlan
 from slamhive.recordings.staging import GROUND_TRUTH_FILE, Progress
 from slamhive.trajectory.layout import TUM_LAYOUT
 

@@ -11,8 +11,9 @@ from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.exporters.frames import (
+from slamhive.recordings.exporters.base import (
     ELSEWHERE,
+    ExportPlan,
     ImageSink,
     ImuSink,
     Sink,
@@ -26,7 +27,6 @@ from slamhive.recordings.exporters.frames import (
     share_pixels,
     truth_left_out,
 )
-from slamhive.recordings.exporters.plan import ExportPlan
 from slamhive.recordings.staging import Progress
 
 _IMU_HEADER = "ts (ns),wx (rad s^-1),wy (rad s^-1),wz (rad s^-1),ax (m s^-2),ay (m s^-2),az (m s^-2)"

@@ -15,9 +15,13 @@ import numpy as np
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import COEFFICIENTS, CameraIntrinsics, CameraModel, ImuNoise
 from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind
-from slamhive.recordings.calibration_file import CalibrationFile, read_calibration_file
-from slamhive.recordings.ground_truth import listed_truth, matched_truth, of_body, tum_truth
-from slamhive.recordings.importers.calibration import FrameGraph, KnownCalibration, read_calibrations
+from slamhive.recordings.importers.calibration import (
+    CalibrationFile,
+    FrameGraph,
+    KnownCalibration,
+    read_calibration_file,
+    read_calibrations,
+)
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,
@@ -25,10 +29,13 @@ from slamhive.recordings.importing import (
     ImportPlan,
     PlannedStream,
     PlannedTruth,
+    matched_truth,
+    of_body,
     rate_hz,
+    tum_truth,
 )
 from slamhive.recordings.streams import image_stream, imu_stream
-from slamhive.recordings.text_lists import TimedList, read_timed_list
+from slamhive.recordings.text_lists import TimedList, listed_truth, read_timed_list
 from slamhive.trajectory.layout import TimeUnit
 
 ROOT, LIST, SENSOR_FILE = "mav0", "data.csv", "sensor.yaml"

@@ -25,7 +25,6 @@ from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.domain.calibration import ImuNoise, LidarLayout, PointOrder
 from slamhive.domain.sensors import Sensor, SensorKind, is_rigid
 from slamhive.recordings.geometry import Array
-from slamhive.recordings.ground_truth import matched_truth
 from slamhive.recordings.importers.evalio_reader import POINT, SCAN_HEADER
 from slamhive.recordings.importing import (
     DatasetText,
@@ -34,10 +33,11 @@ from slamhive.recordings.importing import (
     ImportPlan,
     PlannedStream,
     PlannedTruth,
+    matched_truth,
     rate_hz,
 )
-from slamhive.recordings.ros1_writer import NS_PER_S, BagWriter
 from slamhive.recordings.streams import imu_stream
+from slamhive.recordings.writers import NS_PER_S, BagWriter
 from slamhive.runtime.point_times import PointTimes
 from slamhive.trajectory.model import find_problem
 

@@ -16,8 +16,7 @@ from slamhive.domain.calibration import CameraIntrinsics, LidarLayout, Rotation
 from slamhive.domain.sensors import Matrix4, Sensor, SensorKind, is_rigid
 from slamhive.recordings.frame_files import read_velodyne
 from slamhive.recordings.geometry import Array, quaternions_from_rotations, transform
-from slamhive.recordings.ground_truth import matched_truth
-from slamhive.recordings.importers.kitti_raw import (
+from slamhive.recordings.importers.kitti import (
     clocked_files,
     keyed_numbers,
     packet_gnss,
@@ -32,11 +31,12 @@ from slamhive.recordings.importing import (
     ImportPlan,
     PlannedStream,
     PlannedTruth,
+    matched_truth,
     rate_hz,
 )
 from slamhive.recordings.rgbd import Frames, camera_stream, read_pose_table, size_of
-from slamhive.recordings.ros1_writer import NS_PER_S
 from slamhive.recordings.streams import point_stream
+from slamhive.recordings.writers import NS_PER_S
 from slamhive.runtime.point_times import PointTimes, SweepInstant
 
 _CALIBRATION, _IMAGES, _SCANS, _POSES = "calibration", "data_2d_raw", "data_3d_raw", "data_poses"

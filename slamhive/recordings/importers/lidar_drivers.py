@@ -9,7 +9,7 @@ import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import LidarLayout
-from slamhive.recordings.ros1_writer import NS_PER_S
+from slamhive.recordings.writers import NS_PER_S
 from slamhive.runtime.messages import Array, stamp_ns, to_points
 from slamhive.runtime.point_times import PointTimes, SweepInstant, TimeReference, TimeUnit
 

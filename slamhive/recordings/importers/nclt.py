@@ -18,7 +18,6 @@ from slamhive.base.files import visible_files
 from slamhive.domain.calibration import LidarLayout
 from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
 from slamhive.recordings.geometry import Array, quaternions_from_rotations, rotation_xyz, transform
-from slamhive.recordings.ground_truth import matched_truth
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,
@@ -26,6 +25,7 @@ from slamhive.recordings.importing import (
     ImportPlan,
     PlannedStream,
     PlannedTruth,
+    matched_truth,
     rate_hz,
 )
 from slamhive.recordings.streams import gnss_stream, imu_stream, point_stream, read_records, timed_files

@@ -19,7 +19,6 @@ from slamhive.base.files import visible_files
 from slamhive.domain.calibration import CameraIntrinsics, LidarLayout
 from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
 from slamhive.recordings.geometry import Array, transform
-from slamhive.recordings.ground_truth import matched_truth
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,
@@ -28,11 +27,12 @@ from slamhive.recordings.importing import (
     Loss,
     PlannedStream,
     PlannedTruth,
+    matched_truth,
     rate_hz,
 )
 from slamhive.recordings.rgbd import Frames, camera_stream, size_of
-from slamhive.recordings.ros1_writer import NS_PER_S
 from slamhive.recordings.streams import point_stream, read_records
+from slamhive.recordings.writers import NS_PER_S
 from slamhive.runtime.point_times import PointTimes, SweepInstant
 from slamhive.trajectory.transforms import rotations_from_quats
 

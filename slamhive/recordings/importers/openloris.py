@@ -14,10 +14,18 @@ import numpy as np
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.calibration_file import CalibrationFile, read_calibration_file
 from slamhive.recordings.geometry import Array
-from slamhive.recordings.ground_truth import matched_truth, tum_truth
-from slamhive.recordings.importing import DatasetText, Detection, ImportOptions, ImportPlan, PlannedStream, rate_hz
+from slamhive.recordings.importers.calibration import CalibrationFile, read_calibration_file
+from slamhive.recordings.importing import (
+    DatasetText,
+    Detection,
+    ImportOptions,
+    ImportPlan,
+    PlannedStream,
+    matched_truth,
+    rate_hz,
+    tum_truth,
+)
 from slamhive.recordings.rgbd import Frames, camera_stream, depth_stream, listed_frames
 from slamhive.recordings.streams import imu_stream
 from slamhive.recordings.text_lists import read_timed_list

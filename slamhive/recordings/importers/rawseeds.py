@@ -20,7 +20,6 @@ from slamhive.base.files import visible_files
 from slamhive.domain.calibration import LaserLayout
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.recordings.geometry import Array
-from slamhive.recordings.ground_truth import matched_truth
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,
@@ -28,6 +27,7 @@ from slamhive.recordings.importing import (
     ImportPlan,
     PlannedStream,
     PlannedTruth,
+    matched_truth,
     rate_hz,
 )
 from slamhive.recordings.streams import laser_stream, odometry_stream, planar_transform, pose_quats_xyzw

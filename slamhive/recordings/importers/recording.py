@@ -29,7 +29,7 @@ from slamhive.recordings.importers.video_messages import (
 )
 from slamhive.recordings.importing import ImportOptions
 from slamhive.recordings.reader import DAMAGE, damaged, reindexing
-from slamhive.recordings.ros1_writer import NS_PER_S
+from slamhive.recordings.writers import NS_PER_S
 from slamhive.runtime.messages import COMPRESSED_IMAGE, IMAGE, IMAGE_ENCODINGS, IMU, POINTS, Array, stamp_ns
 
 _WINDOWS_S = (2.0, 20.0, 200.0)

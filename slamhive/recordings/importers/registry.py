@@ -16,9 +16,8 @@ from slamhive.base.registry import Registry, instances_of
 from slamhive.recordings.importers.carmen import CarmenImporter
 from slamhive.recordings.importers.euroc import EurocImporter
 from slamhive.recordings.importers.evalio import EvalioImporter
+from slamhive.recordings.importers.kitti import KittiOdometryImporter, KittiRawImporter
 from slamhive.recordings.importers.kitti_360 import Kitti360Importer
-from slamhive.recordings.importers.kitti_odometry import KittiOdometryImporter
-from slamhive.recordings.importers.kitti_raw import KittiRawImporter
 from slamhive.recordings.importers.mulran import MulranImporter
 from slamhive.recordings.importers.nclt import NcltImporter
 from slamhive.recordings.importers.nuscenes import NuScenesImporter

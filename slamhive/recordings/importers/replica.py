@@ -10,9 +10,8 @@ from pathlib import Path
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics
-from slamhive.recordings.calibration_file import CalibrationFile, read_calibration_file
-from slamhive.recordings.ground_truth import matched_truth
-from slamhive.recordings.importing import DatasetText, Detection, ImportOptions, ImportPlan, PlannedTruth
+from slamhive.recordings.importers.calibration import CalibrationFile, read_calibration_file
+from slamhive.recordings.importing import DatasetText, Detection, ImportOptions, ImportPlan, PlannedTruth, matched_truth
 from slamhive.recordings.rgbd import (
     camera_stream,
     depth_stream,

@@ -9,7 +9,6 @@ from pathlib import Path
 from slamhive.base.errors import InvalidInput
 from slamhive.base.files import size_bytes, visible_files
 from slamhive.domain.sensors import Sensor
-from slamhive.recordings.ground_truth import check_clock
 from slamhive.recordings.importers.calibration import read_calibrations
 from slamhive.recordings.importers.lenient_reader import ZSTD, LenientReader, storage_files
 from slamhive.recordings.importers.lidar_drivers import livox_points
@@ -34,10 +33,11 @@ from slamhive.recordings.importing import (
     KeptRecording,
     Loss,
     RewrittenRecording,
+    check_clock,
 )
 from slamhive.recordings.reader import DAMAGE, reindexing
-from slamhive.recordings.ros1_writer import NS_PER_S, BagWriter
 from slamhive.recordings.staging import Progress
+from slamhive.recordings.writers import NS_PER_S, BagWriter
 from slamhive.runtime.messages import COMPRESSED_IMAGE, IMAGE, Array
 from slamhive.runtime.messages import stamp_ns as stamp_ns_of
 

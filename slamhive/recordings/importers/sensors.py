@@ -17,7 +17,7 @@ from slamhive.recordings.importers.calibration import BODY, FrameGraph, KnownCal
 from slamhive.recordings.importers.lidar_drivers import layout_of, livox_layout
 from slamhive.recordings.importers.odd_images import is_odd
 from slamhive.recordings.importers.recording import LIVOX, Matching, SourceBag, camera_of
-from slamhive.recordings.ros1_writer import NS_PER_S
+from slamhive.recordings.writers import NS_PER_S
 from slamhive.trajectory.transforms import rotations_from_quats
 
 # Calibration in the recording itself: ``CameraInfo`` messages and the transforms of ``/tf_static``.

@@ -15,9 +15,8 @@ from slamhive.base.files import visible_files
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.recordings.frame_files import read_image
 from slamhive.recordings.geometry import Array
-from slamhive.recordings.ground_truth import matched_truth
 from slamhive.recordings.importers.calibration import given_camera
-from slamhive.recordings.importing import DatasetText, Detection, ImportOptions, ImportPlan, PlannedTruth
+from slamhive.recordings.importing import DatasetText, Detection, ImportOptions, ImportPlan, PlannedTruth, matched_truth
 from slamhive.recordings.rgbd import (
     camera_stream,
     depth_stream,

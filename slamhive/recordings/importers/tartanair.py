@@ -14,8 +14,15 @@ import numpy as np
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.recordings.geometry import Array, transform
-from slamhive.recordings.ground_truth import matched_truth
-from slamhive.recordings.importing import DatasetText, Detection, ImportOptions, ImportPlan, PlannedStream, PlannedTruth
+from slamhive.recordings.importing import (
+    DatasetText,
+    Detection,
+    ImportOptions,
+    ImportPlan,
+    PlannedStream,
+    PlannedTruth,
+    matched_truth,
+)
 from slamhive.recordings.rgbd import (
     camera_stream,
     depth_stream,

@@ -13,9 +13,17 @@ from slamhive.base.files import visible_files
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel
 from slamhive.domain.sensors import SensorKind
 from slamhive.packages.dataset_file import DATASET_FILE, load_sensors
-from slamhive.recordings.ground_truth import listed_truth, matched_truth, tum_truth
 from slamhive.recordings.importers.calibration import given_camera
-from slamhive.recordings.importing import DatasetText, Detection, ImportOptions, ImportPlan, PlannedStream, PlannedTruth
+from slamhive.recordings.importing import (
+    DatasetText,
+    Detection,
+    ImportOptions,
+    ImportPlan,
+    PlannedStream,
+    PlannedTruth,
+    matched_truth,
+    tum_truth,
+)
 from slamhive.recordings.rgbd import (
     Frames,
     camera_stream,
@@ -25,7 +33,7 @@ from slamhive.recordings.rgbd import (
     read_pose_table,
     size_of,
 )
-from slamhive.recordings.text_lists import TimedList, parse_timed_list, read_lines
+from slamhive.recordings.text_lists import TimedList, listed_truth, parse_timed_list, read_lines
 from slamhive.trajectory.layout import TimeUnit
 
 _UNITS_PER_M = 5000.0

@@ -12,7 +12,6 @@ from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.recordings.geometry import Array
-from slamhive.recordings.ground_truth import matched_truth, tum_truth
 from slamhive.recordings.importers.calibration import given_camera
 from slamhive.recordings.importing import (
     DatasetText,
@@ -21,11 +20,13 @@ from slamhive.recordings.importing import (
     ImportPlan,
     Loss,
     PlannedStream,
+    matched_truth,
     rate_hz,
+    tum_truth,
 )
 from slamhive.recordings.rgbd import nominal_times_ns
-from slamhive.recordings.ros1_writer import BagWriter
 from slamhive.recordings.streams import OVERHEAD_BYTES, check_size
+from slamhive.recordings.writers import BagWriter
 
 _ENDINGS = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 _MOST_FRAMES = 1_000_000

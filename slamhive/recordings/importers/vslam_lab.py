@@ -10,8 +10,7 @@ from pathlib import Path
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel, ImuNoise
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.calibration_file import CalibrationFile, read_calibration_file
-from slamhive.recordings.ground_truth import listed_truth, matched_truth, tum_truth
+from slamhive.recordings.importers.calibration import CalibrationFile, read_calibration_file
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,
@@ -19,11 +18,13 @@ from slamhive.recordings.importing import (
     ImportPlan,
     PlannedStream,
     PlannedTruth,
+    matched_truth,
     rate_hz,
+    tum_truth,
 )
 from slamhive.recordings.rgbd import Frames, camera_stream, depth_stream
 from slamhive.recordings.streams import imu_stream
-from slamhive.recordings.text_lists import parse_timed_list, read_lines, read_timed_list
+from slamhive.recordings.text_lists import listed_truth, parse_timed_list, read_lines, read_timed_list
 from slamhive.trajectory.layout import TimeUnit
 
 _IMAGES, _CAMERAS, _SAMPLES, _TRUTH = "rgb.csv", "calibration.yaml", "imu_0.csv", "groundtruth.csv"

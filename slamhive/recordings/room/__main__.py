@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cv2
 
-from slamhive.recordings.room.sensing import sample_views
+from slamhive.recordings.room.sensors import sample_views
 
 
 def main() -> None:

@@ -15,12 +15,21 @@ from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.names import check_name
 from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
 from slamhive.recordings.geometry import Array, quaternions_from_rotations
-from slamhive.recordings.room.motion import motion_at
-from slamhive.recordings.room.sensing import Scene, Task, TaskKind, sense_all
-from slamhive.recordings.room.sensors import BASELINE_M, DEPTH_UNITS_PER_M, ImuSamples, Rig, make_rig, measure
-from slamhive.recordings.room.world import REFERENCE_MAP_FILE, sample_surfaces
-from slamhive.recordings.ros1_writer import NS_PER_S, BagWriter
+from slamhive.recordings.room.sensors import (
+    BASELINE_M,
+    DEPTH_UNITS_PER_M,
+    ImuSamples,
+    Rig,
+    Scene,
+    Task,
+    TaskKind,
+    make_rig,
+    measure,
+    sense_all,
+)
+from slamhive.recordings.room.world import REFERENCE_MAP_FILE, motion_at, sample_surfaces
 from slamhive.recordings.staging import GROUND_TRUTH_FILE, Progress, new_dataset
+from slamhive.recordings.writers import NS_PER_S, BagWriter
 from slamhive.runtime.pcd import write_pcd
 from slamhive.runtime.point_times import PointTimes, TimeReference
 

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamhive.recordings.room.camera import Renderer
-from slamhive.recordings.room.motion import motion_at
 from slamhive.recordings.room.sensors import make_rig
+from slamhive.recordings.room.world import motion_at
 
 Bits = NDArray[np.uint8]
 

@@ -1,18 +1,30 @@
-"""Makes a variant of a dataset: applies the steps to its recording, and describes the result."""
+"""Variants of a dataset: identity and largest size, and the recording that the steps make."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
 
 from slamhive.base.errors import InvalidInput
+from slamhive.base.files import size_bytes
+from slamhive.documents.model import dump
 from slamhive.domain.configuration import Variant
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.packages.dataset_file import dataset_to_yaml
 from slamhive.recordings.staging import Progress, seal
+from slamhive.recordings.variants.cache import VariantPlan
 from slamhive.recordings.variants.ros1_output import BagExtent
 from slamhive.recordings.variants.ros1_rewrite import make_ros1
 from slamhive.recordings.variants.rosbag2_variant import make_rosbag2
+from slamhive.recordings.variants.step import SeededStep, Step
 from slamhive.recordings.variants.streams import Treatment, topics_of, treat
 
 
@@ -61,3 +73,70 @@ def _duration_s(dataset: Dataset, before: BagExtent, after: BagExtent) -> float:
         return 0.0
     lost_ns = (before.end_ns - before.start_ns) - (after.end_ns - after.start_ns)
     return max(0.0, dataset.duration_s - lost_ns * 1e-9)
+
+
+# The identity and the largest size of a variant, from ``dataset.yaml`` and the steps alone.
+
+
+ENGINE_VERSION = 1
+"""Raise it when the same steps make other bytes; a step alone has ``Step.version``."""
+
+_KEY_DIGITS = 32
+_MARGIN = 1.1
+_SPARE_BYTES = 1_000_000
+_PIXEL_BYTES = {"mono8": 1, "mono16": 2, "16UC1": 2, "32FC1": 4, "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4}
+
+
+def plan_variant(dataset: Dataset, variant: Variant) -> VariantPlan | None:
+    """The plan for ``variant`` of ``dataset``; None if it is the dataset itself, because no step changes anything.
+
+    Raises NotFound or InvalidInput for steps that cannot be applied.
+    """
+    treatments = treat(dataset, variant)
+    if not any(treatment.steps for treatment in treatments):
+        return None
+    # An estimate from above: images shrink with pixels and rate, everything else is taken to stay as large.
+    source_bytes = size_bytes(dataset.bag_path)
+    before = sum(_image_bytes(treatment.before, dataset.duration_s) for treatment in treatments)
+    after = sum(_image_bytes(treatment.after, dataset.duration_s) for treatment in treatments)
+    images_bytes = min(before, source_bytes)
+    left_bytes = source_bytes - images_bytes + (images_bytes * after / before if before else 0.0)
+    return VariantPlan(
+        key=_key(dataset, treatments),
+        dataset=dataset.name,
+        steps=tuple(dump(Variant, variant)),
+        needed_bytes=round(left_bytes * _MARGIN) + _SPARE_BYTES,
+        source_bytes=size_bytes(dataset.bag_path),
+    )
+
+
+def _key(dataset: Dataset, treatments: tuple[Treatment, ...]) -> str:
+    """Recipe that decides every byte: recording, description, steps in order, and the code that applies them."""
+    content = {
+        "code": [ENGINE_VERSION, cv2.__version__, np.__version__],
+        "dataset": dataset_to_yaml(dataset),
+        "sensors": {
+            treatment.before.name: [_identity(step, position) for step, position, _ in treatment.steps]
+            for treatment in treatments
+            if treatment.steps
+        },
+    }
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:_KEY_DIGITS]
+
+
+def _identity(step: Step, position: int) -> list[Any]:
+    """``position`` sets the random numbers of equal steps apart; where none are drawn it means nothing."""
+    return [step.kind, step.version, _options(step), position if isinstance(step, SeededStep) else 0]
+
+
+def _options(step: Step) -> dict[str, Any]:
+    return step.model_dump(exclude_none=True)
+
+
+def _image_bytes(sensor: Sensor, duration_s: float) -> float:
+    """Bytes that the images of a sensor would take uncompressed; 0 for other sensors."""
+    if sensor.kind not in {SensorKind.CAMERA, SensorKind.DEPTH}:
+        return 0.0
+    pixels = float(sensor.calibration["width"]) * float(sensor.calibration["height"])  # type: ignore[arg-type]
+    return pixels * _PIXEL_BYTES.get(str(sensor.calibration.get("encoding")), 1) * sensor.rate_hz * duration_s

@@ -19,12 +19,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from slamhive.base.errors import InvalidInput
 from slamhive.recordings.reader import decode, messages, open_bag
-from slamhive.recordings.rosbag2_writer import copy_connection, rosbag2_writer, storage_of
 from slamhive.recordings.staging import Pending, Progress, Ready, checksum, in_order, one_thread_in_opencv
-from slamhive.recordings.variants.decisions import check_timestamp, one_type
 from slamhive.recordings.variants.ros1_output import BagExtent
-from slamhive.recordings.variants.ros1_rewrite import TopicChoice, freed_memory_kept
+from slamhive.recordings.variants.ros1_rewrite import TopicChoice, check_timestamp, freed_memory_kept, one_type
 from slamhive.recordings.variants.streams import TopicStream, Treatment, make_edit
+from slamhive.recordings.writers import copy_connection, rosbag2_writer, storage_of
 from slamhive.runtime.recording import damaged
 
 _NS_PER_S = 1_000_000_000

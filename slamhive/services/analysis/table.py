@@ -27,7 +27,7 @@ from slamhive.domain.trust import DisturbanceKind
 from slamhive.domain.verdict import EVIDENCE, FailureRule
 from slamhive.experiments.binding import seen_dataset
 from slamhive.filters.fields import VARIANT_PREFIX, Vocabulary
-from slamhive.recordings.variants.rules import RegisteredSteps
+from slamhive.recordings.variants.steps import RegisteredSteps
 from slamhive.run_folder.folder import RunFolder
 from slamhive.run_folder.played_frames import first_frame_s, read_played_frames
 from slamhive.run_folder.untrusted import read_numeric_columns

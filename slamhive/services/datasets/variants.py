@@ -32,9 +32,9 @@ from slamhive.experiments.binding import resolve_variant, seen_dataset
 from slamhive.filters.words import matching
 from slamhive.packages.dataset_file import DATASET_FILE, dataset_to_yaml
 from slamhive.recordings.staging import Progress
+from slamhive.recordings.variants.build import plan_variant
 from slamhive.recordings.variants.cache import CacheLimits, VariantCache, VariantEntry, VariantPlan
-from slamhive.recordings.variants.plan import plan_variant
-from slamhive.recordings.variants.rules import RegisteredSteps, on_all_sensors
+from slamhive.recordings.variants.steps import RegisteredSteps, on_all_sensors
 from slamhive.run_folder.folder import RunFolder
 from slamhive.services.datasets.catalogue import Catalogue, algorithm_here_or_elsewhere, trajectory_frame
 from slamhive.store import RunRecord, Store

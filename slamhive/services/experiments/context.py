@@ -71,7 +71,7 @@ class ExperimentContext:
         # Lists and reports expand nothing. They need no steps of variants, and those load OpenCV.
         from slamhive.experiments.binding import CatalogueView, at  # noqa: PLC0415
         from slamhive.experiments.expansion import expand  # noqa: PLC0415
-        from slamhive.recordings.variants.rules import RegisteredSteps  # noqa: PLC0415
+        from slamhive.recordings.variants.steps import RegisteredSteps  # noqa: PLC0415
         from slamhive.services.configurations import find_map  # noqa: PLC0415
         from slamhive.services.experiments.views import to_fetch, unfetched  # noqa: PLC0415
 

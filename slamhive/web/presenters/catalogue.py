@@ -15,7 +15,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter, ParameterType
 from slamhive.domain.sensors import IDENTITY4, Sensor, SensorKind
-from slamhive.recordings.variants.rules import (
+from slamhive.recordings.variants.steps import (
     OptionInfo,
     RegisteredSteps,
     describe_options,

@@ -15,8 +15,7 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.sensors import SensorKind, SensorSetup
-from slamhive.recordings.variants.rules import OptionInfo, describe_options, describe_step, treated_kinds
-from slamhive.recordings.variants.steps import STEPS
+from slamhive.recordings.variants.steps import STEPS, OptionInfo, describe_options, describe_step, treated_kinds
 from slamhive.services.experiments import ExperimentPreview, ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.web.experiment_fields import (

@@ -7,7 +7,7 @@ import pytest
 from slamhive.documents.model import dump
 from slamhive.domain.configuration import Variant, VariantStep
 from slamhive.experiments.binding import resolve_variant
-from slamhive.recordings.variants.rules import RegisteredSteps
+from slamhive.recordings.variants.steps import RegisteredSteps
 from slamhive.services.analysis.table import seen_columns
 from tests.experiments.sweep_world import CAMERA, IMU, LIDAR, dataset
 

@@ -14,8 +14,7 @@ from pydantic import Field, model_validator
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.recordings.variants.calibration import image_size, scale_sensor
-from slamhive.recordings.variants.step import Array, Message, Operation, SeededStep, Step, Stream
-from slamhive.recordings.variants.steps.options import Swing, option
+from slamhive.recordings.variants.step import Array, Message, Operation, SeededStep, Step, Stream, Swing, option
 
 FULL_SCALE_8BIT = 255.0
 """Grey levels are given on the scale of 8 bits, whatever the image has."""

@@ -7,8 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.variants.step import Array, Message, Operation, SeededStep, Step, Stream
-from slamhive.recordings.variants.steps.options import option
+from slamhive.recordings.variants.step import Array, Message, Operation, SeededStep, Step, Stream, option
 
 
 class ImuBias(SeededStep):

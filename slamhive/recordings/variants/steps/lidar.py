@@ -10,8 +10,7 @@ import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.variants.step import Array, Message, Operation, SeededStep, Step, Stream
-from slamhive.recordings.variants.steps.options import option
+from slamhive.recordings.variants.step import Array, Message, Operation, SeededStep, Step, Stream, option
 
 RING_FIELD = "ring"
 

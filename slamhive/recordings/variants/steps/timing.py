@@ -11,8 +11,7 @@ from pydantic import Field, model_validator
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.sensors import Sensor
-from slamhive.recordings.variants.step import Operation, SeededStep, Step, Stream
-from slamhive.recordings.variants.steps.options import option
+from slamhive.recordings.variants.step import Operation, SeededStep, Step, Stream, option
 
 _RATE_TOLERANCE = 1e-3
 """Rates this close (relative) are one: ``dataset.yaml`` states measured rates."""

@@ -1,19 +1,28 @@
-"""Writes ROS 1 bags with standard sensor messages."""
+"""Writes recordings: ROS 1 bags with standard sensor messages, ROS 2 folders, and single ``.mcap`` or ``.db3``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import errno
+import shutil
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Connection
-from rosbags.rosbag1 import Writer
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics, LaserLayout
 from slamhive.domain.sensors import Sensor
 
@@ -60,7 +69,7 @@ class BagWriter:
 
     def __init__(self, path: Path) -> None:
         self._store = get_typestore(Stores.ROS1_NOETIC)
-        self._writer = Writer(path)
+        self._writer = Ros1Writer(path)
         self._connections: dict[str, Connection] = {}
         self._counts: dict[str, int] = {}
 
@@ -251,3 +260,108 @@ class BagWriter:
         raw = self._store.serialize_ros1(message, kind)
         self._writer.write(self._connections[topic], playable_ns(received_ns), raw)
         self._counts[topic] = self._counts.get(topic, 0) + 1
+
+
+# Writes ROS 2 recordings: a folder (SQLite or MCAP), or a single ``.mcap`` or ``.db3`` file.
+#
+# A recording that is made from another one keeps its storage, compression, type definitions and quality of service.
+
+
+MCAP_SUFFIX, SQLITE_SUFFIX = ".mcap", ".db3"
+_SUFFIXES = {StoragePlugin.MCAP: MCAP_SUFFIX, StoragePlugin.SQLITE3: SQLITE_SUFFIX}
+_VERSION: Literal[8] = 8
+"""Of the metadata. Version 9 writes quality of service in another form, which older readers do not know."""
+_UNKNOWN_HASH = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Rosbag2Storage:
+    """Storage of a ROS 2 recording; ``plain`` is a single file without the folder around it."""
+
+    plugin: StoragePlugin
+    compression: CompressionMode = CompressionMode.NONE
+    plain: bool = False
+
+
+PLAIN_MCAP = Rosbag2Storage(StoragePlugin.MCAP, plain=True)
+SQLITE_FOLDER = Rosbag2Storage(StoragePlugin.SQLITE3)
+
+
+def storage_of(path: Path, reader: AnyReader) -> Rosbag2Storage:
+    """Storage of the open recording at ``path``."""
+    (recording,) = reader.readers
+    assert isinstance(recording, Reader)
+    files = mcap_files(reader)
+    mode = CompressionMode[(recording.compression_mode or "none").upper()]
+    if mode is CompressionMode.NONE and any(chunk.compression for file in files for chunk in file.chunks):
+        mode = CompressionMode.STORAGE
+    return Rosbag2Storage(StoragePlugin.MCAP if files else StoragePlugin.SQLITE3, mode, plain=not path.is_dir())
+
+
+def mcap_files(reader: AnyReader) -> list[McapReader]:
+    """The open MCAP files of a recording."""
+    (recording,) = reader.readers
+    assert isinstance(recording, Reader)
+    files = getattr(recording.storage, "storages", [recording.storage])
+    return [file for file in files if isinstance(file, McapReader)]
+
+
+@contextmanager
+def rosbag2_writer(target: Path, storage: Rosbag2Storage) -> Iterator[Writer]:
+    """An open writer of the recording ``target``, which must not exist; the name of a plain one has the right suffix.
+
+    Equal messages and connections make equal bytes. Raises OSError where ``target`` cannot be written.
+    """
+    folder = target
+    if storage.plain:
+        around = target.with_name(f".{target.name}.partial")
+        folder = around / target.stem
+    writer = Writer(folder, version=_VERSION, storage_plugin=storage.plugin)
+    writer.set_compression(storage.compression, CompressionFormat.ZSTD)
+    try:
+        with writer:
+            yield writer
+        if storage.plain:
+            (folder / f"{target.stem}{_SUFFIXES[storage.plugin]}").replace(target)
+    except sqlite3.Error as error:
+        raise OSError(errno.EIO, str(error), str(target)) from error
+    finally:
+        if storage.plain:
+            shutil.rmtree(around, ignore_errors=True)
+
+
+def copy_connection(writer: Writer, connection: Connection, reader: AnyReader) -> Connection:
+    """Add a connection of ``reader``, a ROS 2 recording, with its definition and quality of service.
+
+    A definition that the recording lacks is added if the standard types contain it. Messages of other types are
+    copied without one. Raises InvalidInput where MCAP cannot hold that.
+    """
+    definition, digest = _definition(connection, reader)
+    if definition is None:
+        if writer.storage_plugin is StoragePlugin.MCAP:
+            raise InvalidInput(
+                f"{connection.topic} carries {connection.msgtype}, and the recording does not define this type",
+                "record the definition, or remove the topic",
+            )
+        writer.added_types.add(connection.msgtype)
+    extension = connection.ext
+    assert isinstance(extension, ConnectionExtRosbag2)
+    return writer.add_connection(
+        connection.topic,
+        connection.msgtype,
+        msgdef=definition or "",
+        rihs01=digest,
+        serialization_format=extension.serialization_format,
+        offered_qos_profiles=extension.offered_qos_profiles,
+    )
+
+
+def _definition(connection: Connection, reader: AnyReader) -> tuple[str | None, str]:
+    """The text of a type's definition, None if nobody knows it, and its hash."""
+    kind = connection.msgtype
+    if kind not in reader.typestore.fielddefs:
+        return None, connection.digest or _UNKNOWN_HASH
+    digest = connection.digest or reader.typestore.hash_rihs01(kind)
+    if connection.msgdef.format == MessageDefinitionFormat.MSG:
+        return connection.msgdef.data, digest
+    return reader.typestore.generate_msgdef(kind, ros_version=2)[0], digest

@@ -1,4 +1,4 @@
-"""Reads the messages of sensors for exports to folders of images and text."""
+"""The seam of exports, and how exporters read the messages of sensors for folders of images and text."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -230,3 +230,32 @@ def number(value: Any) -> str:
 def numbers(values: Iterable[Any]) -> str:
     """A list of numbers in one line."""
     return f"[{', '.join(number(value) for value in values)}]"
+
+
+# The seam of exports: what an exporter says before anything is written, and what it then writes.
+
+
+@dataclass(frozen=True, eq=False)
+class ExportPlan:
+    """Plan of an export.
+
+    Attributes:
+        write: Writes into an empty folder; raises InvalidInput for a damaged recording, OSError for a full disk.
+        needed_bytes: The size of the result, estimated from above.
+        left_out: What the format cannot hold, one phrase each: ``depth0 (depth)``. Such an export must be asked for.
+        notes: What users of the result should know, one sentence each.
+    """
+
+    write: Callable[[Path, Progress], None]
+    needed_bytes: int
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@runtime_checkable
+class Exporter(Protocol):
+    """Turns datasets into folders of one format."""
+
+    def plan(self, dataset: Dataset) -> ExportPlan:
+        """Plan the export of ``dataset``; raises InvalidInput if the format is for something else."""
+        ...
