@@ -18,8 +18,7 @@ from slamhive.documents.catalogue import LinkReportDocument, PublicSequence, pub
 from slamhive.domain.collection import Collection, FileKind, Need, NeedKind, Part, RemoteFile, Sequence
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.names import check_name
-from slamhive.downloads.download import Pace, Speed, check_file, check_space, download
-from slamhive.downloads.links import CheckedLink, check_links
+from slamhive.downloads.download import CheckedLink, Pace, Speed, check_file, check_links, check_space, download
 from slamhive.downloads.unpack import MemberChoice, unpack
 from slamhive.downloads.web import AccessToken, Timeouts
 from slamhive.packages.collection_file import kind_of, load_collection

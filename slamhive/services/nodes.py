@@ -18,8 +18,7 @@ from slamhive.services.datasets import check_writable
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ConfigurationStanding, ExperimentService
 from slamhive.store import RunRecord, Store
-from slamhive.store.durations import MachineRuns
-from slamhive.store.same_cpu import NODE
+from slamhive.store.durations import NODE, MachineRuns
 
 
 @dataclass(frozen=True, slots=True)

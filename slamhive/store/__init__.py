@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         ParameterCondition,
         StoredParameter,
     )
+    from slamhive.store.durations import MeasuredMachine
     from slamhive.store.leases import Lease
     from slamhive.store.records import (
         AlgorithmRecord,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
         RunSort,
         VersionRecord,
     )
-    from slamhive.store.same_cpu import MeasuredMachine
     from slamhive.store.store import AbsentStore, Store, open_store
     from slamhive.store.transaction import Transaction
 

@@ -159,7 +159,7 @@ class ExperimentRow(TableBase):
     """An experiment as its file describes it. Until it is ``complete``, its cells and runs are still being stored.
 
     ``repeats`` may have grown since. ``cells`` and ``runs`` are counts, or upper bounds until it is complete.
-    ``cpu_model``: see :mod:`slamhive.store.same_cpu`. One with a ``question`` chooses its runs until it has a
+    ``cpu_model``: see :mod:`slamhive.store.durations`. One with a ``question`` chooses its runs until it has a
     ``conclusion``, a sentence.
     """
 

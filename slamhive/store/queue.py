@@ -9,11 +9,11 @@ from sqlalchemy import ColumnElement, and_, false, func, insert, or_, select, un
 
 from slamhive.domain.placement import same_data
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.store.durations import MeasuredMachine, SameCpu
 from slamhive.store.leases import Lease, LeaseQueue
 from slamhive.store.models import EvaluationRow, RunEventRow, RunRow
 from slamhive.store.records import RunRecord
 from slamhive.store.runs import RunRepository
-from slamhive.store.same_cpu import MeasuredMachine, SameCpu
 
 logger = logging.getLogger(__name__)
 

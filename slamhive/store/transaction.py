@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from slamhive.store.catalogue import CatalogueRepository, NoteRepository, VersionRepository
     from slamhive.store.configuration_listing import ConfigurationBook
     from slamhive.store.configurations import ConfigurationRepository
-    from slamhive.store.durations import DurationRepository
+    from slamhive.store.durations import DurationRepository, PlacingRepository, SameCpu
     from slamhive.store.evaluations import EvaluationRepository
     from slamhive.store.experiments import ExperimentCounts, ExperimentRepository, ExperimentValues
     from slamhive.store.filed_runs import FiledRunRepository, ImportRepository
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from slamhive.store.queue import RunQueue
     from slamhive.store.run_table import RunTableRepository
     from slamhive.store.runs import DeletedRunRepository, RunRepository
-    from slamhive.store.same_cpu import PlacingRepository, SameCpu
     from slamhive.store.searches import SearchRepository
     from slamhive.store.sharing import SharingRepository
 

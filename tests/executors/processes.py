@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from slamhive.executors.process.paths import KEY_VARIABLE
+from slamhive.executors.process.environment import KEY_VARIABLE
 from slamhive.executors.process.table import all_processes, living
 from slamhive.executors.status import RunHandle
 

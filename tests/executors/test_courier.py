@@ -38,8 +38,7 @@ from slamhive.executors.kubernetes.pod_files import (
 from slamhive.executors.kubernetes.run_files import courier_archive
 from slamhive.executors.node_store.controller import NodeStore
 from slamhive.executors.node_store.on_node.cache import Cache, Item, sha256_of
-from slamhive.executors.node_store.on_node.making import item_of
-from slamhive.executors.node_store.on_node.run import Ticket
+from slamhive.executors.node_store.on_node.run import Ticket, item_of
 from slamhive.executors.node_store.registrations import Registration, Registrations
 from slamhive.executors.process.exit_file import reserve, write_exit
 from slamhive.executors.spec import RunInput, RunOutput, RunSpec, VariantOrder

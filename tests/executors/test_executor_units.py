@@ -16,7 +16,7 @@ import requests
 from slamhive.base.errors import NotFound, Unavailable
 from slamhive.domain.algorithm import AlgorithmPackage, RunUser
 from slamhive.executors.base import Capabilities, EngineUnavailable, ExecutorContext, ImageMissing, StartFailed
-from slamhive.executors.docker.containers import container_options, engine_protections
+from slamhive.executors.docker.containers import container_options, engine_protections, in_words, is_foreign
 from slamhive.executors.docker.engine import (
     EngineTraits,
     connect,
@@ -29,7 +29,6 @@ from slamhive.executors.docker.engine import (
 )
 from slamhive.executors.docker.executor import DockerStatsSource, parse_stats
 from slamhive.executors.docker.images import follow_build
-from slamhive.executors.docker.run_user import in_words, is_foreign
 from slamhive.executors.process.environment import Environments
 from slamhive.executors.process.exit_file import CappedLog, assemble
 from slamhive.executors.registry import EXECUTORS, choose_executor, installation_id, open_executor

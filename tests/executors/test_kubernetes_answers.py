@@ -14,9 +14,9 @@ from slamhive.executors.host import describe_host
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.answers import Right
 from slamhive.executors.kubernetes.cluster import Expired, _events
-from slamhive.executors.kubernetes.pod_counters import about_node, used_cpu_s
 from slamhive.executors.kubernetes.run_files import PodRunFiles, parse_usage
 from slamhive.executors.kubernetes.run_jobs import RELIST_S, TRUSTED_S, PodBook, PodWatch
+from slamhive.executors.kubernetes.supervisor import about_node, used_cpu_s
 from slamhive.executors.spec import RunOutput
 from slamhive.executors.status import Exited, Gone
 

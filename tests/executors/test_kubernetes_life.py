@@ -18,8 +18,8 @@ from slamhive.executors.base import EngineUnavailable
 from slamhive.executors.host_counters import HostReading
 from slamhive.executors.kubernetes import executor, manifest
 from slamhive.executors.kubernetes.executor import KubernetesExecutor
-from slamhive.executors.kubernetes.pod_counters import HOST_KEY
 from slamhive.executors.kubernetes.pod_files import LOG_FOLDER, STOP_FILE, USAGE_FILE, write_json
+from slamhive.executors.kubernetes.supervisor import HOST_KEY
 from slamhive.executors.process.exit_file import CappedLog
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Gone, Running

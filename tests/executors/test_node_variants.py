@@ -17,8 +17,7 @@ from slamhive.domain.configuration import VariantStep
 from slamhive.domain.dataset import Dataset
 from slamhive.executors.node_store.controller import make
 from slamhive.executors.node_store.on_node.cache import Cache, Item, sha256_of
-from slamhive.executors.node_store.on_node.making import _MODULE, hold_variant, item_of, make_apart, read_made
-from slamhive.executors.node_store.on_node.run import WrongNode
+from slamhive.executors.node_store.on_node.run import _MODULE, WrongNode, hold_variant, item_of, make_apart, read_made
 from slamhive.executors.slurm.jobs import job_request
 from slamhive.executors.spec import VariantOrder
 from slamhive.packages.dataset_file import dataset_to_yaml, load_dataset

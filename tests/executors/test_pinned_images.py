@@ -17,7 +17,7 @@ from slamhive.domain.packages import PinnedImage
 from slamhive.executors.base import ExecutorContext, ImageMissing
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.docker.foreign_images import DockerImages, repository_and_tag
-from slamhive.executors.kubernetes.images import NodeImages
+from slamhive.executors.kubernetes.run_jobs import NodeImages
 from tests.executors.registry_server import running_registry
 
 pytestmark = pytest.mark.quick

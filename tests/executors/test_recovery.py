@@ -21,7 +21,7 @@ from slamhive.executors.docker import containers, engine
 from slamhive.executors.docker.engine import OWNER_LABEL, labels_of_helper
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.host import worker_identity
-from slamhive.executors.process.paths import KEY_VARIABLE, shim_spec_of
+from slamhive.executors.process.environment import KEY_VARIABLE, shim_spec_of
 from slamhive.executors.process.tree_limit import ProcessTreeSource
 from slamhive.executors.spec import ResourceLimits
 from slamhive.executors.status import Exited, Gone, Running

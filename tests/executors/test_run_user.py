@@ -15,9 +15,8 @@ import pytest
 
 from slamhive.domain.algorithm import RunUser
 from slamhive.executors.base import ExecutorContext, StartFailed
-from slamhive.executors.docker.containers import container_options
+from slamhive.executors.docker.containers import container_options, open_to_user
 from slamhive.executors.docker.executor import DockerExecutor
-from slamhive.executors.docker.run_user import open_to_user
 from slamhive.executors.spec import ResourceLimits, RunInput, RunOutput, RunSpec
 from tests.executors.conftest import Bench, wait_for_end
 from tests.services.docker_base import run_docker

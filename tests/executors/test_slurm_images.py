@@ -14,7 +14,7 @@ from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.executors.base import ExecutorContext
 from slamhive.executors.host import describe_host
 from slamhive.executors.slurm.containers import container_orders, make_mount_points
-from slamhive.executors.slurm.executor import SlurmExecutor
+from slamhive.executors.slurm.executor import SlurmExecutor, describe_node
 from slamhive.executors.slurm.image_folders import ImageFolder, ImageFolders
 from slamhive.executors.slurm.node import NodeReport
 from slamhive.executors.slurm.remote import open_slurm
@@ -28,7 +28,6 @@ from slamhive.executors.slurm.runtimes import (
     try_runtimes,
     write_sif,
 )
-from slamhive.executors.slurm.survey import describe
 from slamhive.executors.spec import RunInput, RunOutput
 from tests.executors.test_slurm_units import SPEC
 
@@ -268,15 +267,15 @@ def test_a_node_without_runtimes_says_why(monkeypatch, tmp_path):
 def test_what_a_node_offers_in_words():
     host = replace(describe_host(), cpu_model="Xeon", cpu_count=8, memory_bytes=16_000_000_000)
     report = NodeReport("n1", host, [Tried("charliecloud", problem="no ch-run"), Tried("podman", "4.3")])
-    found = describe("node n1", report, "auto")
+    found = describe_node("node n1", report, "auto")
     assert (found.found, found.remedy) == ("Xeon, 8 CPUs, 16.0 GB; Podman 4.3; not Charliecloud: no ch-run", None)
-    assert describe("node n1", report, "charliecloud").remedy is not None
-    assert describe("node n1", report, "none").remedy is None
+    assert describe_node("node n1", report, "charliecloud").remedy is not None
+    assert describe_node("node n1", report, "none").remedy is None
 
 
 def test_a_node_that_does_not_reach_the_worker_says_why():
     report = NodeReport("n1", describe_host(), [Tried("podman", "4.3")], "certificate verify failed")
-    found = describe("node n1", NodeReport.loads(json.dumps(asdict(report))), "auto", "https://hive.lab")
+    found = describe_node("node n1", NodeReport.loads(json.dumps(asdict(report))), "auto", "https://hive.lab")
     assert found.found.endswith("; does not reach https://hive.lab: certificate verify failed")
     assert found.remedy is not None
     assert "update-ca-certificates" in found.remedy

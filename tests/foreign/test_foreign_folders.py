@@ -17,8 +17,8 @@ from slamhive.domain.dataset import Dataset
 from slamhive.domain.packages import PackageOrigin
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, SensorSetup
 from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.executors.docker.containers import HANDOVER
 from slamhive.executors.docker.foreign_images import PROBE, own_yaml
-from slamhive.executors.docker.run_user import HANDOVER
 from slamhive.packages.algorithm_file import load_algorithms
 from slamhive.packages.published.draft import DraftRequest, PackageDraft, draft, licence_of
 from slamhive.packages.published.facts import find_facts

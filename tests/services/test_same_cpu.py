@@ -22,8 +22,8 @@ from slamhive.services.reindex import reindex
 from slamhive.services.worker import turns
 from slamhive.services.worker import worker as worker_module
 from slamhive.services.worker.turns import placing_of
+from slamhive.store.durations import NodeSeen
 from slamhive.store.records import RunRecord
-from slamhive.store.same_cpu import NodeSeen
 from tests.services.fake_executor import FakeExecutor, write_trajectory
 
 pytestmark = pytest.mark.integration

@@ -10,7 +10,7 @@ import pytest
 
 from slamhive.domain.run import Host, RunState
 from slamhive.store import Lease, MeasuredMachine, Store, open_store
-from slamhive.store.same_cpu import NOT_KNOWN, NodeSeen
+from slamhive.store.durations import NOT_KNOWN, NodeSeen
 from tests.store.conftest import NOW
 from tests.store.store_samples import Samples
 

@@ -16,7 +16,7 @@ from slamhive.domain.run import RunState
 from slamhive.filters.binding import Search, read_search
 from slamhive.filters.fields import vocabulary_of
 from slamhive.filters.syntax import FilterError
-from slamhive.store import RunSort, Store, Transaction, open_store, run_groups, run_listing
+from slamhive.store import RunSort, Store, Transaction, open_store, run_listing, searches
 from slamhive.store.records import SavedSearchRecord
 from tests.store import search_world as world
 from tests.store.conftest import BOTH
@@ -183,7 +183,7 @@ def test_pages_in_any_order_add_up(filled: World, plan: None, test: Probe, key: 
 
 
 @QUIETLY
-@given(test=OF_RUNS, key=st.sampled_from((*run_groups.SORT_KEYS, "ate.rmse", "cpu.mean")), limit=st.integers(1, 9))
+@given(test=OF_RUNS, key=st.sampled_from((*searches.SORT_KEYS, "ate.rmse", "cpu.mean")), limit=st.integers(1, 9))
 def test_groups_hold_every_run_once(filled: World, plan: None, test: Probe, key: str, limit: int):
     search, groups, after = read(test.text), [], None
     while True:
@@ -232,7 +232,7 @@ def mean_of(runs: list[Known], metric: str) -> list[float]:
     metric=st.sampled_from(["ate.rmse", "cpu.mean"]),
     sign=st.sampled_from(["<", ">="]),
     value=st.floats(0.0, 3.0).map(lambda value: round(value, 3)),
-    key=st.sampled_from((*run_groups.SORT_KEYS, "ate.rmse")),
+    key=st.sampled_from((*searches.SORT_KEYS, "ate.rmse")),
 )
 def test_conditions_on_metrics_choose_configurations_by_their_mean(
     filled: World, plan: None, test: Probe, metric: str, sign: str, value: float, key: str

@@ -20,6 +20,7 @@ from slamhive.domain.algorithm import RunUser
 from slamhive.evaluation.image_context import EvaluationContext
 from slamhive.evaluation.process import EvaluationBatch, LineCallback, LineFeed
 from slamhive.executors.base import EngineUnavailable, ExecutorContext
+from slamhive.executors.docker.containers import container_user
 from slamhive.executors.docker.engine import (
     HARDENING,
     connect,
@@ -28,7 +29,6 @@ from slamhive.executors.docker.engine import (
     traits_of,
 )
 from slamhive.executors.docker.images import build_image, content_of, get_image, name_image
-from slamhive.executors.docker.run_user import container_user
 from slamhive.packages.image_context import HOST_CERTIFICATES, BuildContext, build_arguments
 
 logger = logging.getLogger(__name__)

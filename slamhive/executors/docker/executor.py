@@ -31,7 +31,15 @@ from slamhive.executors.base import (
 )
 from slamhive.executors.cgroup import cgroup_of, file_cache_bytes, present
 from slamhive.executors.docker.batch import DockerStarter
-from slamhive.executors.docker.containers import DELEGATE, RefusedProcesses, RunContainers, engine_protections
+from slamhive.executors.docker.containers import (
+    DELEGATE,
+    RefusedProcesses,
+    RunContainers,
+    engine_protections,
+    in_words,
+    open_to_user,
+    take_back,
+)
 from slamhive.executors.docker.engine import (
     GPU_LABEL,
     KEY_LABEL,
@@ -58,7 +66,6 @@ from slamhive.executors.docker.images import (
     name_image,
     save_image,
 )
-from slamhive.executors.docker.run_user import in_words, open_to_user, take_back
 from slamhive.executors.gpu import GpuUse, gpu_use, in_container, list_gpus
 from slamhive.executors.spec import Limit, RunSpec
 from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource

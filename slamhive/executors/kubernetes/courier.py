@@ -50,16 +50,18 @@ from slamhive.executors.node_store.on_node.connection import (
     WrongContent,
     patiently,
 )
-from slamhive.executors.node_store.on_node.making import VARIANT_FILE, hold_variant, read_made
 from slamhive.executors.node_store.on_node.results import Output, Watched
 from slamhive.executors.node_store.on_node.run import (
+    VARIANT_FILE,
     Reporter,
     Ticket,
     WrongNode,
     claim,
     deliver,
     hold_items,
+    hold_variant,
     make_folders,
+    read_made,
     with_offset,
 )
 from slamhive.executors.process.exit_file import EXIT_FILE

@@ -29,13 +29,12 @@ from slamhive.executors.host_log import handed_over
 from slamhive.executors.kubernetes import answers
 from slamhive.executors.kubernetes.answers import Document, Right
 from slamhive.executors.kubernetes.cluster import Cluster, why_no_connection
-from slamhive.executors.kubernetes.images import NodeImages
 from slamhive.executors.kubernetes.manifest import selector
 from slamhive.executors.kubernetes.node_runs import NodeRunFiles
 from slamhive.executors.kubernetes.options import CLUSTER_OPTIONS, OPTIONS, read_options
-from slamhive.executors.kubernetes.pod_counters import HOST_KEY
 from slamhive.executors.kubernetes.run_files import PodRunFiles, PodUsage, Started
-from slamhive.executors.kubernetes.run_jobs import PodWatch, RunJobs
+from slamhive.executors.kubernetes.run_jobs import NodeImages, PodWatch, RunJobs
+from slamhive.executors.kubernetes.supervisor import HOST_KEY
 from slamhive.executors.node_store.controller import NodeStore
 from slamhive.executors.process.executor import wait_until
 from slamhive.executors.spec import Limit, RunSpec

@@ -23,7 +23,7 @@ from slamhive.executors.kubernetes.pod_files import (
 from slamhive.executors.kubernetes.run_files import PodRunFiles, courier_archive, order_of, supervisor_archive
 from slamhive.executors.node_store.controller import NodeStore, Reports, item_name, made_variant
 from slamhive.executors.node_store.exchange import ask_to_stop, claimed_by, results_archive
-from slamhive.executors.node_store.on_node.making import VARIANT_FILE, item_of
+from slamhive.executors.node_store.on_node.run import VARIANT_FILE, item_of
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.spec import DATASET_TARGET, RECORDING, RunOutput, RunSpec, VariantOrder
 from slamhive.packages.dataset_file import DATASET_FILE

@@ -23,7 +23,6 @@ from slamhive.base.files import remedy_of, temporary_folder, write_aside
 from slamhive.base.tree import remove_tree
 from slamhive.domain.run import Host
 from slamhive.executors.cgroup import file_cache_bytes, parse_flat, present
-from slamhive.executors.kubernetes.pod_counters import used_cpu_s
 from slamhive.executors.kubernetes.pod_files import (
     CLAIM_FILE,
     LOG_FOLDER,
@@ -33,6 +32,7 @@ from slamhive.executors.kubernetes.pod_files import (
     SUPERVISOR_FILE,
     USAGE_FILE,
 )
+from slamhive.executors.kubernetes.supervisor import used_cpu_s
 from slamhive.executors.packing import pack_folder
 from slamhive.executors.process.exit_file import EXIT_FILE, assemble
 from slamhive.executors.spec import RunOutput, RunSpec
@@ -355,7 +355,6 @@ def _moment(seconds: float) -> datetime:
 
 SUPERVISOR_MODULES = (
     "executors/host_counters.py",
-    "executors/kubernetes/pod_counters.py",
     "executors/kubernetes/pod_files.py",
     "executors/kubernetes/supervisor.py",
     "executors/process/exit_file.py",
@@ -366,7 +365,7 @@ _ON_NODE = "executors/node_store/on_node"
 COURIER_MODULES = (
     "executors/kubernetes/courier.py",
     "executors/kubernetes/pod_files.py",
-    *(f"{_ON_NODE}/{name}.py" for name in ("cache", "connection", "making", "results", "run")),
+    *(f"{_ON_NODE}/{name}.py" for name in ("cache", "connection", "results", "run")),
     "executors/packing.py",
     "executors/process/exit_file.py",
     "base/tree.py",

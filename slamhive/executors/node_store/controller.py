@@ -28,8 +28,7 @@ from slamhive.executors.node_store.exchange import (
     refused_results,
     results_archive,
 )
-from slamhive.executors.node_store.on_node.making import BAG, CHECKSUM, FRACTION, MADE_FILE, PROBLEM, MadeProgress
-from slamhive.executors.node_store.on_node.run import Ticket
+from slamhive.executors.node_store.on_node.run import BAG, CHECKSUM, FRACTION, MADE_FILE, PROBLEM, MadeProgress, Ticket
 from slamhive.executors.node_store.registrations import Offered, Registration, Registrations, archive_bound
 from slamhive.executors.spec import RunSpec, VariantOrder
 from slamhive.executors.transfer import unpack_output
@@ -266,7 +265,7 @@ class NodeStore:
 
 
 # Makes the variant of a dataset on a node that has SLAM Hive, for
-# :mod:`slamhive.executors.node_store.on_node.making`.
+# :mod:`slamhive.executors.node_store.on_node.run`.
 #
 # It reads an order from its input::
 #

@@ -43,9 +43,8 @@ from slamhive.executors.base import (
 from slamhive.executors.process.cgroup_home import NO_SCOPE, run_in_scope, scope_wanted
 from slamhive.executors.process.containment import found_again
 from slamhive.executors.process.containment_base import Containment
-from slamhive.executors.process.environment import Environments, pip_problem
+from slamhive.executors.process.environment import INHERITED, KEY_VARIABLE, Environments, pip_problem, shim_spec_of
 from slamhive.executors.process.exit_file import EXIT_FILE, assemble
-from slamhive.executors.process.paths import INHERITED, KEY_VARIABLE, shim_spec_of
 from slamhive.executors.process.run_cgroup import RunCgroup, group_name, left_over_groups
 from slamhive.executors.process.shim import IDENTITY_FILE, LOCK_FILE, NO_ROOM
 from slamhive.executors.process.supervisor import OUTPUT_FOLDER

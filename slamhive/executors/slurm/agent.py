@@ -31,9 +31,10 @@ from slamhive.executors.base import ExecutorContext
 from slamhive.executors.node_store.controller import item_name, live_place
 from slamhive.executors.node_store.on_node.cache import CacheFull, Held, Item
 from slamhive.executors.node_store.on_node.connection import Away, Connection, Fetcher, NodeRefused, WrongContent
-from slamhive.executors.node_store.on_node.making import BAG, VARIANT_FILE, hold_variant, read_made, words_of
 from slamhive.executors.node_store.on_node.results import Mirror, Output, Watched
 from slamhive.executors.node_store.on_node.run import (
+    BAG,
+    VARIANT_FILE,
     Claimed,
     Reporter,
     Ticket,
@@ -41,11 +42,14 @@ from slamhive.executors.node_store.on_node.run import (
     claim,
     deliver,
     hold_items,
+    hold_variant,
     holding,
     make_folders,
+    read_made,
     remove_run,
     sweep_runs,
     with_offset,
+    words_of,
 )
 from slamhive.executors.process.exit_file import EXIT_FILE
 from slamhive.executors.process.shim import IDENTITY_FILE

@@ -16,7 +16,7 @@ from typing import Any
 from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import Forbidden, InvalidInput
 from slamhive.executors.base import EngineUnavailable, StartFailed
-from slamhive.executors.process.paths import INHERITED
+from slamhive.executors.process.environment import INHERITED
 from slamhive.executors.slurm.jobs import ArraySubmission, JobRequest, chunks, comments_of_tasks, submission, tasks_in
 
 ALLOWED_OPTIONS = frozenset(

@@ -21,7 +21,7 @@ from slamhive.executors.base import (
     ProtectionFinding,
     StartFailed,
 )
-from slamhive.executors.process.paths import orders_for_limits
+from slamhive.executors.process.environment import orders_for_limits
 from slamhive.executors.process.shim_spec import ShimSpec
 from slamhive.executors.slurm.executor import SlurmExecutor
 from slamhive.executors.slurm.image_folders import ImageFolder, ImageFolders, make_mount_point

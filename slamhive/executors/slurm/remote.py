@@ -28,8 +28,7 @@ from slamhive.executors.base import (
 )
 from slamhive.executors.node_store.controller import NodeStore, Reports, made_variant
 from slamhive.executors.node_store.exchange import claimed_by, results_archive
-from slamhive.executors.node_store.on_node.making import VARIANT_FILE
-from slamhive.executors.node_store.on_node.run import ARCHITECTURE, Ticket
+from slamhive.executors.node_store.on_node.run import ARCHITECTURE, VARIANT_FILE, Ticket
 from slamhive.executors.node_store.registrations import Offered
 from slamhive.executors.process.executor import read_json, wait_until
 from slamhive.executors.process.exit_file import EXIT_FILE
@@ -44,13 +43,12 @@ from slamhive.executors.slurm.agent import (
     PROGRESS_FILE,
 )
 from slamhive.executors.slurm.containers import ContainerSlurmExecutor
-from slamhive.executors.slurm.executor import SlurmExecutor, last_line
+from slamhive.executors.slurm.executor import SlurmExecutor, last_line, survey_nodes
 from slamhive.executors.slurm.image_folders import ImageFolder
 from slamhive.executors.slurm.jobs import ERRORS_FILE, NOWHERE, delivery_request, ticket_commands
 from slamhive.executors.slurm.node import PLACE_FILE, USAGE_FILE
 from slamhive.executors.slurm.options import CONTAINERS, PYTHON
 from slamhive.executors.slurm.runtimes import APPTAINER, AUTO, NONE, RUNTIMES
-from slamhive.executors.slurm.survey import survey
 from slamhive.executors.spec import RunInput, RunSpec
 from slamhive.executors.status import Gone, RunHandle, Running, RunStatus
 
@@ -95,7 +93,7 @@ class RemoteSlurmExecutor(ContainerSlurmExecutor):
     def examine_nodes(self) -> list[ProtectionFinding]:
         """Also whether nodes reach the worker."""
         value = self._context.value
-        return survey(self._options, value(CONTAINERS), value(PYTHON), self._store.url)
+        return survey_nodes(self._options, value(CONTAINERS), value(PYTHON), self._store.url)
 
     def nodes(self) -> list[Node]:
         """With what they have said of their caches."""

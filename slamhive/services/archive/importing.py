@@ -48,8 +48,8 @@ from slamhive.services.runs import (
 )
 from slamhive.services.stored_analyses import AnalysisFolder
 from slamhive.store import Store, Transaction
+from slamhive.store.durations import NOT_KNOWN
 from slamhive.store.records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
-from slamhive.store.same_cpu import NOT_KNOWN
 
 BATCH = 100
 _CHECKING = 0.7

@@ -40,8 +40,8 @@ from slamhive.services.experiments.previewing import (
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.runs import repeat_if_disturbed, retry_request, run_uid
 from slamhive.store import Transaction
+from slamhive.store.durations import NOT_KNOWN
 from slamhive.store.records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration, RunRequest
-from slamhive.store.same_cpu import NOT_KNOWN
 
 logger = logging.getLogger(__name__)
 

@@ -25,8 +25,8 @@ from slamhive.executors.status import RunHandle
 from slamhive.services.experiments import guessed_duration_s
 from slamhive.services.worker.run_in_hand import RunInHand
 from slamhive.store import MeasuredMachine, Store, Transaction
+from slamhive.store.durations import NODE, NodeSeen
 from slamhive.store.records import RunRecord
-from slamhive.store.same_cpu import NODE, NodeSeen
 
 logger = logging.getLogger(__name__)
 
