@@ -53,7 +53,7 @@ class Questions:
         self._store = store
         self._experiments = experiments
         self._not_before_s: dict[str, float] = {}
-        self._waited: dict[str, int] = {}
+        self._waited: dict[str, Sequence[int]] = {}
         self._steps: KeptViews[bytes, DecisionStep | SearchStep] = KeptViews(_KEPT_STEPS, lambda _step: 1)
 
     def decision(self, name: str) -> Decision:
@@ -123,10 +123,10 @@ class Questions:
         for record in self._store.read(lambda t: t.experiments.undecided()):
             if monotonic_s() < self._not_before_s.get(record.name, 0.0):
                 continue
-            waiting = len(self._store.read(lambda t, i=record.id: t.experiments.unfinished(i)))  # type: ignore[misc]
-            if waiting and (waiting > self._at_once // 2 or self._waited.get(record.name) == waiting):
+            waiting = self._store.read(lambda t, i=record.id: t.experiments.unfinished(i))  # type: ignore[misc]
+            seen, self._waited[record.name] = self._waited.get(record.name), waiting
+            if waiting and (waiting == seen or len(waiting) > self._at_once // 2):
                 continue
-            self._waited[record.name] = waiting
             try:
                 queued += self.advance(record.name)
             except Unavailable:
