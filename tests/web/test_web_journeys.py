@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
+from typing import Any
 
 import pytest
 from werkzeug.datastructures import MultiDict
@@ -120,7 +121,7 @@ def forms_of(text: str) -> list[str]:
 
 @pytest.mark.parametrize("key", PLOT_TYPES.names())
 def test_every_plot_type_has_a_picture_of_its_own(shown: Web, key: str) -> None:
-    template = shown.app.jinja_env.get_template("analyses/_thumbnails.html").module
+    template: Any = shown.app.jinja_env.get_template("analyses/_thumbnails.html").module
     assert template.thumbnail(key) != template.thumbnail("of a plug-in")
     assert "<path" in template.thumbnail("of a plug-in")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -251,14 +251,14 @@ def result_of(
     Args:
         table: All runs that the plot is about.
         protocol: Protocol of its metrics, in words; None if no metric depends on one.
-        tables: Tables to show, and raw data.
+        tables: Tables to show, which get MB in place of bytes, and raw data.
         lacking: Columns that a good run needs to be shown; runs without them are excluded.
         excluded: Further exclusions; those without runs are dropped.
     """
     without = excluded_without(table.good(), lacking, table.columns)
     return PlotResult(
         charts=tuple(charts),
-        tables=tuple(tables),
+        tables=tuple(entry if entry.raw else in_megabytes(entry) for entry in tables),
         runs=len(table.frame),
         failed=len(table.failed()),
         excluded=(*without, *(entry for entry in excluded if entry.runs)),
@@ -288,6 +288,22 @@ def raw_table(key: str, table: RunTable, keys: Sequence[str], title: str = "Raw 
         for row in table.frame[[*chosen, "disturbed", FAILED]].itertuples(index=False, name=None)
     )
     return ResultTable(key, title, tuple(columns), rows, raw=True)
+
+
+def in_megabytes(table: ResultTable) -> ResultTable:
+    """The table with MB in place of bytes, which nobody reads at a glance."""
+    places = {place for place, column in enumerate(table.columns) if column.unit == "bytes"}
+    if not places:
+        return table
+    rows = (
+        tuple(
+            cell * MEGABYTES_PER_BYTE if place in places and isinstance(cell, int | float) else cell
+            for place, cell in enumerate(row)
+        )
+        for row in table.rows
+    )
+    columns = (replace(column, unit="MB") if column.unit == "bytes" else column for column in table.columns)
+    return replace(table, columns=tuple(columns), rows=tuple(rows))
 
 
 def summary_table(key: str, table: RunTable, metrics: Sequence[str], by: Sequence[str]) -> ResultTable:
