@@ -301,10 +301,12 @@ def run_commands(tier: Tier, output: IO[bytes] | None) -> Outcome:
 
 def run_pytest(tier: Tier, output: IO[bytes] | None) -> Outcome:
     """Run the tests that carry the marks of a tier and read pytest's own report."""
-    with tempfile.TemporaryDirectory() as folder:
+    # What tests leave may belong to processes that still end, or to users of their own.
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         report_path = Path(folder) / "report.xml"
         command = [sys.executable, "-m", "pytest", "-q", "--durations=8", "-m", tier.marks]
-        command += [f"--junitxml={report_path}"]
+        # A folder of its own: pytest removes what older sessions left in the one that all share, which may be in use.
+        command += [f"--junitxml={report_path}", f"--basetemp={folder}/tests"]
         if (os.cpu_count() or 1) > 1:
             command.append(f"--workers={tier.most_workers or tier.workers}")
         if tier.most_workers:

@@ -15,13 +15,16 @@ from slamhive.packages.dataset_file import DATASET_FILE, dataset_to_yaml, load_d
 from slamhive.recordings.exporters import export_dataset, plan_export
 from slamhive.recordings.room import RoomOptions
 from slamhive.services.hive import Hive, open_hive
+from tests.sharing import share_environments
 
 pytestmark = pytest.mark.integration
 
 
 @pytest.fixture(scope="module")
 def hive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hive]:
-    opened = open_hive({"data": tmp_path_factory.mktemp("data"), "executor": "process", "min_free_disk_mb": 1})
+    data = tmp_path_factory.mktemp("data")
+    share_environments(data)
+    opened = open_hive({"data": data, "executor": "process", "min_free_disk_mb": 1})
     options = RoomOptions(name="room", duration_s=5.0)
     opened.catalogue.render_room(options, lambda _fraction, _text: None)
     yield opened

@@ -105,7 +105,7 @@ def test_installed_copy_finds_its_folders(installed, tmp_path):
 @pytest.mark.timeout(900)
 def test_the_demo_of_an_installed_copy_leaves_its_results_in_the_home_of_the_user(call, installed, tmp_path):
     before = {path for path in (installed.parent / "share").rglob("*") if "__pycache__" not in path.parts}
-    done = call("demo", "--no-serve", "--seconds", "5")
+    done = call("demo", "--no-serve", "--seconds", "3")
     data = tmp_path / "home" / "slamhive"
     first, *_, last = done.stderr.splitlines()
     assert first.startswith(f"data root {data} (the place for an installed package")

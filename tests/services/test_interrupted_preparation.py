@@ -78,8 +78,9 @@ def test_a_run_that_is_cancelled_meanwhile_is_not_queued_again(hive: Hive, monke
 
 @pytest.mark.parametrize("interrupt", [_ctrl_c, _unit_is_stopped, _asked])
 def test_an_interrupted_installation_returns_the_run_to_the_queue(
-    hive: Hive, tmp_path: Path, interrupt: Callable[[psutil.Process], None]
+    hive: Hive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interrupt: Callable[[psutil.Process], None]
 ) -> None:
+    monkeypatch.setenv("PIP_NO_COMPILE", "no")  # pip takes it as "compile: no", for which half of its time goes
     waits = tmp_path / "waits"
     waits.touch()
     package = hive.catalogue.algorithm("tiny").package.folder
