@@ -92,6 +92,7 @@ def show(token: str) -> str:
         again=_again(job),
         formats=_formats(),
         problem=None if job.problem is None else without_flags(job.problem),
+        words=without_flags,
     )
 
 
