@@ -43,7 +43,7 @@ FARTHEST_MEAN_M = 0.75
 """Largest mean distance from the surfaces of the room (8 m x 6 m x 3 m) to the map. A map of one half of the room has
 1.2 m, one of a single wall 1.4 m to 4 m."""
 
-A_POSE_FOR_EACH_SCAN = {"icp-slam-2d"}
+A_POSE_FOR_EACH_SCAN = {"icp-slam-2d", "yag-slam"}
 
 LAGGING = {"loam", "lego-loam"}
 """The odometry of both goes 5 % of the way at each step, and ends at the first step below 0.1 degrees and 1 mm. So it
