@@ -33,7 +33,7 @@ from benchmarks.search_tables import Numbers, SearchTable, held_out_table, real_
 from slamhive.analysis.adaptive_search import SearchAim, SearchRuns, first_places, front_of, search
 from slamhive.analysis.optuna_sampling import suggested
 from slamhive.domain.question import SearchSampler
-from slamhive.experiments.candidates import LEAST_SEARCH_RUNS
+from slamhive.experiments.experiment import LEAST_SEARCH_RUNS
 
 WITHIN, CONFIDENCE, LOOK_EVERY = 0.05, 0.95, 4
 GRID_SHARE, OPTUNA_SHARE = 0.2, 0.7

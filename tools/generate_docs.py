@@ -22,7 +22,7 @@ from slamhive.analysis.report import Report, ReportBrief
 from slamhive.base.project import project_root
 from slamhive.base.settings_sources import describe
 from slamhive.cloud.plan import cloud_schema
-from slamhive.documents import accounts, catalogue, experiment, machines
+from slamhive.documents import catalogue, experiment, machines
 from slamhive.documents.archive import ArchiveManifest, LedgerLine, RunLine
 from slamhive.documents.catalogue import (
     CachedVariant,
@@ -34,13 +34,12 @@ from slamhive.documents.catalogue import (
     TruthTrialDocument,
 )
 from slamhive.documents.challenge import Challenge, ChallengeBrief, ChallengeFile, ChallengeRanking, ChallengeSubmission
-from slamhive.documents.experiment import Notice, StoredAnalysis
+from slamhive.documents.experiment import Decision, Notice, SearchStanding, StoredAnalysis
 from slamhive.documents.gate import Baseline, BaselineBrief, GateAnswer, ReplayAnswer
 from slamhive.documents.imports import Import
 from slamhive.documents.machines import CloudPlanDocument, CloudStatus
 from slamhive.documents.model import json_schema
 from slamhive.documents.protocol import ComparisonDocument, ProtocolsDocument, ProtocolSearchDocument, ToolMetrics
-from slamhive.documents.question import Decision, SearchStanding
 from slamhive.documents.record import RunFile
 from slamhive.documents.run import EvaluationDocument, RunWith
 from slamhive.documents.submission import Submission
@@ -201,13 +200,13 @@ def _about(package: AlgorithmPackage) -> str:
 
 
 DOCUMENTS: dict[str, Any] = {
-    "account": accounts.AccountDocument,
+    "account": machines.AccountDocument,
     "algorithm": catalogue.AlgorithmDocument,
     "algorithm-test": catalogue.BoundResult,
-    "api-token": accounts.ApiToken,
+    "api-token": machines.ApiToken,
     "archive": ArchiveManifest,
     "archive-run": RunLine,
-    "audit-line": accounts.AuditLineDocument,
+    "audit-line": machines.AuditLineDocument,
     "challenge-brief": ChallengeBrief,
     "challenge-public": Challenge,
     "challenge-ranking": ChallengeRanking,

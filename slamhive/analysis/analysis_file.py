@@ -9,15 +9,22 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from slamhive.analysis.analysis_model import AnalysisModel, SetModel
+from slamhive.analysis.analysis_model import (
+    AnalysisModel,
+    Expression,
+    SetModel,
+    check_names,
+    in_words,
+    parse_expression,
+    union_of,
+)
 from slamhive.analysis.paper_file import convert, is_paper_file, only_analysis
 from slamhive.analysis.plot_types import PLOT_TYPES, PlotOptions, PlotType
-from slamhive.analysis.selection import Expression, check_names, in_words, parse_expression, union_of
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError
-from slamhive.documents.validation import first_problem_at
+from slamhive.documents.model import first_problem_at
 from slamhive.domain.verdict import FailureRule
-from slamhive.packages.published.numbers import Numbers
+from slamhive.packages.published.knowledge import Numbers
 
 PROTOCOL = "protocol:"
 

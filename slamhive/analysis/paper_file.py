@@ -13,12 +13,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from slamhive.analysis.selection import Combined, Expression, SetName, names_in, union_of
+from slamhive.analysis.analysis_model import Combined, Expression, SetName, names_in, union_of
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.packages.published.combination import Part, only, parts_of
-from slamhive.packages.published.numbers import Numbers, meant
+from slamhive.packages.published.knowledge import Numbers, meant
 
 # Keys and values of published analysis files in the language of filters and columns.
 

@@ -18,6 +18,7 @@ import numpy as np
 from slamhive.analysis.chart import (
     FAILED_MARKER,
     REFERENCE,
+    SINGLE_MOST,
     Array,
     Axis,
     Bars,
@@ -33,11 +34,12 @@ from slamhive.analysis.chart import (
     Points,
     Segments,
     crowded,
+    failed_rows,
     line_width,
     on_dark,
+    thinned,
     titled,
 )
-from slamhive.analysis.density import SINGLE_MOST, failed_rows, thinned
 
 # Numbers, text and colours in the JSON of Plotly.
 

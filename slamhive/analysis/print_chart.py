@@ -37,10 +37,11 @@ from slamhive.analysis.chart import (
     Points,
     Segments,
     crowded,
+    failed_rows,
     line_width,
+    thinned,
     titled,
 )
-from slamhive.analysis.density import failed_rows, thinned
 
 # The marks of a plot, drawn by matplotlib.
 

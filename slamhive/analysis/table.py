@@ -19,9 +19,8 @@ from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.dataset import ATTRIBUTE_KINDS
 from slamhive.domain.metrics import CATALOGUE, Direction
 from slamhive.domain.names import plural
-from slamhive.domain.protocol import Protocol
+from slamhive.domain.protocol import Protocol, TrajectoryKind, with_trajectory
 from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, mixed_protocols
-from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
 from slamhive.domain.verdict import (
     DATED_FRACTION,
     ERROR,

@@ -12,7 +12,7 @@ from slamhive.cli.acting import acting
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say
-from slamhive.documents.accounts import AccountDocument, ApiToken, AuditLineDocument
+from slamhive.documents.machines import AccountDocument, ApiToken, AuditLineDocument
 from slamhive.domain.accounts import Identity, Role, Scope
 from slamhive.services.accounts import LONGEST_TOKEN_DAYS, TokenRequest
 from slamhive.store import Account

@@ -159,7 +159,7 @@ def delete(cli: CliContext, token: str) -> None:
 
 
 def _content(record: AnalysisRecord) -> dict[str, object]:
-    from slamhive.documents.api_answers import AnalysisDocument  # noqa: PLC0415 - the table needs none of these models
+    from slamhive.documents.api import AnalysisDocument  # noqa: PLC0415 - the table needs none of these models
 
     return AnalysisDocument.of(record).content
 

@@ -10,7 +10,7 @@ from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say
-from slamhive.domain.outcome import Outcome
+from slamhive.domain.verdict import Outcome
 from slamhive.services.run_comparison import Figure, RunComparison, read_run_ids
 
 

@@ -15,8 +15,8 @@ from slamhive.base.machine import slowness
 from slamhive.cli.experiments import print_report
 from slamhive.cli.output import progress_bar, tell
 from slamhive.cli.waiting import experiment_to_end
-from slamhive.domain.outcome import Outcome
 from slamhive.domain.placement import Remaining
+from slamhive.domain.verdict import Outcome
 from slamhive.executors.base import ImageMissing
 from slamhive.services.demo import DATASET, demo_algorithms, demo_source, is_rendered, render
 from slamhive.services.experiments import ConfigurationStanding, varying

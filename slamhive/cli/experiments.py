@@ -22,10 +22,9 @@ from slamhive.cli.waiting import experiment_to_end
 from slamhive.documents import experiment as schema
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.names import plural
-from slamhive.domain.outcome import Outcome, failure_words
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason
-from slamhive.domain.verdict import DEFAULT_RULE
+from slamhive.domain.verdict import DEFAULT_RULE, Outcome, failure_words
 from slamhive.experiments.file import parse_experiment
 from slamhive.services.experiments import (
     GUESSED_START_S,

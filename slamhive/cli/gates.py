@@ -15,9 +15,9 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.main import LazyGroup
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import Answering, say
-from slamhive.domain.budget import read_budget
 from slamhive.domain.gate import DEFAULT_MARGINS, Answer
 from slamhive.domain.names import plural
+from slamhive.domain.question import read_budget
 
 if TYPE_CHECKING:
     from slamhive.documents.gate import Baseline, GateAnswer

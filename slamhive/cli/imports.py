@@ -14,9 +14,8 @@ from slamhive.cli.visible import say
 from slamhive.cli.waiting import evaluate_to_end
 from slamhive.documents.imports import Import
 from slamhive.domain.names import plural
-from slamhive.domain.protocol import Duplicates
+from slamhive.domain.protocol import Duplicates, TrajectoryKind
 from slamhive.domain.sensors import SensorSetup
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.services.imports import (
     DEFAULT_GROUND_TRUTH,
     DEFAULT_PATTERN,

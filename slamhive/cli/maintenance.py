@@ -60,7 +60,7 @@ def all_origins() -> list[PluginOrigin]:
     from slamhive.evaluation.presets import PRESETS  # noqa: PLC0415
     from slamhive.executors.base import ExecutorContext  # noqa: PLC0415
     from slamhive.executors.registry import EXECUTORS, check_plugin_executors  # noqa: PLC0415
-    from slamhive.packages.folders import ALGORITHM_FOLDERS  # noqa: PLC0415
+    from slamhive.packages.algorithm_file import ALGORITHM_FOLDERS  # noqa: PLC0415
     from slamhive.recordings.exporters import EXPORTERS  # noqa: PLC0415
     from slamhive.recordings.importers.registry import IMPORTERS  # noqa: PLC0415
     from slamhive.recordings.variants.steps import STEPS  # noqa: PLC0415

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from slamhive.base.errors import InvalidInput
-from slamhive.packages.published.numbers import HERE
+from slamhive.packages.published.knowledge import HERE
 
 
 def _read(_context: click.Context, _parameter: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:

@@ -18,7 +18,7 @@ from slamhive.experiments.file import parse_experiment
 from slamhive.services.experiments import ExperimentSource
 
 if TYPE_CHECKING:
-    from slamhive.documents.question import Decision, SearchStanding
+    from slamhive.documents.experiment import Decision, SearchStanding
     from slamhive.services.hive import Hive
 
 UNDECIDED = 3

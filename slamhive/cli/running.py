@@ -15,8 +15,7 @@ from slamhive.cli.output import print_json, print_match, tell
 from slamhive.cli.runs import print_runs
 from slamhive.cli.waiting import run_to_end
 from slamhive.documents.catalogue import MatchDocument
-from slamhive.documents.limits import RULES
-from slamhive.documents.options import Option
+from slamhive.documents.limits import RULES, Option
 from slamhive.documents.submission import CONTENT, OPTIONS, Submission, parse_stop_when
 from slamhive.domain.configuration import Variant, parse_step
 from slamhive.domain.roles import parse_choices

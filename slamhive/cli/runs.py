@@ -22,8 +22,8 @@ from slamhive.domain.accounts import Visibility
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.metrics import described
 from slamhive.domain.names import plural
-from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import FailureReason, NotesChange, RunNotes, RunState
+from slamhive.domain.verdict import outcome_words
 from slamhive.services.exports import disturbed_text
 from slamhive.store import RunRecord, RunSort
 from slamhive.store.records import protocol_uses
@@ -457,7 +457,7 @@ def trash(cli: CliContext, empty: bool, as_json: bool) -> None:
     rows = [(run.deleted.run_id, run.algorithm, run.dataset, run.deleted.at.isoformat()) for run in found]
     columns = ("id", "algorithm", "dataset", "deleted_at")
     if as_json:
-        from slamhive.documents.api_answers import DeletedRunDocument  # noqa: PLC0415 - the table needs no model
+        from slamhive.documents.api import DeletedRunDocument  # noqa: PLC0415 - the table needs no model
 
         print_json([DeletedRunDocument.of(run).content for run in found])
     elif rows:

@@ -18,8 +18,7 @@ from slamhive.cli.visible import say, write_out
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.side_by_side import ProtocolUse
-from slamhive.filters.binding import Search, bind, read_search
-from slamhive.filters.means import means_of
+from slamhive.filters.binding import Search, bind, means_of, read_search
 from slamhive.filters.parser import parse_filter
 from slamhive.filters.syntax import FilterComparison, Sign, Word, filter_text, join
 from slamhive.filters.words import in_words
@@ -214,7 +213,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
     """List saved searches."""
     saved = cli.hive().searches.saved()
     if as_json:
-        from slamhive.documents.api_answers import (  # noqa: PLC0415 - lists of runs need none of these models
+        from slamhive.documents.api import (  # noqa: PLC0415 - lists of runs need none of these models
             SavedSearchDocument,
         )
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import SlamHiveError
 from slamhive.cli.output import counting_bar, tell
-from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import RunState
+from slamhive.domain.verdict import Outcome
 from slamhive.services.experiments import ConfigurationStanding
 from slamhive.services.hive import Hive
 from slamhive.store import EvaluationState, RunRecord

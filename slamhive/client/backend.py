@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 if TYPE_CHECKING:
     from slamhive.documents import experiment as experiment_schema
     from slamhive.documents import run as run_schema
-    from slamhive.documents.api_answers import ActedOn, AnalysisDocument, AnalysisWithFile
+    from slamhive.documents.api import ActedOn, AnalysisDocument, AnalysisWithFile
     from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
     from slamhive.documents.challenge import ChallengeSubmission
+    from slamhive.documents.experiment import Decision, SearchStanding
     from slamhive.documents.imports import ImportedDocument
     from slamhive.documents.protocol import ProtocolSearchDocument
-    from slamhive.documents.question import Decision, SearchStanding
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility
     from slamhive.domain.finding import FoundAction

@@ -11,9 +11,9 @@ from slamhive.client.runs import RunList
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from slamhive.documents import api_answers
+    from slamhive.documents import api
     from slamhive.documents import experiment as experiment_schema
-    from slamhive.documents.question import Decision, SearchStanding
+    from slamhive.documents.experiment import Decision, SearchStanding
     from slamhive.domain.accounts import Visibility
 
 
@@ -116,7 +116,7 @@ class Experiments:
 class Analysis:
     """One stored analysis, as it was when it was read; :meth:`refresh` reads it again."""
 
-    def __init__(self, backend: Backend, document: api_answers.AnalysisDocument) -> None:
+    def __init__(self, backend: Backend, document: api.AnalysisDocument) -> None:
         self._backend = backend
         self.document = document
 

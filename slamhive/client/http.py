@@ -26,11 +26,10 @@ if TYPE_CHECKING:
 
     import httpx
 
-    from slamhive.documents.api_answers import ActedOn, AnalysisDocument, AnalysisWithFile, CellPageDocument, RunPage
+    from slamhive.documents.api import ActedOn, AnalysisDocument, AnalysisWithFile, CellPageDocument, RunPage
     from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
     from slamhive.documents.challenge import ChallengeSubmission
-    from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument
-    from slamhive.documents.question import Decision, SearchStanding
+    from slamhive.documents.experiment import CellDocument, Decision, ExperimentStatusDocument, SearchStanding
     from slamhive.documents.run import RunDocument, RunWith
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility

@@ -13,18 +13,17 @@ from slamhive.client.backend import LOG_BYTES, RequestedChange, RunQuery
 from slamhive.client.waiting import percent_bar
 from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
 from slamhive.documents.challenge import ImageEntry
-from slamhive.documents.experiment import CellDocument, ExperimentStatusDocument
+from slamhive.documents.experiment import CellDocument, Decision, ExperimentStatusDocument, SearchStanding
 from slamhive.documents.imports import ImportedDocument, RecordingFacts, RunsUpload
 from slamhive.documents.model import parse
 from slamhive.documents.protocol import ProtocolSearchDocument
-from slamhive.documents.question import Decision, SearchStanding
 from slamhive.documents.run import RunDocument, RunWith
 from slamhive.services.data_root import DataRoot
 from slamhive.services.hive import Hive, check_indexed, open_hive
 from slamhive.store import RunRecord, RunSort
 
 if TYPE_CHECKING:
-    from slamhive.documents.api_answers import ActedOn, AnalysisDocument, AnalysisWithFile
+    from slamhive.documents.api import ActedOn, AnalysisDocument, AnalysisWithFile
     from slamhive.documents.challenge import ChallengeSubmission
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility
@@ -150,7 +149,7 @@ class LocalBackend:
 
     def act(self, query: RunQuery, action: FoundAction, options: Mapping[str, Any]) -> ActedOn:
         """Implement :meth:`~slamhive.client.backend.Backend.act`."""
-        from slamhive.documents.api_answers import ActedOn  # noqa: PLC0415 - reading needs none of this
+        from slamhive.documents.api import ActedOn  # noqa: PLC0415 - reading needs none of this
         from slamhive.services.finding import ACTIONS, change_found  # noqa: PLC0415
 
         hive = self._writing()
@@ -349,6 +348,6 @@ class LocalBackend:
 
 
 def _analysis_of(record: AnalysisRecord) -> AnalysisDocument:
-    from slamhive.documents.api_answers import AnalysisDocument  # noqa: PLC0415 - on first use
+    from slamhive.documents.api import AnalysisDocument  # noqa: PLC0415 - on first use
 
     return AnalysisDocument.of(record)

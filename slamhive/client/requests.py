@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from urllib.parse import parse_qs, quote, urlsplit
 
 from slamhive.base.errors import SlamHiveError, Unavailable
-from slamhive.documents.api_answers import (
+from slamhive.documents.api import (
     ActedOn,
     Algorithms,
     AnalysesDocument,
@@ -29,14 +29,12 @@ from slamhive.documents.api_answers import (
 )
 from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
 from slamhive.documents.challenge import ChallengeSubmission, ChallengeSubmissions
-from slamhive.documents.experiment import ExperimentStatusDocument
+from slamhive.documents.experiment import Decision, ExperimentStatusDocument, SearchStanding
 from slamhive.documents.imports import Upload
-from slamhive.documents.model import Document, dump
+from slamhive.documents.model import STATUS, Document, dump
 from slamhive.documents.protocol import ProtocolSearchDocument
-from slamhive.documents.question import Decision, SearchStanding
 from slamhive.documents.run import RunDocument, RunWith
 from slamhive.documents.submission import Submission
-from slamhive.documents.validation import STATUS
 
 if TYPE_CHECKING:
     from slamhive.client.backend import RequestedChange, RunQuery

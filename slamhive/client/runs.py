@@ -17,7 +17,7 @@ from slamhive.filters.fields import PARAMETER_PREFIX
 if TYPE_CHECKING:
     from slamhive.client.trajectory import RunTrajectory
     from slamhive.documents import run as run_schema
-    from slamhive.documents.api_answers import ActedOn
+    from slamhive.documents.api import ActedOn
     from slamhive.documents.protocol import ProtocolSearchDocument
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility

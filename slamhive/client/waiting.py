@@ -11,7 +11,7 @@ from slamhive.base.clock import monotonic_s
 from slamhive.client.backend import Backend
 
 if TYPE_CHECKING:
-    from slamhive.documents.api_answers import AnalysisWithFile
+    from slamhive.documents.api import AnalysisWithFile
     from slamhive.documents.experiment import ExperimentStatusDocument
     from slamhive.documents.run import RunWith
 

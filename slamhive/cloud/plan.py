@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput, nearest
-from slamhive.documents.validation import explained, first_problem_at
+from slamhive.documents.model import explained, first_problem_at
 from slamhive.domain.names import check_name
 
 # Reads a cloud file, which says what to rent; mistakes are reported with their line.

@@ -14,9 +14,8 @@ from slamhive.domain.configuration import Playback, Variant
 from slamhive.domain.finding import FoundKind
 from slamhive.domain.matching import Match, Origin
 from slamhive.domain.parameters import ParameterType, Value
-from slamhive.domain.protocol import Alignment
+from slamhive.domain.protocol import Alignment, PoseTime, TrajectoryKind
 from slamhive.domain.sensors import SensorKind, SensorSetup
-from slamhive.domain.trajectory_kind import PoseTime, TrajectoryKind
 
 
 class Package(Document):

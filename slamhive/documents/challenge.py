@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from slamhive.base.errors import InvalidInput
-from slamhive.documents.api_requests import ApiRequest
+from slamhive.documents.api import ApiRequest
 from slamhive.documents.imports import Token
 from slamhive.documents.model import Document, Moment, Timestamp, described
 from slamhive.documents.protocol import StatedProtocol

@@ -7,11 +7,10 @@ from typing import Annotated
 
 from pydantic import AliasChoices, Field
 
-from slamhive.documents.api_requests import ApiRequest
+from slamhive.documents.api import ApiRequest
 from slamhive.documents.model import Document, described
-from slamhive.domain.protocol import Duplicates
+from slamhive.domain.protocol import Duplicates, TrajectoryKind
 from slamhive.domain.sensors import SensorSetup
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.verdict import Hint
 
 _Order = Annotated[str | None, described("Null for files without orientations, and for matrices.")]

@@ -16,8 +16,8 @@ from slamhive.documents.model import Document, FoundDisturbance, Moment, Rules, 
 from slamhive.documents.protocol import StatedProtocol
 from slamhive.documents.run import Event
 from slamhive.domain.configuration import Configuration, InputMap, Playback, Variant
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.run import FailureReason, RunEvent, RunState
-from slamhive.domain.trajectory_kind import TrajectoryKind
 
 FORMAT = 1
 

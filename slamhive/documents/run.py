@@ -13,11 +13,10 @@ from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import InputMap, Playback, Variant
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.domain.outcome import Outcome
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.trust import TrustLevel
-from slamhive.domain.verdict import Hint, VerdictKind
+from slamhive.domain.verdict import Hint, Outcome, VerdictKind
 
 
 class MetricValueDocument(TypedDict):

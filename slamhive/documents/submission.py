@@ -8,8 +8,7 @@ from operator import attrgetter
 from typing import Annotated, Any, ClassVar
 
 from slamhive.base.errors import InvalidInput, unknown
-from slamhive.documents.limits import RULES, RunOptions, StopWhen
-from slamhive.documents.options import Asked, options_of
+from slamhive.documents.limits import RULES, Asked, RunOptions, StopWhen, options_of
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode, Variant

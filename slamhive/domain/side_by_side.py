@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from slamhive.domain.names import plural
-from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
+from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind, with_trajectory
 
 _FREEDOM = (
     Alignment.NONE,

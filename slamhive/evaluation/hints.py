@@ -16,13 +16,19 @@ from slamhive.domain.protocol import Alignment, Association, FrameFit
 from slamhive.domain.verdict import Hint
 from slamhive.evaluation.evaluators.base import Paired
 from slamhive.evaluation.pairing import shifted
-from slamhive.trajectory.alignment import Similarity, align, align_umeyama
-from slamhive.trajectory.association import associate, orientation_spread_deg, sparse_truth
+from slamhive.trajectory.alignment import FrameOffset, Similarity, align, align_umeyama, fit_offset
+from slamhive.trajectory.association import (
+    COARSE_STEP_S,
+    associate,
+    coarse_offset,
+    orientation_spread_deg,
+    position_misfit,
+    search_offset,
+    sparse_truth,
+    turning_misfit,
+)
 from slamhive.trajectory.evidence import misread_unit
-from slamhive.trajectory.model import FloatArray, Poses
-from slamhive.trajectory.mounting import FrameOffset, fit_offset
-from slamhive.trajectory.offset import COARSE_STEP_S, coarse_offset, position_misfit, search_offset, turning_misfit
-from slamhive.trajectory.orientation import lacking
+from slamhive.trajectory.model import FloatArray, Poses, lacking
 from slamhive.trajectory.transforms import inverse_quats, rotations_from_quats
 
 # Poses that were written in another convention than they are read in. Each mistake is undone to see if it was made.

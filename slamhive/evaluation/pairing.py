@@ -12,13 +12,10 @@ from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Alignment, Association, FrameFit, Protocol
 from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Paired
 from slamhive.evaluation.references import TruthReference
-from slamhive.trajectory.alignment import align
-from slamhive.trajectory.association import associate, sparse_truth
+from slamhive.trajectory.alignment import align, fit_offset
+from slamhive.trajectory.association import associate, position_misfit, search_offset, sparse_truth, turning_misfit
 from slamhive.trajectory.evidence import misread_unit
-from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.mounting import fit_offset
-from slamhive.trajectory.offset import position_misfit, search_offset, turning_misfit
-from slamhive.trajectory.orientation import lacking
+from slamhive.trajectory.model import Trajectory, lacking
 from slamhive.trajectory.transforms import move_sensor
 
 MINIMUM_MATCHED_POSES = 3

@@ -14,9 +14,8 @@ from enum import StrEnum
 import numpy as np
 
 from slamhive.base.errors import InvalidInput
-from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol, RpePairs
+from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol, RpePairs, TrajectoryKind
 from slamhive.domain.sensors import Matrix4
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.evaluation.evaluators.base import Evaluator, Paired
 from slamhive.evaluation.evaluators.relative import DistanceErrors, RelativeErrors
 from slamhive.evaluation.evaluators.segments import KittiProtocol, SegmentErrors

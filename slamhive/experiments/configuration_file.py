@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput, SlamHiveError, unknown
-from slamhive.documents.validation import first_problem
+from slamhive.documents.model import first_problem
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode, VariantStep
 from slamhive.domain.dataset import Dataset

@@ -1,16 +1,235 @@
-"""Expands an experiment into its runs, in a fixed order and under fixed names."""
+"""Checks an experiment as a whole, and expands it into its runs, in a fixed order and under fixed names."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from slamhive.base.errors import InvalidInput
+from pydantic import ValidationError
+from ruamel.yaml import YAML
+
+from slamhive.base import strict_yaml
+from slamhive.base.errors import InvalidInput, SlamHiveError, unknown
+from slamhive.documents.model import first_problem
 from slamhive.domain.configuration import Configuration, Variant
-from slamhive.domain.parameters import Value
-from slamhive.experiments.binding import CatalogueView, ParameterPair, Row
-from slamhive.experiments.check import Filter, bind_all
-from slamhive.experiments.experiment import Experiment
+from slamhive.domain.parameters import Parameter, Value, find_parameter
+from slamhive.experiments.binding import (
+    PLAYBACK_MODE,
+    PLAYBACK_RATE,
+    CatalogueView,
+    ParameterPair,
+    Resolved,
+    Row,
+    at,
+    bind,
+)
+from slamhive.experiments.condition import compared_names
+from slamhive.experiments.experiment import Experiment, ExperimentAxis
+from slamhive.experiments.file import DatasetsWhere
+
+RESERVED = ("algorithm", "dataset", "seed", "repeat", PLAYBACK_MODE, PLAYBACK_RATE)
+
+
+class Filter:
+    """The conditions of an experiment.
+
+    Args:
+        experiment: Its ``where``.
+        known: Every name that means something for some algorithm of the experiment; other words are text.
+    """
+
+    def __init__(self, experiment: Experiment, known: frozenset[str]) -> None:
+        self._where = experiment.where
+        self._known = known
+        for where in experiment.where:
+            for name in sorted(compared_names(where.condition) - known):
+                raise at(where.place, unknown("name in the condition", name, sorted(known)))
+
+    def excludes(self, context: Mapping[str, Value]) -> bool:
+        """Tell if a condition is decided against ``context``."""
+        for where in self._where:
+            try:
+                if where.condition.decide(context, self._known) is False:
+                    return True
+            except InvalidInput as error:
+                raise at(where.place, error) from None
+        return False
+
+    def __bool__(self) -> bool:
+        return bool(self._where)
+
+
+def bind_all(experiment: Experiment, view: CatalogueView) -> tuple[list[ParameterPair], Filter]:
+    """The conditions, and all pairs of algorithm and dataset that they leave.
+
+    Raises NotFound and InvalidInput that name the place.
+    """
+    for axis, kind, known in (
+        (experiment.algorithms, "algorithm", list(view.algorithms)),
+        (experiment.datasets, "dataset", list(view.datasets)),
+    ):
+        for name in axis.values:
+            if name not in known:
+                raise at(axis.place, unknown(kind, str(name), known))
+    if not experiment.datasets.values:
+        raise InvalidInput(f"{experiment.datasets.place}: the filter has not been replaced by names of datasets")
+    axes = _axes_by_name(experiment)
+    _check_parameters(experiment, view)
+    linked: set[str] = set()
+    for link in experiment.links:
+        word = "tied" if link.equal else "linked"
+        for name in link.axes:
+            if name not in axes:
+                raise at(link.place, unknown("axis", name, sorted(axes)))
+            if name in linked:
+                raise InvalidInput(f"{link.place}: {name} is linked or tied more than once")
+            linked.add(name)
+        lengths = {name: len(axes[name].values) for name in link.axes}
+        if len(set(lengths.values())) > 1:
+            text = ", ".join(f"{name} has {length}" for name, length in lengths.items())
+            raise InvalidInput(f"{link.place}: {word} axes need equally many values; {text}")
+        if link.equal and len({axes[name].values for name in link.axes}) > 1:
+            raise InvalidInput(
+                f"{link.place}: tied axes need the same values; those of {' and '.join(link.axes)} differ",
+                "use linked for values that differ and move together",
+            )
+    conditions = Filter(experiment, _condition_names(experiment, view, axes))
+    shared: Resolved = {}
+    pairs = [
+        bind(experiment, view, view.algorithms[str(algorithm)], view.datasets[str(dataset)], shared)
+        for algorithm in experiment.algorithms.values
+        for dataset in experiment.datasets.values
+        if not conditions.excludes({"algorithm": algorithm, "dataset": dataset})
+    ]
+    _check_steps(experiment, view, pairs)
+    names = [str(name) for name in experiment.algorithms.values]
+    roles = sorted({entry.role for name in names for entry in view.algorithms[name].inputs})
+    for choice in experiment.sensors:
+        if choice.role not in roles:
+            raise at(choice.place, unknown(f"role of {', '.join(names)}", choice.role, roles))
+    return pairs, conditions
+
+
+def _axes_by_name(experiment: Experiment) -> dict[str, ExperimentAxis]:
+    """Every axis by name; raises InvalidInput for an ambiguous name."""
+    axes: dict[str, ExperimentAxis] = {}
+    options = [axis for step in experiment.steps for axis in step.options]
+    for axis in (*options, *experiment.parameters):
+        if axis.name in RESERVED:
+            raise InvalidInput(f"{axis.place}: the name {axis.name!r} is taken", "choose another")
+        if axis.name in axes:
+            raise InvalidInput(
+                f"{axis.place}: the name {axis.name!r} is already that of {axes[axis.name].place}", "choose another"
+            )
+        axes[axis.name] = axis
+    return axes
+
+
+def _check_parameters(experiment: Experiment, view: CatalogueView) -> None:
+    names = [str(name) for name in experiment.algorithms.values]
+    for axis in experiment.parameters:
+        owners = [name for name in names if axis.algorithm in (None, name, view.algorithms[name].name)]
+        if not owners:
+            raise at(axis.place, unknown("algorithm of this experiment", str(axis.algorithm), names))
+        definitions = [parameter for name in owners for parameter in view.algorithms[name].parameters]
+        if find_parameter(definitions, axis.key) is None:
+            known = {parameter.key for parameter in definitions}
+            known |= {parameter.general for parameter in definitions if parameter.general is not None}
+            raise at(axis.place, unknown(f"parameter of {', '.join(owners)}", axis.key, sorted(known)))
+
+
+def _condition_names(experiment: Experiment, view: CatalogueView, axes: Mapping[str, ExperimentAxis]) -> frozenset[str]:
+    names = {"algorithm", "dataset", PLAYBACK_MODE, PLAYBACK_RATE, *axes}
+    names |= {f"{step.name}.{axis.option}" for step in experiment.steps for axis in step.options}
+    for algorithm in experiment.algorithms.values:
+        for parameter in view.algorithms[str(algorithm)].parameters:
+            if parameter.source is not None and not _varied(parameter, str(algorithm), experiment):
+                continue
+            names.add(parameter.key)
+            if parameter.general is not None:
+                names.add(parameter.general)
+    return frozenset(names)
+
+
+def _varied(parameter: Parameter, algorithm: str, experiment: Experiment) -> bool:
+    """Tell if the experiment sets the parameter. If not, its sensor does, and conditions cannot know the value."""
+    axes = (axis for axis in experiment.parameters if axis.algorithm in (None, algorithm))
+    return any(axis.key in (parameter.key, parameter.general) for axis in axes)
+
+
+def _check_steps(experiment: Experiment, view: CatalogueView, pairs: list[ParameterPair]) -> None:
+    """Check that every step is known and applies to a sensor of some algorithm."""
+    touched = {step.declaration.name for pair in pairs for step in pair.steps}
+    for step in experiment.steps:
+        try:
+            known = list(view.steps.options(step.kind))
+        except SlamHiveError as error:
+            raise at(step.place, error) from None
+        for axis in step.options:
+            if axis.option not in known:
+                raise at(axis.place, unknown(f"option of step {step.kind}", axis.option, known))
+            if any(isinstance(value, tuple) for value in axis.values):
+                raise InvalidInput(
+                    f"{axis.place}: {axis.name} holds a list within a list", "options of steps are plain values"
+                )
+        if pairs and step.name not in touched:
+            raise InvalidInput(
+                f"{step.place}: step {step.name} treats no sensor: none of the algorithms listens to "
+                f"{', '.join(step.sensors)} on these datasets",
+                "leave it out, or name other sensors",
+            )
+
+
+# Datasets that an experiment chooses by a filter: ``datasets: {where: indoor and sensor = stereo}``.
+#
+# The filter is replaced by the names that it describes when the experiment is planned or started. The stored file has
+# names, so it means the same when datasets come and go.
+
+
+KEY = "datasets"
+
+
+def name_datasets(text: str, source: str, choose: Callable[[str], Sequence[str]]) -> str:
+    """The experiment file with names in place of its filter over datasets; ``text`` itself if it has none.
+
+    Args:
+        text: The YAML.
+        source: What to call it in messages.
+        choose: The names of the datasets that a filter describes; raises InvalidInput.
+
+    Raises:
+        InvalidInput: naming source, line and what is wrong; also if no dataset fits.
+    """
+    content, lines = strict_yaml.parse_with_lines(text, source)
+    if not isinstance(content.get(KEY), dict):
+        return text
+    place = strict_yaml.Places(source, lines).of(KEY, "where")
+    try:
+        where = DatasetsWhere.model_validate(content[KEY]).where
+        names = choose(where)
+    except ValidationError as error:
+        raise InvalidInput(f"{place}: {KEY}.{first_problem(error, DatasetsWhere)}") from None
+    except InvalidInput as error:
+        raise at(place, InvalidInput(error.message, error.remedy)) from None
+    if not names:
+        raise InvalidInput(f"{place}: no dataset fits {where!r}", "slamhive dataset list shows all")
+    start, end = _span(text)
+    named = json.dumps(list(names)) + "\n" * text[start:end].count("\n")
+    return f"{text[:start]}{named}{text[end:].rstrip()}\n# chosen by: {' '.join(where.split())}\n"
+
+
+def _span(text: str) -> tuple[int, int]:
+    """Where the value of the key stands, without the space after it; the text has been parsed already."""
+    for key, value in YAML(typ="safe", pure=True).compose(text).value:
+        if key.value == KEY:
+            start, end = value.start_mark.index, value.end_mark.index
+            return start, start + len(text[start:end].rstrip())
+    raise AssertionError(text)
+
+
+# Expands an experiment into its runs, in a fixed order and under fixed names.
+
 
 MAX_COMBINATIONS = 1_000_000
 """Before conditions; an experiment of more is refused unless the caller sets another limit."""

@@ -22,6 +22,7 @@ from pydantic import (
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.documents.limits import NEVER, Limits, Priority, RepeatDisturbed, StopWhen
+from slamhive.documents.model import PLAIN, SECTION, explained, first_problem_at
 from slamhive.documents.submission import (
     MAX_REPEATS,
     OPTIONS,
@@ -30,14 +31,12 @@ from slamhive.documents.submission import (
     SameCpu,
     StartingMap,
 )
-from slamhive.documents.validation import PLAIN, SECTION, explained, first_problem_at
-from slamhive.domain.budget import read_budget
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.gate import Margin
 from slamhive.domain.metrics import Direction, Metric, metric
 from slamhive.domain.names import NAME_PATTERN, check_name
 from slamhive.domain.parameters import Value
-from slamhive.domain.question import SearchSampler
+from slamhive.domain.question import SearchSampler, read_budget
 from slamhive.experiments.binding import at
 from slamhive.experiments.condition import parse_condition
 from slamhive.experiments.experiment import (
@@ -478,7 +477,7 @@ def _example(compared: Metric) -> str:
 
 
 def _names(datasets: tuple[str, ...] | DatasetsWhere) -> tuple[str, ...]:
-    """No names for a filter, which :func:`slamhive.experiments.check.name_datasets` replaces by names."""
+    """No names for a filter, which :func:`slamhive.experiments.expansion.name_datasets` replaces by names."""
     return () if isinstance(datasets, DatasetsWhere) else datasets
 
 

@@ -14,9 +14,9 @@ from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.dataset import ATTRIBUTE_KINDS
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorSetup
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.trust import DisturbanceKind, TrustLevel
 from slamhive.domain.verdict import GROUPS as VERDICT_GROUPS
 from slamhive.domain.verdict import VerdictKind

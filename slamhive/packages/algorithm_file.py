@@ -1,22 +1,25 @@
-"""``algorithm.yaml`` to :class:`~slamhive.domain.algorithm.Algorithm`, one for each mode of the package."""
+"""``algorithm.yaml`` to :class:`~slamhive.domain.algorithm.Algorithm`, also in packages that others carry."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, Protocol
+from types import ModuleType
+from typing import Any, Literal, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from slamhive.base import strict_yaml
-from slamhive.base.errors import InvalidInput, lacks
+from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, lacks
 from slamhive.base.files import hash_files
-from slamhive.documents.validation import check_name_in, first_problem
+from slamhive.base.registry import Registry
+from slamhive.documents.model import check_name_in, first_problem
 from slamhive.domain.algorithm import (
     Algorithm,
     AlgorithmPackage,
     Base,
+    Bound,
     GpuNeed,
     Input,
     LidarNeed,
@@ -24,16 +27,14 @@ from slamhive.domain.algorithm import (
     Requirement,
     RunUser,
 )
-from slamhive.domain.bounds import Bound
 from slamhive.domain.calibration import PointOrder
 from slamhive.domain.configuration import Playback, PlaybackMode
-from slamhive.domain.names import plain
-from slamhive.domain.packages import PackageOrigin, PinnedImage, Weights
+from slamhive.domain.names import check_name, plain
+from slamhive.domain.packages import PackageOrigin, PinnedImage, Weights, version_label
 from slamhive.domain.parameters import Parameter, ParameterType, SensorProperty, parse_settings
-from slamhive.domain.protocol import Alignment
+from slamhive.domain.protocol import Alignment, PoseTime, TrajectoryKind
 from slamhive.domain.roles import TopicOf
 from slamhive.domain.sensors import SensorKind, SensorSetup
-from slamhive.domain.trajectory_kind import PoseTime, TrajectoryKind
 from slamhive.packages.image_context import COMPILE_STAGE
 from slamhive.runtime.point_times import TimeReference, TimeUnit
 
@@ -438,3 +439,55 @@ def _requirements(path: Path, model: _PackageModel) -> Iterator[Requirement]:
                 f"{path}: requires: {text} is no property of an input", f"use {', '.join(sorted(roles))}"
             )
         yield Requirement(source, tuple(allowed or ()))
+
+
+# Algorithms that other packages carry, in the entry-point group ``slamhive.algorithms``.
+#
+# An entry point names a Python package whose folder is the algorithm's: it holds ``algorithm.yaml`` and what
+# ``docs/container-contract.md`` asks for. The entry point has the name that ``algorithm.yaml`` gives to the package.
+
+
+def _read(name: str, found: Any) -> Mapping[str, Path]:
+    if isinstance(found, ModuleType) and found.__file__:
+        found = Path(found.__file__).parent
+    if not isinstance(found, Path):
+        raise InvalidInput(f"it is neither a Python package nor a Path, but of type {type(found).__name__}")
+    if not (found / ALGORITHM_FILE).is_file():
+        raise InvalidInput(f"{found} holds no {ALGORITHM_FILE}", "list it under package-data in pyproject.toml")
+    return {check_name("algorithm package", name): found}
+
+
+ALGORITHM_FOLDERS: Registry[Path] = Registry("algorithm", "slamhive.algorithms", _read)
+
+
+# Packages as they were: ``<data>/versions/<package>/<number>/`` holds the folder of each version.
+
+
+def version_folder(root: Path, package: str, number: int) -> Path:
+    """Where the folder of a version is kept."""
+    return root / package / str(number)
+
+
+def kept_algorithms(root: Path) -> Iterator[Algorithm]:
+    """The algorithms of all versions whose folders are kept. A folder that cannot be read is left out."""
+    for path in sorted(root.glob(f"*/*/{ALGORITHM_FILE}")):
+        if path.parent.name.isdecimal():
+            try:
+                yield from _of_folder(path.parent)
+            except SlamHiveError:
+                continue
+
+
+def kept_algorithm(root: Path, name: str, number: int) -> Algorithm:
+    """The algorithm ``name`` as it was in version ``number`` of its package; raises NotFound or InvalidInput."""
+    for path in sorted(root.glob(f"*/{number}/{ALGORITHM_FILE}")):
+        for algorithm in _of_folder(path.parent):
+            if algorithm.name == name:
+                return algorithm
+    known = sorted(entry.version or 0 for entry in kept_algorithms(root) if entry.name == name)
+    listed = f"kept are {', '.join(map(str, known))}" if known else "no version of it is kept"
+    raise NotFound(f"there is no folder of version {version_label(name, number)}", f"{listed}; {name} is the newest")
+
+
+def _of_folder(folder: Path) -> tuple[Algorithm, ...]:
+    return tuple(replace(algorithm, version=int(folder.name)) for algorithm in load_algorithms(folder))

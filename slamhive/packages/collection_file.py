@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
-from slamhive.documents.validation import check_name_in, explained, first_problem
+from slamhive.documents.model import check_name_in, explained, first_problem
 from slamhive.domain.collection import Collection, FileKind, Need, NeedKind, Part, RemoteFile, Sequence
 from slamhive.domain.names import NAME_PATTERN
 from slamhive.domain.sensors import SensorKind

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
-from slamhive.documents.validation import check_name_in, first_problem
+from slamhive.documents.model import check_name_in, first_problem
 from slamhive.domain.calibration import camera_model
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.protocol import check_lever_arm

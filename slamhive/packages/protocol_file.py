@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
-from slamhive.documents.validation import first_problem_at
+from slamhive.documents.model import first_problem_at
 from slamhive.domain.protocol import MOST_SEGMENT_LENGTHS, MOST_STRETCHES, Protocol, ProtocolRequest
 from slamhive.domain.sensors import is_rigid
 

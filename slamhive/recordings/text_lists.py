@@ -24,8 +24,7 @@ from slamhive.recordings.geometry import Array
 from slamhive.recordings.importing import Loss, PlannedTruth
 from slamhive.recordings.writers import NS_PER_S
 from slamhive.trajectory.layout import TimeUnit
-from slamhive.trajectory.model import find_problem
-from slamhive.trajectory.orientation import no_rotations
+from slamhive.trajectory.model import find_problem, no_rotations
 from slamhive.trajectory.table import read_bounded
 
 _SHOWN = 60

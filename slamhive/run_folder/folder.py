@@ -16,8 +16,8 @@ from slamhive.base.bounds import read_record
 from slamhive.base.errors import NotFound, Unavailable
 from slamhive.base.files import write_aside
 from slamhive.domain.accounts import Sharing
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.run import NO_NOTES, RunNotes
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.runtime.localisation import LOCALISATION_FILE
 from slamhive.runtime.paths import TRAJECTORY_FILES
 

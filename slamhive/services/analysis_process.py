@@ -114,7 +114,7 @@ def _preview(asked: dict[str, Any], root: Path) -> str:
 
 def _compute(asked: dict[str, Any], root: Path) -> str:
     from slamhive.domain.accounts import viewer_of  # noqa: PLC0415
-    from slamhive.packages.published.numbers import HERE  # noqa: PLC0415
+    from slamhive.packages.published.knowledge import HERE  # noqa: PLC0415
     from slamhive.services.analysis import AnalysisLimits, figures_json, page_of  # noqa: PLC0415
     from slamhive.services.stored_analyses import FIGURES, PAGE, REPORT, AnalysisFolder  # noqa: PLC0415
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from slamhive.documents.catalogue import BoundResult
 from slamhive.documents.submission import Submission
-from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.bounds import Bound
+from slamhive.domain.algorithm import Algorithm, Bound
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import ERROR, RELATION_ERROR, RELATION_ROTATION
 from slamhive.store import RunRecord

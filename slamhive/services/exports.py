@@ -21,9 +21,9 @@ from slamhive.documents.json_values import timestamp
 from slamhive.domain.accounts import visibility_of
 from slamhive.domain.configuration import Variant
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.domain.outcome import outcome_words
 from slamhive.domain.packages import version_label
 from slamhive.domain.trust import TRUST_METRICS, Disturbance, Trust
+from slamhive.domain.verdict import outcome_words
 from slamhive.filters.fields import PARAMETER_PREFIX, FieldKind, Vocabulary
 from slamhive.store.metrics import VERDICT
 from slamhive.store.records import GroupRecord, ProtocolLabel, Spread, trust_in, verdict_kind

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from slamhive.base.errors import InvalidInput, SlamHiveError
-from slamhive.documents.api_requests import FoundEvaluation, FoundRuns, FoundSharing, FoundTags
+from slamhive.documents.api import FoundEvaluation, FoundRuns, FoundSharing, FoundTags
 from slamhive.domain.finding import MOST_OF_A_KIND, Found, FoundAction, FoundKind, best
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.names import plural

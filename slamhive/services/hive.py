@@ -19,7 +19,7 @@ from slamhive.base.settings_sources import load_settings
 from slamhive.services.data_root import DataRoot, open_data_root
 
 if TYPE_CHECKING:
-    from slamhive.packages.published.numbers import Numbers
+    from slamhive.packages.published.knowledge import Numbers
     from slamhive.services.accounts import Accounts
     from slamhive.services.algorithms import AlgorithmImports
     from slamhive.services.analysis import AnalysisService

@@ -26,7 +26,7 @@ from slamhive.base.settings import MailSecurity, Settings
 from slamhive.documents.experiment import Notice, NoticeEvent
 from slamhive.documents.model import Document, Moment, described
 from slamhive.domain.names import plural
-from slamhive.domain.outcome import Outcome
+from slamhive.domain.verdict import Outcome
 from slamhive.recordings.variants.cache import Busy, exclusive
 from slamhive.services.experiments import ConfigurationStanding, ExperimentStatus, is_failing, status_of
 from slamhive.store import Store, Transaction

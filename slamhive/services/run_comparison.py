@@ -18,12 +18,11 @@ from slamhive.documents.protocol import ComparedColumn, ComparedMetric, Comparis
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.metrics import CATALOGUE, Direction, Metric, with_unknown
 from slamhive.domain.names import plural
-from slamhive.domain.outcome import Outcome
+from slamhive.domain.protocol import TrajectoryKind, with_trajectory
 from slamhive.domain.run import RunState
 from slamhive.domain.side_by_side import MixedProtocols
-from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
 from slamhive.domain.trust import TrustLevel
-from slamhive.domain.verdict import ERROR, judge
+from slamhive.domain.verdict import ERROR, Outcome, judge
 from slamhive.run_folder.folder import RunFolder
 from slamhive.store import Store
 from slamhive.store.records import EvaluationState, ProtocolLabel, RunRecord

@@ -12,8 +12,8 @@ from sqlalchemy import ColumnElement, ScalarSelect, and_, func, insert, or_, sel
 
 from slamhive.base.errors import Conflict, unknown
 from slamhive.domain.accounts import Sharing
+from slamhive.domain.protocol import with_trajectory
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.verdict import VerdictKind
 from slamhive.store.changes import changes_of
 from slamhive.store.metrics import CODES, VERDICT, MetricRepository, kind_of

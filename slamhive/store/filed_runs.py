@@ -13,9 +13,8 @@ from sqlalchemy import bindparam, delete, insert, or_, select, update
 from slamhive.base.errors import Conflict
 from slamhive.domain import protocol as domain
 from slamhive.domain.algorithm import IMPORTED
-from slamhive.domain.protocol import Protocol
+from slamhive.domain.protocol import Protocol, TrajectoryKind
 from slamhive.domain.run import NO_NOTES, RunNotes, RunState
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.evaluation.job import Artefacts
 from slamhive.store.catalogue import CatalogueRepository, NoteRepository
 from slamhive.store.changes import changes_of

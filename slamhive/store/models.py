@@ -6,9 +6,9 @@ from sqlalchemy import BigInteger, Boolean, ForeignKey, Index, Integer, SmallInt
 
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.question import ExperimentQuestion
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.evaluation.job import Artefacts
 from slamhive.store.records import AnalysisState, EvaluationState, ExperimentState
 from slamhive.store.tables import (

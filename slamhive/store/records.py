@@ -13,17 +13,15 @@ from slamhive.documents.limits import RunOptions
 from slamhive.domain.accounts import TEAM_SEES, Sharing, Visibility, visibility_of
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.configuration import Configuration, InputMap, Playback, PlaybackMode, Variant
-from slamhive.domain.outcome import Outcome, outcome_words
 from slamhive.domain.packages import version_label
 from slamhive.domain.parameters import Parameter, Value
-from slamhive.domain.protocol import Protocol
+from slamhive.domain.protocol import Protocol, TrajectoryKind
 from slamhive.domain.question import ExperimentQuestion
 from slamhive.domain.roles import Chosen
 from slamhive.domain.run import NO_NOTES, FailureReason, Host, RunEvent, RunNotes, RunState
 from slamhive.domain.side_by_side import ProtocolUse
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.trust import Disturbance, Trust, judge_trust
-from slamhive.domain.verdict import Verdict, VerdictKind, ended_badly, judge, not_evaluable
+from slamhive.domain.verdict import Outcome, Verdict, VerdictKind, ended_badly, judge, not_evaluable, outcome_words
 from slamhive.evaluation.job import Artefacts
 
 

@@ -31,9 +31,8 @@ from slamhive.documents.limits import RunOptions, StopWhen
 from slamhive.domain.configuration import InputMap, Playback, Variant
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
-from slamhive.domain.protocol import protocol_from_content
+from slamhive.domain.protocol import protocol_from_content, with_trajectory
 from slamhive.domain.run import NO_NOTES, FailureReason, Host, RunNotes, RunState
-from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.trust import Disturbance
 from slamhive.domain.verdict import VerdictKind
 from slamhive.filters.binding import Bound, Condition, Search

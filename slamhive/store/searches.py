@@ -30,9 +30,8 @@ from sqlalchemy import (
 from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.filters.binding import Bound, Condition, Search
+from slamhive.filters.binding import Bound, Condition, Search, split_means
 from slamhive.filters.fields import BUILT_IN, ParameterKind
-from slamhive.filters.means import split_means
 from slamhive.filters.syntax import Sign, all_of
 from slamhive.store.changes import changes_of
 from slamhive.store.configurations import ConfigurationRepository

@@ -1,6 +1,6 @@
 """Formats of trajectories by name, with the systems and datasets that write them.
 
-Rows with a time, a position and a quaternion are found by their columns (see :mod:`slamhive.trajectory.columns`). The
+Rows with a time, a position and a quaternion are found by their columns (see :mod:`slamhive.trajectory.pose_file`). The
 other formats have a reader here.
 """
 

@@ -15,8 +15,7 @@ import numpy as np
 
 from slamhive.base.files import write_aside
 from slamhive.domain.protocol import Duplicates
-from slamhive.trajectory.model import FloatArray, Poses, Trajectory, find_problem, repair
-from slamhive.trajectory.orientation import ZERO, lacking, no_rotations
+from slamhive.trajectory.model import ZERO, FloatArray, Poses, Trajectory, find_problem, lacking, no_rotations, repair
 from slamhive.trajectory.table import NumberTable, count_columns, parse_table, read_bounded
 
 # The TUM trajectory format: ``timestamp tx ty tz qx qy qz qw``, seconds and metres, one pose a line.

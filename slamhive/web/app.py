@@ -18,8 +18,8 @@ from slamhive.base.clock import utc_now
 from slamhive.base.files import relative_paths
 from slamhive.base.settings import Mode, Settings
 from slamhive.domain.accounts import VISIBILITY_LABELS, Action, Role
-from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import RunState
+from slamhive.domain.verdict import outcome_words
 from slamhive.services.hive import Hive
 from slamhive.services.markdown import markdown_html
 from slamhive.services.searches import runs_text

@@ -15,8 +15,7 @@ from slamhive.base.bounds import whole_number
 from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE, Metric
-from slamhive.domain.outcome import outcome_words
-from slamhive.domain.verdict import DEFAULT_RULE
+from slamhive.domain.verdict import DEFAULT_RULE, outcome_words
 from slamhive.filters.fields import PARAMETER_PREFIX, FieldKind, Vocabulary
 from slamhive.store.records import RunRecord, SavedSearchRecord
 from slamhive.web.formatting import DASH, TableCell, display_unit, exact_time, metric_cell, value_text

@@ -12,8 +12,8 @@ from flask import Flask, Response, current_app, g, make_response, render_templat
 from werkzeug.exceptions import BadRequest, HTTPException
 
 from slamhive.base.errors import SlamHiveError, Unavailable, changed_text
-from slamhive.documents.api_answers import OldError, ProblemDocument
-from slamhive.documents.validation import STATUS
+from slamhive.documents.api import OldError, ProblemDocument
+from slamhive.documents.model import STATUS
 
 logger = logging.getLogger(__name__)
 

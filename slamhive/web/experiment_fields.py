@@ -12,8 +12,7 @@ from werkzeug.datastructures import MultiDict
 
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
-from slamhive.documents.limits import RULES, Limits
-from slamhive.documents.options import options_of
+from slamhive.documents.limits import RULES, Limits, options_of
 from slamhive.experiments.values import as_scalar, parse_values
 from slamhive.web.formatting import value_text
 

@@ -14,9 +14,8 @@ from slamhive.documents.submission import MAX_REPEATS
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
 from slamhive.experiments.experiment import Experiment
-from slamhive.filters.binding import Search, bind, read_search
+from slamhive.filters.binding import Search, bind, means_of, read_search
 from slamhive.filters.fields import Vocabulary
-from slamhive.filters.means import means_of
 from slamhive.filters.parser import parse_filter
 from slamhive.filters.syntax import (
     Filter,

@@ -23,8 +23,8 @@ from slamhive.base.bounds import parse_json_object
 from slamhive.base.errors import NotFound, SlamHiveError
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.metrics import CATALOGUE, Metric, with_unknown
-from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import RunState
+from slamhive.domain.verdict import outcome_words
 from slamhive.run_folder.point_cloud import MapCloud
 from slamhive.services.analysis import script_json
 from slamhive.services.hive import Hive

@@ -23,7 +23,7 @@ from slamhive.documents.catalogue import MatchDocument
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.names import check_name
-from slamhive.domain.outcome import Outcome
+from slamhive.domain.verdict import Outcome
 from slamhive.run_folder.folder import RunFolder
 from slamhive.services.accounts import published
 from slamhive.services.analysis import report_content, report_environment, script_json

@@ -17,8 +17,8 @@ from slamhive.domain.sensors import SensorKind
 from slamhive.packages.algorithm_file import load_algorithms
 from slamhive.services.bounds import BoundTest, bound_tests
 from slamhive.services.hive import Hive
+from slamhive.trajectory.association import position_misfit
 from slamhive.trajectory.layout import read_tum
-from slamhive.trajectory.offset import position_misfit
 from slamhive.trajectory.transforms import move_sensor, rigid_transform
 from tests.algorithms.from_sources import NEEDS_SOURCES
 from tests.real_datasets import dataset

@@ -9,8 +9,8 @@ import pytest
 
 from slamhive.base.project import project_root
 from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.protocol import PoseTime
 from slamhive.domain.sensors import SensorKind
-from slamhive.domain.trajectory_kind import PoseTime
 from slamhive.packages.algorithm_file import load_algorithms
 from tests.algorithms.algorithm_runs import load_module
 from tests.algorithms.recorded_configs import config_of

@@ -13,7 +13,7 @@ from slamhive.base.project import project_root
 from slamhive.documents.submission import Submission
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import RunState
-from slamhive.packages.folders import ALGORITHM_FOLDERS
+from slamhive.packages.algorithm_file import ALGORITHM_FOLDERS
 from slamhive.recordings.room import RoomOptions
 from slamhive.services.hive import Hive, open_hive
 

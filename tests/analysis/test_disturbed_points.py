@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slamhive.analysis.chart import Chart, Points
-from slamhive.analysis.density import thinned
+from slamhive.analysis.chart import Chart, Points, thinned
 from slamhive.analysis.plot_types import PLOT_TYPES
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import print_chart

@@ -8,8 +8,18 @@ import json
 import numpy as np
 import pytest
 
-from slamhive.analysis.chart import Axis, Chart, Density, FailedRuns, Points
-from slamhive.analysis.density import DENSITY_FROM, SINGLE_MOST, SPACE_MOST, rule_words, thinned
+from slamhive.analysis.chart import (
+    DENSITY_FROM,
+    SINGLE_MOST,
+    SPACE_MOST,
+    Axis,
+    Chart,
+    Density,
+    FailedRuns,
+    Points,
+    rule_words,
+    thinned,
+)
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import print_chart
 

@@ -12,7 +12,7 @@ from slamhive.analysis.chart import Bars, FailedRuns
 from slamhive.analysis.plot_types import PLOT_TYPES, PlotData
 from slamhive.analysis.plot_types.by_algorithm import best_configurations
 from slamhive.analysis.plot_types.critical_difference import _scores
-from slamhive.analysis.plot_types.pareto import configuration_means, fronts_by_dataset
+from slamhive.analysis.plot_types.scatter import configuration_means, fronts_by_dataset
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.table import RunTable, make_table
 from tests.analysis.analysis_world import NoFiles

@@ -7,7 +7,7 @@ import pytest
 from slamhive.analysis.analysis_file import parse_analysis
 from slamhive.analysis.paper_file import our_key
 from slamhive.base.errors import InvalidInput
-from slamhive.packages.published.numbers import HERE, Numbers
+from slamhive.packages.published.knowledge import HERE, Numbers
 
 pytestmark = pytest.mark.quick
 

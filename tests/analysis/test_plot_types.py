@@ -13,7 +13,7 @@ import pytest
 from slamhive.analysis.analysis_file import parse_analysis
 from slamhive.analysis.chart import PALETTE, PRINT_FORMATS, Bars, Cells, FailedRuns, Line, Points, algorithm_colours
 from slamhive.analysis.plot_types import RunTrack
-from slamhive.analysis.plot_types.pareto import pareto_front
+from slamhive.analysis.plot_types.scatter import pareto_front
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.print_chart import print_chart
 from slamhive.analysis.report import PlotResult, ResultTable, TableColumn

@@ -19,8 +19,8 @@ from slamhive.analysis.regression import (
     typical_change,
 )
 from slamhive.analysis.statistics import Numbers
-from slamhive.domain.budget import RunBudget
 from slamhive.domain.gate import SIGNIFICANCE, Answer, Margin
+from slamhive.domain.question import RunBudget
 from slamhive.services.gates import Repeats
 
 pytestmark = pytest.mark.integration  # scipy takes a second to load

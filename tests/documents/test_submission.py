@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 
 from slamhive.base.errors import InvalidInput
-from slamhive.documents.limits import StopWhen
+from slamhive.documents.limits import Option, StopWhen
 from slamhive.documents.model import parse
-from slamhive.documents.options import Option
 from slamhive.documents.submission import OPTIONS, Submission
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.domain.bounds import Bound
+from slamhive.domain.algorithm import Bound
 from slamhive.domain.configuration import Playback
 from slamhive.domain.protocol import Alignment
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from slamhive.base.errors import InvalidInput, NotFound
-from slamhive.domain.budget import RunBudget, read_budget
 from slamhive.domain.gate import DEFAULT_MARGINS, FAILURES, Answer, Margin, chosen_margins
+from slamhive.domain.question import RunBudget, read_budget
 
 MEASURED = frozenset({"ate.rmse", "tracked.path", "cpu.per_data_second", "cpu.mean", "ram.max", "latency.p95"})
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind
 from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, common_protocol, mixed_protocols, short_names
-from slamhive.domain.trajectory_kind import TrajectoryKind
 
 SE3, SIM3 = Protocol(Alignment.SE3), Protocol(Alignment.SIM3)
 KNOWN = {protocol.fingerprint: protocol for protocol in (SE3, SIM3)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from slamhive.base.errors import InvalidInput
-from slamhive.experiments.check import name_datasets
+from slamhive.experiments.expansion import name_datasets
 from slamhive.experiments.file import parse_experiment
 from slamhive.filters.datasets import matching_datasets
 from tests.filters.test_dataset_filters import DATASETS

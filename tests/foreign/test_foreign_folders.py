@@ -15,8 +15,8 @@ from slamhive.documents.submission import Submission
 from slamhive.domain.algorithm import Algorithm, Base, RunUser
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.packages import PackageOrigin
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, SensorSetup
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.executors.docker.containers import HANDOVER
 from slamhive.executors.docker.foreign_images import PROBE, own_yaml
 from slamhive.packages.algorithm_file import load_algorithms

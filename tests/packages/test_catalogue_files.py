@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from slamhive.base.errors import InvalidInput, NotFound
-from slamhive.domain.algorithm import Base
-from slamhive.domain.bounds import Bound
+from slamhive.domain.algorithm import Base, Bound
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode
 from slamhive.domain.dataset import GroundTruth
 from slamhive.domain.protocol import Alignment

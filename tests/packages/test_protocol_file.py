@@ -6,8 +6,16 @@ from pathlib import Path
 import pytest
 
 from slamhive.base.errors import InvalidInput
-from slamhive.domain.protocol import Alignment, Association, Duplicates, FrameFit, Protocol, RpePairs, SegmentRule
-from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.protocol import (
+    Alignment,
+    Association,
+    Duplicates,
+    FrameFit,
+    Protocol,
+    RpePairs,
+    SegmentRule,
+    TrajectoryKind,
+)
 from slamhive.packages.protocol_file import load_protocol, parse_protocol, protocol_schema
 
 WHOLE = """\

@@ -14,10 +14,9 @@ import pytest
 
 from slamhive.base.clock import Clock
 from slamhive.domain.configuration import PlaybackMode
-from slamhive.domain.outcome import Outcome
 from slamhive.domain.placement import Remaining
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.verdict import VerdictKind
+from slamhive.domain.verdict import Outcome, VerdictKind
 from slamhive.services.experiments.context import GUESSED_START_S, Expected
 from slamhive.services.experiments.progress import KEPT_S, MANY_RUNS, AxisTable, Left, TimeLeft
 from slamhive.services.hive import Hive

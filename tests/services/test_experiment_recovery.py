@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.domain.outcome import Outcome
+from slamhive.domain.verdict import Outcome
 from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex

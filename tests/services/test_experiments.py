@@ -15,8 +15,8 @@ from slamhive.base.files import size_bytes
 from slamhive.base.settings import Mode
 from slamhive.cli.demo import DemoPhase as BuildPhase
 from slamhive.cli.demo import Phases, buildable
-from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import RunState
+from slamhive.domain.verdict import Outcome
 from slamhive.services.experiments import previewing
 from slamhive.services.experiments.context import (
     GUESSED_BUILD_S,

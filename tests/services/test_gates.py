@@ -13,10 +13,10 @@ from slamhive.base.settings import Mode
 from slamhive.documents.gate import Baseline, BaselineConfiguration, GateAnswer
 from slamhive.documents.record import ConfigurationContent
 from slamhive.documents.submission import Submission
-from slamhive.domain.budget import RunBudget
 from slamhive.domain.configuration import Playback
 from slamhive.domain.gate import FAILURES, Answer
 from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.question import RunBudget
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import VerdictKind
 from slamhive.services.gates import Gates, Repeats, answer_junit, answer_markdown, repeat_until_decided

@@ -11,9 +11,8 @@ import pytest
 
 from slamhive.analysis.table import FAILED
 from slamhive.documents.run import RunDocument
-from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.domain.verdict import DEFAULT_RULE, VerdictKind
+from slamhive.domain.verdict import DEFAULT_RULE, Outcome, VerdictKind
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.services.analysis.table import TableRequest, load_table
 from slamhive.services.hive import Hive

@@ -11,8 +11,8 @@ import pytest
 
 from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.documents import experiment as schema
-from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import RunState
+from slamhive.domain.verdict import Outcome
 from slamhive.experiments.file import parse_experiment
 from slamhive.services.experiments.progress import counted_runs
 from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource

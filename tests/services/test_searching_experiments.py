@@ -11,7 +11,7 @@ import pytest
 
 from slamhive.analysis import optuna_sampling
 from slamhive.base.errors import InvalidInput, NotFound, Unavailable
-from slamhive.documents.question import SearchStanding
+from slamhive.documents.experiment import SearchStanding
 from slamhive.domain.question import QuestionAnswer
 from slamhive.domain.run import FailureReason
 from slamhive.services.deciding import optimise

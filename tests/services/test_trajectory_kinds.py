@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from slamhive.base.errors import InvalidInput
-from slamhive.domain.protocol import Alignment, Protocol, exactly, protocol_from_content
-from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind, exactly, protocol_from_content
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.runtime.trajectory import Poses, Trajectories, write_trajectories
 from slamhive.services.evaluations.service import estimate_of, other_trajectories

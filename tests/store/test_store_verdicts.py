@@ -7,10 +7,9 @@ from datetime import UTC, datetime
 import pytest
 from sqlalchemy import text
 
-from slamhive.domain.outcome import outcome_words
 from slamhive.domain.run import RunState
 from slamhive.domain.trust import DROPPED_FRAMES
-from slamhive.domain.verdict import DIVERGED, ERROR_OVER_REPEATS, REPEATS_LIMIT, VerdictKind
+from slamhive.domain.verdict import DIVERGED, ERROR_OVER_REPEATS, REPEATS_LIMIT, VerdictKind, outcome_words
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.filters.binding import Search, read_search
 from slamhive.filters.fields import Vocabulary

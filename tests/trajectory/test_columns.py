@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from slamhive.base.errors import InvalidInput
-from slamhive.trajectory.columns import SYSTEMS, find_columns, stated_columns
 from slamhive.trajectory.layout import UNKNOWN, TimeUnit
-from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, read_pose_file
+from slamhive.trajectory.pose_file import (
+    SYSTEMS,
+    PoseFile,
+    TrajectoryFormat,
+    find_columns,
+    read_pose_file,
+    stated_columns,
+)
 from tests.cases import case
 
 ANGLES = np.linspace(0.1, 1.5, 30)

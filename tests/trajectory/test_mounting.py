@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from slamhive.trajectory.alignment import fit_offset
 from slamhive.trajectory.model import FloatArray, Poses
-from slamhive.trajectory.mounting import fit_offset
 from slamhive.trajectory.transforms import rotations_from_quats
 
 TIMES_S = np.arange(12.0)

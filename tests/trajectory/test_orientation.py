@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slamhive.trajectory.layout import POSITIONS_ONLY, parse_ground_truth, parse_rows
-from slamhive.trajectory.orientation import NEVER_TURNS, ZERO, heading_change_rad, is_constant, lacking
+from slamhive.trajectory.model import NEVER_TURNS, ZERO, heading_change_rad, is_constant, lacking
 
 ANGLES = np.linspace(0, np.pi, 40)
 WINDING = np.column_stack((np.cos(ANGLES), np.sin(ANGLES), 0 * ANGLES)) * 5

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.base.settings import Mode
-from slamhive.domain.outcome import Outcome
+from slamhive.domain.verdict import Outcome
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.web import long_work

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.documents.question import Decision, SearchStanding
+from slamhive.documents.experiment import Decision, SearchStanding
 from slamhive.experiments.file import parse_experiment
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource

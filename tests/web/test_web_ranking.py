@@ -9,8 +9,7 @@ from functools import partial
 import pytest
 from sqlalchemy import Update, update
 
-from slamhive.domain.protocol import Alignment, Protocol
-from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource, RankedCell, Ranking
 from slamhive.services.experiments.ranking import BEST, WORST

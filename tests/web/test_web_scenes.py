@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from slamhive.base.settings import Mode
-from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.run_folder.point_cloud import MOST_POINTS
 from slamhive.runtime.pcd import format_pcd, write_pcd
 from slamhive.services.runs.series import read_whole_track

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from slamhive.base.settings import Mode
-from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.protocol import TrajectoryKind
 from tests.serving import serving
 from tests.waiting import eventually
 from tests.web import web_world as world

@@ -16,15 +16,12 @@ from slamhive.analysis.plot_types.coverage import Coverage
 from slamhive.analysis.plot_types.critical_difference import CriticalDifference
 from slamhive.analysis.plot_types.distributions import Distributions, Repeatability
 from slamhive.analysis.plot_types.heatmap import Heatmap
-from slamhive.analysis.plot_types.importance import Importance
 from slamhive.analysis.plot_types.metric_table import MetricTable
 from slamhive.analysis.plot_types.over_time import Latency, Usage
-from slamhive.analysis.plot_types.parallel import ParallelCoordinates
-from slamhive.analysis.plot_types.pareto import Pareto
+from slamhive.analysis.plot_types.parameters import Importance, LinePlot, ParallelCoordinates, Sensitivity
 from slamhive.analysis.plot_types.protocols import Protocols
-from slamhive.analysis.plot_types.scatter import Scatter, Scatter3d
+from slamhive.analysis.plot_types.scatter import Pareto, Scatter, Scatter3d
 from slamhive.analysis.plot_types.selector import Selector
-from slamhive.analysis.plot_types.sensitivity import LinePlot, Sensitivity
 from slamhive.analysis.plot_types.trajectories import Trajectories
 
 for _plot_type in (

@@ -13,7 +13,7 @@ from slamhive.analysis.plot_types import base
 from slamhive.analysis.report import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.table import RunTable
 from slamhive.base.errors import InvalidInput
-from slamhive.documents.validation import explained
+from slamhive.documents.model import explained
 from slamhive.domain.metrics import Direction
 
 _QUANTILES = (0.25, 0.5, 0.75, 0.9)

@@ -11,9 +11,8 @@ from typing import Protocol as Interface
 import numpy as np
 
 from slamhive.domain.protocol import Protocol
-from slamhive.trajectory.alignment import Similarity
+from slamhive.trajectory.alignment import FrameOffset, Similarity
 from slamhive.trajectory.model import FloatArray, Poses, Trajectory
-from slamhive.trajectory.mounting import FrameOffset
 
 if TYPE_CHECKING:
     from evo.core.result import Result

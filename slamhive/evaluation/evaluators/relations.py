@@ -16,8 +16,7 @@ from slamhive.domain.verdict import RELATION_ERROR_PER_MOTION
 from slamhive.evaluation.evaluators.base import RELATIONS, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.relative import statistics
 from slamhive.trajectory.completeness import covers
-from slamhive.trajectory.model import FloatArray, Trajectory
-from slamhive.trajectory.orientation import lacking
+from slamhive.trajectory.model import FloatArray, Trajectory, lacking
 from slamhive.trajectory.table import parse_table, read_bounded
 from slamhive.trajectory.transforms import (
     interpolate,

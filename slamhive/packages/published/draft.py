@@ -13,8 +13,8 @@ from slamhive.base.errors import InvalidInput
 from slamhive.domain.algorithm import Base, RunUser
 from slamhive.domain.names import check_name
 from slamhive.domain.packages import UNKNOWN, PackageOrigin
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.sensors import SensorKind, SensorSetup
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.packages.published.facts import (
     SETUPS,
     FolderFacts,

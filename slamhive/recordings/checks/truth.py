@@ -9,8 +9,7 @@ from slamhive.domain.dataset import Dataset, Finding, NotChecked, Severity
 from slamhive.recordings.checks.evidence import TRUTH, Array, DatasetEvidence, Findings, Truth
 from slamhive.trajectory.evidence import find_unit, overlap
 from slamhive.trajectory.layout import POSITIONS_LAYOUT, TUM_LAYOUT, TimeUnit
-from slamhive.trajectory.model import QUATERNION_TOLERANCE, Poses, Trajectory
-from slamhive.trajectory.orientation import is_constant
+from slamhive.trajectory.model import QUATERNION_TOLERANCE, Poses, Trajectory, is_constant
 from slamhive.trajectory.table import count_columns, parse_table, read_bounded
 from slamhive.trajectory.transforms import interpolate, rotation_angles_rad, rotations_from_quats
 

@@ -33,7 +33,7 @@ from slamhive.recordings.importers.tum_rgbd import Eth3dImporter, TumRgbdImporte
 from slamhive.recordings.importers.video import VideoImporter
 from slamhive.recordings.importers.vslam_lab import VslamLabImporter
 from slamhive.recordings.importing import Detection, ImportOptions, ImportPlan, refuse_losses
-from slamhive.trajectory.orientation import lacking
+from slamhive.trajectory.model import lacking
 
 
 @runtime_checkable

@@ -16,8 +16,7 @@ from slamhive.recordings.importers.sensors import TF_TYPES, plain_frame
 from slamhive.recordings.importing import PlannedTruth
 from slamhive.runtime.messages import stamp_ns
 from slamhive.trajectory.evidence import Span
-from slamhive.trajectory.model import find_problem
-from slamhive.trajectory.orientation import no_rotations
+from slamhive.trajectory.model import find_problem, no_rotations
 from slamhive.trajectory.pose_file import read_ground_truth
 
 

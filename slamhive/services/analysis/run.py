@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.analysis_file import PROTOCOL, Analysis, PlotRequest, parse_analysis, set_words
-from slamhive.analysis.analysis_model import SetModel
+from slamhive.analysis.analysis_model import SetModel, evaluate, names_in
 from slamhive.analysis.chart import THUMBNAIL
 from slamhive.analysis.plot_types import PlotData, one_value
 from slamhive.analysis.print_chart import print_chart
 from slamhive.analysis.report import DisturbedRuns, Plot, PlotResult, ProtocolRuns, Report
-from slamhive.analysis.selection import evaluate, names_in
 from slamhive.analysis.table import FAILED, Column, ColumnKind, RunTable, metric_column
 from slamhive.base.clock import monotonic_s, utc_now
 from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError
@@ -26,7 +25,7 @@ from slamhive.domain.bibliography import Reference
 from slamhive.domain.dataset import ATTRIBUTE_KINDS, Dataset
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.names import plural
-from slamhive.domain.trajectory_kind import TrajectoryKind, with_trajectory
+from slamhive.domain.protocol import TrajectoryKind, with_trajectory
 from slamhive.packages.published.combination import is_combination
 from slamhive.services.analysis.table import (
     StoredRunFiles,

@@ -33,7 +33,7 @@ from slamhive.documents.challenge import (
     StoredRunsDocument,
     StoredSubmission,
 )
-from slamhive.documents.validation import first_problem_at
+from slamhive.documents.model import first_problem_at
 from slamhive.domain.challenge import Format, Rule, Scoring, Taken
 from slamhive.domain.metrics import Direction, Metric, metric
 from slamhive.domain.names import check_name

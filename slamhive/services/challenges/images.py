@@ -24,9 +24,8 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Playback
 from slamhive.domain.packages import version_label
 from slamhive.executors.base import EngineUnavailable, Executor, ImageMissing, PackageNeed
-from slamhive.packages.algorithm_file import load_algorithms
+from slamhive.packages.algorithm_file import load_algorithms, version_folder
 from slamhive.packages.dataset_file import load_dataset
-from slamhive.packages.folders import version_folder
 from slamhive.recordings.staging import seal
 from slamhive.services.algorithms import AlgorithmImports, ImageArchive, PackageImportRequest
 from slamhive.services.challenges.definition import SubmissionFolder

@@ -29,8 +29,7 @@ from slamhive.documents.challenge import (
     StoredImage,
 )
 from slamhive.domain.challenge import Format, PhaseState, Reveal, Taken, phase_state
-from slamhive.packages.algorithm_file import load_algorithms
-from slamhive.packages.folders import version_folder
+from slamhive.packages.algorithm_file import load_algorithms, version_folder
 from slamhive.services.challenges.checking import check_files, frame_trajectory
 from slamhive.services.challenges.definition import (
     CANCELLED,

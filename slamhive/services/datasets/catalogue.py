@@ -20,7 +20,7 @@ from slamhive.domain.algorithm import EXTERNAL_PACKAGE, IMPORTED, Algorithm, ext
 from slamhive.domain.names import check_name
 from slamhive.domain.packages import split_version, version_label
 from slamhive.domain.sensors import IDENTITY4, Matrix4, SensorSetup
-from slamhive.packages.published.numbers import Numbers
+from slamhive.packages.published.knowledge import Numbers
 from slamhive.store import AbsentStore, RunRecord, Store, Transaction
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ class Catalogue:
 
         ``NAME@2`` is the algorithm as it was in version 2 of its package.
         """
-        from slamhive.packages.folders import ALGORITHM_FOLDERS, kept_algorithm
+        from slamhive.packages.algorithm_file import ALGORITHM_FOLDERS, kept_algorithm
 
         name, number = split_version(name)
         if number is not None:
@@ -157,7 +157,7 @@ class Catalogue:
 
     def versioned_algorithms(self) -> dict[str, Algorithm]:
         """All algorithms by the name that users ask for: as they are now, and as they were in kept versions."""
-        from slamhive.packages.folders import kept_algorithms
+        from slamhive.packages.algorithm_file import kept_algorithms
 
         kept = kept_algorithms(self._settings.versions_folder)
         return {algorithm.label: algorithm for algorithm in (*self.algorithms(), *kept)}
@@ -277,8 +277,7 @@ class Catalogue:
 
     def _scan_algorithms(self) -> tuple[Sequence[Algorithm], list[BrokenEntry]]:
         """Find algorithms and broken folders. If no file has changed, the files are not looked into."""
-        from slamhive.packages.algorithm_file import ALGORITHM_FILE, load_algorithms
-        from slamhive.packages.folders import ALGORITHM_FOLDERS
+        from slamhive.packages.algorithm_file import ALGORITHM_FILE, ALGORITHM_FOLDERS, load_algorithms
         from slamhive.packages.published.folder import MAPPING, SCRIPTS
 
         folders = [(name, root / name) for root in self._algorithm_roots for name, _ in stamped(root, ALGORITHM_FILE)]

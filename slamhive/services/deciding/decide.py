@@ -10,12 +10,11 @@ import numpy as np
 
 from slamhive.analysis.racing import LEAST_ROUNDS, RaceAnswer, RaceRule, RaceState, race
 from slamhive.analysis.statistics import Numbers
-from slamhive.documents.question import Decision, DecisionCandidate
+from slamhive.documents.experiment import Decision, DecisionCandidate
 from slamhive.domain.metrics import Direction, Metric, described
 from slamhive.domain.names import plural
 from slamhive.domain.question import CandidateStanding, ExperimentQuestion, QuestionAnswer
-from slamhive.experiments.candidates import ExperimentCandidate
-from slamhive.experiments.experiment import DecidePlan
+from slamhive.experiments.experiment import DecidePlan, ExperimentCandidate
 from slamhive.services.deciding.look import QuestionLook, RunUse
 
 

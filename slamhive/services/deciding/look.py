@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from slamhive.domain.run import FailureReason, RunState
-from slamhive.experiments.candidates import ExperimentCandidate, candidates_of
-from slamhive.experiments.experiment import Experiment
+from slamhive.experiments.experiment import Experiment, ExperimentCandidate, candidates_of
 from slamhive.experiments.file import parse_experiment
 from slamhive.store import Transaction
 from slamhive.store.records import CellRun, ExperimentRecord

@@ -19,7 +19,7 @@ from slamhive.analysis.adaptive_search import (
     search,
 )
 from slamhive.analysis.statistics import Numbers
-from slamhive.documents.question import (
+from slamhive.documents.experiment import (
     AxisImportance,
     ExpectedValue,
     SearchedCandidate,
@@ -32,8 +32,7 @@ from slamhive.domain.names import plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.question import ExperimentQuestion, QuestionAnswer, SearchSampler
 from slamhive.domain.run import FailureReason
-from slamhive.experiments.candidates import ALGORITHM, LEAST_SEARCH_RUNS, ExperimentCandidate
-from slamhive.experiments.experiment import FAILED, OptimisePlan
+from slamhive.experiments.experiment import ALGORITHM, FAILED, LEAST_SEARCH_RUNS, ExperimentCandidate, OptimisePlan
 from slamhive.services.deciding.look import ObservedRun, QuestionLook, RunUse
 
 _SHOWN = 12

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import Conflict, InvalidInput, SlamHiveError, Unavailable
-from slamhive.documents.question import Decision, SearchStanding
+from slamhive.documents.experiment import Decision, SearchStanding
 from slamhive.experiments.experiment import DecidePlan
 from slamhive.services.kept_answers import KeptViews
 from slamhive.store import Transaction

@@ -11,10 +11,9 @@ from slamhive.base.errors import Conflict, InvalidInput, NotFound
 from slamhive.base.settings import Settings
 from slamhive.domain.metrics import described
 from slamhive.domain.names import plural
-from slamhive.domain.protocol import Protocol, ProtocolRequest, exactly
+from slamhive.domain.protocol import Protocol, ProtocolRequest, exactly, with_trajectory
 from slamhive.domain.run import RunState
 from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse
-from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.evaluation.job import Artefacts
 from slamhive.evaluation.presets import PRESETS, Preset
 from slamhive.run_folder.folder import RunFolder

@@ -20,9 +20,8 @@ from slamhive.base.files import sweep_folder, temporary_folder, write_aside
 from slamhive.base.settings import Settings
 from slamhive.documents.protocol import ProtocolMatchDocument, ProtocolSearchDocument
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.protocol import Alignment, Duplicates, Protocol, ProtocolRequest
+from slamhive.domain.protocol import Alignment, Duplicates, Protocol, ProtocolRequest, TrajectoryKind
 from slamhive.domain.sensors import IDENTITY4, Matrix4
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.domain.verdict import Hint
 from slamhive.evaluation.evaluators.base import (
     COVARIANCES,

@@ -51,7 +51,7 @@ class ExperimentContext:
 
         Only datasets with a recording are chosen. Raises InvalidInput naming file and line.
         """
-        from slamhive.experiments.check import name_datasets  # noqa: PLC0415
+        from slamhive.experiments.expansion import name_datasets  # noqa: PLC0415
         from slamhive.filters.datasets import matching_datasets  # noqa: PLC0415
 
         recorded = [dataset for dataset in self.catalogue.datasets() if dataset.bag]

@@ -10,7 +10,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.experiments.file import parse_experiment
 from slamhive.packages.published.combination import Combination, read_combinations
 from slamhive.packages.published.experiment import Converted, convert, other_text
-from slamhive.packages.published.numbers import HERE
+from slamhive.packages.published.knowledge import HERE
 from slamhive.services.datasets import Catalogue
 from slamhive.services.experiments.views import ExperimentSource
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from slamhive.base.clock import SYSTEM_CLOCK, Clock
 from slamhive.base.errors import InvalidInput, unknown
 from slamhive.domain.names import plural
-from slamhive.domain.outcome import Failure, Outcome, failure_of
 from slamhive.domain.parameters import Value
 from slamhive.domain.placement import Remaining
 from slamhive.domain.run import RunState
+from slamhive.domain.verdict import Failure, Outcome, failure_of
 from slamhive.services.experiments.context import Costs, Expected, ExperimentContext, guessed_duration_s
 from slamhive.services.experiments.views import (
     MOST_LISTED,

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from slamhive.domain.outcome import Outcome
 from slamhive.domain.parameters import Value
+from slamhive.domain.verdict import Outcome
 from slamhive.services.experiments.progress import METRICS, AxisTable, CellCounts
 from slamhive.services.experiments.views import Cell, CellFigures
 from slamhive.store import RunRecord, Transaction

@@ -22,9 +22,8 @@ from slamhive.domain.metrics import metric
 from slamhive.domain.placement import run_affinity
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.question import SearchSampler
-from slamhive.experiments.candidates import ExperimentCandidate, candidates_of, check_candidates
 from slamhive.experiments.expansion import Expansion, PlannedRun
-from slamhive.experiments.experiment import Experiment
+from slamhive.experiments.experiment import Experiment, ExperimentCandidate, candidates_of, check_candidates
 from slamhive.experiments.file import parse_experiment
 from slamhive.services.evaluations import protocol_for
 from slamhive.services.experiments.context import ExperimentContext, Progress, silent

@@ -16,7 +16,6 @@ from slamhive.domain.collection import Collection, RemoteFile, Sequence
 from slamhive.domain.configuration import Variant
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.names import plural
-from slamhive.domain.outcome import Failure, Outcome
 from slamhive.domain.parameters import Value
 from slamhive.domain.placement import Remaining
 from slamhive.domain.protocol import Alignment
@@ -24,6 +23,7 @@ from slamhive.domain.question import ExperimentQuestion
 from slamhive.domain.run import FailureReason
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind
 from slamhive.domain.side_by_side import MixedProtocols
+from slamhive.domain.verdict import Failure, Outcome
 from slamhive.store.records import CellRun, ProtocolLabel
 
 MOST_LISTED = 200

@@ -29,10 +29,10 @@ from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import InvalidInput
 from slamhive.documents.gate import GateAnswer, GateConfiguration, GateMetric, GateValues, MeasuredRun, MetricChange
 from slamhive.documents.run import ProtocolName
-from slamhive.domain.budget import RunBudget
 from slamhive.domain.gate import FAILURES, SIGNIFICANCE, Answer, Margin
 from slamhive.domain.metrics import Direction, Metric, described
 from slamhive.domain.names import plural
+from slamhive.domain.question import RunBudget
 from slamhive.services.gates.baselines import GateCheck, RunPair
 from slamhive.services.gates.service import Gates
 from slamhive.services.markdown import escaped, table_markdown

@@ -15,8 +15,7 @@ from slamhive.services.imports.request import ImportCandidate, Reading
 from slamhive.trajectory.association import orientation_spread_deg, reordered, thinned_pair
 from slamhive.trajectory.evidence import Conclusion, Span, span_of
 from slamhive.trajectory.layout import Convention, QuaternionOrder, TimeUnit, format_tum
-from slamhive.trajectory.model import Trajectory
-from slamhive.trajectory.orientation import ZERO
+from slamhive.trajectory.model import ZERO, Trajectory
 from slamhive.trajectory.pose_file import PoseFile, TrajectoryFormat, decided, read_pose_file
 
 # Conventions: as specified, or detected; in doubt the import asks.

@@ -13,9 +13,8 @@ from pathlib import Path
 from slamhive.base.clock import monotonic_s, utc_now
 from slamhive.base.errors import Conflict, Unavailable
 from slamhive.base.files import remedy_of, sweep_folder
-from slamhive.domain.protocol import Duplicates
+from slamhive.domain.protocol import Duplicates, TrajectoryKind
 from slamhive.domain.sensors import SensorSetup
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.recordings.variants.cache import Busy, exclusive
 from slamhive.trajectory.layout import UNKNOWN, Convention, QuaternionOrder, TimeUnit
 from slamhive.trajectory.pose_file import TrajectoryFormat

@@ -25,8 +25,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import RELATIONS_FILE, Dataset, GroundTruth
 from slamhive.domain.names import check_name, plural
-from slamhive.domain.protocol import Duplicates, Protocol, ProtocolRequest
-from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.protocol import Duplicates, Protocol, ProtocolRequest, TrajectoryKind
 from slamhive.evaluation.evaluators.relations import parse_relations
 from slamhive.packages.dataset_file import DATASET_FILE, dataset_to_yaml
 from slamhive.recordings.staging import GROUND_TRUTH_FILE, new_dataset_folder

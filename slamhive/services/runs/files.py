@@ -13,8 +13,8 @@ from typing import BinaryIO
 from slamhive.base.errors import NotFound
 from slamhive.documents.run import EvaluationDocument, RunWith, ShownEvent
 from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.run import RunEvent, RunState
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.run_folder.folder import EVALUATION_FILES, RunFolder
 from slamhive.run_folder.point_cloud import MapCloud, map_size, sampled_cloud, thinned_cloud
 from slamhive.run_folder.untrusted import (

@@ -11,8 +11,7 @@ import numpy as np
 
 from slamhive.base.bounds import read_record
 from slamhive.base.errors import InvalidInput, SlamHiveError
-from slamhive.domain.protocol import protocol_from_content
-from slamhive.domain.trajectory_kind import TrajectoryKind
+from slamhive.domain.protocol import TrajectoryKind, protocol_from_content
 from slamhive.run_folder.folder import RunFolder
 from slamhive.run_folder.untrusted import read_numeric_columns
 from slamhive.services.evaluations import PROTOCOL_FILE

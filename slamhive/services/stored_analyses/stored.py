@@ -24,7 +24,7 @@ from slamhive.base.clock import utc_now
 from slamhive.base.errors import Forbidden, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.base.files import held_folder, remedy_of, write_aside
 from slamhive.base.settings import Mode, Settings
-from slamhive.documents.api_answers import AnalysisWithFile
+from slamhive.documents.api import AnalysisWithFile
 from slamhive.documents.experiment import StoredAnalysis
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.bibliography import bibtex

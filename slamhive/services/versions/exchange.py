@@ -26,8 +26,7 @@ from slamhive.base.files import remedy_of, temporary_folder
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage
 from slamhive.domain.names import check_name
 from slamhive.executors.base import EngineUnavailable, Executor, ImageMissing
-from slamhive.packages.algorithm_file import ALGORITHM_FILE, load_algorithms, package_hash
-from slamhive.packages.folders import version_folder
+from slamhive.packages.algorithm_file import ALGORITHM_FILE, load_algorithms, package_hash, version_folder
 from slamhive.store import Store, VersionRecord
 
 FOLDER = "slamhive/"

@@ -12,8 +12,7 @@ from slamhive.base.settings import Mode, Settings
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.domain.packages import split_version
 from slamhive.executors.base import Executor, ImageMissing, PackageNeed
-from slamhive.packages.algorithm_file import load_algorithms, package_hash
-from slamhive.packages.folders import version_folder
+from slamhive.packages.algorithm_file import load_algorithms, package_hash, version_folder
 from slamhive.services.datasets import Catalogue, check_writable
 from slamhive.services.executors import Executors
 from slamhive.services.versions.exchange import (

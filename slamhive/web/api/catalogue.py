@@ -7,29 +7,27 @@ from flask import Response, request, url_for
 from slamhive import __version__
 from slamhive.base.errors import NotFound
 from slamhive.base.settings import Mode
-from slamhive.documents.api_answers import (
+from slamhive.documents.api import (
     Algorithms,
     BackgroundWork,
+    ConfigurationChanges,
     ConfigurationPageDocument,
+    ConfigurationRequest,
+    ConfigurationYaml,
     Datasets,
     DatasetWork,
+    GroupRequest,
+    LabelRequest,
     MetricDocument,
     Metrics,
+    NodeRequest,
     PackageVersions,
     PublicDatasets,
     Removal,
     Server,
     StoredConfiguration,
-    VariantsDocument,
-)
-from slamhive.documents.api_requests import (
-    ConfigurationChanges,
-    ConfigurationRequest,
-    ConfigurationYaml,
-    GroupRequest,
-    LabelRequest,
-    NodeRequest,
     VariantRequest,
+    VariantsDocument,
 )
 from slamhive.documents.catalogue import (
     AlgorithmDocument,

@@ -6,21 +6,19 @@ from typing import IO
 
 from flask import Response, request, url_for
 
-from slamhive.documents.api_answers import (
+from slamhive.documents.api import (
     AnalysesDocument,
     AnalysisDocument,
+    AnalysisRequest,
     AnalysisWithFile,
     CellPageDocument,
     CheckedFileDocument,
+    ExperimentRequest,
     ExperimentsDocument,
     ExperimentWithFile,
     GridAnswer,
-    Removal,
-)
-from slamhive.documents.api_requests import (
-    AnalysisRequest,
-    ExperimentRequest,
     ListingRequest,
+    Removal,
     RepeatsRequest,
     VisibilityRequest,
     YamlRequest,
@@ -35,12 +33,13 @@ from slamhive.documents.challenge import (
 )
 from slamhive.documents.experiment import (
     CellDocument,
+    Decision,
     ExperimentAnswerDocument,
     ExperimentPreviewDocument,
     ExperimentStatusDocument,
     GridDocument,
+    SearchStanding,
 )
-from slamhive.documents.question import Decision, SearchStanding
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.sharing import SharingChange
 from slamhive.services.stored_analyses import MEDIA_TYPES

@@ -19,7 +19,7 @@ from flask import Blueprint, Response, request
 from werkzeug.wsgi import LimitedStream
 
 from slamhive.base.errors import InvalidInput, SlamHiveError
-from slamhive.documents.api_requests import LARGEST_RUN_ID
+from slamhive.documents.api import LARGEST_RUN_ID
 from slamhive.documents.imports import HEXADECIMAL, LARGEST_UPLOAD_BYTES, OCTETS
 from slamhive.documents.model import Document
 from slamhive.domain.run import FailureReason, RunState

@@ -7,13 +7,20 @@ from werkzeug.exceptions import RequestedRangeNotSatisfiable
 
 from slamhive.base.bounds import whole_number
 from slamhive.base.errors import InvalidInput
-from slamhive.documents.api_answers import (
+from slamhive.documents.api import (
     ActedOn,
     DeletedRunDocument,
+    DeletionRequest,
     DownloadDocument,
+    EvaluationRequest,
     FilterField,
     FilterFields,
+    FoundEvaluation,
+    FoundRuns,
+    FoundSharing,
+    FoundTags,
     FoundThings,
+    NotesRequest,
     ProgressDocument,
     ProtocolMetrics,
     Queued,
@@ -23,23 +30,14 @@ from slamhive.documents.api_answers import (
     RunNumbers,
     RunPage,
     RunsDocument,
+    RunSelection,
     SavedSearchDocument,
     SavedSearches,
-    TrashedRuns,
-)
-from slamhive.documents.api_requests import (
-    DeletionRequest,
-    EvaluationRequest,
-    FoundEvaluation,
-    FoundRuns,
-    FoundSharing,
-    FoundTags,
-    NotesRequest,
-    RunSelection,
     SearchRequest,
     SharingRequest,
     ShownProtocolRequest,
     TagsRequest,
+    TrashedRuns,
 )
 from slamhive.documents.catalogue import FoundThing, MatchDocument
 from slamhive.documents.protocol import ComparisonDocument, ProtocolSearchDocument

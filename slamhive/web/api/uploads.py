@@ -8,7 +8,7 @@ from typing import IO
 from flask import request
 
 from slamhive.base.bounds import whole_number
-from slamhive.documents.api_answers import Removal
+from slamhive.documents.api import Removal
 from slamhive.documents.imports import (
     LARGEST_UPLOAD_BYTES,
     AlgorithmUpload,

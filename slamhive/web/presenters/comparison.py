@@ -13,7 +13,7 @@ from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.report import Plot
 from slamhive.domain.metrics import Direction, Group, Metric
 from slamhive.domain.names import plural
-from slamhive.domain.outcome import Outcome
+from slamhive.domain.verdict import Outcome
 from slamhive.services.run_comparison import Figure, RunColumn, RunComparison
 from slamhive.services.run_differences import differences, from_start
 from slamhive.services.runs import RunSeries, RunService

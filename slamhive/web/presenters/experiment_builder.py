@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from werkzeug.datastructures import MultiDict
 
 from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError
-from slamhive.documents.api_requests import LONGEST_YAML
+from slamhive.documents.api import LONGEST_YAML
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from slamhive.domain.metrics import Metric
-from slamhive.domain.outcome import Failure, Outcome, failure_words
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import RunState
+from slamhive.domain.verdict import Failure, Outcome, failure_words
 from slamhive.filters.words import matching
 from slamhive.services.experiments import (
     NO_FIGURES,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from slamhive.base.clock import utc_now
 from slamhive.domain.bibliography import Reference
-from slamhive.domain.outcome import Outcome
 from slamhive.domain.run import FailureReason
+from slamhive.domain.verdict import Outcome
 from slamhive.services.experiments import Certainty, ConfigurationStanding, ExperimentAnswer, ExperimentStatus
 from slamhive.services.hive import Hive
 from slamhive.web.formatting import plural, thousands

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from slamhive.documents.question import Decision, DecisionCandidate, SearchStanding
+from slamhive.documents.experiment import Decision, DecisionCandidate, SearchStanding
 from slamhive.domain.metrics import Metric, described
 from slamhive.experiments.experiment import FAILED
 from slamhive.web.formatting import DASH, TableCell, display_unit, metric_cell, plural, significant, thousands

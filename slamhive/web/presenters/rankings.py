@@ -9,10 +9,10 @@ from statistics import fmean
 
 from slamhive.analysis.chart import algorithm_colours
 from slamhive.domain.metrics import CATALOGUE, Metric
-from slamhive.domain.outcome import Outcome
 from slamhive.domain.parameters import Value
 from slamhive.domain.side_by_side import short_names
 from slamhive.domain.trust import TrustLevel
+from slamhive.domain.verdict import Outcome
 from slamhive.services.experiments import RANKED_BY, ExperimentStatus, RankedCell, Ranking
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord

@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 from pydantic.json_schema import JsonSchemaMode
 
 from slamhive import __version__
-from slamhive.documents.api_answers import ProblemDocument
+from slamhive.documents.api import ProblemDocument
 from slamhive.documents.imports import OCTETS
 from slamhive.documents.model import adapter
 from slamhive.web.api import TABLE

@@ -10,14 +10,12 @@ from flask import url_for as address
 from werkzeug.datastructures import MultiDict
 
 from slamhive.base.errors import NotFound, SlamHiveError, unknown
-from slamhive.documents.limits import Limits, StopWhen
-from slamhive.documents.options import options_of
-from slamhive.documents.question import SearchStanding
+from slamhive.documents.experiment import SearchStanding
+from slamhive.documents.limits import Limits, StopWhen, options_of
 from slamhive.domain.accounts import Action, Visibility
 from slamhive.domain.metrics import CATALOGUE, described
-from slamhive.domain.outcome import Outcome
 from slamhive.domain.protocol import ALIGNMENT_LABELS
-from slamhive.domain.verdict import DEFAULT_RULE
+from slamhive.domain.verdict import DEFAULT_RULE, Outcome
 from slamhive.executors.registry import EXECUTORS
 from slamhive.experiments.file import parse_experiment
 from slamhive.filters.syntax import FilterComparison, Sign, Word, filter_text

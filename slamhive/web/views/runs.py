@@ -21,10 +21,10 @@ from flask import (
 from flask import url_for as address
 
 from slamhive.base.errors import NotFound
-from slamhive.documents.api_requests import LARGEST_RUN_ID
+from slamhive.documents.api import LARGEST_RUN_ID
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.protocol import with_trajectory
 from slamhive.domain.run import NotesChange, RunState, split_tags
-from slamhive.domain.trajectory_kind import with_trajectory
 from slamhive.domain.verdict import DEFAULT_RULE
 from slamhive.filters.fields import Vocabulary
 from slamhive.filters.syntax import FilterError

@@ -7,7 +7,7 @@ from flask import url_for as address
 
 from slamhive.base.bounds import whole_number
 from slamhive.base.errors import InvalidInput
-from slamhive.documents.api_requests import LARGEST_RUN_ID, MOST_RUNS
+from slamhive.documents.api import LARGEST_RUN_ID, MOST_RUNS
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.run import NotesChange, split_tags
 from slamhive.services.search_actions import MOST_OF_A_REQUEST

@@ -10,7 +10,7 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 
 from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.base.settings import Settings
-from slamhive.documents.options import Option
+from slamhive.documents.limits import Option
 from slamhive.documents.submission import CONTENT, OPTIONS, Submission, nested
 from slamhive.domain.accounts import VISIBILITY_LABELS
 from slamhive.domain.algorithm import Algorithm

@@ -15,9 +15,9 @@ from slamhive.base.files import write_aside
 from slamhive.cli import main
 from slamhive.documents.submission import Submission
 from slamhive.domain.configuration import Configuration
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.run import RunState
 from slamhive.domain.sensors import SensorSetup
-from slamhive.domain.trajectory_kind import TrajectoryKind
 from slamhive.services.hive import open_hive
 from slamhive.services.imports import request, service
 from slamhive.services.imports.request import ImportRequest, one_import

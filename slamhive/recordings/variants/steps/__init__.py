@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from slamhive.base.errors import InvalidInput
 from slamhive.base.registry import Registry, subclasses_of
-from slamhive.documents.validation import first_problem
+from slamhive.documents.model import first_problem
 from slamhive.domain.configuration import VariantStep
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.names import plain
