@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+import slamhive
 from slamhive.base.clock import utc_now
 from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound, Unavailable
 from slamhive.documents.run import RunDocument
@@ -21,6 +22,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.executors.base import EngineUnavailable, ImageMissing, StartFailed
 from slamhive.executors.spec import RunSpec
 from slamhive.executors.status import Exited, Gone, RunHandle, Running
+from slamhive.executors.transfer import read_places
 from slamhive.run_folder.folder import RunFolder
 from slamhive.services.hive import Hive, check_indexed, open_hive
 from slamhive.services.reindex import reindex
@@ -491,3 +493,15 @@ def test_only_an_image_that_somebody_else_made_gets_a_copy_of_the_scripts(hive):
     finish(hive, ours)
     assert [entry.own_copy for entry in theirs.starts[0].inputs if entry.name == "slamhive"] == [True]
     assert "slamhive" not in {entry.name for entry in ours.starts[0].inputs}
+
+
+def test_an_engine_is_asked_for_nothing_from_the_folder_of_the_program(hive):
+    """A worker in a container has its program there, and the engine mounts what the host has under that path."""
+    engine = FakeExecutor()
+    finish(hive, engine)
+    program = Path(slamhive.__file__).resolve().parent
+    script = next(entry for entry in engine.starts[0].inputs if entry.name == "rosbag_play.py")
+    assert script.source.is_relative_to(program)
+    assert script.own_copy
+    mounted = read_places(engine.starts[0])
+    assert [str(source) for source in mounted.values() if source.is_relative_to(program)] == []

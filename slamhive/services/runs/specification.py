@@ -274,7 +274,9 @@ def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInpu
     if (dataset.folder / DATASET_FILE).is_file():
         yield _input(DATASET_FILE, dataset.folder / DATASET_FILE, f"{DATASET_TARGET}/{DATASET_FILE}")
     script = current_script(dataset.folder / PLAY_SCRIPT) if job.order is None else shipped_script()
-    yield _input(PLAY_SCRIPT, script, f"{DATASET_TARGET}/{PLAY_SCRIPT}")
+    # This program may be in a container itself, and the engine sees the data root but not the files of the program.
+    copied = script == shipped_script()
+    yield _input(PLAY_SCRIPT, script, f"{DATASET_TARGET}/{PLAY_SCRIPT}", own_copy=copied)
     if settings.orb_vocabulary:
         yield _input("vocabulary", Path(settings.orb_vocabulary), CONTAINER_VOCABULARY)
     for entry in job.weights:
