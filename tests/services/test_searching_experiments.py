@@ -111,6 +111,13 @@ def test_a_run_that_breaks_a_limit_counts_as_failed(hive: Hive):
     assert found.words.startswith("Undecided: no run kept cpu.mean <= 0.1 cores; the nearest is nFeatures")
 
 
+def test_an_objective_that_no_run_reports_ends_it_after_the_first_runs(hive: Hive):
+    start(hive, MANY.replace("within: 10%", "within: 10%, against: gpu.memory_max"))
+    found = searched(hive)
+    assert found.words == "Undecided: no run reports gpu.memory_max. Another metric can be searched for."
+    assert found.runs == 24
+
+
 def test_runs_that_all_fail_end_with_the_budget(hive: Hive):
     start(hive, MANY.replace("90 runs", "26 runs"))
     found = searched(hive, lambda _run: FailureReason.TIMEOUT)
@@ -144,6 +151,13 @@ def test_several_objectives_end_with_the_best_trade_offs(hive: Hive):
 
 def test_the_answer_of_several_objectives_names_the_ends_of_the_front(hive: Hive):
     start(hive, TRADED.replace("90 runs", "30 runs").replace("10%", "0.1%"))
+    hive.questions.advance("many")
+    end(hive, very_noisy, "many")
+    untried = [entry.label for entry in hive.questions.search("many").candidates if not entry.runs]
+    assert untried
+    next_ones = hive.questions.search("many").next
+    assert next_ones.endswith("it seems to be the best, and has too few runs.")
+    assert any(label in next_ones for label in untried)
     found = searched(hive, very_noisy)
     assert found.answer is QuestionAnswer.UNDECIDED
     assert found.words.startswith("After 30 runs of 72, ")

@@ -265,10 +265,14 @@ def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAns
     unproven = [] if state is None else _unproven(seen, state)
     if near_enough and not unproven and state is not None:
         return under_way if waiting else (QuestionAnswer.BEST, _sentence(look, seen, state), {})
-    room = min(at_once - waiting, plan.budget.runs_left(look.asked, look.spent_s))
+    left = plan.budget.runs_left(look.asked, look.spent_s)
+    room = min(at_once - waiting, left)
     if state is None:
+        unreported = "" if waiting else _unreported(look, seen)
+        if unreported:
+            return QuestionAnswer.UNDECIDED, unreported, {}
         missing = LEAST_SEARCH_RUNS - len(seen.scores) - waiting
-        missing = min(max(missing, 0 if waiting else 1), plan.budget.runs_left(look.asked, look.spent_s))
+        missing = min(max(missing, 0 if waiting else 1), left)
         if missing < 1:
             return under_way if waiting else (QuestionAnswer.UNDECIDED, _nothing_good(look, seen), {})
         order = first_places(len(seen.candidates), int(look.record.uid[:8], 16))
@@ -277,7 +281,7 @@ def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAns
         return QuestionAnswer.OPEN, "The first runs, at random places.", _cells(look, seen, chosen)
     if room < 1 or waiting > at_once // 2:
         return under_way if waiting else (QuestionAnswer.UNDECIDED, _sentence(look, seen, state), {})
-    if near_enough:
+    if unproven and (near_enough or left <= len(unproven) + at_once):  # the last runs are for what the answer names
         chosen, why = unproven[:room], "it seems to be the best, and has too few runs"
     elif plan.sampler is SearchSampler.MODEL:
         chosen, why = list(state.next[:room]), "each may be the best"
@@ -344,7 +348,6 @@ def _told(seen: _Seen, state: SearchState, place: int) -> list[str]:
 def _nothing_good(look: QuestionLook, seen: _Seen) -> str:
     """Why there is no best one, with the nearest to a limit that no run kept."""
     plan = seen.plan
-    good = [run for runs in look.runs.values() for run in runs if run.use is RunUse.GOOD]
     for limit in plan.limits:
         values = [
             (run.metrics[limit.metric], candidate.label)
@@ -359,10 +362,14 @@ def _nothing_good(look: QuestionLook, seen: _Seen) -> str:
                 f"Undecided: no run kept {limit.metric} {sign} {limit.value:.4g} {unit}; the nearest is {label} with "
                 f"{nearest:.4g}."
             )
-    for key in plan.metrics:
-        if good and not any(key in run.metrics for run in good):
-            return f"Undecided: no run reports {key}. Another metric can be searched for."
     return f"Undecided: fewer than two of {plural(look.asked, 'run')} were good."
+
+
+def _unreported(look: QuestionLook, seen: _Seen) -> str:
+    """Say which objective no good run reports; empty if there is none, or no good run."""
+    good = [run for runs in look.runs.values() for run in runs if run.use is RunUse.GOOD]
+    lacking = [key for key in seen.plan.metrics if good and not any(key in run.metrics for run in good)]
+    return f"Undecided: no run reports {' and '.join(lacking)}. Another metric can be searched for." if lacking else ""
 
 
 def _combinations(look: QuestionLook) -> int:
