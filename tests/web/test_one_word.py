@@ -204,6 +204,12 @@ def test_what_counts_runs_counts_them_by_the_same_words(ended: tuple[Web, dict[i
             assert f"run {runs[features]}: {words}" in ranking
         if outcome == "good" and doubt:
             assert f"{doubt}, 1 of 1 run" in ranking
+    for address in ("/", "/experiments/words"):
+        text = shown(web.client.get(address).text)
+        for reason in ("no trajectory", "tracked too little", "missed too much input", "could not be evaluated"):
+            assert f"1 {reason}" in text, address
+        assert "1 lost" in text
+        assert not re.search(r"[Ff]ail(ed|ures): [^;.]*lost", text), "a lost run is not among the failures"
     status = command(web, "experiment", "status", "words")
     assert ": 1 queued, 1 running, 3 good, 1 not evaluated, 4 failed, 1 lost, 1 cancelled" in status
     for words, _ in WORDS.values():

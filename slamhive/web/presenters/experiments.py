@@ -8,7 +8,7 @@ from typing import Any
 
 from slamhive.domain.metrics import Metric
 from slamhive.domain.parameters import Value
-from slamhive.domain.run import RunState
+from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import Failure, Outcome, failure_words
 from slamhive.filters.words import matching
 from slamhive.services.experiments import (
@@ -132,8 +132,9 @@ def counts_in_words(counts: Mapping[Outcome, int]) -> str:
 
 
 def failures_in_words(failures: Mapping[Failure, int]) -> str:
-    """``2 nonzero exit, 1 diverged``, most frequent first."""
-    ordered = sorted(failures.items(), key=lambda entry: (-entry[1], entry[0].value))
+    """``2 nonzero exit, 1 diverged``, most frequent first; lost runs are no failures."""
+    reasons = [entry for entry in failures.items() if entry[0] is not FailureReason.LOST]
+    ordered = sorted(reasons, key=lambda entry: (-entry[1], entry[0].value))
     return ", ".join(f"{thousands(count)} {failure_words(failure)}" for failure, count in ordered if count)
 
 
@@ -335,7 +336,8 @@ def _entry(found: GridCell | None, values: Mapping[str, Value | None], search: S
     told = (Outcome.FAILED, Outcome.LOST, Outcome.RUNNING, Outcome.CANCELLED)
     where = ", ".join(f"{axis} {axis_text(value)}" for axis, value in values.items())
     several = f" in {plural(found.cells, 'configuration')}" if found.cells > 1 else ""
-    why = f"; failures: {failures_in_words(found.failures)}" if found.failures else ""
+    reasons = failures_in_words(found.failures)
+    why = f"; failures: {reasons}" if reasons else ""
     return GridEntry(
         total=sum(found.counts.values()),
         ended=ended,

@@ -124,11 +124,12 @@ def _failed(status: ExperimentStatus) -> Iterator[Attention]:
     counts, why = status.counts, failures_in_words(status.failures)
     failed, lost = counts[Outcome.FAILED], counts[Outcome.LOST]
     if status.ended_badly:
-        number = failed + lost
+        told = [f"{plural(failed, 'run')} of {status.name} failed: {why}"] if failed else []
+        told += [f"{lost} lost" if failed else f"{plural(lost, 'run')} of {status.name} lost"] if lost else []
         yield Attention(
             "outcome-failed",
-            f"{plural(number, 'run')} of {status.name} {'failed or lost' if lost else 'failed'}: {why}",
-            "Try again" if status.ended_badly == number else f"Try {status.ended_badly} again",
+            "; ".join(told),
+            "Try again" if status.ended_badly == failed + lost else f"Try {status.ended_badly} again",
             "experiments.act",
             {"name": status.name, "action": "retry-failed"},
         )
