@@ -142,7 +142,7 @@ def load_httpx() -> Any:
 
 @cache
 def certificates() -> ssl.SSLContext:
-    """What checks the certificates of servers. Reading the authorities takes longer than most requests."""
+    """Checks of the certificates of servers. Reading the authorities takes longer than most requests."""
     context: ssl.SSLContext = load_httpx().create_ssl_context()
     return context
 

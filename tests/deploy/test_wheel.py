@@ -85,6 +85,7 @@ def call(installed, tmp_path):
     """Runs the installed program in an empty folder, and returns what it printed."""
     own = {name: value for name, value in os.environ.items() if not name.startswith("SLAMHIVE_")}
     own |= {"XDG_DATA_HOME": str(tmp_path / "home"), "SLAMHIVE_EXECUTOR": "process"}
+    own["PIP_NO_COMPILE"] = "no"  # pip takes it as "compile: no": each environment is used for a run or two
     (tmp_path / "empty").mkdir()
 
     def call(*arguments: str) -> subprocess.CompletedProcess[str]:
