@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -157,15 +158,15 @@ def list_(cli: CliContext, as_json: bool) -> None:
         tell(f"left out: {broken.problem}")
 
 
+def plot_option(draws: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """``--plot FILE``, whose help begins with what it draws."""
+    file = click.Path(path_type=Path, dir_okay=False)
+    return click.option("--plot", "picture", metavar="FILE", type=file, help=f"{draws} (.png, .svg or .pdf).")
+
+
 @dataset.command("show", short_help="Show one dataset: sensors, calibration, ground truth")
 @click.argument("name", shell_complete=completion.DATASET)
-@click.option(
-    "--plot",
-    "picture",
-    metavar="FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Draw path, speed and angular rate of the ground truth (.png, .svg or .pdf).",
-)
+@plot_option("Draw path, speed and angular rate of the ground truth")
 @json_option
 @pass_cli
 def show(cli: CliContext, name: str, picture: Path | None, as_json: bool) -> None:
@@ -304,13 +305,7 @@ def _where(finding: FindingDocument) -> str:
 
 @click.command("trial", short_help="Hold the ground truth of a dataset against its runs")
 @click.argument("name", shell_complete=completion.DATASET)
-@click.option(
-    "--plot",
-    "picture",
-    metavar="FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Draw the residuals of all systems over time (.png, .svg or .pdf).",
-)
+@plot_option("Draw the residuals of all systems over time")
 @json_option
 @pass_cli
 def trial(cli: CliContext, name: str, picture: Path | None, as_json: bool) -> None:

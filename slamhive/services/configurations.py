@@ -18,7 +18,7 @@ from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import Configuration, InputMap, PlaybackMode, Variant
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.matching import Match, match_of
-from slamhive.domain.parameters import Value, check_stored, find_parameter
+from slamhive.domain.parameters import Parameter, Value, check_stored, find_parameter
 from slamhive.domain.roles import Chosen
 from slamhive.experiments.binding import CatalogueView
 from slamhive.experiments.configuration_file import (
@@ -552,3 +552,22 @@ def put_configuration(t: Transaction, checked: Checked, now: datetime) -> tuple[
         now,
         checked.algorithm.parameters,
     )
+
+
+# Definitions of parameters that come back from files: archives and the ledger.
+
+
+def general_names(catalogue: Catalogue) -> dict[tuple[str, str], str | None]:
+    """{(algorithm, key of a parameter): its general name} for the algorithms that are here."""
+    return {
+        (algorithm.name, parameter.key): parameter.general
+        for algorithm in catalogue.algorithms()
+        for parameter in algorithm.parameters
+    }
+
+
+def with_general_names(
+    algorithm: str, definitions: Iterable[Parameter], names: Mapping[tuple[str, str], str | None]
+) -> list[Parameter]:
+    """Stored definitions of parameters; one that is defined here keeps its general name from here."""
+    return [replace(entry, general=names.get((algorithm, entry.key), entry.general)) for entry in definitions]

@@ -24,7 +24,6 @@ from slamhive.base.settings import Settings
 from slamhive.documents.archive import AlgorithmLine, AnalysisLine, ConfigurationLine, ExperimentLine, RunLine
 from slamhive.domain.accounts import NO_SHARING, Sharing, Visibility, taken_over
 from slamhive.domain.names import plural
-from slamhive.domain.parameters import Parameter
 from slamhive.domain.run import NO_NOTES
 from slamhive.experiments.file import parse_experiment
 from slamhive.packages.dataset_file import DATASET_FILE, load_dataset
@@ -32,6 +31,7 @@ from slamhive.recordings.staging import new_dataset_folder
 from slamhive.run_folder.folder import RunFolder, travels
 from slamhive.services.archive import layout, writing
 from slamhive.services.archive.reading import ArchiveReader, CheckProgress, Contents, check_archive, open_archive
+from slamhive.services.configurations import general_names, with_general_names
 from slamhive.services.datasets import Catalogue, check_writable
 from slamhive.services.experiments import ExperimentFolder, StoredExperiment
 from slamhive.services.imports import UNPACKED, one_import, sweep_imports
@@ -372,11 +372,7 @@ class Surroundings:
         self._algorithms()
         algorithms = {record.name: record.id for record in self._store.read(lambda t: t.catalogue.algorithms())}
         datasets = {record.name: record.id for record in self._store.read(lambda t: t.catalogue.datasets())}
-        aliases = {
-            (algorithm.name, parameter.key): parameter.general
-            for algorithm in self._catalogue.algorithms()
-            for parameter in algorithm.parameters
-        }
+        names = general_names(self._catalogue)
         for part in _batched(self._configuration_lines()):
             entries = [
                 NewConfiguration(
@@ -384,7 +380,7 @@ class Surroundings:
                     line.configuration.content_hash,
                     algorithms[line.configuration.algorithm],
                     datasets[line.configuration.dataset],
-                    _definitions(line, aliases),
+                    with_general_names(line.configuration.algorithm, line.definitions, names),
                 )
                 for line in part
             ]
@@ -552,12 +548,6 @@ class Surroundings:
                     t.archive.add_cells(ids[name], entries)
 
             self._store.write(work)
-
-
-def _definitions(line: ConfigurationLine, aliases: dict[tuple[str, str], Any]) -> list[Parameter]:
-    """Return the stored definitions of parameters; one that is defined here keeps its general name from here."""
-    algorithm = line.configuration.algorithm
-    return [replace(entry, general=aliases.get((algorithm, entry.key), entry.general)) for entry in line.definitions]
 
 
 def _batched(entries: Iterable[T]) -> Iterator[list[T]]:

@@ -14,10 +14,10 @@ from slamhive.base.clock import utc_now
 from slamhive.base.errors import SlamHiveError
 from slamhive.documents.archive import CancelledLine, LabelLine, LedgerAlgorithmLine, VersionLine, VersionRow
 from slamhive.domain.accounts import Sharing
-from slamhive.domain.parameters import Parameter
 from slamhive.domain.run import RunEvent, RunState
 from slamhive.run_folder.folder import RunFolder
 from slamhive.services.archive import dataset_from_line, search_from_line
+from slamhive.services.configurations import general_names, with_general_names
 from slamhive.services.datasets import Catalogue
 from slamhive.services.ledger.book import (
     NOT_A_LINE,
@@ -160,11 +160,7 @@ class LedgerRestore:
             yield from (entry for entry in found if last.get(entry.id) == number)
 
     def _restore_configurations(self, part: list[LedgerConfiguration]) -> None:
-        aliases = {
-            (algorithm.name, parameter.key): parameter.general
-            for algorithm in self._catalogue.algorithms()
-            for parameter in algorithm.parameters
-        }
+        names = general_names(self._catalogue)
         gone = {name: dataset_of(self._catalogue, name, {}) for name in {e.configuration.dataset for e in part}}
         now = utc_now()
 
@@ -181,7 +177,7 @@ class LedgerRestore:
                     entry.configuration.content_hash,
                     algorithms[entry.configuration.algorithm],
                     datasets[entry.configuration.dataset],
-                    _definitions(entry, aliases),
+                    with_general_names(entry.configuration.algorithm, entry.definitions, names),
                 )
                 for entry in part
             }
@@ -335,9 +331,3 @@ class LedgerRestore:
         except (SlamHiveError, *NOT_A_LINE) as error:
             detail = str(error) if isinstance(error, SlamHiveError) else repr(error)
             self.problems.append(f"{book.path.name}: {detail}")
-
-
-def _definitions(entry: LedgerConfiguration, aliases: Mapping[tuple[str, str], Any]) -> list[Parameter]:
-    """Return the stored definitions of parameters; one that is defined here keeps its general name from here."""
-    algorithm = entry.configuration.algorithm
-    return [replace(known, general=aliases.get((algorithm, known.key), known.general)) for known in entry.definitions]
