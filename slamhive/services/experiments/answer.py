@@ -92,10 +92,13 @@ def answer(record: ExperimentRecord, table: AxisTable, entries: Mapping[str, Ran
     by = "algorithm" if len(axes.get("algorithm", ())) > 1 else "configuration"
     names = _names(table, by)
     found = tuple(answer_on(dataset, known, names) for dataset, known in entries.items())
+    # The certainty of all datasets together.
+    known = {entry.certainty for entry in found}
+    order = (Certainty.TOO_FEW, Certainty.NOT_SEPARATED, Certainty.OPEN, Certainty.SEPARATED, Certainty.ALONE)
     return ExperimentAnswer(
         question=question(record.description, axes),
         sentence=_over_all(found),
-        certainty=_least(found),
+        certainty=next((certainty for certainty in order if certainty in known), Certainty.OPEN),
         more_repeats=_suggested(found),
         by=by,
         datasets=found,
@@ -252,13 +255,6 @@ def _over_all(found: Sequence[DatasetAnswer]) -> str:
     )
     more = _suggested(found)
     return text + (f"; {plural(more, 'more repeat')} would decide where it can." if more else ".")
-
-
-def _least(found: Sequence[DatasetAnswer]) -> Certainty:
-    """The certainty of all datasets together."""
-    known = {entry.certainty for entry in found}
-    order = (Certainty.TOO_FEW, Certainty.NOT_SEPARATED, Certainty.OPEN, Certainty.SEPARATED, Certainty.ALONE)
-    return next((certainty for certainty in order if certainty in known), Certainty.OPEN)
 
 
 def _suggested(found: Iterable[DatasetAnswer]) -> int | None:

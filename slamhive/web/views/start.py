@@ -131,7 +131,9 @@ class RunForm:
         if name in self.values or name not in OPTIONS:
             return self.values.get(name, "")
         default = OPTIONS[name].default
-        return "" if default is None else _switch(default) if isinstance(default, bool) else value_text(default)
+        if isinstance(default, bool):
+            return "yes" if default else "no"
+        return "" if default is None else value_text(default)
 
     @property
     def used(self) -> dict[str, str]:
@@ -184,7 +186,9 @@ def read_form(services: Hive, values: Mapping[str, str], *, content_only: bool =
         return form
     variant = _checked(form, "steps", lambda: services.variants.resolve(dataset, read_steps(form.value("steps"))))
     seen = services.variants.planned(dataset, variant or ())
-    choices = _read_choices(form, algorithm)
+    # The sensor that is chosen for each role; an empty field follows the rule.
+    names = {entry.role: form.value(SENSOR_PREFIX + entry.role).strip() for entry in algorithm.inputs}
+    choices = {role: name for role, name in names.items() if name}
     chosen_field = SENSOR_PREFIX + next(reversed(choices), "")
     chosen = _checked(form, chosen_field, lambda: algorithm.stated_choice(dataset, choices)) or {}
     form.match = _checked(form, "dataset", lambda: match_of(algorithm, seen, parameters, chosen))
@@ -256,12 +260,6 @@ def _read_parameters(form: RunForm, algorithm: Algorithm) -> dict[str, Value]:
     return parameters
 
 
-def _read_choices(form: RunForm, algorithm: Algorithm) -> dict[str, str]:
-    """The sensor that is chosen for each role; an empty field follows the rule."""
-    names = {entry.role: form.value(SENSOR_PREFIX + entry.role).strip() for entry in algorithm.inputs}
-    return {role: name for role, name in names.items() if name}
-
-
 def _read_options(form: RunForm, options: Iterable[Option]) -> dict[str, Any] | None:
     """The fields that do not depend on the algorithm, None if one of all cannot be used."""
     found: dict[str, Any] = {}
@@ -271,10 +269,6 @@ def _read_options(form: RunForm, options: Iterable[Option]) -> dict[str, Any] | 
         except InvalidInput as error:
             form.errors[option.name] = str(error)
     return None if form.errors else found
-
-
-def _switch(value: bool) -> str:
-    return "yes" if value else "no"
 
 
 def _named(find: Callable[[str], T], name: str) -> T:
