@@ -597,14 +597,13 @@ def _planned(catalogue: Catalogue, request: RecordingFacts, recording: Recording
 
 
 def _package_request(request: AlgorithmAsked, source: Path) -> AlgorithmRequest:
-    here = isinstance(request, AlgorithmOnServer)
     return AlgorithmRequest(
         name=request.name,
         setup=request.setup,
-        image=request.image if here else None,
+        image=request.image if isinstance(request, AlgorithmOnServer) else None,
         replace=request.replace,
         executor=request.executor,
-        place=None if here else f"an upload of {source.name}",
+        place=f"an upload of {source.name}" if isinstance(request, AlgorithmUpload) else None,
     )
 
 
