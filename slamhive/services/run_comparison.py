@@ -355,7 +355,7 @@ def _differ(first: Sequence[float], second: Sequence[float]) -> bool:
 def group_sentences(
     columns: Sequence[RunColumn], values: Values, protocol: CommonProtocol, baseline: int
 ) -> tuple[str, ...]:
-    """How the repeats of each column stand to those of the column at the place ``baseline``.
+    """Sentences on the repeats of each column beside those of the column at the place ``baseline``.
 
     The tests are those of the answer of an experiment.
     """

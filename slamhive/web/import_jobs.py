@@ -77,7 +77,7 @@ class ImportJob:
 
     @property
     def kind(self) -> str:
-        """What is imported: messages name neither whose it is nor the token of its upload."""
+        """The kind of import in words: messages name neither whose it is nor the token of its upload."""
         if isinstance(self.asked, RunsUpload):
             return "the import of runs"
         return "the import of an algorithm" if self.is_algorithm else "the import of a dataset"

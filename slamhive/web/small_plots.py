@@ -1,4 +1,4 @@
-"""What lists show beside numbers: sparklines as paths in SVG, and colours by value."""
+"""Small plots beside the numbers of lists: sparklines as paths in SVG, and colours by value."""
 
 from __future__ import annotations
 

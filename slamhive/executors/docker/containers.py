@@ -304,8 +304,9 @@ def engine_protections(info: dict[str, Any]) -> Protections:
     )
 
 
-# -- runs whose image wants a user of its own: what they write is opened before the start, handed over afterwards ------
+# -- runs whose image wants a user of its own --------------------------------------------------------------------------
 #
+# What they write is opened before the start and handed over afterwards.
 # Images of the published SLAM Hive write to /root or /home, so they need the user that they were made for. The
 # container has no capabilities, so its root is no master of files on this machine: folders of the run are opened to it.
 # Meanwhile the folder of the run is closed to other users of the machine, since root could leave programs there that

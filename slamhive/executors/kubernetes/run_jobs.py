@@ -374,8 +374,9 @@ class PodWatch:
                 pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
 
 
-# -- the images of packages: built by the Docker engine of the worker's machine, and named as nodes find them ----------
+# -- the images of packages --------------------------------------------------------------------------------------------
 #
+# The Docker engine of the worker's machine builds them, and they are named as nodes find them.
 # With a registry, the name of an image holds a hash of what it is made from. So a worker without Docker knows the name,
 # and one name never means other content. Without a registry, nodes have to hold the image with its digest already.
 

@@ -203,7 +203,7 @@ def _test_words(test: SeparationTest, entry: RankEntry, other: RankEntry, name: 
 
 
 def pair_sentence(name: str, entry: RankEntry, other_name: str, other: RankEntry) -> str:
-    """How ``entry`` stands to ``other``, by the tests of the answer: better, worse, or not separated."""
+    """A sentence on ``entry`` beside ``other``, by the tests of the answer: better, worse, or not separated."""
     ahead, behind = sorted(((name, entry), (other_name, other)), key=lambda pair: pair[1].key)
     if ahead[1].good is None:
         failed = entry.failed + other.failed

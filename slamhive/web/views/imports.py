@@ -126,7 +126,7 @@ for _part in (blueprint, server_blueprint):
 
 
 def _look(read: Callable[[], DatasetAsked | AlgorithmAsked]) -> Response:
-    """Start looking at what the web form names; its page, or the form again with what is wrong."""
+    """Start looking at what the web form names; its page, or the web form again with what is wrong."""
     hive().check_writable()
     try:
         job = import_jobs().look(read(), caller().account, str(request.blueprint))
@@ -293,7 +293,7 @@ def read_import(model: type[Asked], form: MultiDict[str, str]) -> Asked:
 
 
 def typed(request: Any) -> dict[str, str]:
-    """What a form has to hold for the request, by name of the field."""
+    """The content of the web form for the request, by name of the field."""
     model: Any = type(request)
     content = dump(model, request)
     found = {}
@@ -311,7 +311,7 @@ def typed(request: Any) -> dict[str, str]:
 
 
 def without_flags(text: str) -> str:
-    """A message in which options of the command line are called as the fields of the form are."""
+    """A message in which options of the command line are called as the fields of the web form are."""
     labels = {
         field.name: field.label
         for model in (DatasetOnServer, AlgorithmOnServer)
