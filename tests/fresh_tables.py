@@ -31,6 +31,7 @@ def copy_tables() -> None:
     migrate: Any = sys.modules.get("slamhive.store.migrate")  # loading it takes longer than all unit tests
     if _migrated is None and hasattr(migrate, "upgrade"):
         _migrated = migrate.upgrade
+        _statements()  # now: a test may empty the environment, which names the folder where they are
         migrate.upgrade = upgrade
 
 
