@@ -434,7 +434,11 @@ def explain_variance(codes: Mapping[str, Codes], values: Numbers) -> Effects:
         values: (n,) finite.
     """
     mains: list[Term] = [(name,) for name in codes]
-    related = {pair: _nested(codes[pair[0]], codes[pair[1]]) for pair in combinations(codes, 2)}
+    # A factor that determines another has no interaction with it.
+    related = {
+        (first, second): (_determines(codes[first], codes[second]) or _determines(codes[second], codes[first]))
+        for first, second in combinations(codes, 2)
+    }
     possible = [pair for pair, nested in related.items() if not nested]
     # Not all interactions may be affordable: those of the strongest factors, as long as degrees of freedom remain.
     design = _Design(codes, values, mains)
@@ -460,7 +464,11 @@ def explain_variance(codes: Mapping[str, Codes], values: Numbers) -> Effects:
         main={name: shares[name,] for name in codes},
         pairs={pair: shares.get(pair, beyond) for pair in possible},
         shared=_shared(design, full),
-        aliases=tuple(pair for pair in related if _same(codes[pair[0]], codes[pair[1]])),
+        aliases=tuple(
+            (first, second)
+            for first, second in related
+            if _determines(codes[first], codes[second]) and _determines(codes[second], codes[first])
+        ),
         left_out=0 if beyond is not None else len(possible) - len(pairs),
         count=len(values),
     )
@@ -559,15 +567,6 @@ def _joint(codes: Sequence[Codes]) -> Codes:
 def _indicators(codes: Codes) -> scipy.sparse.csr_array:
     """One column for each level, 1 where a value has that level."""
     return scipy.sparse.csr_array((np.ones(len(codes)), (np.arange(len(codes)), codes)))
-
-
-def _nested(first: Codes, second: Codes) -> bool:
-    """Tell if one of two factors determines the other, so that they have no interaction."""
-    return _determines(first, second) or _determines(second, first)
-
-
-def _same(first: Codes, second: Codes) -> bool:
-    return _determines(first, second) and _determines(second, first)
 
 
 def _determines(outer: Codes, inner: Codes) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from itertools import chain, count
 
@@ -92,18 +92,16 @@ def bibtex(references: Iterable[Reference]) -> str:
         elif _is_bibtex(reference.text):
             parts.append(f"% {names}\n{reference.text}\n")
         else:
-            entries = (_entry(work, reference.names[0], taken) for work in _works(reference.text))
+            entries = (
+                _entry(_PREFIX.sub("", work.strip()), reference.names[0], taken)
+                for work in _NEXT_WORK.split(_DOI.sub(r" <\1>", reference.text))
+            )
             parts.append(f"% {names}\n" + "".join(filter(None, entries)))
     return "\n".join(parts)
 
 
 def _is_bibtex(text: str) -> bool:
     return text.lstrip().startswith("@")
-
-
-def _works(text: str) -> Iterator[str]:
-    for part in _NEXT_WORK.split(_DOI.sub(r" <\1>", text)):
-        yield _PREFIX.sub("", part.strip())
 
 
 def _entry(work: str, name: str, taken: dict[str, str]) -> str:

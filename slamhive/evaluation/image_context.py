@@ -62,15 +62,12 @@ def evaluator_code() -> list[PluginCode]:
 def _code(name: str, package: Distribution) -> PluginCode:
     folder = f"{re.sub(r'[-_.]+', '_', name)}-{package.version}.dist-info"
     metadata = {f"{folder}/{entry}": (package.read_text(entry) or "").encode() for entry in _METADATA}
-    sources = _edited_in_place(package) if _is_editable(package) else _installed(package)
+    recorded = json.loads(package.read_text("direct_url.json") or "{}")
+    # The list of files of what ``pip install --editable`` has installed leaves its code out.
+    editable = package.files is None or bool(recorded.get("dir_info", {}).get("editable"))
+    sources = _edited_in_place(package) if editable else _installed(package)
     code = {place: path.read_bytes() for place, path in sources if path.is_file() and path.suffix not in _COMPILED}
     return PluginCode(name, tuple(_requirements(package)), metadata | code)
-
-
-def _is_editable(package: Distribution) -> bool:
-    """Tell if it was installed with ``pip install --editable``: its list of files then leaves its code out."""
-    recorded = json.loads(package.read_text("direct_url.json") or "{}")
-    return package.files is None or bool(recorded.get("dir_info", {}).get("editable"))
 
 
 def _installed(package: Distribution) -> Iterator[tuple[str, Path]]:

@@ -78,7 +78,9 @@ def split(text: str) -> tuple[list[FilterToken], FilterPlace | None]:
         kind = str(match.lastgroup)
         found = match[kind]
         place = FilterPlace(match.start(kind), match.end(kind))
-        tokens.append(FilterToken(kind, _unquoted(found) if kind == "text" else found, place))
+        tokens.append(
+            FilterToken(kind, found[1:-1].replace(found[0] * 2, found[0]) if kind == "text" else found, place)
+        )
         position = match.end()
     rest = len(text) - len(text[position:].lstrip())
     tokens.append(FilterToken("end", "", FilterPlace(len(text), len(text))))
@@ -91,11 +93,6 @@ def quoted(text: str) -> str:
     if match is not None and match.lastgroup == "word" and text.lower() not in KEYWORDS and text == text.strip():
         return text
     return '"' + text.replace('"', '""') + '"'
-
-
-def _unquoted(text: str) -> str:
-    mark = text[0]
-    return text[1:-1].replace(mark * 2, mark)
 
 
 def shortened(text: str) -> str:

@@ -59,7 +59,13 @@ def frames_at(dataset: Dataset, sensor: Sensor, times_s: Iterable[float], width:
         pixels = convert(message, kind)
         if not isinstance(pixels, np.ndarray):
             raise InvalidInput(f"topic {sensor.topic} of sensor {sensor.name} holds {kind}, no images")
-        pixels = _visible(pixels, sensor)
+        # Eight bits a channel, colour as blue, green, red.
+        if sensor.kind is SensorKind.DEPTH:
+            pixels = _coloured(pixels)
+        elif pixels.ndim == 3:
+            pixels = np.ascontiguousarray(pixels[..., ::-1].astype(np.uint8))
+        else:
+            pixels = to_grey(pixels).astype(np.uint8)
         if pixels.shape[1] <= width:
             shown = pixels
         else:
@@ -128,15 +134,6 @@ def _check_shown(kind: str, sensor: Sensor) -> None:
             f"topic {sensor.topic} of sensor {sensor.name} holds {kind}, which cannot be shown",
             f"messages of type {', '.join(SUPPORTED)} can",
         )
-
-
-def _visible(pixels: Array, sensor: Sensor) -> Array:
-    """Eight bits a channel, colour as blue, green, red."""
-    if sensor.kind is SensorKind.DEPTH:
-        return _coloured(pixels)
-    if pixels.ndim == 3:
-        return np.ascontiguousarray(pixels[..., ::-1].astype(np.uint8))
-    return to_grey(pixels).astype(np.uint8)
 
 
 def _coloured(depth: Array) -> Array:

@@ -331,7 +331,13 @@ def _rows(
         return PoseFile(original, TrajectoryFormat.TUM, parse_position_rows(data, str(path)), plain=data == original)
     found = wanted if wanted is not TrajectoryFormat.AUTO else _detect(data, count)
     placed = find_columns(data) if wanted is TrajectoryFormat.AUTO else None
-    if placed is not None and not _is_plain(placed, found) and (placed.orientation or positions):
+    # Plain: the pose stands where the format expects it, with nothing unknown behind it.
+    plain = (
+        placed is not None
+        and (placed.time, placed.position, sorted(placed.orientation)) == (0, (1, 2, 3), [4, 5, 6, 7])
+        and (found is TrajectoryFormat.EUROC or placed.count == _TUM_COLUMNS)
+    )
+    if placed is not None and not plain and (placed.orientation or positions):
         return PoseFile(original, TrajectoryFormat.TUM, parse_columns(data, str(path), placed), plain=False)
     if found is TrajectoryFormat.KITTI:
         if times is None:
@@ -354,12 +360,6 @@ def _own_format(path: Path, wanted: TrajectoryFormat, times: Path | None) -> Pos
     if own is None or own.read is None:
         return None
     return PoseFile(data, TrajectoryFormat(own.name), own.read(data, str(path), times), plain=False)
-
-
-def _is_plain(placed: Columns, found: TrajectoryFormat) -> bool:
-    """Return whether the pose stands where the format expects it, with nothing unknown behind it."""
-    usual = placed.time == 0 and placed.position == (1, 2, 3) and sorted(placed.orientation) == [4, 5, 6, 7]
-    return usual and (found is TrajectoryFormat.EUROC or placed.count == _TUM_COLUMNS)
 
 
 def _detect(data: bytes, columns: int) -> TrajectoryFormat:

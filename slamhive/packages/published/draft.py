@@ -76,7 +76,8 @@ def draft_parameters(folder: ForeignFolder, facts: FolderFacts, roles: tuple[str
         value, note = _value(name, names, facts, examples)
         choices = _lens_templates(name, folder)
         if choices:
-            value, note = _chosen_template(value, note, choices)
+            if value not in choices:
+                value, note = (choices[0], "the only template of this camera") if len(choices) == 1 else (None, "")
             yield DraftParameter(name, "enum", help_text, said_by, value, None, note, choices=choices)
             continue
         kind = types.get(name) or type_of(value)
@@ -156,13 +157,6 @@ def _lens_templates(name: str, folder: ForeignFolder) -> tuple[str, ...]:
             "add the file",
         )
     return found
-
-
-def _chosen_template(value: Plain | None, note: str, choices: tuple[str, ...]) -> tuple[Plain | None, str]:
-    """The default among the templates: the one that is named elsewhere, or the only one."""
-    if value in choices:
-        return value, note
-    return (choices[0], "the only template of this camera") if len(choices) == 1 else (None, "")
 
 
 def _examples(folder: ForeignFolder) -> dict[str, Any]:

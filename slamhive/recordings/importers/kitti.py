@@ -389,7 +389,11 @@ class KittiRawImporter:
             if (source / name / "data").is_dir():
                 streams.append(_camera(source, number, rectified_imu, notes))
         if (source / _VELODYNE / "data").is_dir():
-            streams.append(_raw_lidar(source, notes))
+            scan_times_ns, scans = clocked_files(source / _VELODYNE, "*.bin", notes)
+            T_body_lidar = _flat(np.linalg.inv(_rigid(source, _CALIBRATION[2])))
+            layout = velodyne_layout().calibration()
+            lidar = Sensor("lidar0", SensorKind.LIDAR, "/points", rate_hz(scan_times_ns), T_body_lidar, layout)
+            streams.append(point_stream(lidar, scan_times_ns, scans, read_velodyne, 1.0))
         times_ns, files = clocked_files(source / _OXTS, "*.txt", notes)
         rows = np.array([read_packet(path) for path in files])
         streams.append(packet_imu(times_ns, rows))
@@ -449,14 +453,6 @@ def _camera(source: Path, number: int, T_rectified_imu: Array, notes: list[str])
     frames = Frames(times_ns, paths)
     baseline_m = float(position_m[0])
     return camera_stream(f"cam{number}", frames, intrinsics, _flat(T_body_camera), baseline_m=baseline_m)
-
-
-def _raw_lidar(source: Path, notes: list[str]) -> PlannedStream:
-    times_ns, paths = clocked_files(source / _VELODYNE, "*.bin", notes)
-    T_body_lidar = _flat(np.linalg.inv(_rigid(source, _CALIBRATION[2])))
-    rate = rate_hz(times_ns)
-    sensor = Sensor("lidar0", SensorKind.LIDAR, "/points", rate, T_body_lidar, velodyne_layout().calibration())
-    return point_stream(sensor, times_ns, paths, read_velodyne, 1.0)
 
 
 def read_clock(path: Path) -> dict[int, int]:

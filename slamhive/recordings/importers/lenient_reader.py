@@ -227,7 +227,10 @@ class McapStorage:
         found = []
         for number, channel in self._channels.items():
             schema = self._schemas.get(channel.schema_id)
-            kind = "" if schema is None else _ros2_name(schema.name)
+            kind = "" if schema is None else schema.name
+            # ROS 1 says ``sensor_msgs/Imu`` for the ``sensor_msgs/msg/Imu`` of ROS 2.
+            if kind.count("/") == 1 and not kind.endswith("/"):
+                kind = kind.replace("/", "/msg/")
             if channel.message_encoding not in {"cdr", "ros1"}:
                 self.unreadable[channel.topic] = f"its messages are {channel.message_encoding or 'of no encoding'}"
                 continue
@@ -249,12 +252,6 @@ class McapStorage:
                 )
             )
         return found
-
-
-def _ros2_name(name: str) -> str:
-    """``sensor_msgs/msg/Imu`` for the ``sensor_msgs/Imu`` of ROS 1."""
-    package, _, kind = name.partition("/")
-    return name if "/" in kind or not kind else f"{package}/msg/{kind}"
 
 
 def _text(data: bytes) -> str:

@@ -91,16 +91,14 @@ def _frames(source: Path, name: str) -> tuple[Frames, tuple[str, ...]]:
         columns = header.index(f"ts_{name} (ns)"), header.index(f"path_{name}")
     except ValueError:
         raise InvalidInput(f"{path} lacks the columns of {name}, found {', '.join(header)[:200]}") from None
-    chosen = [_pick(line, columns) for line in lines]
+    # A line that is too short keeps its first word alone, so that its error shows it.
+    split = [line.split(",") for line in lines]
+    chosen = [
+        ",".join(words[column] for column in columns) if len(words) > max(columns) else words[0] for words in split
+    ]
     rows = parse_timed_list(chosen, path, f"ts_{name} (ns), path_{name}", TimeUnit.NS, columns=2)
     kept, paths = rows.files(source)
     return Frames(kept.times_ns, paths), rows.notes(kept)
-
-
-def _pick(line: str, columns: tuple[int, int]) -> str:
-    """The two columns of a line; a line that is too short stays as it is, so that its error shows it."""
-    words = line.split(",")
-    return ",".join(words[column] for column in columns) if len(words) > max(columns) else words[0]
 
 
 def _intrinsics(part: CalibrationFile) -> CameraIntrinsics:

@@ -183,16 +183,12 @@ def sample_surfaces(spacing_m: float = SPACING_M) -> Array:
 
 def _grid(face: Face, spacing_m: float) -> tuple[Array, Array]:
     """Points in the middle of the grid's cells, and the face's normal for each."""
-    along, down = (_middles(size_m, spacing_m) for size_m in (face.width_m, face.height_m))
+    sizes_m = (face.width_m, face.height_m)
+    counts = [max(1, int(np.ceil(size_m / spacing_m))) for size_m in sizes_m]
+    along, down = ((np.arange(count) + 0.5) * size_m / count for size_m, count in zip(sizes_m, counts, strict=True))
     u, v = (values.ravel() for values in np.meshgrid(along, down))
     points_m = face.corner_m + u[:, None] * face.u + v[:, None] * face.v
     return points_m, np.broadcast_to(face.normal, points_m.shape)
-
-
-def _middles(size_m: float, spacing_m: float) -> Array:
-    count = max(1, int(np.ceil(size_m / spacing_m)))
-    middles: Array = (np.arange(count) + 0.5) * size_m / count
-    return middles
 
 
 def _is_free(points_m: Array) -> Array:

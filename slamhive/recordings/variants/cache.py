@@ -170,18 +170,15 @@ def write_manifest(folder: Path, plan: VariantPlan, dataset: Dataset, took_s: fl
 def read_manifest(folder: Path) -> VariantManifest:
     """The manifest of ``folder``; raises one of :data:`UNREADABLE`."""
     content = read_record(folder / MANIFEST)
+    bytes_per_s = content.get("bytes_per_s")
     return VariantManifest(
         dataset=str(content["dataset"]),
         steps=tuple(dict(step) for step in content["steps"]),
         made_at=datetime.fromisoformat(content["made_at"]),
-        bytes_per_s=_speed(content.get("bytes_per_s")),
+        # Variants that were made before it was written down lack it.
+        bytes_per_s=float(bytes_per_s) if isinstance(bytes_per_s, int | float) and bytes_per_s > 0 else None,
         files={str(name): (int(size), str(digest)) for name, (size, digest) in content["files"].items()},
     )
-
-
-def _speed(value: object) -> float | None:
-    """None for variants that were made before it was written down, too."""
-    return float(value) if isinstance(value, int | float) and value > 0 else None
 
 
 def problem(folder: Path) -> str | None:
