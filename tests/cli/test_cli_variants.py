@@ -39,7 +39,7 @@ def test_steps_and_their_options():
     assert "visibility_m" in shown
     assert "required" in shown
     kinds = {entry["kind"]: entry for entry in json.loads(call("--json").stdout)}
-    assert kinds["fog"]["options"][1]["unit"] == "m"
+    assert {option["name"]: option["unit"] for option in kinds["fog"]["options"]}["visibility_m"] == "m"
     assert "unknown pre-processing step 'frog'; did you mean 'fog'?" in call("frog").stderr
 
 

@@ -173,6 +173,30 @@ def test_nothing_is_written_outside_of_the_folders_of_the_run(bench):
 
 
 @pytest.mark.integration
+def test_a_file_that_a_run_may_change_is_no_way_to_others(tmp_path):
+    """The run's own copy of a single file: the kernel refuses rights of folders for it."""
+    if confinement.version() == 0:
+        pytest.skip("this kernel has no Landlock")
+    own, other = tmp_path / "own.py", tmp_path / "other.py"
+    own.write_text("before")
+    script = (
+        "import ctypes, pathlib, sys\n"
+        "from slamhive.executors.process.confinement import confine_writes\n"
+        "ctypes.CDLL(None).prctl(38, 1, 0, 0, 0)\n"  # PR_SET_NO_NEW_PRIVS
+        "own, other = map(pathlib.Path, sys.argv[1:])\n"
+        "confine_writes([str(own)])\n"
+        "own.write_text('after')\n"
+        "try:\n"
+        "    other.write_text('harm')\n"
+        "except PermissionError:\n"
+        "    print('refused')\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", script, own, other], capture_output=True, text=True, check=False)
+    assert (ended.stdout, ended.stderr) == ("refused\n", "")
+    assert (own.read_text(), other.exists()) == ("after", False)
+
+
+@pytest.mark.integration
 @process_only
 def test_nobody_outside_is_signalled(bench):
     if confinement.version() < 6:

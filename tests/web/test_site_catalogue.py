@@ -50,6 +50,7 @@ def test_every_name_leads_to_a_page_and_hostile_text_stays_text(hive: Hive) -> N
     assert '<a href="../datasets/room.html">room</a>' in algorithm
 
 
+@pytest.mark.integration
 def test_a_site_counts_outcomes_and_never_puts_medians_of_two_protocols_side_by_side(hive: Hive) -> None:
     def counts(site: Path) -> list[str]:
         text = (site / "datasets" / "room.html").read_text()
@@ -74,6 +75,7 @@ def test_a_failed_run_has_the_end_of_its_log(hive: Hive) -> None:
     assert len((site / "runs" / "1.html").read_text()) < 60_000
 
 
+@pytest.mark.integration
 def test_pages_of_runs_that_have_not_changed_are_taken_over(hive: Hive) -> None:
     folder = hive.settings.data / "site"
 
@@ -116,6 +118,7 @@ def test_what_is_not_installed_has_a_page_of_its_runs(hive: Hive) -> None:
     assert 'href="../algorithms/eye-slam-stereo.html"' in page
 
 
+@pytest.mark.integration
 def test_a_ranking_is_of_whole_experiments_only(hive: Hive) -> None:
     experiment = hive.experiments.start(ExperimentSource(TRIAL))
     runs = list(hive.experiments.run_ids(experiment.name))

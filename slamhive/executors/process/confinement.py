@@ -97,8 +97,10 @@ def version() -> int:
     return max(0, _call(_CREATE_RULESET, None, 0, _ASK_VERSION))
 
 
-def confine_writes(folders: Iterable[str]) -> None:
-    """From now on this process writes below ``folders`` only, makes no devices, and signals nobody outside.
+def confine_writes(places: Iterable[str]) -> None:
+    """From now on this process writes to ``places`` only, makes no devices, and signals nobody outside.
+
+    A place is a file, or a folder with all that is below it.
 
     Nothing where the kernel has no Landlock. The process must have given up new privileges. Raises OSError.
     """
@@ -113,8 +115,9 @@ def confine_writes(folders: Iterable[str]) -> None:
     length = len(attributes) if scopes else struct.calcsize("Q")
     rules = _checked(_call(_CREATE_RULESET, attributes, length, 0))
     try:
-        for folder in (*folders, *_SHARED_FOLDERS):
-            _allow(rules, folder, handled & ~_MAKE_DEVICE)
+        for place in (*places, *_SHARED_FOLDERS):
+            # The kernel refuses rights of folders, such as making files, for a file.
+            _allow(rules, place, in_place if os.path.isfile(place) else handled & ~_MAKE_DEVICE)  # noqa: PTH113
         for device in (*_SHARED_FILES, *_DEVICE_FOLDERS, *map(str, Path("/dev").glob(_GPUS))):
             _allow(rules, device, in_place)
         _checked(_call(_RESTRICT_SELF, rules, 0, 0))
