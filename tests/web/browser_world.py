@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -89,8 +90,17 @@ def faultless(chromium: Browser, server: str, *expected: str, look: str = "light
 def visit(page: Page, address: str) -> int:
     """Go to an address and wait until its plots are drawn; returns the status of the answer."""
     answer = page.goto(address, wait_until="load")
-    # Not wait_for_function: that one evaluates text, which our pages forbid.
-    eventually(lambda: not page.evaluate("document.body.innerText.includes('Loading …')"), f"the plots of {address}")
+    tops = itertools.cycle(range(0, page.evaluate("document.documentElement.scrollHeight"), 500))
+
+    def is_drawn() -> bool:
+        # Not wait_for_function: that one evaluates text, which our pages forbid.
+        if not page.evaluate("document.body.innerText.includes('Loading …')"):
+            return True
+        page.evaluate(f"scrollTo(0, {next(tops)})")  # some parts load when they come near
+        return False
+
+    eventually(is_drawn, f"the plots of {address}")
+    page.evaluate("scrollTo(0, 0)")
     return 0 if answer is None else answer.status
 
 
