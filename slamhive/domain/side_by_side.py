@@ -41,7 +41,8 @@ class MixedProtocols:
     """Runs side by side whose errors are not comparable.
 
     ``uses`` are the protocols and kinds of trajectories, the most used first. ``common`` is the protocol that all of
-    the runs can be evaluated under, None where no protocol helps or none is known.
+    the runs can be evaluated under, None where no protocol helps or none is known. Of live and final trajectories, it
+    is the one that judges the live trajectory of all.
     """
 
     uses: tuple[ProtocolUse, ...]
@@ -76,7 +77,7 @@ class MixedProtocols:
     @property
     def remedy(self) -> str:
         """The way out, as an imperative."""
-        if self.only_trajectories:
+        if self.common is None and self.only_trajectories:
             return "compare runs of one kind of trajectory, or evaluate all under a protocol that names one"
         if self.common is None:
             return "evaluate all runs under one protocol"
@@ -93,6 +94,8 @@ class MixedProtocols:
         """The short name of the common protocol, for a button; empty without one."""
         if self.common is None:
             return ""
+        if self.only_trajectories:
+            return f"the {TrajectoryKind.LIVE.adjective} trajectory"
         labels = [use.label for use in self.uses if use.fingerprint != self.common.fingerprint]
         return short_names([self.common.label, *labels])[0]
 
@@ -123,7 +126,17 @@ def mixed_protocols(
         known = [definitions[use.fingerprint] for use in found if definitions and use.fingerprint in definitions]
         chosen = common_protocol(known)
         common = next((use for use in found if chosen is not None and use.fingerprint == chosen.fingerprint), None)
+    elif definitions and found[0].fingerprint in definitions:
+        # Algorithms with corrections leave the poses from before them as well; the others have nothing but live poses.
+        live = of_live(definitions[found[0].fingerprint])
+        if live.fingerprint in definitions:
+            common = ProtocolUse(live.fingerprint, live.label, TrajectoryKind.LIVE, 0)
     return MixedProtocols(found, common)
+
+
+def of_live(protocol: Protocol) -> Protocol:
+    """The same protocol for the live trajectory of a run."""
+    return replace(protocol, trajectory=TrajectoryKind.LIVE)
 
 
 def common_protocol(protocols: Sequence[Protocol]) -> Protocol | None:

@@ -14,7 +14,7 @@ from sqlalchemy.exc import IntegrityError
 from slamhive.base.errors import Conflict, NotFound
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunState
-from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, mixed_protocols
+from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, mixed_protocols, of_live
 from slamhive.evaluation.job import Artefacts, EvaluationResult
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.changes import AskedEvaluations, changes_of
@@ -193,8 +193,13 @@ class EvaluationRepository(LeaseQueue[int]):
     def mixed(self, uses: Iterable[ProtocolUse]) -> MixedProtocols | None:
         """The protocols of runs side by side if they are not comparable, with the one that all of them can have."""
         found = list(uses)
-        fingerprints = {use.fingerprint for use in found}
-        return mixed_protocols(found, self.definitions(fingerprints) if len(fingerprints) > 1 else None)
+        mixed = mixed_protocols(found)
+        if mixed is None:
+            return None
+        definitions = self.definitions({use.fingerprint for use in found})
+        if mixed.only_trajectories:
+            definitions |= self.definitions([of_live(protocol).fingerprint for protocol in definitions.values()])
+        return mixed_protocols(found, definitions)
 
     def definitions(self, fingerprints: Collection[str]) -> dict[str, domain.Protocol]:
         """{fingerprint: protocol}; unknown ones are left out."""

@@ -5,7 +5,14 @@ from __future__ import annotations
 import pytest
 
 from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind
-from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, common_protocol, mixed_protocols, short_names
+from slamhive.domain.side_by_side import (
+    MixedProtocols,
+    ProtocolUse,
+    common_protocol,
+    mixed_protocols,
+    of_live,
+    short_names,
+)
 
 SE3, SIM3 = Protocol(Alignment.SE3), Protocol(Alignment.SIM3)
 KNOWN = {protocol.fingerprint: protocol for protocol in (SE3, SIM3)}
@@ -45,6 +52,19 @@ def test_live_and_final_trajectories_are_not_comparable_under_one_protocol():
     assert found.only_trajectories
     assert found.common is None
     assert found.words == "6 runs use the final trajectory, 5 the live trajectory: not comparable."
+
+
+def test_live_poses_of_all_runs_are_the_way_out_where_they_have_been_judged():
+    live = of_live(SE3)
+    known = {SE3.fingerprint: SE3, live.fingerprint: live}
+    uses = [use(SE3, 5, TrajectoryKind.LIVE), use(SE3, 6, TrajectoryKind.FINAL)]
+    found = mixed_protocols(uses, known)
+    assert found is not None
+    assert found.common is not None
+    assert (found.common.fingerprint, found.common_name) == (live.fingerprint, "the live trajectory")
+    assert f"--protocol {live.fingerprint} --current" in found.remedy
+    # Under it, the kind of traj.txt no longer matters.
+    assert mixed_protocols([use(live, 5, TrajectoryKind.LIVE), use(live, 6, TrajectoryKind.FINAL)], known) is None
 
 
 def test_a_run_that_does_not_say_its_kind_stands_beside_either():

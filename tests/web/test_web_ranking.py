@@ -10,6 +10,7 @@ import pytest
 from sqlalchemy import Update, update
 
 from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind
+from slamhive.domain.side_by_side import of_live
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource, RankedCell, Ranking
 from slamhive.services.experiments.ranking import BEST, WORST
@@ -244,6 +245,32 @@ def test_live_and_final_trajectories_have_no_common_order(web: Web) -> None:
     assert [place for _, place in order(ranked(web).best)] == [None, None]
     page = web.client.get("/experiments/ranked").text
     assert "2 runs use the final trajectory, 2 the live trajectory: not comparable." in page
+    assert "Evaluate all under" not in page
+
+
+def test_the_live_trajectories_of_all_are_ranked_by_one_button(web: Web) -> None:
+    """The runs with final trajectories left live ones as well, which were evaluated along with them."""
+    start(web, (500, 600), repeats=2)
+    end(web, 1, (0.1, 0.11))
+    end(web, 2, (0.2, 0.21))
+    runs = RunRow.__table__
+    cells = [web.hive.experiments.cells("ranked", number, 1).cells[0] for number in range(2)]
+    for cell, kind in zip(cells, (TrajectoryKind.LIVE, TrajectoryKind.FINAL), strict=True):
+        change = update(runs).where(runs.c.id.in_([run.id for run in cell.runs])).values(trajectory=kind)
+        web.hive.store.write(partial(_execute, change))
+    protocol = of_live(Protocol(Alignment.SE3))
+    for run in cells[1].runs:
+        world.evaluate_run(web.hive, run.id, 0.3, protocol=protocol)
+        web.hive.current_protocols.use([run.id], Protocol(Alignment.SE3).fingerprint)
+    page = web.client.get("/experiments/ranked").text
+    assert "Evaluate all under the live trajectory" in page
+    web.hive.current_protocols.use([run.id for run in cells[1].runs], protocol.fingerprint)
+    for run in cells[0].runs:
+        world.evaluate_run(web.hive, run.id, 0.1, protocol=protocol)
+    web.hive.current_protocols.use([run.id for run in cells[0].runs], protocol.fingerprint)
+    page = web.client.get("/experiments/ranked").text
+    assert "not comparable" not in page
+    assert [place for _, place in order(ranked(web).best)] == [1, 2]
 
 
 def test_runs_that_were_evaluated_without_a_value_are_not_called_unevaluated(web: Web) -> None:
