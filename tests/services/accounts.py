@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,7 @@ from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from slamhive.store.records import EvaluationState
 from tests.services.tiny_project import executions
+from tests.waiting import PATIENCE_S
 
 IN_DATA_ROOT = {
     "analyses", "datasets", "environments", "experiments", "image-folders", "installation", "ledger", "node-archives",
@@ -110,8 +112,18 @@ def _strange(hive: Hive, run_ids: set[int]) -> list[str]:
     for root in (hive.settings.ledger_folder, data / "environments", data / "datasets", hive.settings.variants_folder):
         if root.is_dir():
             strange += [entry for entry in root.glob(".*") if not LOCKS.fullmatch(entry.name)]
-    unfinished = [path for path in (data / "environments").glob("tiny-*") if not (path / "ready").exists()]
+    unfinished = [path for path in (data / "environments").glob("tiny-*") if _stays_unfinished(path)]
     return [str(path.relative_to(data)) for path in (*strange, *unfinished)]
+
+
+def _stays_unfinished(environment: Path) -> bool:
+    """Tell if nobody completes an environment; other tests build theirs in the same folder meanwhile."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while environment.exists() and not (environment / "ready").exists():
+        if time.monotonic() > deadline_s:
+            return True
+        time.sleep(0.2)
+    return False
 
 
 def _strange_of_run(hive: Hive, folder: RunFolder) -> list[Path]:

@@ -51,7 +51,7 @@ def of_record(run: RunRecord) -> tuple[Any, ...]:
 def test_exported_values_are_those_of_the_records(store: Store, samples: Samples) -> None:
     runs = evaluated(store, samples, 0.1, 1.4, 0.12, None)
     runs += [samples.run_in(state) for state in (RunState.FAILED, RunState.CANCELLED, RunState.QUEUED)]
-    store.write(lambda tx: tx.metrics.put(runs[0], None, {DROPPED_FRAMES: 0.8}))
+    store.write(lambda tx: tx.metrics.put(runs[0], None, {DROPPED_FRAMES: 0.3}))
     store.write(lambda tx: tx.runs.update(runs[1], disturbance=BUSY))
     store.write(lambda tx: tx.notes.put({runs[2]: RunNotes("", ("a", "b"))}))
     records = store.read(lambda tx: tx.runs.get_many(runs, with_metrics=True))

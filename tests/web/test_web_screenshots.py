@@ -42,7 +42,7 @@ UPDATE = os.environ.get("UPDATE_SCREENSHOTS", "") not in {"", "0"}
 REMEDY = "run: UPDATE_SCREENSHOTS=1 make test TIERS=pictures"
 FIXED = "h1, h2, h3, th, label, button, legend, summary:not(dd summary)"
 """What a page says whatever it shows."""
-CHANCE = re.compile(r"-[0-9a-f]{6}\b|(?:limited|low) trust|\d+")
+CHANCE = re.compile(r"-[0-9a-f]{6}\b|\b(?:very )?doubtful\b|\d+")
 """What differs from one demo to the next: names of experiments, how quiet the machine was, numbers."""
 
 OF_THE_MACHINE = tuple(metric.label for metric in MEASURED_METRICS if metric.group is Group.MACHINE)
