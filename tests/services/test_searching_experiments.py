@@ -211,11 +211,11 @@ def test_the_model_is_fitted_once_for_the_same_runs(hive: Hive, monkeypatch: pyt
 
 
 def test_optuna_chooses_the_next_runs_where_it_is_asked_to(hive: Hive):
-    start(hive, MANY.replace("90 runs", "28 runs, sampler: tpe").replace("10%", "0.1%"))
+    start(hive, MANY.replace("90 runs", "40 runs, sampler: tpe").replace("10%", "0.1%"))
     hive.questions.advance("many")
     end(hive, very_noisy, "many")
     assert "as tpe of Optuna suggests" in hive.questions.search("many").next
-    assert searched(hive, very_noisy).runs == 28
+    assert searched(hive, very_noisy).runs == 40
 
 
 def test_a_sampler_that_is_not_installed_is_refused_before_anything_is_stored(
