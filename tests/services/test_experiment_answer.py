@@ -89,6 +89,7 @@ def test_one_that_shares_the_first_place_stands_before_one_that_does_not() -> No
     assert answered(*entries).leaders == ("a", "c")
 
 
+@pytest.mark.integration  # 828 triples
 @pytest.mark.parametrize("first", [entry(1, 5, 0.1), entry(1, 3, 0.1, failed=1), entry(1, 9, 0.1, 0.03)])
 def test_the_first_place_and_the_answer_name_the_same(first: RankEntry) -> None:
     others = [
