@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slamhive.domain.sensors import Matrix4
 from slamhive.runtime.trajectory import quaternions_xyzw
+from slamhive.trajectory.transforms import rotations_from_quats
 
 Array = NDArray[Any]
 
@@ -31,6 +33,16 @@ def transform(R: Array, t: Array | list[float]) -> Array:
     T[:3, :3] = R
     T[:3, 3] = t
     return T
+
+
+def pose_matrix(position_m: Array | list[float], quat_xyzw: Array) -> Array:
+    """The transform (4, 4) of a position and a quaternion, which is made a unit one."""
+    return transform(rotations_from_quats(quat_xyzw[None] / np.linalg.norm(quat_xyzw))[0], position_m)
+
+
+def flat(T: Array) -> Matrix4:
+    """The 16 numbers of a transform by rows, as a sensor of ``dataset.yaml`` has them."""
+    return tuple(T.reshape(-1).tolist())
 
 
 def quaternions_from_rotations(R: Array) -> Array:

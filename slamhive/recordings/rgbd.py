@@ -100,6 +100,18 @@ def depth_stream(camera: Sensor, frames: Frames, units_per_m: float, *, read: Re
 _DIGITS = re.compile(r"\d+")
 
 
+def rectified_intrinsics(A: Array, image: Path) -> CameraIntrinsics:
+    """The intrinsics of a rectified camera with the size of ``image``.
+
+    Args:
+        A: Its camera matrix (3, 3), or a projection (3, 4) that begins with it.
+        image: One of its images; raises InvalidInput if it cannot be read.
+    """
+    width, height = size_of(image)
+    fx, fy, cx, cy = (float(A[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return CameraIntrinsics(width, height, fx, fy, cx, cy, distortion=(0.0,) * 4, rectified=True)
+
+
 def numbered(folder: Path, *patterns: str) -> dict[int, Path]:
     """The files of the first of ``patterns`` that matches, by the first number in their names; none without a match.
 

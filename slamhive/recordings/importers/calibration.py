@@ -16,9 +16,8 @@ from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import COEFFICIENTS, TIME_OFFSET, CameraIntrinsics, CameraModel, ImuNoise
 from slamhive.domain.sensors import CalibrationValue, Matrix4, SensorKind, is_rigid
 from slamhive.packages.dataset_file import load_sensors
-from slamhive.recordings.geometry import Array, transform
+from slamhive.recordings.geometry import Array, pose_matrix
 from slamhive.recordings.text_lists import read_lines
-from slamhive.trajectory.transforms import rotations_from_quats
 
 
 @dataclass(frozen=True)
@@ -357,7 +356,7 @@ def _basalt_pose(part: CalibrationFile) -> Array:
     norm = float(np.linalg.norm(quat_xyzw))
     if not 0.99 < norm < 1.01:
         raise InvalidInput(f"{part.name}: the quaternion has norm {norm:g}", "copy the file again")
-    return transform(rotations_from_quats(quat_xyzw[None] / norm)[0], [part.number(f"p{axis}") for axis in "xyz"])
+    return pose_matrix([part.number(f"p{axis}") for axis in "xyz"], quat_xyzw)
 
 
 # Calibration files that users give: those of Kalibr and Basalt, and ``dataset.yaml``.

@@ -15,6 +15,7 @@ import numpy as np
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import COEFFICIENTS, CameraIntrinsics, CameraModel, ImuNoise
 from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind
+from slamhive.recordings.geometry import flat
 from slamhive.recordings.importers.calibration import (
     CalibrationFile,
     FrameGraph,
@@ -144,7 +145,7 @@ def _imu(part: _Part, known: KnownCalibration) -> tuple[ImuNoise, Matrix4]:
         return found, IDENTITY4
     calibration = part.calibration()
     noise = ImuNoise(**{key: calibration.optional(key) for key in ImuNoise.__slots__})
-    return noise, tuple(calibration.rigid("T_BS").reshape(-1).tolist())
+    return noise, flat(calibration.rigid("T_BS"))
 
 
 def _camera_stream(part: _Part, known: KnownCalibration) -> tuple[PlannedStream, tuple[str, ...]]:
@@ -164,7 +165,7 @@ def _camera_stream(part: _Part, known: KnownCalibration) -> tuple[PlannedStream,
             )
         assert found.intrinsics is not None
         calibration = {**found.intrinsics.calibration("mono8"), **found.more}
-        matrix = tuple(T_body_camera.reshape(-1).tolist())
+        matrix = flat(T_body_camera)
         topic = f"/{part.name}/image_raw"
         sensor = Sensor(part.name, SensorKind.CAMERA, topic, rate_hz(kept.times_ns), matrix, calibration)
     return image_stream(sensor, kept.times_ns, paths), rows.notes(kept)
@@ -190,7 +191,7 @@ def camera_sensor(name: str, calibration: CalibrationFile, rate: float) -> Senso
         SensorKind.CAMERA,
         f"/{name}/image_raw",
         rate,
-        tuple(calibration.rigid("T_BS").reshape(-1).tolist()),
+        flat(calibration.rigid("T_BS")),
         intrinsics.calibration("mono8"),
     )
 

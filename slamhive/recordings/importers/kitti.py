@@ -15,7 +15,7 @@ from slamhive.base.files import visible_files
 from slamhive.domain.calibration import CameraIntrinsics, LidarLayout, PointOrder, Rotation
 from slamhive.domain.sensors import IDENTITY4, Matrix4, Sensor, SensorKind, is_rigid
 from slamhive.recordings.frame_files import read_image, read_velodyne
-from slamhive.recordings.geometry import Array, quaternions_from_rotations, rotation_xyz, transform
+from slamhive.recordings.geometry import Array, flat, quaternions_from_rotations, rotation_xyz, transform
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,
@@ -27,7 +27,7 @@ from slamhive.recordings.importing import (
     matched_truth,
     rate_hz,
 )
-from slamhive.recordings.rgbd import Frames, camera_stream, numbered, read_pose_table, size_of
+from slamhive.recordings.rgbd import Frames, camera_stream, numbered, read_pose_table, rectified_intrinsics
 from slamhive.recordings.streams import OVERHEAD_BYTES, gnss_stream, image_stream, imu_stream, point_stream
 from slamhive.recordings.text_lists import read_lines
 from slamhive.recordings.writers import NS_PER_S, BagWriter, nanoseconds
@@ -381,7 +381,7 @@ class KittiRawImporter:
         notes: list[str] = ["timestamps are taken as UTC: the recordings do not say their time zone"]
         # From the IMU to the rectified camera 0: R_rect_00 · velo_to_cam · imu_to_velo.
         rectifying = transform(_calibration(source, _CALIBRATION[0])("R_rect_00", 9).reshape(3, 3), np.zeros(3))
-        if not is_rigid(_flat(rectifying)):
+        if not is_rigid(flat(rectifying)):
             raise InvalidInput(f"{_calibration_file(source, _CALIBRATION[0])}: R_rect_00 is no rotation")
         rectified_imu = np.asarray(rectifying @ _rigid(source, _CALIBRATION[1]) @ _rigid(source, _CALIBRATION[2]))
         streams: list[PlannedStream] = []
@@ -390,7 +390,7 @@ class KittiRawImporter:
                 streams.append(_camera(source, number, rectified_imu, notes))
         if (source / _VELODYNE / "data").is_dir():
             scan_times_ns, scans = clocked_files(source / _VELODYNE, "*.bin", notes)
-            T_body_lidar = _flat(np.linalg.inv(_rigid(source, _CALIBRATION[2])))
+            T_body_lidar = flat(np.linalg.inv(_rigid(source, _CALIBRATION[2])))
             layout = velodyne_layout().calibration()
             lidar = Sensor("lidar0", SensorKind.LIDAR, "/points", rate_hz(scan_times_ns), T_body_lidar, layout)
             streams.append(point_stream(lidar, scan_times_ns, scans, read_velodyne, 1.0))
@@ -434,7 +434,7 @@ def keyed_numbers(path: Path) -> Callable[[str, int], Array]:
 def _rigid(source: Path, name: str) -> Array:
     numbers = _calibration(source, name)
     T = transform(numbers("R", 9).reshape(3, 3), numbers("T", 3))
-    if not is_rigid(_flat(T)):
+    if not is_rigid(flat(T)):
         raise InvalidInput(f"{_calibration_file(source, name)}: R is no rotation", "copy the file again")
     return T
 
@@ -445,14 +445,12 @@ def _camera(source: Path, number: int, T_rectified_imu: Array, notes: list[str])
     if not (0 < P[0, 0] < 1e6 and 0 < P[1, 1] < 1e6) or abs(np.linalg.det(P[:, :3])) < 1e-9:
         raise InvalidInput(f"P_rect_{number:02d} has focal lengths {P[0, 0]:g}, {P[1, 1]:g}", "copy the file again")
     times_ns, paths = clocked_files(source / f"image_{number:02d}", "*.png", notes)
-    width, height = size_of(paths[0])
-    fx, fy, cx, cy = (float(P[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    intrinsics = CameraIntrinsics(width, height, fx, fy, cx, cy, distortion=(0.0,) * 4, rectified=True)
+    intrinsics = rectified_intrinsics(P, paths[0])
     position_m = 0.0 - np.linalg.solve(P[:, :3], P[:, 3])
     T_body_camera = np.linalg.inv(T_rectified_imu) @ transform(np.eye(3), position_m)
     frames = Frames(times_ns, paths)
     baseline_m = float(position_m[0])
-    return camera_stream(f"cam{number}", frames, intrinsics, _flat(T_body_camera), baseline_m=baseline_m)
+    return camera_stream(f"cam{number}", frames, intrinsics, flat(T_body_camera), baseline_m=baseline_m)
 
 
 def read_clock(path: Path) -> dict[int, int]:
@@ -537,10 +535,6 @@ def _raw_truth(times_ns: Array, rows: Array) -> PlannedTruth:
     return PlannedTruth(
         times_ns / NS_PER_S, positions_m - positions_m[0], quats_xyzw, gravity_aligned=True, source="GNSS and IMU (RTK)"
     )
-
-
-def _flat(T: Array) -> Matrix4:
-    return tuple(float(value) for value in T.reshape(-1))
 
 
 def _raw_text(source: Path) -> DatasetText:

@@ -12,10 +12,10 @@ import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.base.files import visible_files
-from slamhive.domain.calibration import CameraIntrinsics, LidarLayout, Rotation
-from slamhive.domain.sensors import Matrix4, Sensor, SensorKind, is_rigid
+from slamhive.domain.calibration import LidarLayout, Rotation
+from slamhive.domain.sensors import Sensor, SensorKind, is_rigid
 from slamhive.recordings.frame_files import read_velodyne
-from slamhive.recordings.geometry import Array, quaternions_from_rotations, transform
+from slamhive.recordings.geometry import Array, flat, quaternions_from_rotations, transform
 from slamhive.recordings.importers.kitti import (
     clocked_files,
     keyed_numbers,
@@ -34,7 +34,7 @@ from slamhive.recordings.importing import (
     matched_truth,
     rate_hz,
 )
-from slamhive.recordings.rgbd import Frames, camera_stream, read_pose_table, size_of
+from slamhive.recordings.rgbd import Frames, camera_stream, read_pose_table, rectified_intrinsics
 from slamhive.recordings.streams import point_stream
 from slamhive.recordings.writers import NS_PER_S
 from slamhive.runtime.point_times import PointTimes, SweepInstant
@@ -82,7 +82,7 @@ class Kitti360Importer:
         if (poses / "oxts").is_dir():
             times_ns, files = clocked_files(poses / "oxts", "*.txt", notes)
             rows = np.array([read_packet(path) for path in files])
-            T_body_unit = _flat(transform(_UNIT_TO_BODY, np.zeros(3)))
+            T_body_unit = flat(transform(_UNIT_TO_BODY, np.zeros(3)))
             streams += [packet_imu(times_ns, rows, T_body_unit), packet_gnss(times_ns, rows)]
         if not streams:
             raise InvalidInput(f"{source} has no recording of {sequence}", f"unpack its {_IMAGES} or {_SCANS}")
@@ -119,17 +119,15 @@ def _camera(folder: Path, calibration: Path, number: int, notes: list[str]) -> P
     numbers = keyed_numbers(path)
     P = numbers(f"P_rect_{number:02d}", 12).reshape(3, 4)
     R = numbers(f"R_rect_{number:02d}", 9).reshape(3, 3)
-    if not (0 < P[0, 0] < 1e6 and 0 < P[1, 1] < 1e6) or not is_rigid(_flat(transform(R, np.zeros(3)))):
+    if not (0 < P[0, 0] < 1e6 and 0 < P[1, 1] < 1e6) or not is_rigid(flat(transform(R, np.zeros(3)))):
         raise InvalidInput(f"{path}: P_rect_{number:02d} or R_rect_{number:02d} makes no sense", "copy the file again")
     times_ns, paths = clocked_files(folder, "*.png", notes, "data_rect")
-    width, height = size_of(paths[0])
-    fx, fy, cx, cy = (float(P[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    intrinsics = CameraIntrinsics(width, height, fx, fy, cx, cy, distortion=(0.0,) * 4, rectified=True)
+    intrinsics = rectified_intrinsics(P, paths[0])
     # R_rect turns the camera's own frame into the rectified one.
     T_body_camera = _T_body_camera(calibration, number) @ np.linalg.inv(transform(R, np.zeros(3)))
     baseline_m = float(-P[0, 3] / P[0, 0])
     return camera_stream(
-        f"cam{number}", Frames(times_ns, paths), intrinsics, _flat(T_body_camera), baseline_m=baseline_m
+        f"cam{number}", Frames(times_ns, paths), intrinsics, flat(T_body_camera), baseline_m=baseline_m
     )
 
 
@@ -146,7 +144,7 @@ def _lidar(folder: Path, calibration: Path, notes: list[str]) -> PlannedStream:
         rotation=Rotation.COUNTER_CLOCKWISE,
     )
     T_body_lidar = _T_body_camera(calibration, 0) @ np.linalg.inv(T_lidar_cam0)
-    sensor = Sensor("lidar0", SensorKind.LIDAR, "/points", rate_hz(times_ns), _flat(T_body_lidar), layout.calibration())
+    sensor = Sensor("lidar0", SensorKind.LIDAR, "/points", rate_hz(times_ns), flat(T_body_lidar), layout.calibration())
     return point_stream(sensor, times_ns, files, read_velodyne, 1.0)
 
 
@@ -159,7 +157,7 @@ def _transform_of(numbers: Array, path: Path, place: str) -> Array:
     """The transform (4, 4) of the 12 numbers of its first three rows; raises InvalidInput if it is not rigid."""
     upper = numbers.reshape(3, 4)
     T = transform(upper[:, :3], upper[:, 3])
-    if not is_rigid(_flat(T)):
+    if not is_rigid(flat(T)):
         raise InvalidInput(f"{path}: {place} is no rigid transform", "copy the file again")
     return T
 
@@ -178,10 +176,6 @@ def _truth(path: Path, clock_ns: dict[int, int]) -> PlannedTruth:
     return PlannedTruth(
         times_s, poses[:, :3, 3], quats_xyzw, gravity_aligned=True, source="GNSS, IMU and laser scans, optimised"
     )
-
-
-def _flat(T: Array) -> Matrix4:
-    return tuple(float(value) for value in T.reshape(-1))
 
 
 def _text(sequence: str) -> DatasetText:

@@ -17,7 +17,7 @@ from slamhive.base.errors import InvalidInput
 from slamhive.base.files import visible_files
 from slamhive.domain.calibration import LidarLayout
 from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
-from slamhive.recordings.geometry import Array, quaternions_from_rotations, rotation_xyz, transform
+from slamhive.recordings.geometry import Array, flat, quaternions_from_rotations, rotation_xyz, transform
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,
@@ -81,7 +81,7 @@ def _lidar(folder: Path) -> PlannedStream:
     times_ns, paths = timed_files(folder, ".bin", _NS_PER_US)
     layout = LidarLayout(PointTimes(scan_duration_s=0.1, stamp=SweepInstant.MIDDLE), beams=32, maximum_range_m=100.0)
     T_body_lidar = transform(_UP, [0.0, 0.0, 0.0]) @ _T_nclt_lidar() @ transform(_UP, [0.0, 0.0, 0.0])
-    sensor = Sensor("lidar0", SensorKind.LIDAR, "/points", rate_hz(times_ns), _flat(T_body_lidar), layout.calibration())
+    sensor = Sensor("lidar0", SensorKind.LIDAR, "/points", rate_hz(times_ns), flat(T_body_lidar), layout.calibration())
     return point_stream(sensor, times_ns, paths, _read_scan, _POINT.itemsize / _FILE_POINT.itemsize)
 
 
@@ -148,15 +148,11 @@ def _finite_rows(rows: TimedList, start: int, count: int) -> TimedList:
 
 def _T_body(position_m: tuple[float, float, float], angles_deg: tuple[float, float, float]) -> Matrix4:
     T_nclt = transform(rotation_xyz(*np.deg2rad(angles_deg)), list(position_m))
-    return _flat(transform(_UP, [0.0, 0.0, 0.0]) @ T_nclt)
+    return flat(transform(_UP, [0.0, 0.0, 0.0]) @ T_nclt)
 
 
 def _T_nclt_lidar() -> Array:
     return transform(rotation_xyz(*np.deg2rad(_LIDAR_ANGLES_DEG)), list(_LIDAR_POSITION_M))
-
-
-def _flat(T: Array) -> Matrix4:
-    return tuple(float(value) for value in T.reshape(-1))
 
 
 def _text(source: Path) -> DatasetText:

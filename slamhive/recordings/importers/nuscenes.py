@@ -16,9 +16,9 @@ import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.base.files import visible_files
-from slamhive.domain.calibration import CameraIntrinsics, LidarLayout
-from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
-from slamhive.recordings.geometry import Array, transform
+from slamhive.domain.calibration import LidarLayout
+from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.recordings.geometry import Array, flat, pose_matrix
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,
@@ -30,11 +30,10 @@ from slamhive.recordings.importing import (
     matched_truth,
     rate_hz,
 )
-from slamhive.recordings.rgbd import Frames, camera_stream, size_of
+from slamhive.recordings.rgbd import Frames, camera_stream, rectified_intrinsics
 from slamhive.recordings.streams import point_stream, read_records
 from slamhive.recordings.writers import NS_PER_S
 from slamhive.runtime.point_times import PointTimes, SweepInstant
-from slamhive.trajectory.transforms import rotations_from_quats
 
 _TABLES = ("scene", "sample", "sample_data", "ego_pose", "calibrated_sensor", "sensor")
 _CAMERAS = ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
@@ -201,17 +200,17 @@ def _stream(
         # "The time when the full rotation of the current lidar frame is achieved" (nuScenes' description of its data).
         layout = LidarLayout(PointTimes(0.05, stamp=SweepInstant.END), ring_field="ring", beams=32)
         sensor = Sensor(
-            "lidar0", SensorKind.LIDAR, "/points", rate_hz(times_ns), _flat(T_body_sensor), layout.calibration()
+            "lidar0", SensorKind.LIDAR, "/points", rate_hz(times_ns), flat(T_body_sensor), layout.calibration()
         )
         return [point_stream(sensor, times_ns, files, _read_scan, _POINT.itemsize / _FILE_POINT.itemsize)]
     K = _numbers(calibrated.get("camera_intrinsic"), (3, 3), f"camera_intrinsic of {channel}", tables)
-    width, height = size_of(files[0])
-    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    if not (0 < fx < 1e6 and 0 < fy < 1e6):
-        raise InvalidInput(f"{tables}: {channel} has focal lengths {fx:g}, {fy:g}", "unpack the metadata again")
-    intrinsics = CameraIntrinsics(width, height, fx, fy, cx, cy, distortion=(0.0,) * 4, rectified=True)
+    if not (0 < K[0, 0] < 1e6 and 0 < K[1, 1] < 1e6):
+        raise InvalidInput(
+            f"{tables}: {channel} has focal lengths {K[0, 0]:g}, {K[1, 1]:g}", "unpack the metadata again"
+        )
+    intrinsics = rectified_intrinsics(K, files[0])
     name = f"cam{_CAMERAS.index(channel)}"
-    return [camera_stream(name, Frames(times_ns, files), intrinsics, _flat(T_body_sensor))]
+    return [camera_stream(name, Frames(times_ns, files), intrinsics, flat(T_body_sensor))]
 
 
 def _file_of(source: Path, tables: Path, name: str) -> Path:
@@ -240,7 +239,7 @@ def _pose(record: Record, place: str, tables: Path) -> Array:
     norm = float(np.linalg.norm([w, x, y, z]))
     if not 0.99 < norm < 1.01:
         raise InvalidInput(f"{tables}: the quaternion of {place} has norm {norm:g}", "unpack the metadata again")
-    return transform(rotations_from_quats(np.array([[x, y, z, w]]) / norm)[0], position_m)
+    return pose_matrix(position_m, np.array([x, y, z, w]))
 
 
 def _numbers(given: Any, shape: tuple[int, ...], place: str, tables: Path) -> Array:
@@ -270,10 +269,6 @@ def _truth(tables: Path, wanted: set[str]) -> PlannedTruth:
     return PlannedTruth(
         times_s, poses[:, :3, 3], quats_xyzw, gravity_aligned=True, source="localisation by LiDAR in a map"
     )
-
-
-def _flat(T: Array) -> Matrix4:
-    return tuple(float(value) for value in T.reshape(-1))
 
 
 def _text(scene: Record) -> DatasetText:

@@ -14,7 +14,7 @@ import numpy as np
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.geometry import Array
+from slamhive.recordings.geometry import Array, flat
 from slamhive.recordings.importers.calibration import CalibrationFile, read_calibration_file
 from slamhive.recordings.importing import (
     DatasetText,
@@ -91,7 +91,7 @@ def _camera(
         intrinsics = CameraIntrinsics(width, height, fx, fy, cx, cy, CameraModel.FISHEYE_KB, distortion[:4])
     else:
         intrinsics = CameraIntrinsics(width, height, fx, fy, cx, cy, CameraModel.PINHOLE_RADTAN, distortion)
-    T_body_camera = tuple(_T_body(transforms, frame).reshape(-1).tolist())
+    T_body_camera = flat(_T_body(transforms, frame))
     return camera_stream(name, frames, intrinsics, T_body_camera)
 
 
@@ -117,7 +117,7 @@ def _imu(source: Path, transforms: CalibrationFile) -> PlannedStream:
     times_ns = rates.times_ns[inside]
     at, known_at = times_ns - start_ns, accelerations.times_ns - start_ns
     interpolated = np.column_stack([np.interp(at, known_at, column) for column in measured.T])
-    T_body_imu = tuple(_T_body(transforms, _RATES).reshape(-1).tolist())
+    T_body_imu = flat(_T_body(transforms, _RATES))
     sensor = Sensor("imu0", SensorKind.IMU, "/imu0", rate_hz(times_ns), T_body_imu)
     return imu_stream(sensor, times_ns, np.column_stack((rates.numbers(0, 3)[inside], interpolated)))
 

@@ -12,13 +12,12 @@ import numpy as np
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import COEFFICIENTS, TIME_OFFSET, CameraIntrinsics, CameraModel
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, is_rigid
-from slamhive.recordings.geometry import Array, transform
+from slamhive.recordings.geometry import Array, flat, pose_matrix, transform
 from slamhive.recordings.importers.calibration import BODY, FrameGraph, KnownCalibration, KnownSensor
 from slamhive.recordings.importers.lidar_drivers import layout_of, livox_layout
 from slamhive.recordings.importers.odd_images import is_odd
 from slamhive.recordings.importers.recording import LIVOX, Matching, SourceBag, camera_of
 from slamhive.recordings.writers import NS_PER_S
-from slamhive.trajectory.transforms import rotations_from_quats
 
 # Calibration in the recording itself: ``CameraInfo`` messages and the transforms of ``/tf_static``.
 
@@ -78,7 +77,7 @@ def stereo_pose(info: Any, image_topic: str) -> Array:
     P, R = _array(info, "p").reshape(3, 4), _array(info, "r").reshape(3, 3)
     position_m = np.zeros(3) if P[0, 0] <= 0 else -np.linalg.solve(P[:, :3], P[:, 3])
     rotation = np.eye(3)
-    if not is_rectified(image_topic) and is_rigid(tuple(transform(R, [0.0, 0.0, 0.0]).reshape(-1).tolist())):
+    if not is_rectified(image_topic) and is_rigid(flat(transform(R, [0.0, 0.0, 0.0]))):
         rotation = R
     return transform(rotation, position_m)
 
@@ -109,8 +108,8 @@ def matrix_of(translation: Any, rotation: Any) -> Array | None:
     norm = float(np.linalg.norm(quat))
     if not 0.9 < norm < 1.1:
         return None
-    T = transform(rotations_from_quats(quat[None] / norm)[0], [translation.x, translation.y, translation.z])
-    return T if is_rigid(tuple(T.reshape(-1).tolist())) else None
+    T = pose_matrix([translation.x, translation.y, translation.z], quat)
+    return T if is_rigid(flat(T)) else None
 
 
 def plain_frame(frame_id: str) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics
-from slamhive.recordings.geometry import Array, transform
+from slamhive.recordings.geometry import Array, flat, transform
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,
@@ -66,7 +66,7 @@ class TartanAirImporter:
         for name, frames, x_m in (("cam0", left, 0.0), ("cam1", right, _BASELINE_M)):
             if frames:
                 T_body_camera = transform(_R_NED_OPTICAL, _R_NED_OPTICAL @ [x_m, 0.0, 0.0])
-                T_numbers = tuple(T_body_camera.reshape(-1).tolist())
+                T_numbers = flat(T_body_camera)
                 stream = camera_stream(name, timed(frames, frames_per_s), intrinsics, T_numbers, baseline_m=x_m)
                 streams.append(stream)
         depth = numbered(source / _DEPTH, "*.npy")

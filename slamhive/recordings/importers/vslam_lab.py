@@ -10,6 +10,7 @@ from pathlib import Path
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel, ImuNoise
 from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.recordings.geometry import flat
 from slamhive.recordings.importers.calibration import CalibrationFile, read_calibration_file
 from slamhive.recordings.importing import (
     DatasetText,
@@ -74,7 +75,7 @@ def _camera(source: Path, part: CalibrationFile, number: int) -> tuple[list[Plan
     """The streams of a camera: its images, and depth if it has some."""
     name = part.word("cam_name")
     frames, notes = _frames(source, name)
-    T_body_camera = tuple(part.rigid("T_BS").reshape(-1).tolist())
+    T_body_camera = flat(part.rigid("T_BS"))
     stream = camera_stream(f"cam{number}", frames, _intrinsics(part), T_body_camera)
     if "depth_name" not in part.content:
         return [stream], notes
@@ -119,7 +120,7 @@ def _intrinsics(part: CalibrationFile) -> CameraIntrinsics:
 def _imu(source: Path, part: CalibrationFile) -> tuple[PlannedStream, tuple[str, ...]]:
     rows = read_timed_list(source / _SAMPLES, "ts (ns), wx, wy, wz, ax, ay, az", TimeUnit.NS, columns=7)
     noise = ImuNoise(**{ours: part.optional(theirs) for ours, theirs in _NOISE.items()})
-    T_body_imu = tuple(part.rigid("T_BS").reshape(-1).tolist())
+    T_body_imu = flat(part.rigid("T_BS"))
     sensor = Sensor("imu0", SensorKind.IMU, "/imu0", rate_hz(rows.times_ns), T_body_imu, noise.calibration())
     return imu_stream(sensor, rows.times_ns, rows.numbers(0, 6)), rows.notes()
 

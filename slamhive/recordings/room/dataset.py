@@ -13,8 +13,8 @@ from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import LidarLayout, PointOrder, Rotation
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.names import check_name
-from slamhive.domain.sensors import Matrix4, Sensor, SensorKind
-from slamhive.recordings.geometry import Array, quaternions_from_rotations
+from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.recordings.geometry import Array, flat, quaternions_from_rotations
 from slamhive.recordings.room.sensors import (
     BASELINE_M,
     DEPTH_UNITS_PER_M,
@@ -145,7 +145,7 @@ def _cameras(options: RoomOptions, rig: Rig) -> tuple[Sensor, Sensor, Sensor]:
     }
     grey = {**intrinsics, "encoding": "mono8"}
     depth = {**intrinsics, "encoding": "16UC1", "units_per_m": DEPTH_UNITS_PER_M, "registered_to": "cam0"}
-    left, right = _flat(rig.T_body_left), _flat(rig.T_body_right)
+    left, right = flat(rig.T_body_left), flat(rig.T_body_right)
     rate_hz = options.camera_rate_hz
     return (
         Sensor("cam0", SensorKind.CAMERA, "/cam0/image_raw", rate_hz, left, grey),
@@ -172,13 +172,9 @@ def _lidar(options: RoomOptions, rig: Rig) -> Sensor:
         SensorKind.LIDAR,
         "/points",
         options.lidar_rate_hz,
-        _flat(rig.T_body_lidar),
+        flat(rig.T_body_lidar),
         layout.calibration(range_noise_m=model.range_noise_m),
     )
-
-
-def _flat(T: Array) -> Matrix4:
-    return tuple(float(value) for value in T.reshape(-1))
 
 
 START_NS = 1000 * NS_PER_S
