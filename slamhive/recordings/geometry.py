@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slamhive.domain.sensors import Matrix4
 from slamhive.runtime.trajectory import quaternions_xyzw
-from slamhive.trajectory.transforms import rotations_from_quats
+
+if TYPE_CHECKING:
+    # Images of algorithms train on rendered rooms, and have no domain.
+    from slamhive.domain.sensors import Matrix4
 
 Array = NDArray[Any]
 
@@ -33,11 +35,6 @@ def transform(R: Array, t: Array | list[float]) -> Array:
     T[:3, :3] = R
     T[:3, 3] = t
     return T
-
-
-def pose_matrix(position_m: Array | list[float], quat_xyzw: Array) -> Array:
-    """The transform (4, 4) of a position and a quaternion, which is made a unit one."""
-    return transform(rotations_from_quats(quat_xyzw[None] / np.linalg.norm(quat_xyzw))[0], position_m)
 
 
 def flat(T: Array) -> Matrix4:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import sysconfig
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,12 +48,26 @@ def test_certificates_and_index_settings_are_passed_in(tmp_path: Path) -> None:
     assert context.build_args == {"BASE_IMAGE": "base:1", "PIP_INDEX_URL": "index"}
 
 
-def test_the_staged_runtime_imports_nothing_that_is_not_staged(tmp_path: Path) -> None:
-    context = stage_context(package_of(STANDARD), project_root(), tmp_path / "context", tmp_path, {})
-    code = "import slamhive.runtime.app, slamhive.runtime.player, slamhive; print(slamhive.__file__)"
-    environment = {"PYTHONPATH": str(context.path / "runtime")}
+@pytest.mark.parametrize(
+    ("part", "modules"),
+    [
+        ("runtime", "slamhive.runtime.app, slamhive.runtime.player"),
+        ("rendering", "slamhive.recordings.room.orb_vocabulary"),
+    ],
+)
+def test_what_is_staged_imports_nothing_that_is_not_staged(part: str, modules: str, tmp_path: Path) -> None:
+    context = stage_context(package_of(OWN), project_root(), tmp_path / "context", tmp_path, {})
+    code = f"import {modules}, slamhive; print(slamhive.__file__)"
+    # Without "site" no editable installation of SLAM Hive fills the gaps.
+    libraries = sysconfig.get_path("purelib")
+    environment = {"PYTHONPATH": os.pathsep.join((str(context.path / part), libraries))}
     ended = subprocess.run(
-        [sys.executable, "-P", "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+        [sys.executable, "-S", "-P", "-c", code],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert ended.returncode == 0, ended.stderr
     assert str(context.path) in ended.stdout

@@ -16,8 +16,9 @@ from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import COEFFICIENTS, TIME_OFFSET, CameraIntrinsics, CameraModel, ImuNoise
 from slamhive.domain.sensors import CalibrationValue, Matrix4, SensorKind, is_rigid
 from slamhive.packages.dataset_file import load_sensors
-from slamhive.recordings.geometry import Array, pose_matrix
+from slamhive.recordings.geometry import Array, transform
 from slamhive.recordings.text_lists import read_lines
+from slamhive.trajectory.transforms import rotations_from_quats
 
 
 @dataclass(frozen=True)
@@ -186,6 +187,11 @@ class FrameGraph:
                     found[other] = found[frame] @ T_frame_other
                     waiting.append(other)
         return found.get(child)
+
+
+def pose_matrix(position_m: Array | list[float], quat_xyzw: Array) -> Array:
+    """The transform (4, 4) of a position and a quaternion, which is made a unit one."""
+    return transform(rotations_from_quats(quat_xyzw[None] / np.linalg.norm(quat_xyzw))[0], position_m)
 
 
 def inverse(T: Array) -> Array:

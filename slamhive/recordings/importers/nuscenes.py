@@ -18,7 +18,8 @@ from slamhive.base.errors import InvalidInput
 from slamhive.base.files import visible_files
 from slamhive.domain.calibration import LidarLayout
 from slamhive.domain.sensors import Sensor, SensorKind
-from slamhive.recordings.geometry import Array, flat, pose_matrix
+from slamhive.recordings.geometry import Array, flat
+from slamhive.recordings.importers.calibration import pose_matrix
 from slamhive.recordings.importing import (
     DatasetText,
     Detection,

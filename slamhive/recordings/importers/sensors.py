@@ -12,8 +12,8 @@ import numpy as np
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.calibration import COEFFICIENTS, TIME_OFFSET, CameraIntrinsics, CameraModel
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, is_rigid
-from slamhive.recordings.geometry import Array, flat, pose_matrix, transform
-from slamhive.recordings.importers.calibration import BODY, FrameGraph, KnownCalibration, KnownSensor
+from slamhive.recordings.geometry import Array, flat, transform
+from slamhive.recordings.importers.calibration import BODY, FrameGraph, KnownCalibration, KnownSensor, pose_matrix
 from slamhive.recordings.importers.lidar_drivers import layout_of, livox_layout
 from slamhive.recordings.importers.odd_images import is_odd
 from slamhive.recordings.importers.recording import LIVOX, Matching, SourceBag, camera_of
