@@ -105,7 +105,8 @@ def visit(page: Page, address: str) -> int:
 
 
 def wide_parts(page: Page) -> list[str]:
-    """What makes the page scroll sideways."""
+    """What makes the page scroll sideways, once it has its styles."""
+    page.wait_for_load_state("load")
     if not page.evaluate("document.documentElement.scrollWidth > innerWidth"):
         return []
     script = """() => [...document.querySelectorAll('main *')]
@@ -127,6 +128,7 @@ def violations(page: Page, look: str = "light") -> list[str]:
     """What axe-core finds, by rule and place."""
     from axe_playwright_python.sync_playwright import Axe  # noqa: PLC0415 - only this tier has it
 
+    page.wait_for_load_state("load")  # without its styles a page has other colours
     rules = Axe().run(page, options={"resultTypes": ["violations"], **RULES[look]}).response["violations"]
     return [
         f"axe {entry['id']}: {node['target']} {node['failureSummary'][:200]}"

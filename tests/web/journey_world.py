@@ -120,7 +120,6 @@ class Walk:
     def look(self) -> None:
         """Note what of the page is wider than the window, once it has its styles."""
         self.page.locator("main").wait_for()
-        self.page.wait_for_load_state("load")
         self.wide += [f"{self.page.url}: {part}" for part in wide_parts(self.page)]
 
     def _count(self) -> None:

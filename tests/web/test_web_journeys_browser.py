@@ -236,6 +236,7 @@ def test_accounts(journey: Journey, accounts: str) -> None:
 
 def sign_in(walk: Walk, name: str, password: str) -> None:
     """Sign in on the page for it, and come to the page that was wanted."""
+    walk.look()  # a page that still loads has no field yet
     if not walk.page.locator("#name").count():
         walk.click(walk.link("Sign in"))
     walk.page.locator("#name").fill(name)
