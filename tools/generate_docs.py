@@ -34,6 +34,7 @@ from slamhive.documents.catalogue import (
     TruthTrialDocument,
 )
 from slamhive.documents.challenge import Challenge, ChallengeBrief, ChallengeFile, ChallengeRanking, ChallengeSubmission
+from slamhive.documents.claims import ClaimsAnswer, ClaimsFile
 from slamhive.documents.experiment import Decision, Notice, SearchStanding, StoredAnalysis
 from slamhive.documents.gate import Baseline, BaselineBrief, GateAnswer, ReplayAnswer
 from slamhive.documents.imports import Import
@@ -211,6 +212,7 @@ DOCUMENTS: dict[str, Any] = {
     "challenge-public": Challenge,
     "challenge-ranking": ChallengeRanking,
     "challenge-submission": ChallengeSubmission,
+    "claims-answer": ClaimsAnswer,
     "cloud-plan": CloudPlanDocument,
     "cloud-status": CloudStatus,
     "comparison": ComparisonDocument,
@@ -262,6 +264,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "images/packages.svg": lambda: as_svg(arrows_of(PAGE.read_text(encoding="utf-8"))),
     "schemas/analysis.schema.json": analysis_schema,
     "schemas/challenge.schema.json": lambda: json_schema(ChallengeFile),
+    "schemas/claims.schema.json": lambda: json_schema(ClaimsFile),
     "schemas/cloud.schema.json": cloud_schema,
     "schemas/experiment.schema.json": experiment_schema,
     "schemas/protocol.schema.json": protocol_schema,

@@ -320,6 +320,11 @@ class Settings:
         return self.data / "challenges"
 
     @property
+    def claims_folder(self) -> Path:
+        """Where the answers about claims of papers lie."""
+        return self.data / "claims"
+
+    @property
     def clouds_folder(self) -> Path:
         """Where the records of rented clusters lie."""
         return self.data / "clouds"

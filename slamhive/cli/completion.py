@@ -168,6 +168,7 @@ EXPERIMENT = _completion_of(
 BASELINE = _completion_of(
     lambda hive: ((entry.name, plural(entry.runs, "run")) for entry in hive.gates.baselines.briefs()), or_file=True
 )
+CLAIMS = _completion_of(lambda hive: ((entry.name, entry.title) for entry in hive.claims.all()))
 CHALLENGE = _completion_of(lambda hive: ((entry.name, entry.title) for entry in hive.challenges.briefs()))
 SEARCH = _completion_of(lambda hive: ((entry.name, entry.filter_text) for entry in hive.searches.saved()))
 RUN = _completion_of(_runs)

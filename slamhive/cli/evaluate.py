@@ -20,13 +20,13 @@ from slamhive.cli.waiting import evaluate_to_end
 from slamhive.documents import protocol as schema
 from slamhive.documents.model import dump
 from slamhive.documents.run import RunDocument
+from slamhive.domain.claim import MetricFamily, PrintedUnit
 from slamhive.domain.metrics import described
 from slamhive.domain.names import plural
 from slamhive.domain.protocol import Alignment, Duplicates, FrameFit, ProtocolRequest
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import Hint
 from slamhive.evaluation.job import Artefacts
-from slamhive.evaluation.protocol_search import MetricFamily, PrintedUnit
 from slamhive.filters.syntax import join
 from slamhive.filters.words import matching
 from slamhive.services.evaluations import SENSOR_FRAME, preset_documents, presets, protocols_document

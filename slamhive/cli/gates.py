@@ -1,4 +1,4 @@
-"""``slamhive gate``: whether runs became worse than those of a baseline, for continuous integration."""
+"""``slamhive gate`` and ``slamhive claims``: runs against a baseline, and against the numbers of papers."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.main import LazyGroup
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import Answering, say
+from slamhive.domain.claim import ClaimState
 from slamhive.domain.gate import DEFAULT_MARGINS, Answer
 from slamhive.domain.names import plural
 from slamhive.domain.question import read_budget
 
 if TYPE_CHECKING:
+    from slamhive.documents.claims import ClaimsAnswer
     from slamhive.documents.gate import Baseline, GateAnswer
 
 EXIT_CODES = {Answer.PASS: 0, Answer.WORSE: 1, Answer.UNDECIDED: 3}
@@ -27,11 +29,11 @@ STYLES = {Answer.PASS: "green", Answer.WORSE: "red", Answer.UNDECIDED: "yellow"}
 _DEFAULTS = ", ".join(f"{key}={margin.words().replace(' ', '')}" for key, margin in DEFAULT_MARGINS.items())
 
 
-class GateGroup(Answering, LazyGroup):
-    """The group of gate commands."""
+class AnsweringGroup(Answering, LazyGroup):
+    """A group of commands whose exit code is their answer."""
 
 
-@click.group(cls=GateGroup)
+@click.group(cls=AnsweringGroup)
 def gate() -> None:
     """Find out in continuous integration if runs became worse. docs/gate.md is a tutorial.
 
@@ -223,4 +225,125 @@ def _counts(found: Baseline) -> str:
     return f"{plural(found.runs, 'run')} of {plural(len(found.configurations), 'configuration')}{failed}"
 
 
-COMMANDS = (gate,)
+# Claims of papers.
+
+
+CLAIM_STYLES = {
+    ClaimState.HOLDS: "green",
+    ClaimState.DIFFERS: "red",
+    ClaimState.UNDECIDED: "yellow",
+    ClaimState.CANNOT_RUN: "dim",
+}
+
+
+@click.group(cls=AnsweringGroup)
+def claims() -> None:
+    """Find out if the numbers of papers and READMEs hold here. docs/claims.md shows such a file.
+
+    The exit code of a mistake is 2.
+    """
+
+
+@claims.command("check", short_help="Check the claims in FILE against runs")
+@click.argument("path", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path))
+@click.option("--run", "runs_too", is_flag=True, help="Make the runs and evaluations that are missing.")
+@click.option("--executor", help="Where runs are executed; by default the executor in force.")
+@click.option("--algorithm", "algorithms", multiple=True, metavar="NAME", help="Only claims about it; may be repeated.")
+@click.option("--dataset", "datasets", multiple=True, metavar="NAME", help="Only claims on it; may be repeated.")
+@json_option
+@pass_cli
+def check_claims(cli: CliContext, /, path: Path, runs_too: bool, as_json: bool, **options: Any) -> None:
+    """Say of each claim in FILE if it holds, differs, is undecided, or cannot be run.
+
+    Without --run, only runs that exist are looked at. The answer is kept for the pages, unless --algorithm or
+    --dataset leaves claims out. The exit code is 0 if all hold, 1 if one differs, 3 otherwise, and 2 for a mistake.
+    """
+    hive = cli.hive()
+    if options["executor"] is not None and not runs_too:
+        raise InvalidInput("--executor is for runs that the check makes", "give --run, or leave it out")
+    whole = hive.claims.read(path)
+    chosen = whole.only(options["algorithms"], options["datasets"])
+    refused = None
+    if runs_too:
+        from slamhive.cli.waiting import evaluate_to_end, run_to_end  # noqa: PLC0415 - loads the worker
+
+        work = hive.claims.start(chosen, options["executor"])
+        if work.runs:
+            run_to_end(hive, work.runs, evaluate=True)
+        if work.evaluations:
+            evaluate_to_end(hive.evaluations, work.evaluations)
+        refused = work.refused
+    answer = hive.claims.answer(chosen, refused)
+    if chosen == whole:
+        hive.claims.keep(answer)
+    print_json(answer.content) if as_json else _print_claims(answer)
+    states = {claim.state for claim in answer.claims}
+    differs = ClaimState.DIFFERS in states
+    raise click.exceptions.Exit(1 if differs else 0 if states == {ClaimState.HOLDS} else 3)
+
+
+@claims.command("list")
+@json_option
+@pass_cli
+def list_claims(cli: CliContext, as_json: bool) -> None:
+    """List the files of claims that were checked here."""
+    found = cli.hive().claims.all()
+    if as_json:
+        print_json([answer.content for answer in found])
+    elif found:
+        rows = [(answer.name, answer.title, answer.words, f"{answer.checked_at:%Y-%m-%d %H:%M}") for answer in found]
+        print_table(("name", "title", "claims", "checked at"), rows, cut=("title",))
+    else:
+        tell("no claims; `slamhive claims check FILE` checks some")
+
+
+@claims.command("show")
+@click.argument("name", shell_complete=completion.CLAIMS)
+@json_option
+@pass_cli
+def show_claims(cli: CliContext, name: str, as_json: bool) -> None:
+    """Show the last answer about the claims NAME."""
+    answer = cli.hive().claims.get(name)
+    print_json(answer.content) if as_json else _print_claims(answer)
+
+
+@claims.command(short_help="Write the badge of the claims NAME to FILE")
+@click.argument("name", shell_complete=completion.CLAIMS)
+@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@pass_cli
+def badge(cli: CliContext, name: str, file: Path) -> None:
+    """Write the badge of the claims NAME to FILE as SVG, for a README."""
+    from slamhive.services.claims import badge_svg  # noqa: PLC0415 - few commands need it
+
+    write_aside(file, badge_svg(claim.state for claim in cli.hive().claims.get(name).claims))
+    say(f"badge of claims {name} written to {file}")
+
+
+@claims.command("remove")
+@click.argument("name", shell_complete=completion.CLAIMS)
+@pass_cli
+def remove_claims(cli: CliContext, name: str) -> None:
+    """Forget the last answer about the claims NAME; their file and the runs stay."""
+    cli.hive().claims.remove(name)
+    say(f"claims {name} removed")
+
+
+def _print_claims(answer: ClaimsAnswer) -> None:
+    rows = [(claim.about, claim.label, claim.stated, claim.state.value, claim.words) for claim in answer.claims]
+    print_table(("system and sequence", "metric", "stated", "answer", "here"), rows)
+    for claim in answer.claims:
+        for found in claim.protocols:
+            tool = f" (as {found.preset})" if found.preset else ""
+            value = f"{found.value:.4g} {claim.unit}".strip()
+            say(f"{claim.about}, {claim.label}: {found.key} is {value} under {found.words}{tool}")
+        for note in claim.notes:
+            tell(f"{claim.about}, {claim.label}: {note}")
+    if answer.hidden:
+        tell(f"{plural(answer.hidden, 'claim')} left out: you may not see all of their runs, or some are deleted")
+    states = {claim.state for claim in answer.claims}
+    worst = next((state for state in reversed(ClaimState) if state in states), ClaimState.CANNOT_RUN)
+    worst = ClaimState.DIFFERS if ClaimState.DIFFERS in states else worst
+    tell(f"claims {answer.name}: {answer.words}", style=CLAIM_STYLES[worst])
+
+
+COMMANDS = (gate, claims)

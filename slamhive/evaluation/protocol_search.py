@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from decimal import Decimal, InvalidOperation
-from enum import StrEnum
 
 import numpy as np
 
 from slamhive.base.errors import InvalidInput
+from slamhive.domain.claim import MetricFamily, Printed, PrintedUnit
 from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol, RpePairs, TrajectoryKind
 from slamhive.domain.sensors import Matrix4
 from slamhive.evaluation.evaluators.base import Evaluator, Paired
@@ -26,62 +25,7 @@ from slamhive.trajectory.alignment import align
 from slamhive.trajectory.model import FloatArray, Poses, Trajectory
 from slamhive.trajectory.transforms import rotation_angles_rad
 
-
-class MetricFamily(StrEnum):
-    """Kind of error that a paper prints."""
-
-    ATE = "ate"
-    ATE_ROT = "ate_rot"
-    RPE = "rpe"
-    RPE_ROT = "rpe_rot"
-    KITTI = "kitti"
-    SEGMENT = "segment"
-
-
-class PrintedUnit(StrEnum):
-    """Unit of a printed number."""
-
-    M = "m"
-    CM = "cm"
-    MM = "mm"
-    PERCENT = "%"
-    DEG = "deg"
-    DEG_PER_M = "deg/m"
-
-
 _FACTORS = {PrintedUnit.CM: 100.0, PrintedUnit.MM: 1000.0}
-MOST_DIGITS = 12
-
-
-@dataclass(frozen=True, slots=True)
-class Printed:
-    """A number as a paper prints it.
-
-    Attributes:
-        value: The number.
-        within: Half of its last digit: what was rounded to it differs by no more.
-        unit: Its unit; None if any that is usual.
-    """
-
-    value: float
-    within: float
-    unit: PrintedUnit | None = None
-
-    def shows(self, value: float) -> bool:
-        """Return whether ``value``, rounded to the printed digits, is the printed number."""
-        return abs(value - self.value) <= self.within * (1 + 1e-9) + 1e-15
-
-
-def read_printed(text: str, unit: PrintedUnit | None = None) -> Printed:
-    """Read a printed number; its digits count, so 0.0160 says more than 0.016. Raises InvalidInput."""
-    try:
-        number = Decimal(text.strip())
-    except InvalidOperation:
-        raise InvalidInput(f"{text[:40]!r} is not a number", "write it as the paper prints it, such as 0.016") from None
-    if not number.is_finite() or number < 0 or abs(number.adjusted()) > MOST_DIGITS:
-        raise InvalidInput(f"{text[:40]!r} cannot be an error", "write it as the paper prints it, such as 0.016")
-    exponent = number.as_tuple().exponent
-    return Printed(float(number), 0.5 * 10.0 ** int(exponent), unit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

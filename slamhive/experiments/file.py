@@ -56,7 +56,7 @@ from slamhive.experiments.experiment import (
     Where,
 )
 from slamhive.experiments.values import check_distinct, parse_values
-from slamhive.filters.fields import number, units_of
+from slamhive.filters.fields import is_number, number, units_of
 
 # The structure of ``experiment.yaml``, from which its JSON Schema is generated.
 
@@ -360,7 +360,7 @@ def _decide(decide: DecideModel, model: ExperimentModel, places: strict_yaml.Pla
         key = "budget"
         budget = read_budget(decide.budget)
         key = "difference"
-        difference = _difference(decide.difference, compared)
+        difference = read_difference(decide.difference, compared)
         key = "worst"
         worst = None if decide.worst is None else _amount(decide.worst, compared)
     except SlamHiveError as error:
@@ -451,11 +451,12 @@ def _limit(text: str) -> MetricLimit:
     return MetricLimit(limited.key, found[2] == "<=", _amount(found[3], limited))
 
 
-def _difference(written: float | str, compared: Metric) -> Margin:
+def read_difference(written: float | str, compared: Metric) -> Margin:
+    """``1 cm`` or ``5%`` as a difference of a metric, in its own unit; raises InvalidInput."""
     share = str(written).strip()
     if share.endswith("%"):
-        value = number(share[:-1].strip(), "")
-        value = None if value is None else value / 100
+        text = share[:-1].strip()
+        value = float(text) / 100 if is_number(text) else None
     else:
         value = _amount(written, compared)
     if value is None or value <= 0:

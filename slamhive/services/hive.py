@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from slamhive.services.analysis import AnalysisService
     from slamhive.services.challenges import ChallengeJudge, ChallengeService, ImageWork
     from slamhive.services.citations import Citations
+    from slamhive.services.claims import Claims
     from slamhive.services.clouds import Clouds
     from slamhive.services.configurations import Configurations
     from slamhive.services.datasets import Catalogue, DatasetChecks, DatasetViews, TruthTrials, VariantService
@@ -234,6 +235,23 @@ class Hive:
         from slamhive.services.gates import Gates
 
         return Gates(self.settings, self.store, self.searches, self.catalogue, self.configurations, self.runs)
+
+    @cached_property
+    def claims(self) -> Claims:
+        """Claims of papers, and whether they hold here."""
+        from slamhive.services.claims import Claims, ClaimTools
+
+        tools = ClaimTools(
+            self.searches,
+            self.catalogue,
+            self.configurations,
+            self.runs,
+            self.evaluations,
+            self.protocols,
+            self.protocol_searches,
+            self.fetching.collections,
+        )
+        return Claims(self.settings, self.store, tools)
 
     @cached_property
     def challenges(self) -> ChallengeService:

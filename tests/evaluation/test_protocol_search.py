@@ -11,12 +11,13 @@ import pytest
 
 from slamhive.base.errors import InvalidInput
 from slamhive.base.project import project_root
+from slamhive.domain.claim import MetricFamily, PrintedUnit, read_printed
 from slamhive.domain.protocol import Alignment, Association, Duplicates, Protocol
 from slamhive.domain.sensors import Matrix4
 from slamhive.evaluation.evaluators.evo_errors import AbsoluteError
 from slamhive.evaluation.pairing import pair
 from slamhive.evaluation.presets import PRESETS
-from slamhive.evaluation.protocol_search import MetricFamily, PrintedUnit, SearchInput, read_printed, search_protocols
+from slamhive.evaluation.protocol_search import SearchInput, search_protocols
 from slamhive.evaluation.references import TruthReference
 from slamhive.trajectory.layout import read_tum as read_tum_file
 from slamhive.trajectory.model import Trajectory

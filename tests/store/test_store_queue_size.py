@@ -1,4 +1,4 @@
-"""Claiming from a long queue takes as many steps through the index as from a short one (see benchmarks/claims.py)."""
+"""Claiming from a long queue takes as many steps through the index as from a short one: benchmarks/taking_runs.py."""
 
 from __future__ import annotations
 

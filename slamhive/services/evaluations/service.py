@@ -19,6 +19,7 @@ from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.base.files import sweep_folder, temporary_folder, write_aside
 from slamhive.base.settings import Settings
 from slamhive.documents.protocol import ProtocolMatchDocument, ProtocolSearchDocument
+from slamhive.domain.claim import MetricFamily, PrintedUnit, read_printed
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.protocol import Alignment, Duplicates, Protocol, ProtocolRequest, TrajectoryKind
 from slamhive.domain.sensors import IDENTITY4, Matrix4
@@ -40,13 +41,7 @@ from slamhive.evaluation.job import (
     failed_result,
     result_from_json,
 )
-from slamhive.evaluation.protocol_search import (
-    MetricFamily,
-    PrintedUnit,
-    SearchInput,
-    read_printed,
-    search_protocols,
-)
+from slamhive.evaluation.protocol_search import SearchInput, search_protocols
 from slamhive.evaluation.references import References, TruthReference
 from slamhive.evaluation.runner import EvaluationRunner
 from slamhive.executors.host import owner_is_dead
@@ -435,13 +430,17 @@ class ProtocolSearches:
         self._evaluations = evaluations
         self._turn = threading.Lock()
 
-    def search(self, run_id: int, printed: str, metric: str, unit: str | None = None) -> ProtocolSearchDocument:
+    def search(
+        self, run_id: int, printed: str, metric: str, unit: str | None = None, within: float = 0.0
+    ) -> ProtocolSearchDocument:
         """All protocols under which the run gives the number ``printed``, which keeps its digits.
 
+        With ``within``, also those that give a number which differs by no more than that, in the printed unit.
         Raises InvalidInput for a number, metric or unit that is none, and for a dataset without a ground truth.
         """
         family, asked = _member(MetricFamily, metric), None if unit is None else _member(PrintedUnit, unit)
         number = read_printed(printed, asked)
+        number = replace(number, within=max(number.within, within))
         run = self._store.read(lambda t: t.runs.get(run_id))
         dataset = self._catalogue.dataset(run.dataset)
         path, truth = dataset.groundtruth_path, dataset.groundtruth

@@ -1,7 +1,7 @@
 """Duration of a claim beside 1000 queued runs, and beside 100,000 queued and 100,000 held ones.
 
-``python benchmarks/claims.py [--database-url URL]``; without a URL on a SQLite file. The database must be empty; its
-rows stay. Ratios near 1 say that the queue's length does not matter.
+``python benchmarks/taking_runs.py [--database-url URL]``; without a URL on a SQLite file. The database must be empty;
+its rows stay. Ratios near 1 say that the queue's length does not matter.
 """
 
 from __future__ import annotations
