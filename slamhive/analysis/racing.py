@@ -200,13 +200,35 @@ def _compared(rule: RaceRule, level: float, places: tuple[int, int], values: tup
     The variance is pooled over candidates and datasets. Their sizes are equal, so its mean is right even where the
     variances differ.
     """
-    datasets, runs = values[0].shape
     means = [float(table.mean()) for table in values]
-    squares = sum(float(((table - table.mean(axis=1, keepdims=True)) ** 2).sum()) for table in values)
-    degrees, size = 2 * datasets * (runs - 1), datasets * runs / 2
-    standard_error = math.sqrt(squares / degrees / size)
+    standard_error, degrees, size = _standard_error(*values)
     # Of the two directions in which the martingale at twice the level may err, each has half of the chance.
     factors = (half_width_factor(degrees, size, sides * level) for sides in (1, 2))
     both, one = (factor if math.isinf(factor) else factor * standard_error for factor in factors)
     matters = rule.difference.value * (min(map(abs, means)) if rule.difference.relative else 1.0)
     return PairDifference(*places, means[0] - means[1], both, one, matters)
+
+
+def _standard_error(first: Numbers, second: Numbers) -> tuple[float, int, float]:
+    """Standard error of the difference of the means, its degrees of freedom, and the effective size."""
+    datasets, runs = first.shape
+    squares = sum(float(((table - table.mean(axis=1, keepdims=True)) ** 2).sum()) for table in (first, second))
+    degrees, size = 2 * datasets * (runs - 1), datasets * runs / 2
+    return math.sqrt(squares / degrees / size), degrees, size
+
+
+def bayes_factor(first: Numbers, second: Numbers) -> float:
+    """The evidence that two candidates differ, of two (datasets, runs) arrays with at least two runs.
+
+    It is the factor of :func:`half_width_factor`. If they do not differ, it ever exceeds 1 / p with a chance of at most
+    p. Values that do not vary give the largest factor of their number, or the smallest if the means are equal.
+    """
+    standard_error, degrees, size = _standard_error(first, second)
+    difference = abs(float(first.mean()) - float(second.mean()))
+    growth = 1 + size * PRIOR_VARIANCE
+    if standard_error > 0:
+        square = (difference / standard_error) ** 2 / degrees
+        ratio = (1 + square) / (1 + square / growth)
+    else:
+        ratio = growth if difference > 0 else 1.0
+    return float(ratio ** ((degrees + 1) / 2) / math.sqrt(growth))

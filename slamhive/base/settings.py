@@ -315,6 +315,11 @@ class Settings:
         return self.data / "baselines"
 
     @property
+    def bisections_folder(self) -> Path:
+        """Where searches for bad commits remember what they have built."""
+        return self.data / "bisections"
+
+    @property
     def challenges_folder(self) -> Path:
         """Where challenges lie, their secret ground truth included."""
         return self.data / "challenges"

@@ -43,6 +43,7 @@ EXPECTED: dict[str, DataRoot] = {
     "configuration import": DataRoot.FOUND,
     "algorithm test": DataRoot.FOUND,
     "experiment start": DataRoot.FOUND,
+    "gate bisect": DataRoot.FOUND,
     "gate check": DataRoot.FOUND,
     "reindex": DataRoot.FOUND,
     "run": DataRoot.FOUND,

@@ -14,15 +14,16 @@ from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.main import LazyGroup
 from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.running import content_options, submission_values
 from slamhive.cli.visible import Answering, say
 from slamhive.domain.claim import ClaimState
-from slamhive.domain.gate import DEFAULT_MARGINS, Answer
-from slamhive.domain.names import plural
+from slamhive.domain.gate import DEFAULT_MARGINS, Answer, BisectOutcome
+from slamhive.domain.names import mean_and_std, plural
 from slamhive.domain.question import read_budget
 
 if TYPE_CHECKING:
     from slamhive.documents.claims import ClaimsAnswer
-    from slamhive.documents.gate import Baseline, GateAnswer
+    from slamhive.documents.gate import Baseline, BisectAnswer, GateAnswer
 
 EXIT_CODES = {Answer.PASS: 0, Answer.WORSE: 1, Answer.UNDECIDED: 3}
 STYLES = {Answer.PASS: "green", Answer.WORSE: "red", Answer.UNDECIDED: "yellow"}
@@ -197,6 +198,98 @@ def check(cli: CliContext, /, baseline_name: str, as_json: bool, **options: Any)
     print_json(answer.content) if as_json else _print(answer)
     _write(answer, options["markdown"], options["junit"])
     raise click.exceptions.Exit(EXIT_CODES[answer.answer])
+
+
+@gate.command(short_help="Find the commit that made runs worse")
+@click.option("--repo", type=click.Path(path_type=Path), required=True, help="The folder of a Git repository.")
+@click.option("--good", required=True, metavar="REV", help="A commit, tag or branch that is good.")
+@click.option("--bad", default="HEAD", show_default=True, metavar="REV", help="A later one that is worse.")
+@click.option("--dataset", "datasets", multiple=True, shell_complete=completion.DATASET, help="May be repeated.")
+@click.option("--baseline", metavar="BASELINE", help="Run its configurations, in place of --dataset.")
+@click.option("--folder", metavar="FOLDER", help="Where algorithm.yaml is in the repository.  [default: to be found]")
+@click.option("--package", metavar="NAME", help="A package here that takes the repository as its source.")
+@click.option("--into", default="source", show_default=True, metavar="FOLDER", help="Where in that package it goes.")
+@click.option("--algorithm", metavar="NAME", help="Which of the package's algorithms, if it has several.")
+@click.option("--metric", default="ate.rmse", show_default=True, help="What became worse; or failures.")
+@click.option("--difference", default="5%", show_default=True, help="How much worse than the good commit is allowed.")
+@click.option(
+    "--error", type=click.FloatRange(0.001, 0.5), default=0.05, show_default=True, help="Chance of a false answer."
+)
+@click.option(
+    "--most", type=click.IntRange(2, 1000), default=50, show_default=True, help="Runs after which a commit is skipped."
+)
+@click.option("--budget", metavar="BUDGET", help="Of all runs, e.g. '200 runs' or '2 h'.  [default: none]")
+@click.option("--restart", is_flag=True, help="Forget what an earlier search with the same options found out.")
+@click.option("--executor", help="Where commits are built and run; by default the executor in force.")
+@content_options()
+@json_option
+@pass_cli
+def bisect(cli: CliContext, /, as_json: bool, **options: Any) -> None:
+    """Find the commit of a Git repository that made runs worse.
+
+    Commits between --good and --bad are built and run until it is certain whether each is worse than the good one.
+    Those that do not build or run are skipped. The working tree is not touched. A search that was interrupted goes on
+    with the same command.
+
+    The exit code is 0 if the commit was found, 3 if runs or commits that build are too few, and 2 for a mistake.
+    """
+    from slamhive.cli.waiting import run_to_end  # noqa: PLC0415 - loads the worker
+    from slamhive.documents.submission import Submission  # noqa: PLC0415 - as above
+    from slamhive.experiments.file import read_difference  # noqa: PLC0415 - as above
+    from slamhive.services.gates import BisectRequest, searched_metric  # noqa: PLC0415 - loads scipy
+
+    if bool(options["datasets"]) == (options["baseline"] is not None):
+        raise InvalidInput("say what to run: --dataset, or --baseline", "one of the two")
+    hive = cli.hive()
+    metric = searched_metric(options["metric"])
+    own = ("datasets", "baseline", "folder", "package", "into", "algorithm", "error", "most", "restart", "good", "bad")
+    request = BisectRequest(
+        repository=options["repo"],
+        submission=Submission("", "", **_run_values(options)),
+        metric=metric,
+        difference=read_difference(options["difference"], metric),
+        budget=None if options["budget"] is None else read_budget(options["budget"]),
+        **{name: options[name] for name in own},
+    )
+    answer = hive.bisections.find(request, partial(run_to_end, hive, evaluate=True), partial(tell, style="dim"))
+    print_json(answer.content) if as_json else _print_bisect(answer)
+    raise click.exceptions.Exit(0 if answer.answer is BisectOutcome.FOUND else EXIT_CODES[Answer.UNDECIDED])
+
+
+def _run_values(options: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a submission besides algorithm and dataset."""
+    values = submission_values(options)
+    return {name: value for name, value in values.items() if name not in ("algorithm", "dataset")}
+
+
+def _print_bisect(answer: BisectAnswer) -> None:
+    rows = [
+        (
+            step.commit[:10],
+            step.standing.value,
+            len(step.runs),
+            step.failed,
+            None if step.mean is None else mean_and_std(step.mean, step.std),
+            None if step.e_value is None else f"{step.e_value:.3g}",
+            step.subject,
+        )
+        for step in answer.steps
+    ]
+    unit = f" [{answer.unit}]" if answer.unit else ""
+    heads = ("commit", "standing", "runs", "failed", f"{answer.label}{unit}", "e-value", "subject")
+    print_table(heads, rows, right=heads[2:6], cut=("subject",))
+    for note in answer.notes:
+        tell(note)
+    if answer.after is not None:
+        say(f"commit {answer.after.commit}")
+        say(f"Author: {answer.after.author}")
+        say(f"Date:   {answer.after.date}")
+        say(f"    {answer.after.subject}")
+    found = answer.answer is BisectOutcome.FOUND
+    made = (
+        f"{plural(answer.decisions, 'decision')} over {plural(answer.commits, 'commit')}, {plural(answer.runs, 'run')}."
+    )
+    tell(f"{answer.words} {made}", style="green" if found else "yellow")
 
 
 def _write(answer: GateAnswer, markdown: Path | None, junit: Path | None) -> None:

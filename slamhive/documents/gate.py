@@ -12,7 +12,7 @@ from slamhive.documents.model import Document, Moment, described
 from slamhive.documents.protocol import StatedProtocol
 from slamhive.documents.record import ConfigurationContent
 from slamhive.documents.run import ProtocolName
-from slamhive.domain.gate import Agreement, Answer
+from slamhive.domain.gate import Agreement, Answer, BisectOutcome, Standing
 from slamhive.domain.metrics import Direction
 from slamhive.domain.verdict import VerdictKind
 
@@ -174,6 +174,64 @@ class GateAnswer(Document):
     metrics: tuple[GateMetric, ...]
     configurations: tuple[GateConfiguration, ...]
     missing: Annotated[tuple[str, ...], described("Configurations of the baseline without a run to check.")]
+    notes: Annotated[tuple[str, ...], described("What limits the answer.")]
+
+
+# The answer of a search for the commit that made runs worse.
+
+
+class CommitDocument(Document):
+    """A commit of a Git repository."""
+
+    commit: Annotated[str, described("Its full hash.")]
+    subject: str
+    author: str
+    date: Annotated[str, described("When it was written, as the author's clock said it (ISO 8601).")]
+
+
+class TriedRuns(Document):
+    """The runs of a commit or of a clip."""
+
+    runs: Annotated[tuple[int, ...], described("Their numbers, in order.")]
+    failed: Annotated[int, described("How many of them failed.")]
+    mean: Annotated[float | None, described("Mean of the good ones, over the datasets; null without one.")]
+    std: Annotated[float | None, described("Standard deviation of a good one; null for fewer than two.")]
+
+
+class BisectStep(CommitDocument, TriedRuns):
+    """A commit that was tried."""
+
+    standing: Annotated[Standing, described("Good, bad, or skipped because nothing can be said of it.")]
+    reason: Annotated[str, described("Why it was skipped; empty if it was not.")]
+    version: Annotated[str | None, described("The version of the package that it was built as; null if it was not.")]
+    e_value: Annotated[
+        float | None,
+        described("Evidence for the answer; without a difference it exceeds 1 / p with a chance of at most p."),
+    ]
+
+
+class BisectAnswer(Document):
+    """The answer of a search for the first bad commit."""
+
+    answer: BisectOutcome
+    words: Annotated[str, described("The answer in one sentence.")]
+    repository: str
+    good: CommitDocument
+    bad: CommitDocument
+    algorithm: str
+    datasets: tuple[str, ...]
+    metric: str
+    label: str
+    unit: str
+    difference: Annotated[str, described("How much worse is allowed.")]
+    error: Annotated[float, described("The largest chance that the answer is false.")]
+    commits: Annotated[int, described("Commits after the good one, up to the bad one.")]
+    decisions: Annotated[int, described("Commits that runs decided, the bad end included.")]
+    runs: Annotated[int, described("All runs that were made.")]
+    left: Annotated[tuple[CommitDocument, ...], described("What may be the first bad commit, the oldest first.")]
+    before: Annotated[BisectStep | None, described("The last good commit; null while it is not known.")]
+    after: Annotated[BisectStep | None, described("The first bad commit; null while it is not known.")]
+    steps: Annotated[tuple[BisectStep, ...], described("What was tried: both ends, then in order.")]
     notes: Annotated[tuple[str, ...], described("What limits the answer.")]
 
 

@@ -114,6 +114,25 @@ def _read_margin(text: str) -> tuple[str, Margin | None]:
     return key, Margin(float(found[1]) / 100) if found[2] else Margin(float(found[1]), relative=False)
 
 
+# A search for the commit that made runs worse, or for the clip that shows it.
+
+
+class Standing(StrEnum):
+    """Standing of a commit, or of a clip. ``skipped``: nothing can be said of it."""
+
+    GOOD = "good"
+    BAD = "bad"
+    SKIPPED = "skipped"
+
+
+class BisectOutcome(StrEnum):
+    """Outcome of a search for the first bad commit. ``several``: those that were skipped cannot be told apart."""
+
+    FOUND = "found"
+    SEVERAL = "several"
+    UNDECIDED = "undecided"
+
+
 # A replay: what is recorded in a bundle runs again, and agrees with the record or not.
 
 

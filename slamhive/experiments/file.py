@@ -356,7 +356,7 @@ def _decide(decide: DecideModel, model: ExperimentModel, places: strict_yaml.Pla
     _check_alone(model, places)
     key = "metric"
     try:
-        compared = _compared(decide.metric)
+        compared = compared_metric(decide.metric)
         key = "budget"
         budget = read_budget(decide.budget)
         key = "difference"
@@ -372,7 +372,7 @@ def _optimise(optimise: OptimiseModel, model: ExperimentModel, places: strict_ya
     _check_alone(model, places)
     key = "metric"
     try:
-        compared = _compared(optimise.metric)
+        compared = compared_metric(optimise.metric)
         key = "budget"
         budget = read_budget(optimise.budget)
         key = "limits"
@@ -402,7 +402,7 @@ def _optimise(optimise: OptimiseModel, model: ExperimentModel, places: strict_ya
 
 
 def _against(first: str, others: Sequence[str]) -> tuple[str, ...]:
-    keys = tuple(FAILED if key == FAILED else _compared(key).key for key in others)
+    keys = tuple(FAILED if key == FAILED else compared_metric(key).key for key in others)
     if len(keys) > MOST_AGAINST:
         raise InvalidInput(f"{len(keys)} objectives are too many beside {first}", f"name {MOST_AGAINST} at most")
     for place, key in enumerate(keys):
@@ -435,7 +435,8 @@ def _check_alone(model: ExperimentModel, places: strict_yaml.Places) -> None:
         )
 
 
-def _compared(key: str) -> Metric:
+def compared_metric(key: str) -> Metric:
+    """A metric that one value of is better than another; raises NotFound or InvalidInput."""
     compared = metric(key)
     if compared.direction is Direction.NEUTRAL:
         raise InvalidInput(f"no direction of {compared.key} is better", "use another metric")
@@ -452,7 +453,7 @@ def _limit(text: str) -> MetricLimit:
 
 
 def read_difference(written: float | str, compared: Metric) -> Margin:
-    """``1 cm`` or ``5%`` as a difference of a metric, in its own unit; raises InvalidInput."""
+    """A difference such as ``1 cm``, a number in the metric's unit, or a share: ``5%``. Raises InvalidInput."""
     share = str(written).strip()
     if share.endswith("%"):
         text = share[:-1].strip()

@@ -12,11 +12,12 @@ import shutil
 import subprocess
 import tarfile
 import zlib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Any
 
 from slamhive.base.clock import utc_now
@@ -55,6 +56,7 @@ _NAME_PARTS = re.compile(r"[^A-Za-z0-9_.-]+")
 _GIT_S = 1800
 _SHOWN = 8
 _GIT_SETTINGS = ("core.hooksPath=/dev/null", "protocol.ext.allow=never", "core.fsmonitor=false")
+_GIT_PLACES = frozenset({"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_PREFIX"})
 _GIT_VARIABLES = {"GIT_TERMINAL_PROMPT": "0", "GIT_LFS_SKIP_SMUDGE": "1", "LC_ALL": "C"}
 
 
@@ -130,12 +132,31 @@ def _without_secret(address: str) -> str:
 
 
 def _git(arguments: list[str], address: str) -> str:
-    settings = [part for setting in _GIT_SETTINGS for part in ("-c", setting)]
-    environment = {**os.environ, **_GIT_VARIABLES}
     try:
-        done = subprocess.run(
+        done = run_git(arguments)
+    except subprocess.TimeoutExpired:
+        problem = f"{_without_secret(address)} did not answer within {_GIT_S} s"
+        raise Unavailable(problem, "try again, or import a folder") from None
+    if done.returncode != 0:
+        said = git_reason(done).replace(address, "the address")
+        problem = f"{_without_secret(address)} cannot be fetched: {_without_secret(said)}"
+        raise Unavailable(problem, "check the address, or import a folder")
+    return done.stdout
+
+
+def run_git(
+    arguments: Sequence[str], variables: Mapping[str, str] = MappingProxyType({})
+) -> subprocess.CompletedProcess[str]:
+    """Run Git without hooks and questions. Raises Unavailable if it is not installed, TimeoutExpired.
+
+    ``variables`` come on top of the environment. A repository that a hook works in plays no role.
+    """
+    settings = [part for setting in _GIT_SETTINGS for part in ("-c", setting)]
+    inherited = {key: value for key, value in os.environ.items() if key not in _GIT_PLACES}
+    try:
+        return subprocess.run(
             ["git", *settings, *arguments],  # noqa: S607 - the git of the user
-            env=environment,
+            env={**inherited, **_GIT_VARIABLES, **variables},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
@@ -145,14 +166,11 @@ def _git(arguments: list[str], address: str) -> str:
         )
     except FileNotFoundError:
         raise Unavailable("git is not installed", f"{install_command(['git'])}, or import a folder") from None
-    except subprocess.TimeoutExpired:
-        problem = f"{_without_secret(address)} did not answer within {_GIT_S} s"
-        raise Unavailable(problem, "try again, or import a folder") from None
-    if done.returncode != 0:
-        said = (done.stderr.strip().splitlines() or ["git gives no reason"])[-1].replace(address, "the address")
-        problem = f"{_without_secret(address)} cannot be fetched: {_without_secret(said)}"
-        raise Unavailable(problem, "check the address, or import a folder")
-    return done.stdout
+
+
+def git_reason(done: subprocess.CompletedProcess[str]) -> str:
+    """What Git says last about why it failed."""
+    return (done.stderr.strip().splitlines() or ["git gives no reason"])[-1]
 
 
 def check_folder(path: Path) -> None:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from slamhive.services.executors import Executors
     from slamhive.services.experiments import ExperimentService
     from slamhive.services.fetching import Fetching
-    from slamhive.services.gates import Gates
+    from slamhive.services.gates import Bisections, Gates
     from slamhive.services.imports import Imports
     from slamhive.services.kept_answers import KeptAnswers
     from slamhive.services.ledger import Ledger
@@ -252,6 +252,13 @@ class Hive:
             self.fetching.collections,
         )
         return Claims(self.settings, self.store, tools)
+
+    @cached_property
+    def bisections(self) -> Bisections:
+        """Searches for the commit that made runs worse."""
+        from slamhive.services.gates import Bisections
+
+        return Bisections(self.settings, self.catalogue, self.executors, self.versions, self.gates)
 
     @cached_property
     def challenges(self) -> ChallengeService:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         measured_runs,
         pairing_key,
     )
+    from slamhive.services.gates.bisecting import Bisections, BisectRequest
     from slamhive.services.gates.checking import (
         METRIC_HEADS,
         VALUE_HEADS,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
         value_rows,
     )
     from slamhive.services.gates.service import Gates
+    from slamhive.services.gates.trials import searched_metric
 
 
 if not TYPE_CHECKING:

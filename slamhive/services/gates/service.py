@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from slamhive.base.settings import Settings
     from slamhive.services.configurations import Configurations
     from slamhive.services.datasets import Catalogue
+    from slamhive.services.gates.trials import Trials
     from slamhive.services.runs import RunService
     from slamhive.services.searches import Searches
 
@@ -134,6 +136,12 @@ class Gates:
                 self._runs.cancel(run_id)
             raise
         return queued
+
+    def trials(self, metric: str, since: datetime | None = None) -> Trials:
+        """Find and make runs that a search looks at; those from before ``since`` play no part."""
+        from slamhive.services.gates.trials import Trials  # noqa: PLC0415 - loads numpy
+
+        return Trials(self._store, self._searches, self._configurations, self._runs, metric, since)
 
     def _submission(
         self, check: GateCheck, held: BaselineConfiguration, algorithm: str, executor: str | None

@@ -46,6 +46,7 @@ def sweep_leftovers(
         data,
         settings.ledger_folder,
         settings.baselines_folder,
+        settings.bisections_folder,
         *_folders(settings.experiments_folder),
         *_folders(settings.analyses_folder),
     ):
