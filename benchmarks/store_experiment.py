@@ -70,8 +70,8 @@ def measure(store: Store, text: str, folder: Path) -> dict[str, float]:
         settings := Settings(data=folder),
         store,
         Catalogue(settings, folder),
-        VariantService(settings, store),
-        Executors(settings, folder, lambda: False),
+        lambda: VariantService(settings, store),
+        lambda: Executors(settings, folder, lambda: False),
     )
     store.listener = Ledger(settings, store).note
     experiment = parse_experiment(text)

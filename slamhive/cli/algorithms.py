@@ -14,18 +14,15 @@ from slamhive.cli import completion
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say, write_out
-from slamhive.cli.waiting import run_to_end
-from slamhive.documents.catalogue import AlgorithmDocument, BoundResult, Version
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.names import plural
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.sensors import SensorSetup
-from slamhive.services.bounds import bound_tests
-from slamhive.services.hive import Hive
-from slamhive.services.weights import WeightsStore
 
 if TYPE_CHECKING:
+    from slamhive.documents.catalogue import BoundResult
     from slamhive.services.algorithms import PlannedPackage
+    from slamhive.services.hive import Hive
 
 
 @click.group()
@@ -80,6 +77,8 @@ def show(cli: CliContext, name: str, as_json: bool) -> None:
     """Show one algorithm: what it needs, and its parameters with type, default, range and unit."""
     entry = cli.hive(indexed=False).catalogue.algorithm(name)
     if as_json:
+        from slamhive.documents.catalogue import AlgorithmDocument  # noqa: PLC0415 - tables need no model
+
         print_json(AlgorithmDocument.of(entry).content)
         return
     say(f"{entry.name}: {entry.title} ({entry.package.title} {entry.package.version}, {entry.package.licence})")
@@ -140,6 +139,8 @@ def _each_once(show: Callable[[str], None]) -> Callable[[str], None]:
 
 
 def _json(entry: Algorithm, identities: Mapping[str, str | None]) -> dict[str, Any]:
+    from slamhive.documents.catalogue import AlgorithmDocument  # noqa: PLC0415 - tables need no model
+
     return {**AlgorithmDocument.of(entry).content, "identity": identities[entry.package.name]}
 
 
@@ -200,6 +201,8 @@ def import_(cli: CliContext, source: str, preview: bool, as_json: bool, **asked:
     for note in made.notes:
         tell(f"note: {note}")
     if as_json:
+        from slamhive.documents.catalogue import AlgorithmDocument  # noqa: PLC0415 - tables need no model
+
         print_json([AlgorithmDocument.of(entry).content for entry in made.algorithms])
         return
     package = made.algorithms[0].package
@@ -261,6 +264,9 @@ def test(
     Runs each mode on the datasets that are here and for which its algorithm.yaml states bounds. Compares the number of
     poses and the trajectory error with them. The exit code is 1 if a bound is not kept.
     """
+    from slamhive.cli.waiting import run_to_end  # noqa: PLC0415 - lists make no runs
+    from slamhive.services.bounds import bound_tests  # noqa: PLC0415
+
     if bool(names) == all_:
         raise InvalidInput("name the algorithms to test, or give --all", "slamhive algorithm list shows them")
     hive = cli.hive()
@@ -343,6 +349,8 @@ def versions(cli: CliContext, name: str, as_json: bool) -> None:
     """List the versions of the package or algorithm NAME with their number of runs."""
     reports = cli.hive().versions.reports(name)
     if as_json:
+        from slamhive.documents.catalogue import Version  # noqa: PLC0415 - tables need no model
+
         print_json([Version.of(report).content for report in reports])
         return
     rows = [
@@ -432,6 +440,8 @@ def weights_command(
 
     Runs get them as read-only files. A file whose checksum differs is refused.
     """
+    from slamhive.services.weights import WeightsStore  # noqa: PLC0415 - lists show no weights
+
     if fetch and file is not None:
         raise InvalidInput("--file and --fetch exclude each other", "give one of them")
     hive = cli.hive()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,36 +13,38 @@ from slamhive.base.errors import InvalidInput
 from slamhive.base.files import write_aside
 from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
+from slamhive.cli.main import LazyGroup
 from slamhive.cli.meanings import id_option
 from slamhive.cli.output import messages, print_json, print_table, progress_bar, tell
-from slamhive.cli.questions import decide, optimise
 from slamhive.cli.sharing import share_experiment, visibility_option
 from slamhive.cli.visible import confirm, say, write_out
 from slamhive.cli.waiting import experiment_to_end
-from slamhive.documents import experiment as schema
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.names import plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason
 from slamhive.domain.verdict import DEFAULT_RULE, Outcome, failure_words
-from slamhive.experiments.file import parse_experiment
 from slamhive.services.experiments import (
     GUESSED_START_S,
     NO_FIGURES,
-    Cell,
     ConfigurationStanding,
-    ExperimentAnswer,
-    ExperimentPreview,
     ExperimentSource,
-    ExperimentStatus,
-    MetricSpread,
-    NodesPlan,
-    Progress,
     csv_text,
     failures_text,
     varying,
 )
-from slamhive.services.hive import Hive
+
+if TYPE_CHECKING:
+    from slamhive.services.experiments import (
+        Cell,
+        ExperimentAnswer,
+        ExperimentPreview,
+        ExperimentStatus,
+        MetricSpread,
+        NodesPlan,
+        Progress,
+    )
+    from slamhive.services.hive import Hive
 
 # Experiments on the terminal: the plan, the progress, the report.
 
@@ -226,7 +228,7 @@ MOST_NODES = 10_000
 name_argument = click.argument("name", metavar="NAME|FILE", shell_complete=completion.EXPERIMENT)
 
 
-@click.group()
+@click.group(cls=LazyGroup, modules={"decide": "questions", "optimise": "questions"})
 def experiment() -> None:
     """Run many configurations from one file."""
 
@@ -247,6 +249,8 @@ def plan(cli: CliContext, file: Path, executor: str | None, nodes: int | None, a
     with _counting("checking") as progress:
         found = cli.hive().experiments.preview(ExperimentSource.read(file), executor, progress, nodes)
     if as_json:
+        from slamhive.documents import experiment as schema  # noqa: PLC0415 - tables need no model
+
         print_json(schema.ExperimentPreviewDocument.of(found).content)
     else:
         print_preview(found)
@@ -319,6 +323,8 @@ def list_(cli: CliContext, as_json: bool) -> None:
     """List experiments, newest first."""
     found = cli.hive().experiments.list()
     if as_json:
+        from slamhive.documents import experiment as schema  # noqa: PLC0415 - tables need no model
+
         print_json([schema.ExperimentStatusDocument.of(status).content for status in found])
     elif found:
         print_statuses(found)
@@ -339,6 +345,8 @@ def status_(cli: CliContext, name: str | None, as_json: bool) -> None:
     ended = (ConfigurationStanding.FINISHED, ConfigurationStanding.CANCELLED)
     found = [status for status in hive.experiments.list() if status.standing not in ended]
     if as_json:
+        from slamhive.documents import experiment as schema  # noqa: PLC0415 - tables need no model
+
         print_json([schema.ExperimentStatusDocument.of(status).content for status in found])
     elif found:
         print_statuses(found)
@@ -407,6 +415,8 @@ def answer(cli: CliContext, name: str, as_json: bool) -> None:
     """Print the question and its answer: who is best, by which test, or the repeats that would decide."""
     found = cli.hive().experiments.answer(name_of(name))
     if as_json:
+        from slamhive.documents import experiment as schema  # noqa: PLC0415 - tables need no model
+
         print_json(schema.ExperimentAnswerDocument.of(found).content)
     else:
         print_answer(found)
@@ -430,6 +440,8 @@ def report(cli: CliContext, name: str, csv_file: Path | None, as_json: bool) -> 
         write_aside(csv_file, csv_text(cells, axes))
         tell(f"written to {csv_file}")
     elif as_json:
+        from slamhive.documents import experiment as schema  # noqa: PLC0415 - tables need no model
+
         print_json([schema.CellDocument.of(cell).content for cell in cells])
     else:
         print_report(experiments.status(known), list(cells), axes)
@@ -438,6 +450,8 @@ def report(cli: CliContext, name: str, csv_file: Path | None, as_json: bool) -> 
 
 def _show_status(status: ExperimentStatus, as_json: bool) -> None:
     if as_json:
+        from slamhive.documents import experiment as schema  # noqa: PLC0415 - tables need no model
+
         print_json(schema.ExperimentStatusDocument.of(status).content)
     else:
         print_status(status)
@@ -448,6 +462,8 @@ def name_of(text: str) -> str:
     path = Path(text)
     if path.suffix not in SUFFIXES:
         return text
+    from slamhive.experiments.file import parse_experiment  # noqa: PLC0415 - most commands take a name
+
     source = ExperimentSource.read(path)
     return parse_experiment(source.text, source.name).name
 
@@ -467,8 +483,6 @@ def _counting(title: str) -> Iterator[Progress]:
 
 
 experiment.add_command(share_experiment)
-experiment.add_command(decide)
-experiment.add_command(optimise)
 
 
 COMMANDS = (experiment,)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import messages, print_json, print_table, tell
 from slamhive.cli.visible import confirm, say
-from slamhive.documents import machines as schema
-from slamhive.documents.machines import CloudPlanDocument, CloudStatus
 from slamhive.domain.names import plural
-from slamhive.services.nodes import NodeRun, NodeView, Overview
+
+if TYPE_CHECKING:
+    from slamhive.documents.machines import CloudPlanDocument, CloudStatus
+    from slamhive.services.nodes import NodeRun, NodeView, Overview
 
 executor_option = click.option("--executor", help="Whose node it is; default: the executor in force.")
 node_argument = click.argument("node")
@@ -28,6 +30,8 @@ def nodes(context: click.Context, cli: CliContext, as_json: bool) -> None:
         return
     found = cli.hive().nodes.overview()
     if as_json:
+        from slamhive.documents import machines as schema  # noqa: PLC0415 - the table needs no model
+
         print_json(schema.OverviewDocument.of(found).content)
     else:
         _print(found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import sys
 from collections.abc import Mapping
@@ -109,8 +110,21 @@ REGISTRY = "slamhive.base.registry"
 """The logger of the module that loads plug-ins. Importing it for its name would load ``importlib.metadata``."""
 
 
+_MADE_BEFORE_A_LOOK = 100_000
+"""Python looks for garbage after so many new objects; its own number, 700, suits programs without large imports."""
+
+
 class Root(LazyGroup):
     """The group of all commands. An explained error ends a command with one line and exit code 1."""
+
+    def main(self, *args: Any, **more: Any) -> Any:
+        """Run as a program. What imports make stays, so looking for garbage in it was 15 % of the time of a list."""
+        before = gc.get_threshold()
+        gc.set_threshold(_MADE_BEFORE_A_LOOK, *before[1:])
+        try:
+            return super().main(*args, **more)
+        finally:
+            gc.set_threshold(*before)
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any

@@ -140,3 +140,6 @@ def print_decision(found: Decision) -> None:
     say(f"{found.experiment}: {found.words}")
     if found.next:
         say(f"next: {found.next}")
+
+
+COMMANDS = (decide, optimise)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Protocol
+from typing import Any, Protocol
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.packages import version_label
@@ -63,6 +63,11 @@ _STEP_FORM = "write it as KIND@SENSOR,SENSOR OPTION=VALUE, for instance: resolut
 
 Variant = tuple[VariantStep, ...]
 """Steps in the order in which they are applied; the order is part of the identity. Empty: the dataset itself."""
+
+
+def variant_of(stored: Iterable[Mapping[str, Any]] | None) -> Variant:
+    """The variant from the fields of its steps, as the database holds them; None is the dataset itself."""
+    return tuple(VariantStep(**step) for step in stored or ())
 
 
 class StepRules(Protocol):

@@ -46,12 +46,14 @@ EXECUTORS: Registry[ExecutorFactory] = Registry("executor", "slamhive.executors"
 class _LoadedLate:
     """A class or function that is imported when it makes its first executor: the Docker SDK takes 0.2 s to import.
 
-    ``declares`` is the module with the options of the executor, if it has any.
+    ``declares`` is the module with the options of the executor, if it has any. ``by_name``: it has no preference, so
+    ``auto`` need not make it to find out.
     """
 
     module: str
     name: str
     declares: str | None = None
+    by_name: bool = False
 
     def __call__(self, context: ExecutorContext) -> Executor:
         executor: Executor = getattr(import_module(self.module), self.name)(context)
@@ -65,11 +67,17 @@ class _LoadedLate:
 EXECUTORS.register("docker", _LoadedLate("slamhive.executors.docker.executor", "DockerExecutor"))
 EXECUTORS.register("process", _LoadedLate("slamhive.executors.process.executor", "ProcessExecutor"))
 EXECUTORS.register(
-    "slurm", _LoadedLate("slamhive.executors.slurm.remote", "open_slurm", "slamhive.executors.slurm.options")
+    "slurm",
+    _LoadedLate("slamhive.executors.slurm.remote", "open_slurm", "slamhive.executors.slurm.options", by_name=True),
 )
 EXECUTORS.register(
     "kubernetes",
-    _LoadedLate("slamhive.executors.kubernetes.executor", "open_kubernetes", "slamhive.executors.kubernetes.options"),
+    _LoadedLate(
+        "slamhive.executors.kubernetes.executor",
+        "open_kubernetes",
+        "slamhive.executors.kubernetes.options",
+        by_name=True,
+    ),
 )
 
 
@@ -121,10 +129,15 @@ def check_plugin_executors(context: ExecutorContext) -> None:
                 open_executor(name, context).close()
 
 
-def open_all(find: ExecutorFinder) -> list[Executor]:
-    """All executors, usable or not. Plug-ins whose executor cannot be made are left out."""
+def open_all(find: ExecutorFinder, *, by_name: bool = True) -> list[Executor]:
+    """All executors, usable or not. Plug-ins whose executor cannot be made are left out.
+
+    Without ``by_name``, those that ship with SLAM Hive and must be asked for by name are left out, too.
+    """
     found = []
-    for name in EXECUTORS.names():
+    for name, factory in EXECUTORS:
+        if not by_name and isinstance(factory, _LoadedLate) and factory.by_name:
+            continue
         try:
             found.append(find(name))
         except NotFound:
@@ -146,7 +159,7 @@ def candidates(setting: str, find: ExecutorFinder, *, elsewhere: bool = False) -
         return [executor for executor in found if not executor.capabilities.takes_cores_here]
     if setting != AUTO:
         return [find(setting)]
-    ranked = [(executor.capabilities.preference, executor.name, executor) for executor in open_all(find)]
+    ranked = [(executor.capabilities.preference, executor.name, executor) for executor in open_all(find, by_name=False)]
     return [executor for preference, _, executor in sorted(ranked, key=_rank) if preference is not None]
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from slamhive.base.settings import Settings
 from slamhive.evaluation.runner import EvaluationRunner
-from slamhive.executors.base import Executor, ExecutorContext
-from slamhive.executors.node_store.controller import node_access
+from slamhive.executors.base import Executor, ExecutorContext, NodeAccess
 from slamhive.executors.registry import (
     AUTO,
     candidates,
@@ -86,6 +85,11 @@ class Executors:
     def _chosen(self, wanted: str) -> tuple[Executor, str]:
         return choose_executor(wanted, self.get, elsewhere=self._elsewhere)
 
+    def _node_access(self) -> NodeAccess:
+        from slamhive.executors.node_store.controller import node_access  # noqa: PLC0415 - loads pydantic
+
+        return node_access(self._settings)
+
     def _context(self, name: str) -> ExecutorContext:
         data, archives = self._settings.data, self._settings.source_archives
         return ExecutorContext(
@@ -94,6 +98,6 @@ class Executors:
             installation=installation_id(data) if data.is_dir() else NO_INSTALLATION,
             log_max_bytes=self._settings.log_max_bytes,
             source_archives=Path(archives) if archives else None,
-            nodes=node_access(self._settings),
+            nodes=None if self._settings.shared_storage else self._node_access(),
             options=given_options(name, self._settings.further),
         )

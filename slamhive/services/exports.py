@@ -19,7 +19,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 from slamhive.base.errors import Unavailable, unknown
 from slamhive.documents.json_values import timestamp
 from slamhive.domain.accounts import visibility_of
-from slamhive.domain.configuration import Variant
+from slamhive.domain.configuration import variant_of
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.packages import version_label
 from slamhive.domain.trust import TRUST_METRICS, Disturbance, Trust
@@ -27,7 +27,6 @@ from slamhive.domain.verdict import outcome_words
 from slamhive.filters.fields import PARAMETER_PREFIX, FieldKind, Vocabulary
 from slamhive.store.metrics import VERDICT
 from slamhive.store.records import GroupRecord, ProtocolLabel, Spread, trust_in, verdict_kind
-from slamhive.store.rows import from_json
 from slamhive.store.run_cells import CellsWanted, RunCells
 
 Record = TypeVar("Record")
@@ -203,9 +202,7 @@ _COLUMNS: dict[str, _Column] = {
     ),
     "dataset": _stored("dataset"),
     "trajectory": _stored("trajectory"),
-    "variant": _stored(
-        "variant", read=lambda row: "; ".join(map(str, from_json(Variant, row.variant))) if row.variant else None
-    ),
+    "variant": _stored("variant", read=lambda row: "; ".join(map(str, variant_of(row.variant))) or None),
     "parameters": _Column(CellsWanted(parameters=True), lambda runs: [run.parameters.text for run in runs]),
     "configuration": _stored("configuration_id"),
     "experiment": _stored("experiment"),

@@ -307,7 +307,7 @@ class Hive:
         from slamhive.services.experiments import ExperimentContext, ExperimentService
 
         return ExperimentService(
-            ExperimentContext(self.settings, self.store, self.catalogue, self.variants, self.executors)
+            ExperimentContext(self.settings, self.store, self.catalogue, lambda: self.variants, lambda: self.executors)
         )
 
     @cached_property

@@ -24,7 +24,7 @@ from slamhive.store.models import (
     VariantOptionRow,
 )
 from slamhive.store.records import NewConfiguration
-from slamhive.store.rows import Repository, chunks, from_json, get_or_insert, to_json
+from slamhive.store.rows import Repository, chunks, get_or_insert, to_json
 
 
 def option_rows(configuration_id: int, variant: Variant) -> list[dict[str, Any]]:
@@ -249,10 +249,10 @@ def configuration_of(row: Row[Any], parameters: dict[str, Value]) -> domain.Conf
         dataset=row.dataset,
         parameters=parameters,
         playback=domain.Playback(row.playback_mode, row.playback_rate),
-        variant=from_json(Variant, row.variant) if row.variant else (),
+        variant=domain.variant_of(row.variant),
         sensors=row.sensors or {},
         version=row.version,
-        map=None if row.map is None else from_json(domain.InputMap, row.map),
+        map=None if row.map is None else domain.InputMap(**row.map),
     )
 
 

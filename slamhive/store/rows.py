@@ -93,13 +93,6 @@ def to_json(kind: Any, value: Any) -> Any:
     return dump(kind, value)
 
 
-def from_json(kind: type[T], content: Any) -> T:
-    """The value that :func:`to_json` wrote as ``content``."""
-    from slamhive.documents.model import load  # noqa: PLC0415 - see above
-
-    return load(kind, content)
-
-
 # -- keys in addresses: the place where a page of a list ended, and the rows after it ----------------------------------
 
 _LARGEST: dict[type, float] = {int: 2.0**63, float: math.inf}

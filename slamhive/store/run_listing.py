@@ -28,7 +28,7 @@ from sqlalchemy import (
 
 from slamhive.base.errors import InvalidInput, unknown
 from slamhive.documents.limits import RunOptions, StopWhen
-from slamhive.domain.configuration import InputMap, Playback, Variant
+from slamhive.domain.configuration import InputMap, Playback, variant_of
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import protocol_from_content, with_trajectory
@@ -52,7 +52,7 @@ from slamhive.store.models import (
     RunRow,
 )
 from slamhive.store.records import AlgorithmVersion, Count, Page, ProtocolLabel, RunRecord, RunSort
-from slamhive.store.rows import behind, decode, encode, from_json, ordered
+from slamhive.store.rows import behind, decode, encode, ordered
 from slamhive.store.search_sql import NULLABLE, RUNS, Sql, among, look_up, starts, stored_parameters
 
 _RUNS: Table = RunRow.__table__
@@ -397,10 +397,10 @@ def _record(
         dataset=row.dataset,
         parameters=parameters,
         playback=Playback(row.playback_mode, row.playback_rate),
-        variant=from_json(Variant, row.variant) if row.variant else (),
+        variant=variant_of(row.variant),
         sensors=row.sensors or {},
         asked_version=row.asked_version,
-        input_map=None if row.input_map is None else from_json(InputMap, row.input_map),
+        input_map=None if row.input_map is None else InputMap(**row.input_map),
         protocol_override=None if override is None else protocol_from_content(override),
         protocol=None
         if fingerprint is None

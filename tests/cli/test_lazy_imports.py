@@ -30,7 +30,17 @@ FORBIDDEN = {
     ("runs",): (*HEAVY, *WITH_MODELS),
     ("runs", "--json"): (*HEAVY, "numpy", "sqlalchemy.orm"),
     ("search", "list"): (*HEAVY, *WITH_MODELS),
-    ("experiment", "list"): ("docker", "flask", "slamhive.services.worker.worker"),
+    ("experiment", "list"): (*HEAVY, "pydantic", "numpy", "sqlalchemy.orm"),
+    ("algorithm", "list"): (
+        "cv2",
+        "rosbags",
+        "pandas",
+        "scipy",
+        "numpy",
+        "kubernetes",
+        "slamhive.services.worker.worker",
+    ),
+    ("nodes",): ("cv2", "rosbags", "pandas", "scipy", "numpy", "pydantic", "slamhive.services.worker.worker"),
     ("dataset", "list"): ("cv2", "docker", "slamhive.services.worker.worker", "slamhive.services.fetching"),
 }
 SCRIPT = """

@@ -89,6 +89,17 @@ def test_auto_never_takes_an_executor_without_preference():
     assert choose_executor("auto", find) == (process, "process, the first choice")
 
 
+def test_auto_does_not_make_executors_that_must_be_asked_for_by_name():
+    asked: list[str] = []
+
+    def find(name: str) -> Any:
+        asked.append(name)
+        return Choice(name, None, 10)
+
+    choose_executor("auto", find)
+    assert asked == ["docker", "process"]
+
+
 def test_elsewhere_only_executors_of_other_machines_are_taken():
     grid: Any = Choice("slurm", None, None, elsewhere=True)
     find = found(slurm=grid)

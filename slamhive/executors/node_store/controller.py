@@ -16,7 +16,6 @@ from urllib.parse import urlsplit
 from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.base.files import remedy_of, write_aside
 from slamhive.base.settings import Settings
-from slamhive.documents.model import adapter
 from slamhive.domain.configuration import Variant
 from slamhive.domain.dataset import Dataset
 from slamhive.executors.base import CacheUse, EngineUnavailable, LiveKeys, Node, NodeAccess, ProtectionFinding
@@ -40,10 +39,8 @@ from slamhive.packages.dataset_file import DATASET_FILE, load_dataset
 _ALL_ADDRESSES = ("0.0.0.0", "::")  # noqa: S104 - compared, not bound to
 
 
-def node_access(settings: Settings) -> NodeAccess | None:
-    """Return the way of data to nodes; None if they see the data root. Raises InvalidInput."""
-    if settings.shared_storage:
-        return None
+def node_access(settings: Settings) -> NodeAccess:
+    """Return the way of data to nodes that do not see the data root. Raises InvalidInput."""
     return NodeAccess(_url(settings), settings.node_cache, settings.node_cache_bytes)
 
 
@@ -288,6 +285,8 @@ def make(order: VariantOrder, recording: Path, folder: Path, progress: MadeProgr
     from slamhive.recordings.variants.cache import flush  # noqa: PLC0415
 
     dataset = _beside(order, recording, folder / _SOURCE)
+    from slamhive.documents.model import adapter  # noqa: PLC0415 - only nodes read orders; pydantic loads slowly
+
     variant: Variant = adapter(Variant).validate_python(order.steps)
     plan = plan_variant(dataset, variant)
     if plan is None or plan.key != order.key:
@@ -313,6 +312,8 @@ def _beside(order: VariantOrder, recording: Path, folder: Path) -> Dataset:
 
 
 def _main(recording: Path, folder: Path, text: str) -> int:
+    from slamhive.documents.model import adapter  # noqa: PLC0415 - see make
+
     reported = 0.0
 
     def say(content: dict[str, Any]) -> None:

@@ -11,7 +11,6 @@ from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.base.settings import Settings
 from slamhive.domain.configuration import Playback, PlaybackMode
 from slamhive.domain.placement import Remaining
-from slamhive.services.experiments.folder import ExperimentFolder
 from slamhive.services.experiments.views import ExperimentSource
 from slamhive.store import Transaction
 from slamhive.store.durations import Measured, Pairing
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from slamhive.experiments.experiment import Experiment
     from slamhive.services.datasets import Catalogue, VariantService
     from slamhive.services.executors import Executors
+    from slamhive.services.experiments.folder import ExperimentFolder
     from slamhive.store import Store
 
 Progress = Callable[[int, int], None]
@@ -34,16 +34,21 @@ def silent(_done: int, _total: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentContext:
-    """The parts of an installation that experiments need."""
+    """The parts of an installation that experiments need.
+
+    ``variants`` and ``executors`` are functions: a list of experiments needs neither, and they take long to import.
+    """
 
     settings: Settings
     store: Store
     catalogue: Catalogue
-    variants: VariantService
-    executors: Executors
+    variants: Callable[[], VariantService]
+    executors: Callable[[], Executors]
 
     def folder(self, name: str) -> ExperimentFolder:
         """The folder of the experiment called ``name``."""
+        from slamhive.services.experiments.folder import ExperimentFolder  # noqa: PLC0415 - lists read no folder
+
         return ExperimentFolder(self.settings.experiments_folder / name)
 
     def with_datasets(self, source: ExperimentSource) -> ExperimentSource:

@@ -109,8 +109,8 @@ def pair_problems(
                 check_recorded(dataset, algorithm, topics)
             if algorithm.package.name not in packages:
                 packages.add(algorithm.package.name)
-                check_executor(context.executors.get(executor), algorithm.package, asked)
-            check_version(context.store, context.executors.get(executor), algorithm)
+                check_executor(context.executors().get(executor), algorithm.package, asked)
+            check_version(context.store, context.executors().get(executor), algorithm)
             protocol_of_pair(context, experiment, expansion, (algorithm.name, dataset.name))
         except SlamHiveError as error:
             yield at(experiment.datasets.place, error)
@@ -157,7 +157,7 @@ def find_disk_space(
 
     Variants of the datasets in ``missing`` are left out, since nobody knows how large their recordings are.
     """
-    entries = context.variants.entries()
+    entries = context.variants().entries()
     made = {entry.key for entry in entries}
     datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
     speeds = _speeds(entries)
@@ -166,7 +166,7 @@ def find_disk_space(
         if name in missing:
             continue
         for variant in sorted(variants, key=str):
-            plan = context.variants.plan(datasets[name], variant)
+            plan = context.variants().plan(datasets[name], variant)
             if plan is not None:
                 make_s = plan.source_bytes / speeds.get(name, speeds[_ANY_DATASET])
                 needs.append(VariantNeed(name, variant, plan.key, plan.needed_bytes, make_s, plan.key in made))
@@ -181,7 +181,7 @@ def find_disk_space(
         free_bytes=shutil.disk_usage(context.settings.data).free,
         unused_bytes=sum(entry.size_bytes for entry in entries if not entry.in_use),
         cache_bytes=context.settings.variant_cache_bytes,
-        variants_elsewhere=executor is not None and context.executors.get(executor).capabilities.makes_variants,
+        variants_elsewhere=executor is not None and context.executors().get(executor).capabilities.makes_variants,
     )
 
 

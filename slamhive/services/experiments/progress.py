@@ -8,10 +8,7 @@ from collections import Counter, OrderedDict, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, median, stdev
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.base.clock import SYSTEM_CLOCK, Clock
 from slamhive.base.errors import InvalidInput, unknown
@@ -39,6 +36,12 @@ from slamhive.store.durations import ActiveRun
 from slamhive.store.experiments import CellSample
 from slamhive.store.records import CellRecord, CellRun, ExperimentRecord, ExperimentState, ProtocolLabel, StateCount
 from slamhive.store.rows import sample_variance
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Integers = NDArray[np.int32]
 
 MANY_RUNS = 5000
 """From this many waiting runs on, the means are kept for a while: they change slowly and cost a look at each run."""
@@ -351,7 +354,6 @@ def spread(values: Sequence[float]) -> MetricSpread:
 MOST_TABLES = 8
 """Kept in memory; one of 100,000 cells and 10 axes takes 5 MB."""
 
-Integers = NDArray[np.int32]
 Key = tuple[str, Value | None]
 CellCounts = Mapping[int, Sequence[StateCount]]
 """Runs by the number of their cell."""
@@ -374,6 +376,8 @@ class AxisTable:
     @classmethod
     def of(cls, cells: Iterable[CellRecord]) -> AxisTable:
         """Build the table from cells in order."""
+        import numpy as np  # noqa: PLC0415 - lists of experiments have no table
+
         numbers: list[int] = []
         configurations: list[int] = []
         places: dict[str, dict[Key, int]] = {}
@@ -408,6 +412,8 @@ class AxisTable:
             counts: The runs of the cells, without retried ones.
             name: The name of the experiment, for messages.
         """
+        import numpy as np  # noqa: PLC0415
+
         rows, columns = (self._axis(axis, name) for axis in axes)
         outcomes = list(Outcome)
         shape = (len(self.values[axes[0]]), len(self.values[axes[1]]))
@@ -444,6 +450,8 @@ class AxisTable:
 
     def means(self, axes: tuple[str, str], samples: Sequence[CellSample], name: str) -> MetricGrid:
         """Means over two axes, from the samples of the cells; the other arguments are those of :meth:`grid`."""
+        import numpy as np  # noqa: PLC0415
+
         rows, columns = (self._axis(axis, name) for axis in axes)
         weights: Counter[ProtocolLabel] = Counter()
         for sample in samples:

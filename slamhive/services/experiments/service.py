@@ -75,7 +75,7 @@ class ExperimentService:
         standing = None
         usable: str | None = None
         try:
-            usable = context.executors.choose(executor or experiment.executor)
+            usable = context.executors().choose(executor or experiment.executor)
             context.store.read(lambda t: t.experiments.check_free(experiment.name))
             record = context.store.read(lambda t: t.experiments.find(experiment.name))
             if record is not None:

@@ -274,7 +274,7 @@ def start(
     folder = context.folder(experiment.name)
     known = folder.read() if record is None else StoredExperiment.of(record)
     if known is None:
-        chosen = context.executors.choose(executor or experiment.executor)
+        chosen = context.executors().choose(executor or experiment.executor)
         maker = context.store.maker
         known = StoredExperiment(
             uid=uuid.uuid4().hex,
@@ -319,7 +319,7 @@ def check_same(
         )
     if record.state is ExperimentState.CANCELLED:
         raise Conflict(f"experiment {record.name} was cancelled", "give the file another name to run it again")
-    if executor is not None and context.executors.choose(executor) != record.executor:
+    if executor is not None and context.executors().choose(executor) != record.executor:
         raise Conflict(
             f"experiment {record.name} runs with executor {record.executor}, not {executor}",
             "choose another name to run it there",

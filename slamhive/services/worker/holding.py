@@ -14,12 +14,14 @@ import threading
 import time
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import Conflict, SlamHiveError, Unavailable
-from slamhive.services.worker.run_in_hand import HeldRuns
-from slamhive.store import Store
+
+if TYPE_CHECKING:
+    from slamhive.services.worker.run_in_hand import HeldRuns
+    from slamhive.store import Store
 
 logger = logging.getLogger(__name__)
 
