@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from slamhive.documents.api import ActedOn, AnalysisDocument, AnalysisWithFile
     from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
     from slamhive.documents.challenge import ChallengeSubmission
+    from slamhive.documents.claims import ClaimsAnswer
     from slamhive.documents.experiment import Decision, SearchStanding
     from slamhive.documents.imports import ImportedDocument
     from slamhive.documents.protocol import ProtocolSearchDocument
@@ -185,6 +186,9 @@ class Backend(Protocol):
 
         ``options`` are those of :class:`ImageEntry`. Raises NotFound, InvalidInput, Conflict or TooManyRequests.
         """
+
+    def claims(self) -> tuple[ClaimsAnswer, ...]:
+        """The last answers about claims of papers, by name."""
 
     def challenge_submissions(self, challenge: str) -> tuple[ChallengeSubmission, ...]:
         """The caller's submissions to a challenge, the newest first; raises NotFound."""

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from slamhive.client.runs import Runs
     from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
     from slamhive.documents.challenge import ChallengeSubmission
+    from slamhive.documents.claims import ClaimsAnswer
     from slamhive.documents.imports import ImportedDocument
 
 
@@ -93,6 +94,10 @@ class Hive:
         ``options`` are the fields of :class:`~slamhive.documents.imports.RunsUpload`.
         """
         return self._backend.import_runs(Path(path), options, progress=progress)
+
+    def claims(self) -> tuple[ClaimsAnswer, ...]:
+        """The last answers about the claims of papers and READMEs (``docs/schemas/claims-answer.schema.json``)."""
+        return self._backend.claims()
 
     def submit_image(
         self, challenge: str, path: Path | str | None = None, *, progress: bool = True, **options: Any

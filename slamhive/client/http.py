@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from slamhive.documents.api import ActedOn, AnalysisDocument, AnalysisWithFile, CellPageDocument, RunPage
     from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
     from slamhive.documents.challenge import ChallengeSubmission
+    from slamhive.documents.claims import ClaimsAnswer
     from slamhive.documents.experiment import CellDocument, Decision, ExperimentStatusDocument, SearchStanding
     from slamhive.documents.run import RunDocument, RunWith
     from slamhive.documents.submission import Submission
@@ -350,6 +351,10 @@ class HttpBackend:
             with percent_bar(path.name, progress=progress) as show:
                 entry["upload"] = send_file(self._send, path, lambda share: show(share, "sending")).token
         return self._send(requests.submit_image(challenge, entry))
+
+    def claims(self) -> tuple[ClaimsAnswer, ...]:
+        """Implement :meth:`~slamhive.client.backend.Backend.claims`."""
+        return self._send(requests.claims()).files
 
     def challenge_submissions(self, challenge: str) -> tuple[ChallengeSubmission, ...]:
         """Implement :meth:`~slamhive.client.backend.Backend.challenge_submissions`."""

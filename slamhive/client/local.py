@@ -25,6 +25,7 @@ from slamhive.store import RunRecord, RunSort
 if TYPE_CHECKING:
     from slamhive.documents.api import ActedOn, AnalysisDocument, AnalysisWithFile
     from slamhive.documents.challenge import ChallengeSubmission
+    from slamhive.documents.claims import ClaimsAnswer
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility
     from slamhive.domain.finding import FoundAction
@@ -295,6 +296,10 @@ class LocalBackend:
             return hive.challenges.submit_image(challenge, entrant, path, asked.phase or None)
         version = hive.versions.find(str(asked.package))
         return hive.challenges.submit_version(challenge, entrant, version, asked.phase or None)
+
+    def claims(self) -> tuple[ClaimsAnswer, ...]:
+        """Implement :meth:`~slamhive.client.backend.Backend.claims`."""
+        return tuple(self._hive.claims.all())
 
     def challenge_submissions(self, challenge: str) -> tuple[ChallengeSubmission, ...]:
         """Implement :meth:`~slamhive.client.backend.Backend.challenge_submissions`."""

@@ -29,6 +29,7 @@ from slamhive.documents.api import (
 )
 from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
 from slamhive.documents.challenge import ChallengeSubmission, ChallengeSubmissions
+from slamhive.documents.claims import ClaimsDocument
 from slamhive.documents.experiment import Decision, ExperimentStatusDocument, SearchStanding
 from slamhive.documents.imports import Upload
 from slamhive.documents.model import STATUS, Document, dump
@@ -283,6 +284,11 @@ def send_part(token: str, offset_bytes: int, data: bytes) -> Request[Upload]:
     """Add bytes to an upload."""
     arguments = {"offset": str(offset_bytes)}
     return Request(f"/uploads/{token}/parts", _document(Upload), arguments, data=data, changes=True)
+
+
+def claims() -> Request[ClaimsDocument]:
+    """The last answers about claims of papers."""
+    return _get("/claims", ClaimsDocument)
 
 
 def submit_image(challenge: str, entry: Mapping[str, Any]) -> Request[ChallengeSubmission]:

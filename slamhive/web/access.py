@@ -70,7 +70,8 @@ RULES = {
         AccessRule(change=Action.SUBMIT),
     ),
     **dict.fromkeys(
-        ("configurations", "dashboard", "datasets", "experiment_builder", "experiments", "help", "imports"), STANDARD
+        ("claims", "configurations", "dashboard", "datasets", "experiment_builder", "experiments", "help", "imports"),
+        STANDARD,
     ),
     **dict.fromkeys(("finding", "public_datasets", "questions", "run_plots", "runs", "searches"), STANDARD),
     **dict.fromkeys(("scenes", "search_actions", "selected_runs", "start", "trash"), STANDARD),

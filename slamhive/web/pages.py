@@ -96,6 +96,7 @@ class Section:
 
 
 LIBRARY = "Library"
+CLAIMS = Section("claims.index", "Claims")
 CHALLENGES = Section("challenges.index", "Challenges")
 MACHINES = Section("nodes.index", "Machines", key="m")
 SECTIONS = (
@@ -108,6 +109,7 @@ SECTIONS = (
         blueprints=("start", "compare", "trash", "search_actions", "selected_runs", "searches"),
     ),
     Section("analyses.index", "Reports", key="a"),
+    CLAIMS,
     Section("datasets.index", "Datasets", LIBRARY, "d", ("public_datasets",)),
     Section("algorithms.index", "Algorithms", LIBRARY, "l"),
     Section("configurations.index", "Configurations", LIBRARY, "c"),
@@ -116,13 +118,19 @@ SECTIONS = (
 )
 
 
-def sections(caller: Caller, *, challenges: bool) -> Iterator[Section]:
-    """The sections that ``caller`` sees. Visitors of a view-only server see no machines."""
+def sections(caller: Caller, *, challenges: bool, claims: bool) -> Iterator[Section]:
+    """The sections that ``caller`` sees. Visitors of a view-only server see no machines.
+
+    Args:
+        caller: Who looks.
+        challenges: Whether there are challenges.
+        claims: Whether claims have been checked.
+    """
     visitor = caller.role is None and Action.CHANGE not in caller.may
+    left_out = {CHALLENGES: not challenges, CLAIMS: not claims, MACHINES: visitor}
     for section in SECTIONS:
-        if (section is CHALLENGES and not challenges) or (section is MACHINES and visitor):
-            continue
-        yield section
+        if not left_out.get(section, False):
+            yield section
 
 
 def section_of(endpoint: str | None) -> Section | None:

@@ -20,6 +20,7 @@ from slamhive.analysis.report import Report
 from slamhive.base.clock import utc_now
 from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.documents.catalogue import MatchDocument
+from slamhive.documents.claims import ClaimsAnswer
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.names import check_name
@@ -27,6 +28,7 @@ from slamhive.domain.verdict import Outcome
 from slamhive.run_folder.folder import RunFolder
 from slamhive.services.accounts import published
 from slamhive.services.analysis import report_content, report_environment, script_json
+from slamhive.services.claims import badge_svg
 from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import MOST_RUNS
 from slamhive.services.runs import run_series
@@ -182,6 +184,7 @@ class StaticSite:
         CataloguePages(self._hive, environment, site, self._scenes, whole=whole).write(folder, rows)
         content: dict[str, Any] = {
             "analyses": self._analyses(folder, environment.get_template("published/analysis.html"), site),
+            "claims": self._claims(folder, environment.get_template("published/claims.html"), site),
             "parts": _parts(rows),
             "rows": rows[:LISTED_WITHOUT_SCRIPTS],
             "most_runs": MOST_RUNS,
@@ -206,6 +209,19 @@ class StaticSite:
             text = page.render(site=site, root="../", run_url=_RUN_PAGE.format, **report_content(report))
             (folder / "analyses" / f"{record.token}.html").write_text(text, encoding="utf-8")
         return done
+
+    def _claims(self, folder: Path, page: Template, site: dict[str, Any]) -> list[ClaimsAnswer]:
+        """Write a page and a badge for each file of claims if all runs are published; returns their answers."""
+        if self._request.run_ids is not None:
+            return []
+        found = [answer for answer in self._hive.claims.all() if answer.claims]
+        for answer in found:
+            (folder / "claims").mkdir(exist_ok=True)
+            text = page.render(site=site, root="../", answer=answer, run_url=_RUN_PAGE.format)
+            (folder / "claims" / f"{answer.name}.html").write_text(text, encoding="utf-8")
+            badge = badge_svg(claim.state for claim in answer.claims)
+            (folder / "claims" / f"{answer.name}.svg").write_text(badge, encoding="utf-8")
+        return found
 
     def _runs(self, run_ids: list[int]) -> Iterator[RunRecord]:
         for start in range(0, len(run_ids), BATCH):
@@ -261,7 +277,7 @@ class StaticSite:
 
 def _environment(project_root: Path) -> Environment:
     environment = report_environment(project_root)
-    words = (plural, duration, significant, size, thousands, value_text)
+    words = (plural, duration, exact_time, significant, size, thousands, value_text)
     environment.filters |= {function.__name__: function for function in words}
     return environment
 

@@ -10,7 +10,7 @@ from tests.web.web_world import Web
 
 
 def titles(caller: Caller) -> list[str]:
-    return [section.title for section in pages.sections(caller, challenges=False)]
+    return [section.title for section in pages.sections(caller, challenges=False, claims=False)]
 
 
 def test_only_visitors_of_a_view_only_server_see_no_machines() -> None:
@@ -25,9 +25,10 @@ def test_visitors_may_make_a_report_at_most() -> None:
     assert {"Run", "Experiment", "Report", "Import"} <= {entry.title for entry in pages.new_things(Caller(EVERYTHING))}
 
 
-def test_challenges_have_an_entry_once_there_are_some() -> None:
-    assert [section.title for section in pages.sections(Caller(EVERYTHING), challenges=True)].count("Challenges") == 1
-    assert "Challenges" not in titles(Caller(EVERYTHING))
+def test_challenges_and_claims_have_an_entry_once_there_are_some() -> None:
+    everything = pages.sections(Caller(EVERYTHING), challenges=True, claims=True)
+    assert {"Challenges", "Claims"} <= {section.title for section in everything}
+    assert not {"Challenges", "Claims"} & set(titles(Caller(EVERYTHING)))
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from tests.waiting import eventually
 from tests.web import web_world as world
 from tests.web.account_world import NAMES, PASSWORD, AccountWeb, account_web
 from tests.web.browser_world import BROWSER, LOOKS, faultless, opened, violations, visit, wide_parts
+from tests.web.test_web_claims import keep_claims
 from tests.web.test_web_experiments import TRIAL
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ def furnished(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     hive.searches.save(SavedSearchRecord("good", "state = succeeded", ("duration",), RunSort("duration"), False))
     hive.stored_analyses.create(ANALYSIS)
     hive.analysis_jobs.work_once("tests", threading.Event())
+    keep_claims(hive)
     hive.close()
     return folder
 

@@ -18,6 +18,7 @@ from werkzeug.test import TestResponse
 
 from slamhive.base.settings import Auth, Mode
 from slamhive.domain.accounts import Role, Scope, Sharing, Visibility
+from slamhive.domain.claim import ClaimState
 from slamhive.domain.run import NotesChange, RunState
 from slamhive.services.accounts import TokenRequest
 from slamhive.services.experiments import ExperimentFolder, StoredExperiment
@@ -28,6 +29,7 @@ from slamhive.store.records import AnalysisRecord, AnalysisState, ExperimentStat
 from slamhive.web.security import API_HEADER
 from tests.web import web_world as world
 from tests.web.account_world import NAMES, PASSWORD, AccountWeb, account_web
+from tests.web.test_web_claims import keep_claims, one_of
 from tests.web.test_web_security import VALUES
 
 pytestmark = pytest.mark.integration
@@ -125,6 +127,8 @@ def fill(hive: Hive) -> None:
     folder.root.parent.mkdir(exist_ok=True)
     folder.create(f"name: {DETAIL}\n", analysis)
     hive.store.write(lambda t: t.analyses.put(analysis))
+    claim = one_of(ClaimState.DIFFERS, value=ATE, words=DETAIL, runs=(NUMBER,))
+    hive.claims.keep(keep_claims(hive).model_copy(update={"name": VALUES["name"], "claims": (claim,)}))
 
 
 @contextmanager

@@ -31,6 +31,7 @@ from slamhive.documents.challenge import (
     ChallengeSubmissions,
     ImageEntry,
 )
+from slamhive.documents.claims import ClaimsDocument
 from slamhive.documents.experiment import (
     CellDocument,
     Decision,
@@ -221,6 +222,15 @@ def delete_analysis(token: str) -> Removal:
     """Delete one analysis for good."""
     hive().stored_analyses.delete(token)
     return Removal(removed=token)
+
+
+# -- claims of papers --------------------------------------------------------------------------------------------------
+
+
+@TABLE.get(Section.CLAIMS, "/claims", ClaimsDocument)
+def claims() -> ClaimsDocument:
+    """The last answers about the claims of papers and READMEs."""
+    return ClaimsDocument(files=tuple(hive().claims.all()))
 
 
 # -- challenges: tasks, rankings, and submissions ----------------------------------------------------------------------

@@ -58,6 +58,7 @@ class Section(StrEnum):
     DATASETS = "Datasets"
     UPLOADS = "Uploads"
     ANALYSES = "Analyses"
+    CLAIMS = "Claims"
     CHALLENGES = "Challenges"
 
 

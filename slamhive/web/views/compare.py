@@ -1,4 +1,4 @@
-"""The comparison of a few runs: its page, and its plots, which are computed when the page is open."""
+"""Runs beside each other, and beside the numbers of papers: the pages of a comparison and of claims."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from flask import Blueprint, Response, jsonify, make_response, redirect, render_
 from flask import url_for as address
 
 from slamhive.base.errors import InvalidInput
+from slamhive.services.claims import badge_svg
 from slamhive.services.run_comparison import RunComparison, analysis_text, plots_of, read_run_id, read_run_ids
 from slamhive.web.context import hive
 from slamhive.web.presenters import comparison as presenter
@@ -70,3 +71,30 @@ def _group() -> str:
     if group not in _GROUPS:
         raise InvalidInput(f"group {group[:40]!r} is not allowed", "use configuration, or leave it out")
     return group
+
+
+# -- claims of papers: the last answers, and their badges --------------------------------------------------------------
+
+claims_blueprint = Blueprint("claims", __name__, url_prefix="/claims")
+
+
+@claims_blueprint.get("")
+def index() -> str:
+    """List the files of claims that were checked."""
+    return render_template("claims/index.html", found=hive().claims.all())
+
+
+@claims_blueprint.get("/<name>", endpoint="show")
+def show_claims(name: str) -> str:
+    """Show the last answer about the claims of one file."""
+    return render_template(
+        "claims/show.html",
+        answer=hive().claims.get(name),
+        run_url=lambda run_id: address("runs.show", run_id=run_id),
+    )
+
+
+@claims_blueprint.get("/<name>/badge.svg")
+def badge(name: str) -> Response:
+    """The badge of one file, for a README."""
+    return Response(badge_svg(claim.state for claim in hive().claims.get(name).claims), mimetype="image/svg+xml")

@@ -32,6 +32,7 @@ OF_PAGE = {
     "imports": "importing-runs",
     "nodes": "web",
     "challenges": "challenges",
+    "claims": "claims",
     "searches": "search",
     "start": "web",
     "configurations": "configurations",
