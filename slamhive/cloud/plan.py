@@ -6,7 +6,7 @@ import datetime as dt
 import json
 import math
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import datetime
 from enum import StrEnum
 from ipaddress import ip_network
 from typing import Annotated, Literal, Self
@@ -15,6 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput, nearest
+from slamhive.documents.machines import CloudPlanDocument
 from slamhive.documents.model import explained, first_problem_at
 from slamhive.domain.names import check_name
 
@@ -183,41 +184,6 @@ class Work:
     datasets: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class CloudPlan:
-    """Machines that will be rented.
-
-    ``lifetime_h`` is when machines end themselves, after the start: the deadline, or earlier where the budget ends.
-    ``most_cost`` is the price if all of them last so long. ``expected_cost`` is what the work needs. The image, which
-    does not end itself, costs ``image_day_cost`` a day until it is deleted.
-    """
-
-    name: str
-    provider: str
-    region: str
-    instance_type: str
-    nodes: int
-    disk_gb: int
-    runs: int | None
-    data_bytes: int
-    prepare_h: float
-    run_h: float
-    total_h: float
-    lifetime_h: float
-    currency: str
-    hour_price: float
-    expected_cost: float
-    most_cost: float
-    budget: float
-    image_day_cost: float
-    prices_date: str
-    roles: tuple[str, ...]
-
-    def ends_at(self, started: datetime) -> datetime:
-        """Time at which the machines of a cluster that starts now end themselves."""
-        return started + timedelta(hours=self.lifetime_h)
-
-
 FIREWALL = "firewall"
 IMAGE = "image"
 
@@ -232,7 +198,7 @@ def planned_roles(nodes: int, *, image: bool) -> tuple[str, ...]:
     return (FIREWALL, machine_role(0), *((IMAGE,) if image else ()), *map(machine_role, range(1, nodes)))
 
 
-def make_plan(order: CloudFile, work: Work, now: datetime) -> CloudPlan:
+def make_plan(order: CloudFile, work: Work, now: datetime) -> CloudPlanDocument:
     """Compute the plan; raises InvalidInput for prices that are old or missing, and if budget or time is too short."""
     # One hour of one machine, with disk and address.
     prices = order.prices
@@ -276,7 +242,7 @@ def make_plan(order: CloudFile, work: Work, now: datetime) -> CloudPlan:
             "raise the deadline, or rent more machines",
         )
     lifetime_h = min(order.deadline_h, affordable_h)
-    return CloudPlan(
+    return CloudPlanDocument(
         name=order.name,
         provider=order.provider.value,
         region=order.region,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
 from enum import StrEnum
 from typing import Annotated, Literal
 
@@ -108,6 +109,10 @@ class CloudPlanDocument(Document):
     image_day_cost: Annotated[float, described("The image for a day; it does not end itself.")]
     prices_date: str
     roles: Annotated[tuple[str, ...], described("What is created, in this order.")]
+
+    def ends_at(self, started: datetime) -> datetime:
+        """Time at which the machines of a cluster that starts now end themselves."""
+        return started + timedelta(hours=self.lifetime_h)
 
 
 class CloudState(StrEnum):

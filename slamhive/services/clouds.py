@@ -15,7 +15,7 @@ from slamhive.base.files import size_bytes
 from slamhive.base.settings import Settings
 from slamhive.cloud.lifecycle import Hands, Rising, cluster_resources, remove_all, take_down
 from slamhive.cloud.machines import Preparer, read_public_key
-from slamhive.cloud.plan import CloudFile, CloudPlan, ProviderName, Work, load_cloud_file, make_plan
+from slamhive.cloud.plan import CloudFile, ProviderName, Work, load_cloud_file, make_plan
 from slamhive.cloud.providers import open_provider
 from slamhive.cloud.resources import CLUSTER_TAG, INSTALLATION_TAG, UID_TAG, CloudRecords, Provider, Resource
 from slamhive.documents.machines import CloudPlanDocument, CloudRecord, CloudResource, CloudState, CloudStatus
@@ -91,7 +91,7 @@ class Clouds:
     def plan(self, path: Path) -> CloudPlanDocument:
         """Read the plan in the cloud file at ``path``; no provider is asked. Raises InvalidInput."""
         order, _ = self._order(path)
-        return CloudPlanDocument.of(make_plan(order, self._work(order, path), self._clock.utc_now()))
+        return make_plan(order, self._work(order, path), self._clock.utc_now())
 
     def up(self, path: Path, tell: Tell = _silent) -> CloudStatus:
         """Rent what the plan of ``path`` shows, or go on where an interrupted command stopped.
@@ -112,7 +112,7 @@ class Clouds:
             assert record is not None
             return self._status(Rising(hands, order, record).up(), hands.provider)
 
-    def _begin(self, hands: Hands, order: CloudFile, text: str, plan: CloudPlan) -> CloudRecord:
+    def _begin(self, hands: Hands, order: CloudFile, text: str, plan: CloudPlanDocument) -> CloudRecord:
         """Write the record of a new cluster; raises InvalidInput or Conflict if the provider cannot have it."""
         hands.provider.check(order)
         self._sweep(hands, (order.provider, order.region), everything=False)
@@ -125,7 +125,7 @@ class Clouds:
             made_at=now,
             ends_at=plan.ends_at(now),
             order=text,
-            plan=CloudPlanDocument.of(plan),
+            plan=plan,
         )
         return self._records.write(record)
 

@@ -19,7 +19,7 @@ from slamhive.cloud.lifecycle import Hands, Rising, remove_all, take_down
 from slamhive.cloud.plan import CloudFile, Work, make_plan
 from slamhive.cloud.providers import open_provider
 from slamhive.cloud.resources import CloudRecords
-from slamhive.documents.machines import CloudPlanDocument, CloudRecord, CloudState
+from slamhive.documents.machines import CloudRecord, CloudState
 from tests.cloud.cloud_world import ENDPOINT, KEYS, FakeTime
 
 
@@ -61,7 +61,7 @@ def new_record(order: CloudFile, now: datetime) -> CloudRecord:
         made_at=now,
         ends_at=plan.ends_at(now),
         order="",
-        plan=CloudPlanDocument.of(plan),
+        plan=plan,
     )
 
 
