@@ -13,8 +13,13 @@ from slamhive.cli.visible import confirm, say
 from slamhive.domain.names import plural
 
 if TYPE_CHECKING:
-    from slamhive.documents.machines import CloudPlanDocument, CloudStatus
-    from slamhive.services.nodes import NodeRun, NodeView, Overview
+    from slamhive.documents.machines import (
+        CloudPlanDocument,
+        CloudStatus,
+        NodeDocument,
+        NodeRunDocument,
+        OverviewDocument,
+    )
 
 executor_option = click.option("--executor", help="Whose node it is; default: the executor in force.")
 node_argument = click.argument("node")
@@ -30,9 +35,7 @@ def nodes(context: click.Context, cli: CliContext, as_json: bool) -> None:
         return
     found = cli.hive().nodes.overview()
     if as_json:
-        from slamhive.documents import machines as schema  # noqa: PLC0415 - the table needs no model
-
-        print_json(schema.OverviewDocument.of(found).content)
+        print_json(found.content)
     else:
         _print(found)
 
@@ -59,7 +62,7 @@ def undrain(cli: CliContext, node: str, executor: str | None) -> None:
     tell(f"runs start on {node} again")
 
 
-def _print(found: Overview) -> None:
+def _print(found: OverviewDocument) -> None:
     rows = [(engine.executor, *_row(node)) for engine in found.engines for node in engine.nodes]
     if rows:
         headings = ("executor", "node", "state", "CPU", "cores", "GB", "cache", "runs/h", "left", "runs")
@@ -80,7 +83,7 @@ def _print(found: Overview) -> None:
     say(f"{plural(found.queued, 'run')} queued{left}")
 
 
-def _row(node: NodeView) -> tuple[object, ...]:
+def _row(node: NodeDocument) -> tuple[object, ...]:
     memory_gb = None if node.memory_bytes is None else f"{node.memory_bytes / 1e9:.1f}"
     left = None if node.left_s is None else f"{node.left_s / 60:.0f} min"
     cache = None
@@ -90,7 +93,7 @@ def _row(node: NodeView) -> tuple[object, ...]:
     return (node.name, node.state, node.cpu_model, node.cpu_count, memory_gb, cache, *rates, _runs(node.runs))
 
 
-def _runs(runs: tuple[NodeRun, ...]) -> str | None:
+def _runs(runs: tuple[NodeRunDocument, ...]) -> str | None:
     return ", ".join(f"{run.id} {run.algorithm} on {run.dataset} ({run.state})" for run in runs) or None
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from slamhive.documents.model import Document, Moment, Timestamp, Uid, described
 from slamhive.domain.accounts import Role, Scope
+from slamhive.domain.placement import Remaining
 
 CpuModel = Annotated[str | None, described("Processor; null if unknown.")]
 
@@ -81,6 +82,11 @@ class OverviewDocument(Document):
     low_s: Annotated[float | None, described("The sum of the lower ends; null if nothing was measured.", unit="s")]
     high_s: Annotated[float | None, described("The sum of the upper ends; null if nothing was measured.", unit="s")]
     asks_engines: Annotated[bool, described("False on a view-only server, which asks no engine.")]
+
+    @property
+    def left(self) -> Remaining:
+        """The time left with its interval."""
+        return Remaining(self.left_s, self.low_s, self.high_s)
 
 
 # Rented machines as JSON: the plan, what is there, and the record of a cluster.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any, TypeVar
@@ -11,8 +11,16 @@ from typing import Any, TypeVar
 from slamhive.base.clock import monotonic_s, utc_now
 from slamhive.base.errors import SlamHiveError, Unavailable, unknown
 from slamhive.base.settings import Mode, Settings
+from slamhive.documents.machines import (
+    CacheUseDocument,
+    EngineDocument,
+    MachineDocument,
+    NodeDocument,
+    NodeRunDocument,
+    OverviewDocument,
+)
 from slamhive.domain.placement import Remaining
-from slamhive.executors.base import CacheUse, EngineUnavailable, Executor, Node
+from slamhive.executors.base import EngineUnavailable, Executor, Node
 from slamhive.executors.registry import AUTO
 from slamhive.services.datasets import check_writable
 from slamhive.services.executors import Executors
@@ -22,129 +30,12 @@ from slamhive.store.durations import NODE, MachineRuns
 
 
 @dataclass(frozen=True, slots=True)
-class NodeRun:
-    """A run that a worker has claimed. ``node`` is None while it is not known where it runs.
+class _ActiveRun:
+    """A run that a worker has claimed; ``cpu_model`` is what it recorded of its node, None if it has not."""
 
-    ``left_s``: how long it needs by earlier runs of its configuration; None if it has not started, or there are none.
-    """
-
-    id: int
-    algorithm: str
-    dataset: str
-    state: str
+    shown: NodeRunDocument
     executor: str
-    node: str | None
     cpu_model: str | None
-    left_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class NodeView:
-    """A node with the runs of this installation on it; for the rest see :class:`slamhive.executors.base.Node`.
-
-    ``runs_per_hour`` are runs that ended there lately. ``left_s``: until its runs in progress should be over, None if
-    that is not known of any.
-    """
-
-    name: str
-    state: str
-    takes_runs: bool
-    drained: bool
-    cpu_count: int | None
-    memory_bytes: int | None
-    cpu_model: str | None
-    runs: tuple[NodeRun, ...]
-    runs_per_hour: float = 0.0
-    left_s: float | None = None
-    cache: CacheUse | None = None
-
-    @classmethod
-    def of(cls, node: Node, runs: Iterable[NodeRun], runs_per_hour: float) -> NodeView:
-        """The CPU model is that of the engine, else what a run on the node has recorded."""
-        runs = tuple(runs)
-        return cls(
-            name=node.name,
-            state=node.state,
-            takes_runs=node.takes_runs,
-            drained=node.drained,
-            cpu_count=node.cpu_count,
-            memory_bytes=node.memory_bytes,
-            cpu_model=node.cpu_model or next((run.cpu_model for run in runs if run.cpu_model), None),
-            runs=runs,
-            runs_per_hour=runs_per_hour,
-            left_s=max((run.left_s for run in runs if run.left_s is not None), default=None),
-            cache=node.cache,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Engine:
-    """The nodes of one executor; ``problem`` says why they are not known. ``drains``: nodes can be taken out of use.
-
-    ``elsewhere`` are active runs that are on none of the nodes, or of which the node is not known yet.
-    """
-
-    executor: str
-    nodes: tuple[NodeView, ...]
-    elsewhere: tuple[NodeRun, ...] = ()
-    drains: bool = False
-    problem: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Machine:
-    """Measurements of machines with the same processor in the last ``hours``, from runs that ended.
-
-    ``disturbed_fraction`` is that of the runs that know whether they were disturbed, None if there is none.
-    """
-
-    cpu_model: str
-    cpu_count: int
-    hours: float
-    runs: int
-    runs_per_hour: float
-    disturbed_fraction: float | None
-
-    @classmethod
-    def of(cls, found: MachineRuns, hours: float) -> Machine:
-        """The rates of what the database counts."""
-        return cls(
-            cpu_model=found.cpu_model,
-            cpu_count=found.cpu_count,
-            hours=hours,
-            runs=found.runs,
-            runs_per_hour=found.runs / hours,
-            disturbed_fraction=found.disturbed / found.judged if found.judged else None,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Overview:
-    """All of it. ``left`` is the time left of all active experiments, one after the other; ``queued`` counts runs.
-
-    Without ``asks_engines``, only the database was asked.
-    """
-
-    engines: tuple[Engine, ...]
-    machines: tuple[Machine, ...]
-    queued: int
-    left: Remaining
-    asks_engines: bool = True
-
-    @property
-    def left_s(self) -> float:
-        """The expected time left."""
-        return self.left.seconds
-
-    @property
-    def low_s(self) -> float | None:
-        """The sum of the lower ends of their intervals; None if nothing was measured."""
-        return self.left.low_s
-
-    @property
-    def high_s(self) -> float | None:
-        """The sum of the upper ends of their intervals; None if nothing was measured."""
-        return self.left.high_s
 
 
 # Engines are asked in threads, so that one that does not answer holds nobody up for long.
@@ -243,7 +134,7 @@ class Nodes:
         self._worker_alive = worker_alive
         self._answers = EngineAnswers()
 
-    def overview(self) -> Overview:
+    def overview(self) -> OverviewDocument:
         """Nodes, runs, throughput and time left. A view-only installation asks no engine."""
         now = utc_now()
         since = now - timedelta(hours=HOURS)
@@ -257,13 +148,16 @@ class Nodes:
             engines = tuple(self._engines(names, runs, since))
         else:
             engines = tuple(
-                Engine(name, (), tuple(run for run in runs if run.executor == name)) for name in sorted(names)
+                _without_nodes(name, [run for run in runs if run.executor == name]) for name in sorted(names)
             )
-        return Overview(
+        left = self._left()
+        return OverviewDocument(
             engines=engines,
-            machines=tuple(Machine.of(entry, HOURS) for entry in measured),
+            machines=tuple(_machine(entry) for entry in measured),
             queued=sum(queued.values()),
-            left=self._left(),
+            left_s=left.seconds,
+            low_s=left.low_s,
+            high_s=left.high_s,
             asks_engines=asks,
         )
 
@@ -286,36 +180,41 @@ class Nodes:
             self._answers.forget(executor)
         self._store.note_act()
 
-    def _engines(self, names: Collection[str], runs: Sequence[NodeRun], since: datetime) -> Iterator[Engine]:
+    def _engines(self, names: Collection[str], runs: Sequence[_ActiveRun], since: datetime) -> Iterator[EngineDocument]:
         """The executors that have runs, and the one that new runs get."""
         ended = self._store.read(lambda t: t.placing.ended_on(since))
         chosen = self._settings.executor
         try:
             chosen = self._answers.of(AUTO, self._executors.choose) if chosen == AUTO else chosen
         except SlamHiveError as error:
-            yield Engine(chosen, (), problem=str(error))
+            yield _without_nodes(chosen, (), str(error))
         for name in sorted({*names, chosen} - {AUTO}):
             rates = {node: count / HOURS for (executor, node), count in ended.items() if executor == name}
             yield self._engine(name, [run for run in runs if run.executor == name], rates)
 
-    def _engine(self, name: str, runs: Sequence[NodeRun], rates: Mapping[str | None, float]) -> Engine:
+    def _engine(self, name: str, runs: Sequence[_ActiveRun], rates: Mapping[str | None, float]) -> EngineDocument:
         try:
             executor = self._executors.get(name)
             nodes = self._answers.of(name, lambda: self._ask(executor))
         except SlamHiveError as error:
-            return Engine(name, (), tuple(runs), problem=str(error))
+            return _without_nodes(name, runs, str(error))
         here = executor.capabilities.takes_cores_here
         views = [
-            NodeView.of(
+            _node(
                 node,
-                (run for run in runs if here or run.node == node.name),
+                [run for run in runs if here or run.shown.node == node.name],
                 rates.get(None if here else node.name, 0.0),
             )
             for node in nodes
         ]
         placed = {run.id for view in views for run in view.runs}
-        elsewhere = tuple(run for run in runs if run.id not in placed)
-        return Engine(name, tuple(views), elsewhere, executor.capabilities.drains)
+        return EngineDocument(
+            executor=name,
+            nodes=tuple(views),
+            elsewhere=tuple(run.shown for run in runs if run.shown.id not in placed),
+            drains=executor.capabilities.drains,
+            problem=None,
+        )
 
     def _ask(self, executor: Executor) -> list[Node]:
         """The nodes of an executor. Only a running worker knows whether an engine of its own machine answers."""
@@ -331,10 +230,51 @@ class Nodes:
         return sum((left for left in found if left is not None), Remaining(0.0))
 
 
-def _run(record: RunRecord, expected_s: float | None, now: datetime) -> NodeRun:
+def _run(record: RunRecord, expected_s: float | None, now: datetime) -> _ActiveRun:
     node = ((record.handle or {}).get("data") or {}).get(NODE)
     model = None if record.host is None or node is None else record.host.cpu_model
     left_s = None
     if expected_s is not None and record.started_at is not None:
         left_s = max(0.0, expected_s - (now - record.started_at).total_seconds())
-    return NodeRun(record.id, record.algorithm, record.dataset, record.state, record.executor, node, model, left_s)
+    shown = NodeRunDocument(
+        id=record.id,
+        algorithm=record.algorithm,
+        dataset=record.dataset,
+        state=record.state,
+        node=node,
+        left_s=left_s,
+    )
+    return _ActiveRun(shown, record.executor, model)
+
+
+def _without_nodes(executor: str, runs: Sequence[_ActiveRun], problem: str | None = None) -> EngineDocument:
+    elsewhere = tuple(run.shown for run in runs)
+    return EngineDocument(executor=executor, nodes=(), elsewhere=elsewhere, drains=False, problem=problem)
+
+
+def _node(node: Node, runs: Sequence[_ActiveRun], runs_per_hour: float) -> NodeDocument:
+    """``node`` with its runs. The CPU model is that of the engine, else what a run on the node has recorded."""
+    return NodeDocument(
+        name=node.name,
+        state=node.state,
+        takes_runs=node.takes_runs,
+        drained=node.drained,
+        cpu_count=node.cpu_count,
+        memory_bytes=node.memory_bytes,
+        cpu_model=node.cpu_model or next((run.cpu_model for run in runs if run.cpu_model), None),
+        runs=tuple(run.shown for run in runs),
+        runs_per_hour=runs_per_hour,
+        left_s=max((run.shown.left_s for run in runs if run.shown.left_s is not None), default=None),
+        cache=None if node.cache is None else CacheUseDocument.of(node.cache),
+    )
+
+
+def _machine(found: MachineRuns) -> MachineDocument:
+    return MachineDocument(
+        cpu_model=found.cpu_model,
+        cpu_count=found.cpu_count,
+        hours=HOURS,
+        runs=found.runs,
+        runs_per_hour=found.runs / HOURS,
+        disturbed_fraction=found.disturbed / found.judged if found.judged else None,
+    )

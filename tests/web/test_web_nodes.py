@@ -11,7 +11,6 @@ import pytest
 
 from slamhive.base.clock import utc_now
 from slamhive.base.settings import Mode
-from slamhive.documents.machines import OverviewDocument
 from slamhive.executors.host import describe_host
 from slamhive.executors.process.executor import ProcessExecutor
 from tests.web import web_world as world
@@ -30,7 +29,7 @@ def test_the_page_shows_this_machine_and_what_runs_on_it(shown: Web) -> None:
 
 def test_the_overview_as_json(shown: Web) -> None:
     overview = shown.hive.nodes.overview()
-    content = json.loads(json.dumps(OverviewDocument.of(overview).content))
+    content = json.loads(json.dumps(overview.content))
     (engine,) = [entry for entry in content["engines"] if entry["executor"] == "process"]
     (node,) = engine["nodes"]
     assert (node["name"], node["takes_runs"], engine["drains"]) == (platform.node(), True, False)

@@ -290,25 +290,21 @@ def _stored(stored: Stored) -> StoredConfiguration:
 @TABLE.get(Section.SERVER, "/nodes", OverviewDocument)
 def nodes() -> OverviewDocument:
     """The machines that execute runs, what runs there, throughput and disturbance."""
-    return _overview()
+    return hive().nodes.overview()
 
 
 @TABLE.post(Section.SERVER, "/nodes/drain", OverviewDocument, body=NodeRequest)
 def drain_node(body: NodeRequest) -> OverviewDocument:
     """Let no further run start on a node; active runs go on."""
     hive().nodes.drain(body.executor, body.node, drained=True)
-    return _overview()
+    return hive().nodes.overview()
 
 
 @TABLE.post(Section.SERVER, "/nodes/undrain", OverviewDocument, body=NodeRequest)
 def undrain_node(body: NodeRequest) -> OverviewDocument:
     """Let runs start on a node again."""
     hive().nodes.drain(body.executor, body.node, drained=False)
-    return _overview()
-
-
-def _overview() -> OverviewDocument:
-    return OverviewDocument.of(hive().nodes.overview())
+    return hive().nodes.overview()
 
 
 # -- this server -------------------------------------------------------------------------------------------------------
