@@ -40,6 +40,7 @@ from slamhive.documents.gate import Baseline, BaselineBrief, GateAnswer, ReplayA
 from slamhive.documents.imports import Import
 from slamhive.documents.machines import CloudPlanDocument, CloudStatus
 from slamhive.documents.model import json_schema
+from slamhive.documents.plain import OverviewDocument
 from slamhive.documents.protocol import ComparisonDocument, ProtocolsDocument, ProtocolSearchDocument, ToolMetrics
 from slamhive.documents.record import RunFile
 from slamhive.documents.run import EvaluationDocument, RunWith
@@ -235,7 +236,7 @@ DOCUMENTS: dict[str, Any] = {
     "ledger-line": LedgerLine,
     "link-report": catalogue.LinkReportDocument,
     "match": MatchDocument,
-    "nodes": machines.OverviewDocument,
+    "nodes": OverviewDocument,
     "notice": Notice,
     "plug-in": PlugIn,
     "protocols": ProtocolsDocument,

@@ -13,13 +13,8 @@ from slamhive.cli.visible import confirm, say
 from slamhive.domain.names import plural
 
 if TYPE_CHECKING:
-    from slamhive.documents.machines import (
-        CloudPlanDocument,
-        CloudStatus,
-        NodeDocument,
-        NodeRunDocument,
-        OverviewDocument,
-    )
+    from slamhive.documents.machines import CloudPlanDocument, CloudStatus
+    from slamhive.documents.plain import NodeDocument, NodeRunDocument, OverviewDocument
 
 executor_option = click.option("--executor", help="Whose node it is; default: the executor in force.")
 node_argument = click.argument("node")

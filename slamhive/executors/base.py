@@ -12,6 +12,7 @@ from typing import ClassVar, Protocol
 
 from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.base.settings import ExecutorOption
+from slamhive.documents.plain import CacheUseDocument
 from slamhive.domain.algorithm import AlgorithmPackage, Gpu
 from slamhive.evaluation.process import BatchStarter, ProcessStarter
 from slamhive.executors.gpu import GpuUse
@@ -325,14 +326,6 @@ class Executor(ABC):
 
 
 @dataclass(frozen=True, slots=True)
-class CacheUse:
-    """The room that data of runs takes on a node, as of the last run there, and the most that it may take."""
-
-    used_bytes: int
-    limit_bytes: int
-
-
-@dataclass(frozen=True, slots=True)
 class Node:
     """One machine.
 
@@ -354,7 +347,7 @@ class Node:
     cpu_count: int | None
     memory_bytes: int | None
     cpu_model: str | None = None
-    cache: CacheUse | None = None
+    cache: CacheUseDocument | None = None
 
 
 def this_machine() -> Node:

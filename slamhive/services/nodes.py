@@ -11,8 +11,7 @@ from typing import Any, TypeVar
 from slamhive.base.clock import monotonic_s, utc_now
 from slamhive.base.errors import SlamHiveError, Unavailable, unknown
 from slamhive.base.settings import Mode, Settings
-from slamhive.documents.machines import (
-    CacheUseDocument,
+from slamhive.documents.plain import (
     EngineDocument,
     MachineDocument,
     NodeDocument,
@@ -265,7 +264,7 @@ def _node(node: Node, runs: Sequence[_ActiveRun], runs_per_hour: float) -> NodeD
         runs=tuple(run.shown for run in runs),
         runs_per_hour=runs_per_hour,
         left_s=max((run.shown.left_s for run in runs if run.shown.left_s is not None), default=None),
-        cache=None if node.cache is None else CacheUseDocument.of(node.cache),
+        cache=node.cache,
     )
 
 

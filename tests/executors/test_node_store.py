@@ -23,7 +23,8 @@ import pytest
 
 from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.base.settings import Settings
-from slamhive.executors.base import CacheUse, EngineUnavailable, NodeAccess
+from slamhive.documents.plain import CacheUseDocument
+from slamhive.executors.base import EngineUnavailable, NodeAccess
 from slamhive.executors.node_store import on_node
 from slamhive.executors.node_store.controller import NodeCaches, NodeStore, Reports, node_access
 from slamhive.executors.node_store.exchange import (
@@ -627,7 +628,7 @@ def test_nodes_say_what_their_caches_hold(data, recording, tmp_path):
         hold_items(ticket, connection, {"recording": item_of(run)}, held, lambda _item, _size: None)
         for nonsense in (b'{"used_bytes": -1, "limit_bytes": 5}', b'{"used_bytes": "x"}', b"{}"):
             connection.ask("PUT", "cache", nonsense)
-    assert NodeCaches(data).all() == {"one": CacheUse(LARGE, 10**7)}
+    assert NodeCaches(data).all() == {"one": CacheUseDocument(used_bytes=LARGE, limit_bytes=10**7)}
     held[0].release()
 
 

@@ -16,9 +16,10 @@ from urllib.parse import urlsplit
 from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.base.files import remedy_of, write_aside
 from slamhive.base.settings import Settings
+from slamhive.documents.plain import CacheUseDocument
 from slamhive.domain.configuration import Variant
 from slamhive.domain.dataset import Dataset
-from slamhive.executors.base import CacheUse, EngineUnavailable, LiveKeys, Node, NodeAccess, ProtectionFinding
+from slamhive.executors.base import EngineUnavailable, LiveKeys, Node, NodeAccess, ProtectionFinding
 from slamhive.executors.node_store.exchange import (
     Offers,
     arrived_bytes,
@@ -92,10 +93,13 @@ class NodeCaches:
         name = hashlib.sha256(node.encode(errors="surrogatepass")).hexdigest()
         write_aside(self._folder / f"{name}.json", json.dumps(content))
 
-    def all(self) -> dict[str, CacheUse]:
+    def all(self) -> dict[str, CacheUseDocument]:
         """By the names of the nodes."""
         found = [json.loads(path.read_text(encoding="utf-8")) for path in self._folder.glob("*.json")]
-        return {entry["node"]: CacheUse(entry["used_bytes"], entry["limit_bytes"]) for entry in found}
+        return {
+            entry["node"]: CacheUseDocument(used_bytes=entry["used_bytes"], limit_bytes=entry["limit_bytes"])
+            for entry in found
+        }
 
 
 def _is_size(value: object) -> bool:

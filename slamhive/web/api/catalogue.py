@@ -38,7 +38,7 @@ from slamhive.documents.catalogue import (
     TruthTrialDocument,
     Version,
 )
-from slamhive.documents.machines import OverviewDocument
+from slamhive.documents.plain import OverviewDocument
 from slamhive.documents.protocol import ProtocolsDocument
 from slamhive.documents.run import SweepDocument
 from slamhive.domain.metrics import CATALOGUE

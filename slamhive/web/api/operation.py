@@ -22,6 +22,7 @@ from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.documents.api import LARGEST_RUN_ID
 from slamhive.documents.imports import HEXADECIMAL, LARGEST_UPLOAD_BYTES, OCTETS
 from slamhive.documents.model import Document
+from slamhive.documents.plain import PlainDocument
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trust import TrustLevel
 from slamhive.services.exports import ExportFormat
@@ -41,7 +42,8 @@ from slamhive.web.request_input import answer, read_body
 
 PREFIX = "/api/v1"
 P = ParamSpec("P")
-View: TypeAlias = Callable[P, Document | Response]
+Answer: TypeAlias = Document | PlainDocument
+View: TypeAlias = Callable[P, Answer | Response]
 _PLACE = re.compile(r"\{(\w+)\}")
 
 
@@ -136,7 +138,7 @@ class ApiOperation:
     words: str
     arguments: tuple[Argument, ...]
     body: Any
-    answer: type[Document] | tuple[str, ...]
+    answer: type[Answer] | tuple[str, ...]
     status: int
 
     @property
@@ -176,7 +178,7 @@ class Table:
         return sorted((operation for operation, _ in self.entries), key=lambda entry: order.index(entry.section))
 
     def get(
-        self, section: Section, path: str, answers: type[Document] | tuple[str, ...], arguments: Sequence[Argument] = ()
+        self, section: Section, path: str, answers: type[Answer] | tuple[str, ...], arguments: Sequence[Argument] = ()
     ) -> Callable[[View[P]], View[P]]:
         """Declare an operation that changes nothing."""
 
@@ -190,7 +192,7 @@ class Table:
         self,
         section: Section,
         path: str,
-        answers: type[Document],
+        answers: type[Answer],
         *,
         arguments: Sequence[Argument] = (),
         body: Any = None,
@@ -215,7 +217,7 @@ class Table:
         for operation, view in self.entries:
             blueprint.add_url_rule(operation.rule(self.places), operation.name, view, methods=[operation.method])
 
-    def _add(self, view: Callable[..., Document | Response], operation: ApiOperation) -> None:
+    def _add(self, view: Callable[..., Answer | Response], operation: ApiOperation) -> None:
         @wraps(view)
         def respond(**values: Any) -> Response:
             if isinstance(operation.body, Bytes):
