@@ -18,6 +18,7 @@ from slamhive.domain.protocol import Duplicates, TrajectoryKind
 from slamhive.domain.sensors import SensorSetup
 from slamhive.services.imports import (
     DEFAULT_GROUND_TRUTH,
+    DEFAULT_IMAGE_TIMES,
     DEFAULT_PATTERN,
     DEFAULT_RELATIONS,
     DEFAULT_TIMES,
@@ -45,6 +46,12 @@ _SENSORS_HELP = f"What an algorithm senses with: {', '.join(SensorSetup)}. Witho
     default=DEFAULT_TIMES,
     show_default=True,
     help="Path pattern of timestamps of poses without, such as KITTI's.",
+)
+@click.option(
+    "--image-times",
+    default=DEFAULT_IMAGE_TIMES,
+    show_default=True,
+    help="Path pattern of times of images, at which protocols such as eth3d compare.",
 )
 @click.option("--format", "wanted", type=choice(TrajectoryFormat), default="auto", show_default=True)
 @click.option(
@@ -81,6 +88,7 @@ def import_runs(cli: CliContext, /, source: Path, dry_run: bool, as_json: bool, 
         ground_truth=options["groundtruth"],
         relations=options["relations"],
         times=options["times"],
+        image_times=options["image_times"],
         format=TrajectoryFormat(options["wanted"]),
         sensors=_sensors(options["sensors"]),
         gravity_aligned=options["gravity_aligned"],

@@ -195,6 +195,7 @@ class RunsUpload(ApiRequest):
     groundtruth: Pattern = None
     relations: Pattern = None
     times: Pattern = None
+    image_times: Pattern = None
     format: Annotated[str | None, described("Format of the trajectories; null: detected.")] = None
     columns: Annotated[
         str | None,

@@ -23,7 +23,8 @@ class GroundTruth:
 
     ``lever_arm_m`` is the point in the body frame that positions are of, where they alone are known: an antenna or a
     prism. ``uncertainty_m`` is the standard deviation of a position along each axis; ``uncertainties`` is a file of
-    them for each pose, ``timestamp sigma_x sigma_y sigma_z`` in s and m, which outweighs the constant.
+    them for each pose, ``timestamp sigma_x sigma_y sigma_z`` in s and m, which outweighs the constant. ``image_times``
+    is a file of the timestamps of images in s, at which a protocol that holds the estimate compares, as ETH3D's tool.
     """
 
     file: str
@@ -34,6 +35,12 @@ class GroundTruth:
     lever_arm_m: tuple[float, ...] | None = None
     uncertainty_m: float | None = None
     uncertainties: str | None = None
+    image_times: str | None = None
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The names of all its files in the folder of the dataset."""
+        return tuple(filter(None, (self.file, self.kitti_poses, self.uncertainties, self.image_times)))
 
 
 @dataclass(frozen=True, slots=True)

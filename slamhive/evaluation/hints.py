@@ -15,7 +15,7 @@ from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Alignment, Association, FrameFit
 from slamhive.domain.verdict import Hint
 from slamhive.evaluation.evaluators.base import Paired
-from slamhive.evaluation.pairing import shifted
+from slamhive.evaluation.pairing import image_times, shifted
 from slamhive.trajectory.alignment import FrameOffset, Similarity, align, align_umeyama, fit_offset
 from slamhive.trajectory.association import (
     COARSE_STEP_S,
@@ -411,7 +411,9 @@ def _refined_offset_s(paired: Paired, guess_s: float) -> float | None:
 def _ate_with_offset_m(paired: Paired, offset_s: float) -> float | None:
     protocol = paired.protocol
     try:
-        reference, estimate = associate(paired.reference, shifted(paired.estimate, offset_s), protocol)
+        reference, estimate = associate(
+            paired.reference, shifted(paired.estimate, offset_s), protocol, image_times(paired.files, protocol)
+        )
         transform = align(protocol.alignment, estimate, reference, protocol.align_poses)
     except InvalidInput:
         return None

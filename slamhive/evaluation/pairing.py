@@ -7,15 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Alignment, Association, FrameFit, Protocol
-from slamhive.evaluation.evaluators.base import ROTATIONS_UNKNOWN, Paired
+from slamhive.evaluation.evaluators.base import IMAGE_TIMES, ROTATIONS_UNKNOWN, Paired
 from slamhive.evaluation.references import TruthReference
 from slamhive.trajectory.alignment import align, fit_offset
 from slamhive.trajectory.association import associate, position_misfit, search_offset, sparse_truth, turning_misfit
 from slamhive.trajectory.evidence import misread_unit
-from slamhive.trajectory.model import Trajectory, lacking
+from slamhive.trajectory.model import FloatArray, Trajectory, lacking
+from slamhive.trajectory.pose_file import read_times
 from slamhive.trajectory.transforms import move_sensor
 
 MINIMUM_MATCHED_POSES = 3
@@ -56,7 +58,8 @@ def pair(
     if protocol.offset_search_s > 0:
         offset_s = find_offset(reference, estimate, protocol)
     estimate = shifted(estimate, offset_s)
-    matched_reference, matched_estimate = associate(truth, estimate, protocol)
+    images_s = image_times(files or {}, protocol)
+    matched_reference, matched_estimate = associate(truth, estimate, protocol, images_s)
     if len(matched_reference) < MINIMUM_MATCHED_POSES:
         misread = misread_unit(estimate.stamps_s, truth.stamps_s)
         raise InvalidInput(
@@ -98,7 +101,7 @@ def pair(
             truth = move_sensor(truth, T_fitted)
         else:
             estimate = move_sensor(estimate, T_fitted)
-        matched_reference, matched_estimate = associate(truth, estimate, protocol)
+        matched_reference, matched_estimate = associate(truth, estimate, protocol, images_s)
     transform = align(protocol.alignment, matched_estimate, matched_reference, protocol.align_poses)
     return Paired(
         protocol=protocol,
@@ -128,12 +131,30 @@ def without_stretches(truth: Trajectory, protocol: Protocol) -> Trajectory:
             "poses are matched by index, so no stretch of the ground truth can be left out",
             "choose an association by time",
         )
-    limits_s = np.array(protocol.leave_out_s)
-    inside = (np.searchsorted(limits_s, truth.stamps_s, side="right") % 2 == 1) | np.isin(truth.stamps_s, limits_s)
-    if inside.all():
+    kept = truth.take(np.flatnonzero(~_left_out(truth.stamps_s, protocol)))
+    if len(kept) == 0:
         raise InvalidInput("leave_out_s leaves out the whole ground truth", "name shorter stretches")
-    kept = truth.take(np.flatnonzero(~inside))
     return Trajectory(kept.stamps_s, kept.positions_m, kept.quats_xyzw)
+
+
+def image_times(files: Mapping[str, Path], protocol: Protocol) -> FloatArray | None:
+    """When the images of the dataset were taken, in s, shape (k,), without the stretches that are left out.
+
+    None where the protocol compares at other times, or the dataset does not state them. Raises InvalidInput for a
+    damaged file.
+    """
+    path = files.get(IMAGE_TIMES)
+    if path is None or protocol.association is not Association.HOLD:
+        return None
+    times_s = read_times(path)
+    return times_s[~_left_out(times_s, protocol)]
+
+
+def _left_out(stamps_s: FloatArray, protocol: Protocol) -> npt.NDArray[np.bool_]:
+    """Tell which timestamps lie in a stretch that the protocol leaves out, its ends included."""
+    limits_s = np.array(protocol.leave_out_s)
+    inside: npt.NDArray[np.bool_] = np.searchsorted(limits_s, stamps_s, side="right") % 2 == 1
+    return inside | np.isin(stamps_s, limits_s)
 
 
 def find_offset(reference: TruthReference, estimate: Trajectory, protocol: Protocol) -> float:

@@ -7,7 +7,8 @@ errors cannot be told apart, and are one match.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -37,12 +38,14 @@ class SearchInput:
         estimates: The trajectories that the run left; None is ``traj.txt``.
         frames: {name: T_body_sensor} of other frames that the estimate may describe.
         gravity_aligned: The z axis of the ground truth points up.
+        files: Other files of run and dataset by name.
     """
 
     reference_of: Callable[[Matrix4 | None], TruthReference]
     estimates: Mapping[TrajectoryKind | None, Trajectory]
     frames: Mapping[str, Matrix4]
     gravity_aligned: bool
+    files: Mapping[str, Path] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +141,7 @@ def search_protocols(found: SearchInput, printed: Printed, family: MetricFamily)
     tried = 0
     for candidate, reference, estimate in _pairings(found, family):
         try:
-            paired = pair(reference, estimate, candidate.protocol)
+            paired = pair(reference, estimate, candidate.protocol, found.files)
         except InvalidInput as error:
             skipped[error.message] = skipped.get(error.message, 0) + 1
             continue

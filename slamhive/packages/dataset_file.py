@@ -63,6 +63,7 @@ class _GroundTruthModel(BaseModel):
     lever_arm_m: list[float] | None = None
     uncertainty_m: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False)
     uncertainties: str | None = None
+    image_times: str | None = None
 
 
 class _DatasetModel(BaseModel):
@@ -117,6 +118,7 @@ def load_dataset(folder: Path) -> Dataset:
         "ground truth": None if model.groundtruth is None else model.groundtruth.file,
         "KITTI poses": None if model.groundtruth is None else model.groundtruth.kitti_poses,
         "uncertainties": None if model.groundtruth is None else model.groundtruth.uncertainties,
+        "image times": None if model.groundtruth is None else model.groundtruth.image_times,
         "reference map": model.reference_map,
         "relations": model.relations,
     }

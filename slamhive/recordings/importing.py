@@ -23,9 +23,17 @@ from slamhive.domain.dataset import RELATIONS_FILE, Dataset, GroundTruth
 from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import Sensor
 from slamhive.recordings.geometry import Array, quaternions_from_rotations
-from slamhive.recordings.staging import GROUND_TRUTH_FILE, NewDataset, Progress, new_dataset
+from slamhive.recordings.staging import (
+    GROUND_TRUTH_FILE,
+    IMAGE_TIMES_FILE,
+    UNCERTAINTIES_FILE,
+    NewDataset,
+    Progress,
+    new_dataset,
+)
 from slamhive.recordings.writers import NS_PER_S, BagWriter
 from slamhive.trajectory.layout import parse_ground_truth
+from slamhive.trajectory.pose_file import format_times
 from slamhive.trajectory.table import read_bounded
 from slamhive.trajectory.transforms import rotations_from_quats
 
@@ -155,7 +163,8 @@ class RewrittenRecording:
 class PlannedTruth:
     """Ground truth: times (n,) in s, positions (n, 3) in m, unit quaternions (n, 4) x y z w, all of the body frame.
 
-    ``quats_xyzw`` is None where only positions are known.
+    ``quats_xyzw`` is None where only positions are known. ``sigmas_m`` (n, 3) are the standard deviations of positions
+    along the axes of the world, ``uncertainty_m`` is one of all. ``image_times_s`` (k,) says when images were taken.
     """
 
     times_s: Array
@@ -164,16 +173,24 @@ class PlannedTruth:
     gravity_aligned: bool
     source: str
     kitti_poses: str | None = None
+    lever_arm_m: tuple[float, ...] | None = None
+    uncertainty_m: float | None = None
+    sigmas_m: Array | None = None
+    image_times_s: Array | None = None
 
     @property
     def definition(self) -> GroundTruth:
-        """The sensor in the terms of ``dataset.yaml``."""
+        """The ground truth in the terms of ``dataset.yaml``."""
         return GroundTruth(
             GROUND_TRUTH_FILE,
             gravity_aligned=self.gravity_aligned,
             positions_only=self.quats_xyzw is None,
             kitti_poses=self.kitti_poses,
             source=self.source,
+            lever_arm_m=self.lever_arm_m,
+            uncertainty_m=self.uncertainty_m,
+            uncertainties=None if self.sigmas_m is None else UNCERTAINTIES_FILE,
+            image_times=None if self.image_times_s is None else IMAGE_TIMES_FILE,
         )
 
     def write(self, new: NewDataset) -> None:
@@ -182,6 +199,12 @@ class PlannedTruth:
         if quats_xyzw is None:
             quats_xyzw = np.tile((0.0, 0.0, 0.0, 1.0), (len(self.times_s), 1))
         new.write_ground_truth(self.times_s, self.positions_m, quats_xyzw)
+        if self.sigmas_m is not None:
+            rows = zip(self.times_s.tolist(), self.sigmas_m.tolist(), strict=True)
+            text = "".join(f"{time_s:.9f} {' '.join(f'{sigma_m:.9g}' for sigma_m in row)}\n" for time_s, row in rows)
+            (new.aside / UNCERTAINTIES_FILE).write_text(text, encoding="utf-8")
+        if self.image_times_s is not None:
+            (new.aside / IMAGE_TIMES_FILE).write_bytes(format_times(self.image_times_s))
 
 
 @dataclass(frozen=True, slots=True)

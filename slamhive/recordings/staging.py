@@ -35,6 +35,8 @@ def _silent(_fraction: float, _text: str) -> None:
 
 
 GROUND_TRUTH_FILE = "groundtruth.txt"
+UNCERTAINTIES_FILE = "uncertainties.txt"
+IMAGE_TIMES_FILE = "image_times.txt"
 PLAY_SCRIPT = "rosbag_play.py"
 _LONGEST_TITLE = 200
 _SPARE_BYTES = 50_000_000

@@ -624,6 +624,7 @@ def import_runs(
         "ground_truth": request.groundtruth,
         "relations": request.relations,
         "times": request.times,
+        "image_times": request.image_times,
     }
     wanted = ImportRequest(
         source=folder if request.table is None else _inside(folder, request.table),

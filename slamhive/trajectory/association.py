@@ -25,13 +25,17 @@ from slamhive.trajectory.transforms import (
 Indices = npt.NDArray[np.intp]
 
 
-def associate(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -> tuple[Poses, Poses]:
+def associate(
+    reference: Trajectory, estimate: Trajectory, protocol: Protocol, image_times_s: FloatArray | None = None
+) -> tuple[Poses, Poses]:
     """Matched poses of ground truth and estimate, by the rule of ``protocol.association``.
 
     Args:
         reference: The ground truth.
         estimate: The estimate, its timestamps on the clock of the ground truth.
         protocol: Says how, and how far apart.
+        image_times_s: When images were taken, on the clock of the ground truth, increasing, shape (k,). A protocol that
+            holds the estimate compares at these times; None: at those of the ground truth.
 
     Raises:
         InvalidInput: No pose has a match, or, by index, their numbers differ.
@@ -50,7 +54,7 @@ def associate(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
     elif how is Association.INTERPOLATE_ESTIMATE:
         pair = interpolated(estimate, reference, protocol.interpolation_interval_s)[::-1]
     elif how is Association.HOLD:
-        pair = _held(reference, estimate, protocol.hold_interval_s)
+        pair = _held(reference, estimate, protocol.hold_interval_s, image_times_s)
     else:
         match = {Association.ONE_TO_ONE: match_one_to_one, Association.SWEEP: match_in_one_sweep}.get(
             how, match_nearest
@@ -58,7 +62,7 @@ def associate(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
         of_reference, of_estimate = match(reference.stamps_s, estimate.stamps_s, protocol.association_tolerance_s)
         pair = reference.take(of_reference), estimate.take(of_estimate)
     if len(pair[0]) == 0:
-        raise _no_match(reference, estimate, protocol)
+        raise _no_match(reference, estimate, protocol, image_times_s)
     return pair
 
 
@@ -227,20 +231,31 @@ _NOT_BY_TOLERANCE = {
 }
 
 
-def _held(reference: Trajectory, estimate: Trajectory, interval_s: float | None) -> tuple[Poses, Poses]:
+def _held(
+    reference: Trajectory, estimate: Trajectory, interval_s: float | None, image_times_s: FloatArray | None
+) -> tuple[Poses, Poses]:
     """The estimate at every timestamp of the ground truth: between its poses interpolated, beyond its ends held.
 
-    With an interval, at those timestamps of the ground truth whose next one is no further away.
+    With an interval, at those timestamps of the ground truth whose next one is no further away. With times of images,
+    at those that the ground truth encloses, no further apart than the interval, and the ground truth interpolated too.
     """
     if estimate.stamps_s[0] > reference.stamps_s[-1] or estimate.stamps_s[-1] < reference.stamps_s[0]:
         return reference.take(np.empty(0, np.intp)), estimate.take(np.empty(0, np.intp))
+    if image_times_s is not None:
+        after = np.searchsorted(reference.stamps_s, image_times_s, side="right")
+        inside = np.flatnonzero((after > 0) & (after < len(reference)))
+        apart_s = reference.stamps_s[after[inside]] - reference.stamps_s[after[inside] - 1]
+        stamps_s = image_times_s[inside[apart_s <= (np.inf if interval_s is None else interval_s)]]
+        return interpolate(reference, stamps_s), interpolate(estimate, stamps_s)
     if interval_s is None:
         return reference, interpolate(estimate, reference.stamps_s)
     kept = reference.take(np.flatnonzero(np.diff(reference.stamps_s) <= interval_s))
     return kept, interpolate(estimate, kept.stamps_s)
 
 
-def _no_match(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -> InvalidInput:
+def _no_match(
+    reference: Trajectory, estimate: Trajectory, protocol: Protocol, image_times_s: FloatArray | None
+) -> InvalidInput:
     spans = (
         f"estimate {estimate.stamps_s[0]:.3f} to {estimate.stamps_s[-1]:.3f} s, "
         f"ground truth {reference.stamps_s[0]:.3f} to {reference.stamps_s[-1]:.3f} s"
@@ -254,6 +269,12 @@ def _no_match(reference: Trajectory, estimate: Trajectory, protocol: Protocol) -
             f"estimate and ground truth do not overlap in time: {spans}",
             "use the same clock for both; if they begin at the same moment, evaluate under a protocol with "
             f"time_offset_s: {reference.stamps_s[0] - estimate.stamps_s[0]:.3f} and offset_search_s: 5",
+        )
+    if protocol.association is Association.HOLD and image_times_s is not None:
+        near = "" if protocol.hold_interval_s is None else f" at most {protocol.hold_interval_s:g} s apart"
+        return InvalidInput(
+            f"no image was taken between two poses of the ground truth{near}: {len(image_times_s)} images, {spans}",
+            "raise hold_interval_s, or give the times of the images on the clock of the ground truth",
         )
     if protocol.association is Association.HOLD:
         return InvalidInput(

@@ -27,8 +27,8 @@ from slamhive.trajectory.layout import (
     parse_rows,
     stated_in,
 )
-from slamhive.trajectory.model import QUATERNION_TOLERANCE, Trajectory, lacking, no_rotations
-from slamhive.trajectory.table import count_columns, parse_table, read_bounded
+from slamhive.trajectory.model import QUATERNION_TOLERANCE, FloatArray, Trajectory, lacking, no_rotations
+from slamhive.trajectory.table import count_columns, parse_table, read_bounded, text_lines
 from slamhive.trajectory.transforms import quats_from_rotations
 
 SYSTEMS = systems_by_columns()
@@ -377,3 +377,79 @@ def _first_number(data: bytes) -> float:
         return float(row.replace(b",", b" ").split()[0])
     except ValueError:
         return 0.0
+
+
+# Files beside a ground truth: the uncertainty of its positions, and the times of images.
+
+
+def read_uncertainties(path: Path, stamps_s: FloatArray) -> FloatArray:
+    """Standard deviations of true positions along x, y, z at ``stamps_s`` (n,), shape (n, 3), from rows of a file.
+
+    They are interpolated linearly. Raises InvalidInput for a damaged file, one that ends before the ground truth, and
+    standard deviations that are none.
+    """
+    rows = parse_table(read_bounded(path), path.name, 4, "timestamp sigma_x sigma_y sigma_z").values
+    steps_s = np.diff(rows[:, 0])
+    if not np.isfinite(rows).all() or (rows[:, 1:] < 0).any() or (steps_s <= 0).any():
+        raise InvalidInput(
+            f"{path.name} must hold growing timestamps and standard deviations of 0 or more",
+            "write timestamp sigma_x sigma_y sigma_z, in s and m",
+        )
+    step_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    if stamps_s[0] < rows[0, 0] - step_s or stamps_s[-1] > rows[-1, 0] + step_s:
+        raise InvalidInput(f"{path.name} does not cover the ground truth", "write a row for each of its poses")
+    return np.column_stack([np.interp(stamps_s, rows[:, 0], rows[:, axis]) for axis in (1, 2, 3)])
+
+
+def read_times(path: Path) -> FloatArray:
+    """The growing timestamps in s of a file with one a line, shape (n,); raises InvalidInput for other content."""
+    times_s = parse_table(read_bounded(path), path.name, 1, "timestamp").values[:, 0]
+    if not np.isfinite(times_s).all() or (np.diff(times_s) <= 0).any():
+        raise InvalidInput(f"{path.name} must hold growing timestamps", "write one of each image, in s")
+    return times_s
+
+
+def read_image_times(path: Path, truth: Span) -> FloatArray:
+    """When images were taken, in s, increasing, shape (n,).
+
+    Args:
+        path: Lines that begin with a timestamp, alone or before a file name: ``rgb.txt`` of TUM and ETH3D, ``data.csv``
+            of EuRoC.
+        truth: When the ground truth begins and ends, in s; it shows the unit of the timestamps.
+
+    Raises:
+        NotFound: There is no such file.
+        InvalidInput: A line begins with no timestamp, their unit is in doubt, or none is within the ground truth.
+    """
+    found: list[float] = []
+    for number, line in enumerate(text_lines(read_bounded(path), str(path), "timestamp and file name"), start=1):
+        words = line.replace(",", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            time = float(words[0])
+        except ValueError:
+            time = np.nan
+        if not np.isfinite(time):
+            raise InvalidInput(
+                f"{path}, line {number}: {words[0][:40]!r} is not a timestamp",
+                "begin each line with the timestamp of an image",
+            )
+        found.append(time)
+    if not found:
+        raise InvalidInput(f"{path} names no image", "begin each line with the timestamp of an image")
+    times = np.unique(found)
+    unit = decided(find_unit(times, None, truth), f"{path}: the time unit", "write the timestamps in seconds")
+    times_s = times / unit.per_second
+    if times_s[-1] < truth[0] or times_s[0] > truth[1]:
+        raise InvalidInput(
+            f"{path}: the images are from {times_s[0]:.3f} s to {times_s[-1]:.3f} s, "
+            f"the ground truth is from {truth[0]:.3f} s to {truth[1]:.3f} s: the clocks do not meet",
+            "give the times of the images on the clock of the ground truth",
+        )
+    return times_s
+
+
+def format_times(times_s: FloatArray) -> bytes:
+    """The text that :func:`read_times` reads: nanoseconds count."""
+    return "".join(f"{time_s:.9f}\n" for time_s in times_s.tolist()).encode()

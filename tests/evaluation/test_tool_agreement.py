@@ -7,7 +7,8 @@
 - the modules of rpg_trajectory_evaluation (``trajectory.py`` 995e584), with the search for the ends of segments written
   in numpy;
 - OpenVINS' ``error_singlerun`` (``AlignUtils.cpp`` 5d9fbee) and ETH3D's ``main.cc`` 30edfa0, compiled with Eigen 3.4,
-  without plots and covariances. The list of images for ETH3D was that of the ground truth's timestamps.
+  without plots and covariances. The list of images for ETH3D was that of the ground truth's timestamps; for
+  "eth3d images", one of 27 Hz that begins before the ground truth and ends behind it.
 
 OpenVINS and ETH3D take quaternions as they are written; ours are made unit. So these two were run twice: on files with
 unit quaternions of all digits, and on the files as they are, whose quaternions have six or seven.
@@ -21,14 +22,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from slamhive.domain.protocol import Protocol, ProtocolRequest
 from slamhive.evaluation.engine import all_metrics
+from slamhive.evaluation.evaluators.base import IMAGE_TIMES
 from slamhive.evaluation.pairing import pair
 from slamhive.evaluation.presets import PRESETS
 from slamhive.evaluation.references import TruthReference
 from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.pose_file import format_times, read_image_times
 from tests.evaluation.tool_inputs import RECORDED, RUNS, recorded, synthetic
 
 pytestmark = pytest.mark.integration  # evo takes seconds to load
@@ -72,6 +76,22 @@ def test_a_preset_gives_what_its_tool_prints(name: str, preset: str) -> None:
     assert_equal(found, TOOLS[name][preset], ROUNDING)
     if preset in TOOLS[name].get("as written", {}):
         assert_equal(found, TOOLS[name]["as written"][preset], AS_WRITTEN[preset])
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_eth3d_compares_at_the_times_of_images_where_they_are_known(name: str, tmp_path: Path) -> None:
+    truth, estimate = trajectories(name)
+    begin_s, end_s = truth.stamps_s[0] - 0.2, truth.stamps_s[-1] + 0.2
+    images_s = np.round(np.arange(begin_s, end_s, 1 / 27) + 0.0013, 6)
+    listed = "".join(f"{image_s:.6f} rgb/{image_s:.6f}.png\n" for image_s in images_s)
+    (tmp_path / "rgb.txt").write_text(f"# timestamp filename\n{listed}")
+    read_s = read_image_times(tmp_path / "rgb.txt", (float(truth.stamps_s[0]), float(truth.stamps_s[-1])))
+    (tmp_path / "image_times.txt").write_bytes(format_times(read_s))
+    protocol = PRESETS.get("eth3d").protocol
+    found = all_metrics(pair(TruthReference(truth), estimate, protocol, {IMAGE_TIMES: tmp_path / "image_times.txt"}))
+    assert_equal(found.values, TOOLS[name]["eth3d images"], ROUNDING)
+    without = all_metrics(pair(TruthReference(truth), estimate, protocol)).values
+    assert without["ate.rmse"] != pytest.approx(TOOLS[name]["eth3d images"]["ate.rmse"], rel=1e-6)
 
 
 @pytest.mark.parametrize("preset", ["ov", "rpg"])

@@ -51,7 +51,9 @@ def test_the_prism_and_the_uncertainty_of_a_ground_truth_come_back(tmp_path):
         lever_arm_m=(0.1, 0.0, 1.2),
         uncertainty_m=0.02,
         uncertainties="sigmas.txt",
+        image_times="image_times.txt",
     )
+    assert truth.files == ("groundtruth.txt", "sigmas.txt", "image_times.txt")
     dataset = replace(make_dataset(tmp_path), groundtruth=truth)
     text = dataset_to_yaml(dataset)
     (dataset.folder / "dataset.yaml").write_text(text)

@@ -5,13 +5,16 @@ import re
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.packages.dataset_file import dataset_to_yaml
 from slamhive.recordings.exporters import export_dataset, plan_export
 from slamhive.recordings.importers.registry import detect_format, plan_import
 from slamhive.recordings.importing import ImportOptions, perform
 from slamhive.recordings.room import RoomOptions, render_room
+from slamhive.trajectory.pose_file import read_times, read_uncertainties
 from tests.fuzzing import mutated
 from tests.recordings.format_world import silent
 
@@ -51,6 +54,28 @@ def test_a_dataset_comes_in_unchanged(room, folder, tmp_path):
     assert made.duration_s == pytest.approx(room.duration_s, abs=0.1)
     for file in (room.groundtruth.file, room.reference_map):
         assert (made.folder / file).read_bytes() == (room.folder / file).read_bytes()
+
+
+def test_everything_known_of_a_ground_truth_comes_along(room, folder, tmp_path):
+    truth = replace(
+        room.groundtruth,
+        positions_only=True,
+        lever_arm_m=(0.1, 0.0, 1.2),
+        uncertainty_m=0.02,
+        uncertainties="uncertainties.txt",
+        image_times="image_times.txt",
+    )
+    times = [line.split()[0] for line in (folder / "groundtruth.txt").read_text().splitlines() if line[0] != "#"]
+    (folder / "uncertainties.txt").write_text("".join(f"{time} 0.01 0.02 0.03\n" for time in times))
+    (folder / "image_times.txt").write_text("".join(f"{time}\n" for time in times[::2]))
+    (folder / "dataset.yaml").write_text(dataset_to_yaml(replace(room, name="given", groundtruth=truth)))
+    made = imported(folder, tmp_path / "copy")
+    assert made.groundtruth == truth
+    assert read_times(made.folder / "image_times.txt").tolist() == [float(time) for time in times[::2]]
+    sigmas_m = read_uncertainties(made.folder / "uncertainties.txt", np.array([float(times[0])]))
+    assert sigmas_m.tolist() == [[0.01, 0.02, 0.03]]
+    export_dataset(plan_export(made, "mcap", partial=False), tmp_path / "exported", silent)
+    assert {"uncertainties.txt", "image_times.txt"} <= {path.name for path in (tmp_path / "exported").iterdir()}
 
 
 def test_an_export_comes_in_without_options(room, tmp_path):

@@ -8,6 +8,7 @@ from slamhive.base.errors import InvalidInput
 from slamhive.recordings.frame_files import read_image
 from slamhive.recordings.importers.registry import detect_format
 from slamhive.trajectory.layout import read_tum
+from slamhive.trajectory.pose_file import read_times
 from tests.recordings.format_world import (
     EUROC_START_NS,
     FORMATS,
@@ -66,6 +67,8 @@ def test_eth3d_is_no_tum_rgbd_because_it_brings_its_calibration(tmp_path):
     assert dataset.sensor("depth0").calibration["units_per_m"] == 5000.0
     assert len(truth) == 14
     assert len(seen["/cam0/camera_info"]) == len(seen["/depth0/image_raw"]) == 4
+    stamps_s = [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in seen["/cam0/camera_info"]]
+    assert read_times(dataset.folder / dataset.groundtruth.image_times).tolist() == pytest.approx(stamps_s, abs=1e-6)
 
 
 @pytest.mark.integration

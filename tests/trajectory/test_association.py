@@ -1,6 +1,7 @@
 """Which pose answers to which: the rules of evo and of TUM, ground truth between its poses, and estimates held."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from slamhive.base.errors import InvalidInput
 from slamhive.domain.protocol import Alignment, Association, Protocol
 from slamhive.trajectory.association import associate, match_in_one_sweep, match_nearest, match_one_to_one
 from slamhive.trajectory.model import Trajectory
+from slamhive.trajectory.pose_file import read_image_times
 from slamhive.trajectory.transforms import interpolate
 
 pytestmark = pytest.mark.quick
@@ -87,6 +89,49 @@ def test_an_estimate_is_held_where_the_ground_truth_is_dense() -> None:
     assert held.positions_m[:, 0] == pytest.approx(dense.stamps_s)
     with pytest.raises(InvalidInput, match=r"no two poses of the ground truth are within 0\.001 s, the hold interval"):
         associate(truth, estimate, protocol(Association.HOLD, hold_interval_s=0.001))
+
+
+def test_an_estimate_is_held_at_the_times_of_images_that_the_ground_truth_encloses() -> None:
+    truth, estimate = straight(np.array([0.0, 0.01, 0.02, 0.5, 0.51])), straight(np.array([0.005, 0.4]))
+    images_s = np.array([-1.0, 0.0, 0.004, 0.019, 0.3, 0.505, 0.51, 2.0])
+    held = protocol(Association.HOLD, hold_interval_s=0.1)
+    matched, found = associate(truth, estimate, held, images_s)
+    assert matched.stamps_s.tolist() == [0.0, 0.004, 0.019, 0.505], "the last pose of the ground truth has no next one"
+    assert matched.positions_m[:, 0] == pytest.approx([0.0, 0.004, 0.019, 0.505])
+    assert found.positions_m[:, 0] == pytest.approx([0.005, 0.005, 0.019, 0.4])
+    everywhere, _ = associate(truth, estimate, protocol(Association.HOLD), images_s)
+    assert everywhere.stamps_s.tolist() == [0.0, 0.004, 0.019, 0.3, 0.505]
+    with pytest.raises(InvalidInput, match=r"no image was taken between two poses .* at most 0\.1 s apart: 1 images"):
+        associate(truth, estimate, held, np.array([0.3]))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected_s"),
+    [
+        ("# timestamp filename\n10.5 rgb/10.5.png\n\n10.25 rgb/10.25.png\n", [10.25, 10.5]),
+        ("#timestamp [ns],filename\n10250000000,a.png\n10500000000,b.png\n", [10.25, 10.5]),
+        ("10.25\n10.5\n10.5\n", [10.25, 10.5]),
+    ],
+)
+def test_times_of_images_are_read_from_lists(tmp_path: Path, text: str, expected_s: list[float]) -> None:
+    (tmp_path / "rgb.txt").write_text(text)
+    assert read_image_times(tmp_path / "rgb.txt", (10.0, 12.0)).tolist() == expected_s
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("10.25 a.png\nrgb/10.5.png\n", r"rgb\.txt, line 2: 'rgb/10\.5\.png' is not a timestamp"),
+        ("nan a.png\n", r"rgb\.txt, line 1: 'nan' is not a timestamp"),
+        ("# nothing\n", r"rgb\.txt names no image"),
+        ("1500.25 a.png\n1500.5 b.png\n", r"the images are from 1500\.250 s to 1500\.500 s, .*the clocks do not meet"),
+        ("0 a.png\n1 b.png\n", r"rgb\.txt: the time unit is in doubt: .*; write the timestamps in seconds"),
+    ],
+)
+def test_a_list_of_images_without_usable_times_is_refused(tmp_path: Path, text: str, reason: str) -> None:
+    (tmp_path / "rgb.txt").write_text(text)
+    with pytest.raises(InvalidInput, match=reason):
+        read_image_times(tmp_path / "rgb.txt", (10.0, 12.0))
 
 
 def greedy(reference_s: np.ndarray, estimate_s: np.ndarray, tolerance_s: float) -> list[tuple[int, int]]:

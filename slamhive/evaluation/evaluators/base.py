@@ -23,6 +23,7 @@ MAP = "map"
 RELATIONS = "relations"
 REFERENCE_MAP = "reference_map"
 UNCERTAINTIES = "uncertainties"
+IMAGE_TIMES = "image_times"
 KITTI_ESTIMATE = "kitti_estimate"
 KITTI_REFERENCE = "kitti_reference"
 
@@ -49,7 +50,7 @@ class Paired:
         T_body_estimate: Pose, in the body frame, of the frame whose poses the estimate holds, shape (4, 4).
         files: Other files of run and dataset that exist, by name: :data:`COVARIANCES`, :data:`MAP`,
             :data:`RELATIONS`, :data:`REFERENCE_MAP`, :data:`KITTI_ESTIMATE`, :data:`KITTI_REFERENCE`,
-            :data:`UNCERTAINTIES`.
+            :data:`UNCERTAINTIES`, :data:`IMAGE_TIMES`.
         uncertainty_m: Standard deviation of a true position along each axis; None if it is not known.
         fitted: The constant transform between the frames that the protocol has fitted; None without.
     """

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from slamhive.base.errors import InvalidInput
@@ -14,7 +12,7 @@ from slamhive.evaluation.evaluators.relative import path_m
 from slamhive.trajectory.alignment import Similarity, align, align_umeyama
 from slamhive.trajectory.completeness import covers, measure_completeness, measure_own_coverage
 from slamhive.trajectory.model import FloatArray, Poses
-from slamhive.trajectory.table import parse_table, read_bounded
+from slamhive.trajectory.pose_file import read_uncertainties
 from slamhive.trajectory.transforms import quats_from_rotations, rotation_angles_rad
 
 _FRAME_KEYS = (
@@ -198,25 +196,6 @@ class TruthFloor:
         if paired.uncertainty_m is None:
             return MetricValues({})
         return MetricValues({"ate.truth_floor": float(np.sqrt(3.0)) * paired.uncertainty_m})
-
-
-def read_uncertainties(path: Path, stamps_s: FloatArray) -> FloatArray:
-    """Standard deviations of true positions along x, y, z at ``stamps_s`` (n,), shape (n, 3), from rows of a file.
-
-    They are interpolated linearly. Raises InvalidInput for a damaged file, one that ends before the ground truth, and
-    standard deviations that are none.
-    """
-    rows = parse_table(read_bounded(path), path.name, 4, "timestamp sigma_x sigma_y sigma_z").values
-    steps_s = np.diff(rows[:, 0])
-    if not np.isfinite(rows).all() or (rows[:, 1:] < 0).any() or (steps_s <= 0).any():
-        raise InvalidInput(
-            f"{path.name} must hold growing timestamps and standard deviations of 0 or more",
-            "write timestamp sigma_x sigma_y sigma_z, in s and m",
-        )
-    step_s = float(np.median(steps_s)) if len(steps_s) else 0.0
-    if stamps_s[0] < rows[0, 0] - step_s or stamps_s[-1] > rows[-1, 0] + step_s:
-        raise InvalidInput(f"{path.name} does not cover the ground truth", "write a row for each of its poses")
-    return np.column_stack([np.interp(stamps_s, rows[:, 0], rows[:, axis]) for axis in (1, 2, 3)])
 
 
 def local_scales(reference: Poses, estimate: Poses, delta_m: float) -> FloatArray:

@@ -84,7 +84,7 @@ def _plan(dataset: Dataset, bag: str, write_bag: _WriteBag, *, keep: bool) -> Ex
         write_recording(dataset.bag_path, folder / bag, _part(progress, 0.0, _RECORDED))
         truth = dataset.groundtruth
         beside = [dataset.reference_map, dataset.relations]
-        beside += [] if truth is None else [truth.file, truth.kitti_poses]
+        beside += [] if truth is None else truth.files
         for file in beside:
             if file is not None and (dataset.folder / file).is_file():
                 shutil.copyfile(dataset.folder / file, folder / file)

@@ -104,7 +104,8 @@ def _description(dataset: Dataset, *sensors: Sensor) -> str:
     described = tuple(replace(sensor, T_body_sensor=IDENTITY4) for sensor in sensors)
     truth = dataset.groundtruth
     if truth is not None:
-        truth = None if truth.positions_only else replace(truth, file=GROUND_TRUTH_FILE, kitti_poses=None)
+        alone = replace(truth, file=GROUND_TRUTH_FILE, kitti_poses=None, uncertainties=None, image_times=None)
+        truth = None if truth.positions_only else alone
     made = replace(dataset, bag="", sensors=described, groundtruth=truth, reference_map=None, relations=None)
     return dataset_to_yaml(made)
 

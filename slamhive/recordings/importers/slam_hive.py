@@ -16,6 +16,7 @@ from slamhive.recordings.importing import DatasetText, Detection, ImportOptions,
 from slamhive.recordings.staging import GROUND_TRUTH_FILE, PLAY_SCRIPT
 from slamhive.runtime.paths import is_recording
 from slamhive.trajectory.layout import read_tum
+from slamhive.trajectory.pose_file import read_times, read_uncertainties
 
 _DESCRIBED = ("title", "description", "licence", "citation", "source", "attributes")
 
@@ -101,8 +102,18 @@ def _truth(dataset: Dataset) -> PlannedTruth | None:
         return None
     trajectory = read_tum(_beside(dataset, truth.file))
     quats_xyzw = None if truth.positions_only else trajectory.quats_xyzw
+    sigmas, images = truth.uncertainties, truth.image_times
     return PlannedTruth(
-        trajectory.stamps_s, trajectory.positions_m, quats_xyzw, truth.gravity_aligned, truth.source, truth.kitti_poses
+        trajectory.stamps_s,
+        trajectory.positions_m,
+        quats_xyzw,
+        truth.gravity_aligned,
+        truth.source,
+        truth.kitti_poses,
+        truth.lever_arm_m,
+        truth.uncertainty_m,
+        sigmas_m=None if sigmas is None else read_uncertainties(_beside(dataset, sigmas), trajectory.stamps_s),
+        image_times_s=None if images is None else read_times(_beside(dataset, images)),
     )
 
 

@@ -34,6 +34,7 @@ from slamhive.recordings.rgbd import (
     size_of,
 )
 from slamhive.recordings.text_lists import TimedList, listed_truth, parse_timed_list, read_lines
+from slamhive.recordings.writers import NS_PER_S
 from slamhive.trajectory.layout import TimeUnit
 
 _UNITS_PER_M = 5000.0
@@ -270,6 +271,8 @@ class Eth3dImporter:
         path = options.groundtruth or source / _TRUTH
         known = options.groundtruth is not None or path.is_file()
         truth = tum_truth(path, "motion capture", gravity_aligned=False) if known else None
+        if truth is not None:  # their tool compares at the times of the images
+            truth = replace(truth, image_times_s=streams[0].times_ns / NS_PER_S)
         return ImportPlan(
             tuple(streams),
             truth,

@@ -328,7 +328,7 @@ class _Export:
         except SlamHiveError:
             return
         self._archive.add_file(f"datasets/{name}/{DATASET_FILE}", folder / DATASET_FILE)
-        truths = () if dataset.groundtruth is None else (dataset.groundtruth.file, dataset.groundtruth.kitti_poses)
+        truths = () if dataset.groundtruth is None else dataset.groundtruth.files
         for file in (*truths, dataset.relations):
             if file is not None:
                 self._archive.add_file(f"datasets/{name}/{file}", folder / file)

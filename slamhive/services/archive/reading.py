@@ -409,5 +409,5 @@ def _of_dataset(file: str, dataset: Dataset | None) -> bool:
     if dataset is None or file in (REPORT_FILE, TRIAL_FILE, PLAY_SCRIPT):
         return False
     truth = dataset.groundtruth
-    named = {DATASET_FILE, dataset.relations, *(() if truth is None else (truth.file, truth.kitti_poses))}
+    named = {DATASET_FILE, dataset.relations, *(() if truth is None else truth.files)}
     return file in named or (bool(dataset.bag) and dataset.bag in (file, file.rpartition("/")[0]))

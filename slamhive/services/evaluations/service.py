@@ -26,6 +26,7 @@ from slamhive.domain.sensors import IDENTITY4, Matrix4
 from slamhive.domain.verdict import Hint
 from slamhive.evaluation.evaluators.base import (
     COVARIANCES,
+    IMAGE_TIMES,
     KITTI_ESTIMATE,
     KITTI_REFERENCE,
     MAP,
@@ -64,6 +65,7 @@ def evaluation_files(folder: RunFolder, dataset: Dataset) -> dict[str, Path]:
         COVARIANCES: folder.covariances,
         MAP: folder.map,
         UNCERTAINTIES: None if truth is None or truth.uncertainties is None else dataset.folder / truth.uncertainties,
+        IMAGE_TIMES: None if truth is None or truth.image_times is None else dataset.folder / truth.image_times,
         RELATIONS: None if dataset.relations is None else dataset.folder / dataset.relations,
         REFERENCE_MAP: None if dataset.reference_map is None else dataset.folder / dataset.reference_map,
         KITTI_ESTIMATE: folder.kitti_poses,
@@ -472,8 +474,9 @@ class ProtocolSearches:
             if T_body_sensor not in (own, *others.values()):
                 others[name] = T_body_sensor
         with self._turn:
+            files = evaluation_files(folder, dataset)
             found = search_protocols(
-                SearchInput(reference_of, estimates, others, truth.gravity_aligned), number, family
+                SearchInput(reference_of, estimates, others, truth.gravity_aligned, files), number, family
             )
         return ProtocolSearchDocument(
             run=run.id,

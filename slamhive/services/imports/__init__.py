@@ -9,6 +9,7 @@ from slamhive.base.lazy import lazy_names
 if TYPE_CHECKING:
     from slamhive.services.imports.request import (
         DEFAULT_GROUND_TRUTH,
+        DEFAULT_IMAGE_TIMES,
         DEFAULT_PATTERN,
         DEFAULT_RELATIONS,
         DEFAULT_TIMES,

@@ -25,6 +25,7 @@ DEFAULT_PATTERN = "<algorithm>/<dataset>/<trial>.txt"
 DEFAULT_GROUND_TRUTH = "<dataset>/groundtruth.txt"
 DEFAULT_TIMES = "<dataset>/times.txt"
 DEFAULT_RELATIONS = "<dataset>/relations.txt"
+DEFAULT_IMAGE_TIMES = "<dataset>/rgb.txt"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,7 @@ class ImportRequest:
         ground_truth: Pattern of the ground truths below the folder, for datasets that are not here yet.
         relations: Pattern of the files of relations, beside a ground truth or instead of one.
         times: Pattern of the timestamp files for KITTI poses.
+        image_times: Pattern of the files that say when images were taken, such as ``rgb.txt``.
         format: Of all trajectories.
         sensors: The sensor setup of each algorithm; the key "" is for all others.
         gravity_aligned: The z axis of the ground truths points up.
@@ -54,6 +56,7 @@ class ImportRequest:
     ground_truth: str = DEFAULT_GROUND_TRUTH
     relations: str = DEFAULT_RELATIONS
     times: str = DEFAULT_TIMES
+    image_times: str = DEFAULT_IMAGE_TIMES
     format: TrajectoryFormat = TrajectoryFormat.AUTO
     sensors: dict[str, SensorSetup] = field(default_factory=dict)
     gravity_aligned: bool = False
@@ -91,14 +94,15 @@ class ImportProblem:
 class FoundImports:
     """The files at the source.
 
-    ``truths``, ``truth_told`` and ``relations`` by dataset, "" being for all; ``setups`` by algorithm; ``left_out``
-    match no pattern.
+    ``truths``, ``truth_told``, ``relations`` and ``image_times`` by dataset, "" being for all; ``setups`` by algorithm;
+    ``left_out`` match no pattern.
     """
 
     candidates: list[ImportCandidate] = field(default_factory=list)
     truths: dict[str, Path] = field(default_factory=dict)
     truth_told: dict[str, Convention] = field(default_factory=dict)
     relations: dict[str, Path] = field(default_factory=dict)
+    image_times: dict[str, Path] = field(default_factory=dict)
     setups: dict[str, SensorSetup] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
     problems: list[ImportProblem] = field(default_factory=list)

@@ -28,7 +28,7 @@ from slamhive.domain.names import check_name, plural
 from slamhive.domain.protocol import Duplicates, Protocol, ProtocolRequest, TrajectoryKind
 from slamhive.evaluation.evaluators.relations import parse_relations
 from slamhive.packages.dataset_file import DATASET_FILE, dataset_to_yaml
-from slamhive.recordings.staging import GROUND_TRUTH_FILE, new_dataset_folder
+from slamhive.recordings.staging import GROUND_TRUTH_FILE, IMAGE_TIMES_FILE, new_dataset_folder
 from slamhive.run_folder.folder import RunFolder
 from slamhive.services.datasets import Catalogue, check_writable, choose_algorithm
 from slamhive.services.evaluations import fitting_protocol
@@ -60,7 +60,7 @@ from slamhive.store.filed_runs import ImportedRun
 from slamhive.store.records import RunRecord
 from slamhive.trajectory.evidence import Span
 from slamhive.trajectory.layout import UNKNOWN, Convention
-from slamhive.trajectory.pose_file import PoseFile
+from slamhive.trajectory.pose_file import PoseFile, format_times, read_image_times
 from slamhive.trajectory.table import read_bounded
 
 BATCH = 50
@@ -163,6 +163,7 @@ class Imports:
                     (entry.times for entry in usable if entry.dataset == name and entry.times is not None), None
                 ),
                 relations=found.relations.get(name, found.relations.get("")),
+                images=found.image_times.get(name, found.image_times.get("")),
                 told=found.truth_told.get(name, found.truth_told.get("", UNKNOWN)),
                 partners=[Partner(file, entry.told) for entry, file in read if entry.dataset == name],
             )
@@ -339,6 +340,7 @@ class TruthFiles:
         trajectory: The ground truth.
         times: Timestamps of the ground truth, if it is in KITTI format.
         relations: Relations between poses.
+        images: The times of images.
         told: The conventions of the ground truth that the user specified.
         partners: Trajectories on the dataset.
     """
@@ -346,6 +348,7 @@ class TruthFiles:
     trajectory: Path | None = None
     times: Path | None = None
     relations: Path | None = None
+    images: Path | None = None
     told: Convention = UNKNOWN
     partners: Sequence[Partner] = ()
 
@@ -415,6 +418,11 @@ class Truths:
             path, truth, times = known.groundtruth_path, None, None
             if path is not None and known.groundtruth is not None:
                 truth = read_truth_here(path, positions_only=known.groundtruth.positions_only)
+            if files.images is not None:
+                text = _image_times(files.images, truth)
+                named = None if known.groundtruth is None else known.groundtruth.image_times
+                here = None if named is None else known.folder / named
+                _check_file(known, "image times", here, text, "--image-times")
             if known.relations is not None:
                 with contextlib.suppress(InvalidInput, NotFound):  # an evaluation will refuse them
                     times = _read_relations(known.folder / known.relations)[1]
@@ -459,6 +467,9 @@ class Truths:
             if loaded.kitti_poses is not None:
                 contents[KITTI_POSES_FILE] = loaded.kitti_poses
                 truth = replace(truth, kitti_poses=KITTI_POSES_FILE)
+        if files.images is not None:
+            contents[IMAGE_TIMES_FILE] = _image_times(files.images, None if loaded is None else loaded.truth)
+            truth = None if truth is None else replace(truth, image_times=IMAGE_TIMES_FILE)
         dataset = Dataset(
             name=name,
             folder=self._folder / name,
@@ -482,11 +493,21 @@ class Truths:
 
 def _check_file(known: Dataset, kind: str, here: Path | None, text: bytes, option: str) -> None:
     if here is None or read_bounded(here) != text:
-        other = f"with other {kind} than those" if kind == "relations" else f"with another {kind} than the one"
+        other = f"with other {kind} than those" if kind.endswith("s") else f"with another {kind} than the one"
         raise InvalidInput(
             f"dataset {known.name} is here {f'without {kind}, unlike the one' if here is None else other} to import",
             f"import under another name of the dataset, or leave the {kind} out ({option} '')",
         )
+
+
+def _image_times(path: Path, truth: ImportTruth | None) -> bytes:
+    """The text of a file of the times of images, in s."""
+    if truth is None:
+        raise InvalidInput(
+            f"{path.name} says when images were taken, and there is no ground truth to compare with at these times",
+            "leave it out with --image-times ''",
+        )
+    return format_times(read_image_times(path, truth.span))
 
 
 def _read_relations(path: Path) -> tuple[bytes, Span]:

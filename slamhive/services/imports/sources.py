@@ -23,7 +23,7 @@ from slamhive.trajectory.table import read_bounded
 _NEEDED = ("algorithm", "dataset", "file")
 _OPTIONAL = (
     *("trial", "sensors", "groundtruth", "relations", "times", "format", "time_unit", "quaternion_order"),
-    *("groundtruth_time_unit", "groundtruth_quaternion_order", "columns"),
+    *("groundtruth_time_unit", "groundtruth_quaternion_order", "columns", "image_times"),
 )
 _ONLY_TRIAL = "1"
 _POSE_FILE = ".pose.txt"
@@ -80,6 +80,7 @@ def _in_folder(request: ImportRequest, found: FoundImports) -> Iterator[ImportCa
             (request.ground_truth, found.truths),
             (request.relations, found.relations),
             (request.times, stamps),
+            (request.image_times, found.image_times),
         )
     ]
     found.truth_told[""] = request.truth_told
@@ -174,6 +175,7 @@ def _row(request: ImportRequest, found: FoundImports, row: dict[str, str], name:
     for column, kind, files in (
         ("groundtruth", "ground truth", found.truths),
         ("relations", "relations", found.relations),
+        ("image_times", "image times", found.image_times),
     ):
         if row.get(column):
             file = _inside(folder, row[column])

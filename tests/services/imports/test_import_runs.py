@@ -18,6 +18,7 @@ from slamhive.domain.configuration import Configuration
 from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.run import RunState
 from slamhive.domain.sensors import SensorSetup
+from slamhive.evaluation.presets import PRESETS
 from slamhive.services.hive import open_hive
 from slamhive.services.imports import request, service
 from slamhive.services.imports.request import ImportRequest, one_import
@@ -388,3 +389,25 @@ def test_the_command_explains_options_in_one_line(hive, source, arguments, messa
     assert called.exit_code == 1
     assert message in called.stderr
     assert called.stderr.strip().count("\n") == 0
+
+
+def test_times_of_images_are_stored_and_every_evaluation_of_eth3d_uses_them(hive, tmp_path):
+    truth = "".join(f"{100 + i / 100:.6f} {i / 100:.6f} {(i / 100) ** 2:.6f} 0 0 0 0 1\n" for i in range(300))
+    write(tmp_path / "source" / "desk" / "groundtruth.txt", truth)
+    write(tmp_path / "source" / "desk" / "rgb.txt", "".join(f"{100.1 + i / 8:.6f} rgb/{i}.png\n" for i in range(22)))
+    estimate = "".join(f"{100 + i / 4:.6f} {i / 4:.6f} {(i / 4) ** 2:.6f} 0 0 0 0 1\n" for i in range(12))
+    write(tmp_path / "source" / "orb" / "desk" / "1.txt", estimate)
+    report = carry_out(hive, tmp_path / "source")
+    assert (report.imported, report.problems, report.left_out) == (1, [], [])
+    stored = hive.catalogue.dataset("desk").groundtruth
+    assert stored.files == ("groundtruth.txt", "image_times.txt")
+    compared = hive.runs.folder(report.run_ids[0]).evaluation(PRESETS.get("eth3d").protocol.fingerprint) / "traj.tum"
+    for _ in range(2):
+        assert CliRunner().invoke(main, ["evaluate", str(report.run_ids[0]), "--protocol", "eth3d"]).exit_code == 0
+        assert len(parse_tum(compared.read_bytes(), "traj.tum")) == 22
+    again = carry_out(hive, tmp_path / "source")
+    assert (again.known, again.problems) == (1, [])
+    write(tmp_path / "source" / "desk" / "rgb.txt", "100.5 rgb/0.png\n101 rgb/1.png\n")
+    (problem,) = carry_out(hive, tmp_path / "source").problems
+    assert "desk is here with other image times than those to import" in problem.text
+    assert carry_out(hive, tmp_path / "source", image_times="").known == 1
