@@ -6,7 +6,7 @@ keeps its plan even if the statistics of the tables are old.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -278,11 +278,13 @@ class Sql:
     Args:
         names: The ids behind its names.
         averaged: The runs that means are over, besides that they did not fail; None for all.
+        wide: Conditions on means that so many single values fulfil that these exclude few configurations.
     """
 
-    def __init__(self, names: Names, averaged: Bound | None = None) -> None:
+    def __init__(self, names: Names, averaged: Bound | None = None, wide: Collection[Condition] = ()) -> None:
         self._names = names
         self._averaged = averaged
+        self._wide = wide
 
     # -- a test of one run -----------------------------------------------------------------------------------------
 
@@ -337,8 +339,8 @@ class Sql:
         )
         if leaf.sign is not Sign.HAS:
             means = means.having(self.compare(func.avg(figures.c.value), leaf))
-        some = self.figures_where(replace(leaf, field=replace(leaf.field, source=Source.METRIC)), by_value=True)
-        if leaf.sign in _NEEDS_ONE and some is not None:
+        some = None if leaf in self._wide else self.some_value(leaf)
+        if some is not None:
             # Where a mean is small, some value is: few small values leave few configurations.
             its = RUNS.alias()
             near = (
@@ -346,6 +348,12 @@ class Sql:
             )
             means = means.where(own.c.configuration_id.in_(near))
         return runs.c.configuration_id.in_(means)
+
+    def some_value(self, leaf: Condition) -> tuple[FromClause, Select[Any]] | None:
+        """The values of single runs one of which has to fulfil ``leaf`` if a mean does; None if none has to."""
+        if leaf.sign not in _NEEDS_ONE:
+            return None
+        return self.figures_where(replace(leaf, field=replace(leaf.field, source=Source.METRIC)), by_value=True)
 
     def on_run(self, leaf: Condition, runs: FromClause, *, guarded: bool = True) -> ColumnElement[bool]:
         """A condition on a column. If ``guarded`` it is never NULL and uses no index."""
