@@ -103,7 +103,17 @@ def engine_trouble() -> Trouble | None:
             return None
     except (OSError, http.client.HTTPException):
         pass
-    return Trouble(f"no Docker engine answers at {address}", "start it, or correct DOCKER_HOST")
+    if path is None:
+        return Trouble(f"no Docker engine answers at {address}", "start it, or correct DOCKER_HOST")
+    # systemd holds the socket open before the engine is ready, which then answers who came earlier.
+    say("Docker engine", f"it takes connections at {path} but does not answer yet, waiting for it")
+    try:
+        if _ask_engine("GET", "/_ping", ENGINE_START_S)[0] == http.client.OK:
+            return None
+    except (OSError, http.client.HTTPException):
+        pass
+    problem = f"the Docker engine at {path} takes connections but does not answer"
+    return Trouble(problem, "docker info shows when it does, and the log of its service why not", is_there=True)
 
 
 def has_image(name: str) -> bool:

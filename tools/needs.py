@@ -61,7 +61,7 @@ def for_demo() -> list[Need]:
     trouble = machine.engine_trouble()
     if trouble is None:
         return found + _for_base_image()
-    if trouble.is_closed:
+    if trouble.is_there:
         say("Docker engine", f"{trouble.problem}; {trouble.remedy}. Going on without it.")
     missing = _missing(ORB_SLAM3_LIBRARIES)
     return [*found, Need(missing, "ORB-SLAM3 needs them outside containers; the demo leaves it out otherwise")]

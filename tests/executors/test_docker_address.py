@@ -95,7 +95,7 @@ def test_a_closed_socket_names_the_command(user, tmp_path, monkeypatch, group, m
     trouble = trouble_with(address.SYSTEM_SOCKET)
     assert trouble is not None
     assert problem in trouble.problem
-    assert (trouble.remedy, trouble.is_closed) == (remedy, True)
+    assert (trouble.remedy, trouble.is_there) == (remedy, True)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_an_absent_engine_is_started_or_installed(user, monkeypatch, dockerd, re
     trouble = trouble_with(address.SYSTEM_SOCKET)
     assert trouble is not None
     assert "No such file or directory" in trouble.problem
-    assert (trouble.remedy, trouble.is_closed) == (remedy, False)
+    assert (trouble.remedy, trouble.is_there) == (remedy, False)
 
 
 def test_a_rootless_engine_is_started_by_its_user(user, tmp_path, monkeypatch):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -20,6 +23,7 @@ import bootstrap  # noqa: E402
 import machine  # noqa: E402
 import needs  # noqa: E402
 import steps  # noqa: E402
+from machine import engine_trouble  # noqa: E402
 
 ABSENT = Trouble("no Docker engine answers", "install it")
 CLOSED = Trouble("user dev may not use the Docker engine", "sudo usermod -aG docker $USER, then log in again", True)
@@ -60,6 +64,53 @@ def test_a_closed_engine_is_said_with_the_remedy(monkeypatch, capsys):
     monkeypatch.setattr(machine, "engine_trouble", lambda: CLOSED)
     needs.for_demo()
     assert "sudo usermod -aG docker $USER, then log in again. Going on without it." in capsys.readouterr().out
+
+
+@pytest.fixture
+def socket_of_systemd(monkeypatch, tmp_path):
+    """A socket that is open although no engine answers there yet."""
+    path = tmp_path / "docker.sock"
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{path}")
+    monkeypatch.setattr(machine, "ASK_S", 0.05)
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(path))
+        listening.listen()
+        yield listening
+
+
+def test_an_engine_that_starts_is_waited_for(monkeypatch, socket_of_systemd):
+    said: list[str] = []
+    waits = threading.Event()
+
+    def say(label: str, outcome: str) -> None:
+        said.append(f"{label}: {outcome}")
+        waits.set()
+
+    def answer() -> None:
+        waits.wait(30)
+        while True:
+            connection, _ = socket_of_systemd.accept()
+            # The first two have closed their end by now, and one of them has asked nothing.
+            with connection, contextlib.suppress(OSError):
+                if connection.recv(1000):
+                    connection.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nOK")
+                    return
+
+    monkeypatch.setattr(machine, "say", say)
+    engine = threading.Thread(target=answer)
+    engine.start()
+    assert engine_trouble() is None
+    engine.join()
+    assert len(said) == 1
+    assert said[0].endswith("docker.sock but does not answer yet, waiting for it")
+
+
+def test_an_engine_that_never_answers_is_named(monkeypatch, socket_of_systemd):
+    monkeypatch.setattr(machine, "ENGINE_START_S", 0.05)
+    trouble = engine_trouble()
+    assert trouble is not None
+    assert trouble.is_there
+    assert trouble.problem.endswith("docker.sock takes connections but does not answer")
 
 
 def engine_without_images(monkeypatch, problem: str | None) -> None:

@@ -28,8 +28,8 @@ class Trouble(NamedTuple):
 
     problem: str
     remedy: str
-    is_closed: bool = False
-    """An engine is there, and this user may not use it."""
+    is_there: bool = False
+    """An engine is there, and this user cannot use it now."""
 
 
 def engine_address(environment: Mapping[str, str] = os.environ) -> str:
@@ -84,7 +84,7 @@ def _closed(path: str) -> Trouble:
     try:
         group = grp.getgrgid(Path(path).stat().st_gid)
     except (OSError, KeyError):
-        return Trouble(problem, f"{JOIN}, {_AGAIN}", is_closed=True)
+        return Trouble(problem, f"{JOIN}, {_AGAIN}", is_there=True)
     remedy = f"sudo usermod -aG {group.gr_name} $USER, {_AGAIN}"
     if user in group.gr_mem:
         problem += f": this session is older than its membership of the group {group.gr_name}"
@@ -92,7 +92,7 @@ def _closed(path: str) -> Trouble:
     elif group.gr_gid == 0:
         problem += ", which only root may"
         remedy = "let its socket have the group docker, as Debian's docker.io does"
-    return Trouble(problem, remedy, is_closed=True)
+    return Trouble(problem, remedy, is_there=True)
 
 
 def _start(path: str) -> str:
