@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
@@ -31,6 +32,7 @@ from slamhive.domain.names import check_name, plural
 from slamhive.domain.packages import split_version
 from slamhive.domain.protocol import Protocol, exactly
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.verdict import VerdictKind
 from slamhive.evaluation.presets import BY_SENSORS
 from slamhive.experiments.binding import at
 from slamhive.experiments.file import read_difference
@@ -61,6 +63,7 @@ MOST_AT_ONCE = 20
 _MOST_PROTOCOLS = 3
 _ENDING = ".json"
 _LIST = "slamhive claims list shows them"
+_MISSED = VerdictKind.MISSED_INPUT
 _NOT_COUNTED = NEVER_RUNS | {FailureReason.LOST}
 
 
@@ -268,10 +271,13 @@ class Claims:
             left_out = plural(len(ended) - len(counted), "older run")
             notes.append(f"{left_out} of another version, or on another content of the dataset, left out.")
         measured = self._store.read(lambda t: measured_runs(t, counted, protocol.fingerprint))
+        starved = {number for number, run in measured.items() if run.failed is _MISSED and run.disturbed}
+        if starved:
+            notes.append(f"{plural(len(starved), 'run')} left out: input was missed on a disturbed machine.")
         seeds = [run.seed + 1 for run in runs]
         return ClaimRuns(
             protocol,
-            {run.id: measured[run.id] for run in counted if run.id in measured},
+            {run.id: measured[run.id] for run in counted if run.id in measured and run.id not in starved},
             [run.id for run in counted if run.id not in measured],
             still_open,
             max(seeds, default=0),
@@ -490,7 +496,9 @@ def judge_claim(claim: Claim, found: ClaimRuns) -> ClaimAnswer:
         words = f"{len(counted)} of {plural(claim.repeats, 'run')}{waiting}: {lacking} more needed"
         return _answer(claim, ClaimState.UNDECIDED, words, lacking=lacking, **facts)
     if not good:
-        return _answer(claim, ClaimState.DIFFERS, f"all {plural(len(counted), 'run')} failed", **facts)
+        kinds = Counter(run.failed.label for run in counted.values() if run.failed is not None)
+        why = ", ".join(kind for kind, _ in kinds.most_common())
+        return _answer(claim, ClaimState.DIFFERS, f"all {plural(len(counted), 'run')} failed: {why}", **facts)
     if not len(values):
         return _answer(claim, ClaimState.CANNOT_RUN, f"no run here reports {claim.metric}", **facts)
     center = float(np.median(values) if claim.statistic is ClaimedStatistic.MEDIAN else values.mean())
@@ -545,11 +553,9 @@ def _runs_for(claim: Claim, values: np.ndarray, narrow: float) -> int:
 
 
 def _remarks(claim: Claim, good: Sequence[MeasuredRun]) -> Iterator[str]:
-    """Remarks on the machine, where the metric depends on it."""
-    if metric(claim.metric).needs_protocol:
-        return
+    """Remarks on the machine."""
     machines = sorted({run.cpu_model for run in good if run.cpu_model is not None})
-    if machines:
+    if machines and not metric(claim.metric).needs_protocol:
         yield f"It depends on the machine; here {', '.join(machines)}."
     disturbed = sum(run.disturbed is True for run in good)
     if disturbed:

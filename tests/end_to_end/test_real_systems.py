@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from unittest import mock
 
 import pytest
 
+from slamhive.base.project import project_root
 from slamhive.documents.submission import Submission
+from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.run import RunState
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
@@ -78,3 +81,24 @@ def test_lidar_systems_on_the_room(systems, room):
         folder = systems.runs.folder(entry.id)
         for path in (folder.profiling, folder.profiling_cpu_plot, folder.profiling_ram_plot, folder.log, folder.config):
             assert path.stat().st_size > 0, path
+
+
+def test_two_rows_of_the_published_results_hold(systems, room):
+    """Sequential: errors are those of the table on any machine, however busy it is."""
+    published = systems.claims.read(project_root() / "docs" / "examples" / "claims" / "results.yaml")
+    rows = published.only(("kiss-icp", "rko-lio"), (room,))
+    entries = [
+        replace(
+            entry,
+            submission=replace(entry.submission, playback_mode=PlaybackMode.SEQUENTIAL),
+            claims=tuple(claim for claim in entry.claims if claim.metric == "ate.rmse"),
+        )
+        for entry in rows.entries
+    ]
+    check = replace(rows, entries=tuple(entries))
+    work = systems.claims.start(check)
+    assert (len(work.runs), work.refused) == (4, {})
+    with mock.patch.object(systems, "settings", systems.settings.with_values({"worker_slots": 2})):
+        systems.worker(only=work.runs).run(until_idle=True)
+    answer = systems.claims.answer(check)
+    assert answer.words == "2 of 2 hold", answer

@@ -16,9 +16,10 @@ from slamhive.base.settings import Mode
 from slamhive.base.strict_yaml import load
 from slamhive.documents.claims import ClaimAnswer, ClaimsAnswer, ClaimsFile
 from slamhive.domain.claim import ClaimState
+from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.services.claims import badge_svg
 from slamhive.services.hive import Hive
-from tests.services.gate_world import add_failed, add_good, errors_m
+from tests.services.gate_world import add_failed, add_good, errors_m, finish
 from tests.web import web_world as world
 
 pytestmark = pytest.mark.integration  # scipy takes a second to load
@@ -111,8 +112,21 @@ def test_runs_that_vary_too_much_confirm_nothing(hive: Hive, tmp_path: Path):
 
 def test_runs_that_all_failed_differ_from_any_number(hive: Hive, tmp_path: Path):
     answer = only(hive, tmp_path, "ate.rmse: 5.00 cm", features=2000)
-    assert (answer.state, answer.words) == (ClaimState.DIFFERS, "all 6 runs failed")
+    assert (answer.state, answer.words) == (ClaimState.DIFFERS, "all 6 runs failed: did not end well")
     assert len(answer.failed) == 6
+
+
+def test_a_run_that_missed_input_on_a_busy_machine_says_nothing(hive: Hive, tmp_path: Path):
+    busy = Disturbance(known=True, reasons=(DisturbanceReason(DisturbanceKind.STEAL, "the hypervisor took it"),))
+    run_ids = world.add_runs(hive, 6, nFeatures=1800)
+    for number, run_id in enumerate(run_ids):
+        missed = number < 3
+        hive.store.write(lambda t: t.metrics.put(run_id, None, {"frames.dropped_fraction": 0.6 if missed else 0.0}))  # noqa: B023
+        finish(hive, run_id, 0.5 if missed else 0.05)
+        hive.store.write(lambda t: t.runs.update(run_id, disturbance=busy if missed else None))  # noqa: B023
+    answer = only(hive, tmp_path, "ate.rmse: 5.00 cm", "    repeats: 3\n", 1800)
+    assert (answer.state, answer.runs) == (ClaimState.HOLDS, tuple(run_ids[3:]))
+    assert answer.notes == ("3 runs left out: input was missed on a disturbed machine.",)
 
 
 def test_what_needs_a_dataset_says_how_to_get_it(hive: Hive, tmp_path: Path):
