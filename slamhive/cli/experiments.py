@@ -35,13 +35,12 @@ from slamhive.services.experiments import (
 )
 
 if TYPE_CHECKING:
+    from slamhive.documents.experiment import ExperimentPreviewDocument, NodesPlanDocument
     from slamhive.services.experiments import (
         Cell,
         ExperimentAnswer,
-        ExperimentPreview,
         ExperimentStatus,
         MetricSpread,
-        NodesPlan,
         Progress,
     )
     from slamhive.services.hive import Hive
@@ -59,7 +58,7 @@ FIGURES = (
 """Heading, metric, factor and format of the metrics of a report."""
 
 
-def print_preview(found: ExperimentPreview) -> None:
+def print_preview(found: ExperimentPreviewDocument) -> None:
     """Print the preview of an experiment."""
     merged = f", {found.merged} of them identical to another" if found.merged else ""
     say(f"{found.name}: {found.combinations:,} combinations, {found.cells:,} configurations{merged}")
@@ -98,11 +97,11 @@ def print_preview(found: ExperimentPreview) -> None:
         tell(f"refused: {text}", style="bold red")
 
 
-def _places(found: ExperimentPreview) -> str:
+def _places(found: ExperimentPreviewDocument) -> str:
     return plural(found.slots, "slot") if found.cluster is None else plural(found.slots, "node")
 
 
-def _moved(cluster: NodesPlan) -> str:
+def _moved(cluster: NodesPlanDocument) -> str:
     idle = cluster.nodes - cluster.used_nodes
     without_run = f"; {plural(idle, 'node')} without a run" if idle else ""
     return (
@@ -111,7 +110,7 @@ def _moved(cluster: NodesPlan) -> str:
     )
 
 
-def _basis(found: ExperimentPreview) -> str:
+def _basis(found: ExperimentPreviewDocument) -> str:
     if found.measured_runs == found.runs:
         return "by earlier runs"
     guess = f"by the length of the recordings and {GUESSED_START_S:g} s to start"
@@ -249,9 +248,7 @@ def plan(cli: CliContext, file: Path, executor: str | None, nodes: int | None, a
     with _counting("checking") as progress:
         found = cli.hive().experiments.preview(ExperimentSource.read(file), executor, progress, nodes)
     if as_json:
-        from slamhive.documents import experiment as schema  # noqa: PLC0415 - tables need no model
-
-        print_json(schema.ExperimentPreviewDocument.of(found).content)
+        print_json(found.content)
     else:
         print_preview(found)
     if found.refusals:

@@ -8,14 +8,17 @@ from enum import StrEnum
 from typing import Annotated, Any
 
 from pydantic import AliasChoices, BeforeValidator, Field
+from pydantic.json_schema import SkipJsonSchema
 
 from slamhive.documents.model import Document, Moment, Timestamp, Values, cut, described
+from slamhive.documents.plain import ToFetchDocument
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import Variant
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
 from slamhive.domain.question import CandidateStanding, ExperimentQuestion, QuestionAnswer
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.side_by_side import PlannedMixture
 from slamhive.domain.verdict import DEFAULT_RULE, VerdictKind
 
 Counts = Annotated[dict[str, int], described("Runs by state.")]
@@ -25,7 +28,7 @@ Failures = Annotated[dict[str, int], described("Failed runs by reason.")]
 class PreviewRowDocument(Document):
     """One of the first cells."""
 
-    cell: int = Field(validation_alias=AliasChoices("number", "cell"))
+    cell: int
     name: str
     values: Values
     known: Annotated[bool, described("Its configuration is stored already.")]
@@ -36,7 +39,7 @@ class VariantNeedDocument(Document):
     """A variant of a dataset that runs need."""
 
     dataset: str
-    steps: Variant = Field(validation_alias=AliasChoices("variant", "steps"))
+    steps: Variant
     key: str
     needed_bytes: Annotated[int, described("Space it takes at most.", unit="bytes")]
     make_s: Annotated[float, described("Estimated time to make it.", unit="s")]
@@ -52,16 +55,6 @@ class NodesPlanDocument(Document):
     moved_bytes: Annotated[int, described("Data that all nodes get.", unit="bytes")]
     node_bytes: Annotated[int, described("The most that one node gets.", unit="bytes")]
     bytes_per_s: Annotated[float, described("How fast a node is assumed to get data.", unit="bytes/s")]
-
-
-class ToFetchDocument(Document):
-    """Sequences of the catalogue that an experiment needs and that are not here."""
-
-    datasets: tuple[str, ...]
-    sequences: Annotated[tuple[str, ...], described("What to fetch: COLLECTION/SEQUENCE.")]
-    download_bytes: Annotated[int | None, described("Of all files with a known size, each once.", unit="bytes")]
-    unknown: Annotated[int, described("Files of unknown size.")]
-    command: Annotated[str, described("Fetches them.")]
 
 
 class ExperimentPreviewDocument(Document):
@@ -96,6 +89,8 @@ class ExperimentPreviewDocument(Document):
     repeat_disturbed: int
     standing: Annotated[str | None, described("State of the experiment if it is stored already.")]
     rows: Annotated[tuple[PreviewRowDocument, ...], described("The first cells.")]
+    mixed: Annotated[SkipJsonSchema[PlannedMixture | None], Field(exclude=True)] = None
+    """What ``mixed_protocols`` says, for pages that offer the remedy."""
 
 
 class ExperimentStatusDocument(Document):

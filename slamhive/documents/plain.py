@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Self
 
 from slamhive.documents.limits import Asked
+from slamhive.domain.names import plural
 from slamhive.domain.placement import Remaining
 
 
@@ -114,3 +115,30 @@ class OverviewDocument(PlainDocument):
     def left(self) -> Remaining:
         """The time left with its interval."""
         return Remaining(self.left_s, self.low_s, self.high_s)
+
+
+# What an experiment needs and how far it is; lists and starts of experiments load no pydantic either.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToFetchDocument:
+    """Sequences of the catalogue that an experiment needs and that are not here."""
+
+    datasets: tuple[str, ...]
+    sequences: Annotated[tuple[str, ...], Asked("What to fetch: COLLECTION/SEQUENCE.")]
+    download_bytes: Annotated[int | None, Asked("Of all files with a known size, each once.", unit="bytes")]
+    unknown: Annotated[int, Asked("Files of unknown size.")]
+    command: Annotated[str, Asked("Fetches them.")]
+
+    @property
+    def words(self) -> str:
+        """The amount in a sentence: ``5 datasets are not here yet, about 12.7 GB to download``."""
+        verb = "is" if len(self.datasets) == 1 else "are"
+        text = f"{plural(len(self.datasets), 'dataset')} {verb} not here yet"
+        if self.download_bytes is not None:
+            text += f", about {self.download_bytes / 1e9:,.1f} GB to download"
+        if self.unknown:
+            text += (
+                f", {'and ' if self.download_bytes is not None else ''}{plural(self.unknown, 'file')} of unknown size"
+            )
+        return text

@@ -100,6 +100,22 @@ class MixedProtocols:
         return short_names([self.common.label, *labels])[0]
 
 
+@dataclass(frozen=True, slots=True)
+class PlannedMixture:
+    """Planned runs whose errors would not be comparable; ``alignment`` would make them so, None if none is known."""
+
+    protocols: MixedProtocols
+    alignment: Alignment | None
+
+    @property
+    def sentences(self) -> str:
+        """The counts and the way out in one line."""
+        if self.alignment is None:
+            return f"{self.protocols.words} Choose one alignment: evaluate: {{alignment: ...}}."
+        option = f"evaluate: {{alignment: {self.alignment}}}"
+        return f"{self.protocols.words} To evaluate all under {self.protocols.common_name}, add to the file: {option}"
+
+
 def mixed_protocols(
     uses: Iterable[ProtocolUse], definitions: Mapping[str, Protocol] | None = None
 ) -> MixedProtocols | None:

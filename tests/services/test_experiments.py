@@ -123,7 +123,7 @@ def test_a_preview_knows_what_is_stored_and_how_long_it_took(finished: Hive) -> 
     assert found.build_time_s == 0
     assert 6 * found.between_s < found.time_s < 6 * (10.0 + found.between_s)
     assert found.standing is None
-    assert finished.experiments.preview(source()).standing is ConfigurationStanding.FINISHED
+    assert finished.experiments.preview(source()).standing == ConfigurationStanding.FINISHED
 
 
 def test_a_plan_for_a_cluster_counts_the_data_of_each_node(hive: Hive) -> None:

@@ -34,14 +34,11 @@ if TYPE_CHECKING:
         CellFigures,
         ConfigurationStanding,
         ExperimentGrid,
-        ExperimentPreview,
         ExperimentSource,
         ExperimentStatus,
         GridCell,
         MetricGrid,
         MetricSpread,
-        NodesPlan,
-        PlannedMixture,
     )
 
 

@@ -13,11 +13,18 @@ from statistics import median
 from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.base.files import size_bytes
 from slamhive.base.tree import folder_bytes
+from slamhive.documents.experiment import (
+    ExperimentPreviewDocument,
+    NodesPlanDocument,
+    PreviewRowDocument,
+    VariantNeedDocument,
+)
+from slamhive.documents.plain import ToFetchDocument
 from slamhive.domain.configuration import Configuration, Variant
 from slamhive.domain.matching import Origin, match_of, shown
 from slamhive.domain.placement import DataRuns, makespan_s, place
 from slamhive.domain.protocol import Protocol
-from slamhive.domain.side_by_side import ProtocolUse, mixed_protocols
+from slamhive.domain.side_by_side import PlannedMixture, ProtocolUse, mixed_protocols
 from slamhive.experiments.binding import at
 from slamhive.experiments.expansion import Expansion, PlannedRun
 from slamhive.experiments.experiment import Experiment
@@ -28,12 +35,6 @@ from slamhive.services.experiments.context import Costs, ExperimentContext, Prog
 from slamhive.services.experiments.views import (
     ASSUMED_DURATION_S,
     ConfigurationStanding,
-    ExperimentPreview,
-    NodesPlan,
-    PlannedMixture,
-    PreviewRow,
-    ToFetch,
-    VariantNeed,
     assumed_dataset,
     to_fetch,
     unfetched,
@@ -62,7 +63,7 @@ class DiskSpace:
     With ``variants_elsewhere``, the nodes of a cluster make the variants, so they take no space here.
     """
 
-    variants: tuple[VariantNeed, ...]
+    variants: tuple[VariantNeedDocument, ...]
     run_bytes: int
     free_bytes: int
     unused_bytes: int
@@ -161,7 +162,7 @@ def find_disk_space(
     made = {entry.key for entry in entries}
     datasets = {dataset.name: dataset for _, dataset in expansion.pairs}
     speeds = _speeds(entries)
-    needs: list[VariantNeed] = []
+    needs: list[VariantNeedDocument] = []
     for name, variants in expansion.variants.items():
         if name in missing:
             continue
@@ -169,7 +170,16 @@ def find_disk_space(
             plan = context.variants().plan(datasets[name], variant)
             if plan is not None:
                 make_s = plan.source_bytes / speeds.get(name, speeds[_ANY_DATASET])
-                needs.append(VariantNeed(name, variant, plan.key, plan.needed_bytes, make_s, plan.key in made))
+                needs.append(
+                    VariantNeedDocument(
+                        dataset=name,
+                        steps=variant,
+                        key=plan.key,
+                        needed_bytes=plan.needed_bytes,
+                        make_s=make_s,
+                        made=plan.key in made,
+                    )
+                )
     # As much as the latest runs on average.
     numbered = (entry for entry in context.settings.runs_folder.iterdir() if entry.name.isdigit())
     latest = nlargest(_MEASURED_RUNS, numbered, key=lambda entry: int(entry.name))
@@ -256,7 +266,9 @@ class Workload:
         """Of all runs, one after the other."""
         return sum(map(sum, self.by_data.values()))
 
-    def on_nodes(self, nodes: int, data_bytes: Mapping[Data, int], *, recordings_only: bool = False) -> NodesPlan:
+    def on_nodes(
+        self, nodes: int, data_bytes: Mapping[Data, int], *, recordings_only: bool = False
+    ) -> NodesPlanDocument:
         """The plan for so many nodes, each of which executes one run at a time and gets the data of its runs once.
 
         With ``recordings_only``, nodes make variants, so of each dataset only the recording moves.
@@ -268,7 +280,7 @@ class Workload:
         ]
         plans = place(groups, nodes)
         moved = [_moved_bytes([keys[name] for name in plan.data], data_bytes, recordings_only) for plan in plans]
-        return NodesPlan(
+        return NodesPlanDocument(
             nodes=nodes,
             used_nodes=sum(bool(plan.runs) for plan in plans),
             time_s=makespan_s(plans),
@@ -286,7 +298,7 @@ def _moved_bytes(data: Sequence[Data], data_bytes: Mapping[Data, int], recording
 def bytes_of_data(expansion: Expansion, space: DiskSpace) -> dict[Data, int]:
     """Return the bytes that a node gets for each dataset and variant; of a variant, the most that it can have."""
     moved = () if space.variants_elsewhere else space.variants
-    sizes: dict[Data, int] = {(need.dataset, need.variant): need.needed_bytes for need in moved}
+    sizes: dict[Data, int] = {(need.dataset, need.steps): need.needed_bytes for need in moved}
     for dataset in {dataset.name: dataset for _, dataset in expansion.pairs}.values():
         recording_bytes = size_bytes(dataset.bag_path) if dataset.bag and dataset.bag_path.exists() else 0
         for variant in ((), *expansion.variants.get(dataset.name, ())):
@@ -326,7 +338,7 @@ class _Sums:
     known_runs: int = 0
     measured_runs: int = 0
     work: Workload = field(default_factory=Workload)
-    rows: list[PreviewRow] = field(default_factory=list)
+    rows: list[PreviewRowDocument] = field(default_factory=list)
     first: dict[Pair, Configuration] = field(default_factory=dict)
     """The first configuration of each algorithm on each dataset."""
     planned: Counter[Pair] = field(default_factory=Counter)
@@ -340,7 +352,7 @@ def preview(
     standing: ConfigurationStanding | None,
     progress: Progress,
     nodes: int | None = None,
-) -> ExperimentPreview:
+) -> ExperimentPreviewDocument:
     """Count, estimate and check; raises as :meth:`ExperimentContext.expand` if the file is not valid.
 
     ``executor`` is None if none can be used; the caller has added that to the refusals. ``nodes`` of a cluster take the
@@ -382,14 +394,15 @@ def preview(
     unseen = () if text is None else (f"stop_when: {text}",)
     slots = nodes or context.settings.worker_slots
     runs_s = sums.work.total_s / slots if cluster is None else cluster.time_s
-    return ExperimentPreview(
+    mixed = planned_mixture(context, experiment, expansion, sums.planned)
+    return ExperimentPreviewDocument(
         name=experiment.name,
         description=experiment.description,
         combinations=expansion.size.combinations,
         cells=sums.cells,
         merged=expansion.merged,
         runs=sums.runs,
-        axes=expansion.size.axes,
+        axes=dict(expansion.size.axes),
         rows=tuple(sums.rows),
         known_cells=sums.known_cells,
         known_runs=sums.known_runs,
@@ -409,11 +422,12 @@ def preview(
         repeat_disturbed=experiment.repeat_disturbed,
         cluster=cluster,
         to_fetch=wanted,
-        mixed=planned_mixture(context, experiment, expansion, sums.planned),
+        mixed_protocols=None if mixed is None else mixed.sentences,
+        mixed=mixed,
     )
 
 
-def _assumptions(wanted: ToFetch | None) -> Iterator[str]:
+def _assumptions(wanted: ToFetchDocument | None) -> Iterator[str]:
     if wanted is not None:
         yield (
             f"the plan assumes {ASSUMED_DURATION_S:g} s for each recording that is not here, and no space for its "
@@ -467,5 +481,9 @@ def _add(
         sums.known_runs += known.runs
     if len(sums.rows) < ROWS:
         runs = 0 if known is None else known.runs
-        sums.rows.append(PreviewRow(first.cell, first.name, dict(first.values), known is not None, runs))
+        sums.rows.append(
+            PreviewRowDocument(
+                cell=first.cell, name=first.name, values=dict(first.values), known=known is not None, known_runs=runs
+            )
+        )
     return measured_s

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from slamhive.base.errors import Conflict, SlamHiveError
@@ -17,7 +16,6 @@ from slamhive.services.experiments.views import (
     CellPage,
     ConfigurationStanding,
     ExperimentGrid,
-    ExperimentPreview,
     ExperimentSource,
     ExperimentStatus,
     MetricGrid,
@@ -26,6 +24,7 @@ from slamhive.store import Transaction
 from slamhive.store.records import ExperimentState
 
 if TYPE_CHECKING:
+    from slamhive.documents.experiment import ExperimentPreviewDocument
     from slamhive.domain.accounts import Visibility
     from slamhive.packages.published.experiment import Converted
     from slamhive.services.experiments.answer import ExperimentAnswer
@@ -57,7 +56,7 @@ class ExperimentService:
         executor: str | None = None,
         progress: Progress = silent,
         nodes: int | None = None,
-    ) -> ExperimentPreview:
+    ) -> ExperimentPreviewDocument:
         """Preview the start of ``source``, including the reasons that would prevent it; nothing is stored.
 
         With ``nodes``, the time is that on so many nodes of a cluster.
@@ -88,12 +87,12 @@ class ExperimentService:
             chooses = (
                 f"the experiment chooses among these runs itself, within its budget of {experiment.plan.budget.words}"
             )
-            found = replace(found, warnings=(*found.warnings, chooses))
+            found = found.model_copy(update={"warnings": (*found.warnings, chooses)})
             try:
                 check_question(context, experiment, context.expand(experiment))
             except SlamHiveError as error:
                 refusals.append(str(error))
-        return replace(found, refusals=(*refusals, *found.refusals))
+        return found.model_copy(update={"refusals": (*refusals, *found.refusals)})
 
     def convert(self, source: ExperimentSource, meanings: Mapping[str, str]) -> tuple[Converted, ...]:
         """Combinations of the published SLAM Hive as experiment files; raises as :func:`convert_published`."""

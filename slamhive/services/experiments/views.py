@@ -10,19 +10,16 @@ from enum import StrEnum
 from pathlib import Path
 
 from slamhive.base import strict_yaml
+from slamhive.documents.plain import ToFetchDocument
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.algorithm import ROS1_SUFFIX
 from slamhive.domain.collection import Collection, RemoteFile, Sequence
-from slamhive.domain.configuration import Variant
 from slamhive.domain.dataset import Dataset, GroundTruth
-from slamhive.domain.names import plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.placement import Remaining
-from slamhive.domain.protocol import Alignment
 from slamhive.domain.question import ExperimentQuestion
 from slamhive.domain.run import FailureReason
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind
-from slamhive.domain.side_by_side import MixedProtocols
 from slamhive.domain.verdict import Failure, Outcome
 from slamhive.store.records import CellRun, ProtocolLabel
 
@@ -51,115 +48,6 @@ class ConfigurationStanding(StrEnum):
     PAUSED = "paused"
     CANCELLED = "cancelled"
     FINISHED = "finished"
-
-
-@dataclass(frozen=True, slots=True)
-class PreviewRow:
-    """One of the first cells. ``known``: how many runs its configuration already has, queued ones included."""
-
-    number: int
-    name: str
-    values: Mapping[str, Value]
-    known: bool
-    known_runs: int
-
-
-@dataclass(frozen=True, slots=True)
-class VariantNeed:
-    """A variant of a dataset that runs need.
-
-    ``made``: it is in the cache. Otherwise it needs at most ``needed_bytes`` and takes about ``make_s`` to make.
-    """
-
-    dataset: str
-    variant: Variant
-    key: str
-    needed_bytes: int
-    make_s: float
-    made: bool
-
-
-@dataclass(frozen=True, slots=True)
-class NodesPlan:
-    """The runs of an experiment on the nodes of a cluster, one at a time on each.
-
-    ``used_nodes`` of ``nodes`` have something to do. ``time_s`` is for runs and their data. Each node gets the data of
-    its runs once, at ``bytes_per_s``: ``moved_bytes`` in all, at most ``node_bytes`` on one node.
-    """
-
-    nodes: int
-    used_nodes: int
-    time_s: float
-    moved_bytes: int
-    node_bytes: int
-    bytes_per_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class PlannedMixture:
-    """Planned runs whose errors would not be comparable; ``alignment`` would make them so, None if none is known."""
-
-    protocols: MixedProtocols
-    alignment: Alignment | None
-
-    @property
-    def sentences(self) -> str:
-        """The counts and the way out in one line."""
-        if self.alignment is None:
-            return f"{self.protocols.words} Choose one alignment: evaluate: {{alignment: ...}}."
-        option = f"evaluate: {{alignment: {self.alignment}}}"
-        return f"{self.protocols.words} To evaluate all under {self.protocols.common_name}, add to the file: {option}"
-
-
-@dataclass(frozen=True, slots=True)
-class ExperimentPreview:
-    """A preview of an experiment that has not been started.
-
-    ``combinations`` counts them before conditions; ``cells`` counts the distinct configurations that remain
-    (``merged`` were identical to another); ``runs`` includes seeds and repeats. ``known_cells`` configurations are
-    stored already, with ``known_runs`` runs. ``time_s`` is the estimated time of builds, variants, runs and evaluations
-    on the slots of this machine, or on ``cluster``. For ``measured_runs`` of them it uses the time of earlier runs; the
-    others are assumed to last as long as a start and their recording. ``variant_time_s`` is the share of ``time_s`` for
-    making variants, each once, ``build_time_s`` that for building packages. ``between_s`` is added to each run: what
-    the worker does before and after it, and its evaluation.
-    ``run_bytes`` estimates the size of the run folders from earlier ones. ``refusals`` are the reasons why the
-    experiment cannot start. ``standing`` is that of the experiment if it is stored already. ``repeat_disturbed`` is
-    how often each run is repeated at most because of a disturbed machine; the other numbers leave that out. ``mixed``
-    is there if the runs would be evaluated under several protocols.
-    """
-
-    name: str
-    description: str
-    combinations: int
-    cells: int
-    merged: int
-    runs: int
-    axes: Mapping[str, int]
-    rows: tuple[PreviewRow, ...]
-    known_cells: int
-    known_runs: int
-    time_s: float
-    variant_time_s: float
-    measured_runs: int
-    slots: int
-    variants: tuple[VariantNeed, ...]
-    variant_bytes: int
-    run_bytes: int
-    free_bytes: int
-    warnings: tuple[str, ...]
-    refusals: tuple[str, ...]
-    standing: ConfigurationStanding | None
-    repeat_disturbed: int = 0
-    build_time_s: float = 0.0
-    between_s: float = 0.0
-    cluster: NodesPlan | None = None
-    to_fetch: ToFetch | None = None
-    mixed: PlannedMixture | None = None
-
-    @property
-    def mixed_protocols(self) -> str | None:
-        """The mixture in one line, for JSON."""
-        return None if self.mixed is None else self.mixed.sentences
 
 
 @dataclass(frozen=True, slots=True)
@@ -404,42 +292,7 @@ def assumed_dataset(entry: Unfetched, folder: Path) -> Dataset:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class ToFetch:
-    """Sequences that an experiment needs from elsewhere.
-
-    Attributes:
-        datasets: The names of the datasets that are missing.
-        sequences: What to fetch for each, ``COLLECTION/SEQUENCE``.
-        download_bytes: Of all files together, each counted once; None if no size is known.
-        unknown: Number of files whose size the catalogue does not know.
-    """
-
-    datasets: tuple[str, ...]
-    sequences: tuple[str, ...]
-    download_bytes: int | None
-    unknown: int
-
-    @property
-    def command(self) -> str:
-        """The command that fetches everything."""
-        return f"slamhive dataset fetch {' '.join(self.sequences)}"
-
-    @property
-    def words(self) -> str:
-        """The amount in a sentence: ``5 datasets are not here yet, about 12.7 GB to download``."""
-        verb = "is" if len(self.datasets) == 1 else "are"
-        text = f"{plural(len(self.datasets), 'dataset')} {verb} not here yet"
-        if self.download_bytes is not None:
-            text += f", about {self.download_bytes / 1e9:,.1f} GB to download"
-        if self.unknown:
-            text += (
-                f", {'and ' if self.download_bytes is not None else ''}{plural(self.unknown, 'file')} of unknown size"
-            )
-        return text
-
-
-def to_fetch(missing: Mapping[str, Unfetched]) -> ToFetch | None:
+def to_fetch(missing: Mapping[str, Unfetched]) -> ToFetchDocument | None:
     """The sequences to fetch and their size; None if everything is here. Shared files count once."""
     if not missing:
         return None
@@ -447,9 +300,11 @@ def to_fetch(missing: Mapping[str, Unfetched]) -> ToFetch | None:
         part.file.addresses: part.file for entry in missing.values() for part in entry.sequence.parts
     }
     known = [size for file in files.values() if (size := file.estimate_bytes) is not None]
-    return ToFetch(
+    sequences = tuple(entry.sequence.full_name for entry in missing.values())
+    return ToFetchDocument(
         datasets=tuple(missing),
-        sequences=tuple(entry.sequence.full_name for entry in missing.values()),
+        sequences=sequences,
         download_bytes=sum(known) if known else None,
         unknown=len(files) - len(known),
+        command=f"slamhive dataset fetch {' '.join(sequences)}",
     )

@@ -77,7 +77,7 @@ def start_experiment(body: ExperimentRequest) -> ExperimentStatusDocument:
 @TABLE.post(Section.EXPERIMENTS, "/experiments/preview", ExperimentPreviewDocument, body=YamlRequest)
 def preview_experiment(body: YamlRequest) -> ExperimentPreviewDocument:
     """Preview the experiment in the file; nothing is stored."""
-    return ExperimentPreviewDocument.of(hive().experiments.preview(ExperimentSource(body.yaml, SOURCE)))
+    return hive().experiments.preview(ExperimentSource(body.yaml, SOURCE))
 
 
 @TABLE.get(Section.EXPERIMENTS, "/experiments/{name}", ExperimentWithFile)

@@ -10,13 +10,14 @@ from werkzeug.datastructures import MultiDict
 
 from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.documents.api import LONGEST_YAML
+from slamhive.documents.experiment import ExperimentPreviewDocument
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.sensors import SensorKind, SensorSetup
 from slamhive.recordings.variants.steps import STEPS, OptionInfo, describe_options, describe_step, treated_kinds
-from slamhive.services.experiments import ExperimentPreview, ExperimentSource
+from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.web.experiment_fields import (
     SOURCE,
@@ -222,7 +223,7 @@ class ExperimentDraft:
 
     text: str
     fields: ExperimentFields | None
-    preview: ExperimentPreview | None = None
+    preview: ExperimentPreviewDocument | None = None
     error: str = ""
     line: int | None = None
     excerpt: str = ""

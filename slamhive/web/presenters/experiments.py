@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from slamhive.documents.experiment import ExperimentPreviewDocument
 from slamhive.domain.metrics import Metric
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
@@ -16,7 +17,6 @@ from slamhive.services.experiments import (
     Cell,
     CellFigures,
     ExperimentGrid,
-    ExperimentPreview,
     ExperimentStatus,
     GridCell,
     MetricGrid,
@@ -256,7 +256,7 @@ def cell_lines(
     return lines
 
 
-def preview_facts(preview: ExperimentPreview) -> list[tuple[str, str]]:
+def preview_facts(preview: ExperimentPreviewDocument) -> list[tuple[str, str]]:
     """The preview as names and texts."""
     combined = f"{thousands(preview.cells)} of {plural(preview.combinations, 'combination')}"
     identical = f", {thousands(preview.merged)} identical to another" if preview.merged else ""
@@ -275,7 +275,7 @@ def preview_facts(preview: ExperimentPreview) -> list[tuple[str, str]]:
     ]
 
 
-def preview_axes(preview: ExperimentPreview) -> list[str]:
+def preview_axes(preview: ExperimentPreviewDocument) -> list[str]:
     """Columns of the preview table: algorithm, dataset and everything that varies."""
     varied = [name for axis in preview.axes for name in axis.split(" + ")]
     return list(dict.fromkeys(["algorithm", "dataset", *varied]))
@@ -303,13 +303,13 @@ def _protocol(figures: CellFigures, labels: Mapping[str, str]) -> str:
     return f"{name}, {plural(figures.runs, 'run')}"
 
 
-def _known(preview: ExperimentPreview) -> str:
+def _known(preview: ExperimentPreviewDocument) -> str:
     if not preview.known_cells:
         return "none of the configurations"
     return f"{plural(preview.known_cells, 'configuration')} with {plural(preview.known_runs, 'run')}"
 
 
-def _time_basis(preview: ExperimentPreview) -> str:
+def _time_basis(preview: ExperimentPreviewDocument) -> str:
     between = f", and {duration(preview.between_s)} to prepare, collect and evaluate each run"
     if preview.measured_runs == preview.runs:
         return f"from earlier runs{between}"
@@ -318,7 +318,7 @@ def _time_basis(preview: ExperimentPreview) -> str:
     return f"from recording time{between}"
 
 
-def _variants(preview: ExperimentPreview) -> str:
+def _variants(preview: ExperimentPreviewDocument) -> str:
     if not preview.variants:
         return "none"
     made = sum(need.made for need in preview.variants)
