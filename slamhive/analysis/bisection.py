@@ -52,10 +52,10 @@ def step_verdict(reference: Scores, values: Scores, difference: Margin, error: f
         difference: What is allowed. A share is one of the absolute score.
         error: The largest chance that the answer is false, at all looks together.
     """
-    spoiled = [
-        scores + (difference.value * np.abs(scores) if difference.relative else difference.value)
-        for scores in reference
-    ]
+    spoiled = []
+    for scores in reference:
+        allowed = difference.value * np.where(np.isfinite(scores), np.abs(scores) if difference.relative else 1.0, 0.0)
+        spoiled.append(scores + allowed)
     state = race(RaceRule(_THRESHOLD, error), [spoiled, values])
     if state.answer is RaceAnswer.OPEN:
         return StepVerdict(None, state.rounds)

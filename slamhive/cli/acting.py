@@ -45,6 +45,7 @@ EXPECTED: dict[str, DataRoot] = {
     "experiment start": DataRoot.FOUND,
     "gate bisect": DataRoot.FOUND,
     "gate check": DataRoot.FOUND,
+    "gate shrink": DataRoot.FOUND,
     "reindex": DataRoot.FOUND,
     "run": DataRoot.FOUND,
     "algorithm list": DataRoot.OPTIONAL,

@@ -13,7 +13,7 @@ from slamhive.base.files import write_aside
 from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.main import LazyGroup
-from slamhive.cli.output import print_json, print_table, tell
+from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.cli.running import content_options, submission_values
 from slamhive.cli.visible import Answering, say
 from slamhive.domain.claim import ClaimState
@@ -254,6 +254,78 @@ def bisect(cli: CliContext, /, as_json: bool, **options: Any) -> None:
     answer = hive.bisections.find(request, partial(run_to_end, hive, evaluate=True), partial(tell, style="dim"))
     print_json(answer.content) if as_json else _print_bisect(answer)
     raise click.exceptions.Exit(0 if answer.answer is BisectOutcome.FOUND else EXIT_CODES[Answer.UNDECIDED])
+
+
+@gate.command(short_help="Find the shortest clip that shows what is wrong with RUN")
+@click.argument("run_id", metavar="RUN", type=click.IntRange(1))
+@click.option("--against", metavar="RUN|ALGORITHM@VERSION", help="What is good, if RUN did not fail.")
+@click.option("--worse-than", type=float, metavar="NUMBER", help="The value that good runs do not exceed.")
+@click.option("--metric", default="ate.rmse", show_default=True, help="What is compared, if RUN did not fail.")
+@click.option("--difference", default="5%", show_default=True, help="How much worse than --against is allowed.")
+@click.option(
+    "--share", type=click.FloatRange(0.01, 0.99), default=0.5, show_default=True, help="Of runs that show a failure."
+)
+@click.option("--to", "target", type=click.Path(path_type=Path), help="The new folder.  [default: DATASET-run-RUN]")
+@click.option("--step", "step_s", type=click.FloatRange(0.05), metavar="SECONDS", help="Tries ends at multiples of it.")
+@click.option(
+    "--error", type=click.FloatRange(0.001, 0.5), default=0.05, show_default=True, help="Chance of a false answer."
+)
+@click.option(
+    "--most", type=click.IntRange(2, 1000), default=50, show_default=True, help="Runs after which a clip is given up."
+)
+@click.option("--budget", metavar="BUDGET", help="Of all runs, e.g. '200 runs' or '2 h'.  [default: none]")
+@json_option
+@pass_cli
+def shrink(cli: CliContext, /, run_id: int, as_json: bool, **options: Any) -> None:
+    """Find the shortest part of the recording of RUN that still shows what is wrong, and write it to a folder.
+
+    Parts of the recording are run until it is certain whether they show it: the same failure, an error that is worse
+    than that of --against, or one above --worse-than. The folder is a dataset of these seconds, with the sensors that
+    the algorithm needs. A search that was interrupted goes on with the same command.
+
+    The exit code is 0 if the clip was written, 3 if the budget was too small, and 2 for a mistake.
+    """
+    from slamhive.cli.waiting import run_to_end  # noqa: PLC0415 - loads the worker
+    from slamhive.experiments.file import read_difference  # noqa: PLC0415 - baselines are shown without it
+    from slamhive.services.gates import ShrinkRequest, searched_metric  # noqa: PLC0415 - loads scipy
+
+    if options["against"] is not None and options["worse_than"] is not None:
+        raise InvalidInput("--against and --worse-than exclude each other", "give one of the two")
+    hive = cli.hive()
+    metric = searched_metric(options["metric"])
+    target = options["target"] or Path(f"{hive.stored_runs.get(run_id).dataset}-run-{run_id}")
+    request = ShrinkRequest(
+        run_id=run_id,
+        metric=metric,
+        difference=read_difference(options["difference"], metric),
+        target=target.absolute(),
+        budget=None if options["budget"] is None else read_budget(options["budget"]),
+        **{name: options[name] for name in ("against", "worse_than", "share", "error", "most", "step_s")},
+    )
+    work, line = partial(run_to_end, hive, evaluate=True), partial(tell, style="dim")
+    answer = hive.shrinkings.find(request, work, line, partial(progress_bar, "writing the clip"))
+    if as_json:
+        print_json(answer.content)
+    else:
+        heads = ("from [s]", "to [s]", "runs", "e-value", "found")
+        rows = [
+            (
+                f"{step.begin_s:.1f}",
+                f"{step.end_s:.1f}",
+                len(step.runs),
+                None if step.e_value is None else f"{step.e_value:.3g}",
+                step.words,
+            )
+            for step in answer.steps
+        ]
+        print_table(heads, rows, right=heads[:4], cut=("found",))
+        for note in answer.notes:
+            tell(note)
+        if answer.folder is not None:
+            say(f"{answer.folder}: {(answer.size_bytes or 0) / 1e6:.1f} MB")
+    made = ", ".join((plural(answer.decisions, "decision"), plural(answer.runs, "run"))) + "."
+    tell(f"{answer.words} {made}", style="green" if answer.folder is not None else "yellow")
+    raise click.exceptions.Exit(0 if answer.folder is not None else EXIT_CODES[Answer.UNDECIDED])
 
 
 def _run_values(options: dict[str, Any]) -> dict[str, Any]:

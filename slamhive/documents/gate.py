@@ -12,6 +12,7 @@ from slamhive.documents.model import Document, Moment, described
 from slamhive.documents.protocol import StatedProtocol
 from slamhive.documents.record import ConfigurationContent
 from slamhive.documents.run import ProtocolName
+from slamhive.domain.configuration import Variant
 from slamhive.domain.gate import Agreement, Answer, BisectOutcome, Standing
 from slamhive.domain.metrics import Direction
 from slamhive.domain.verdict import VerdictKind
@@ -233,6 +234,45 @@ class BisectAnswer(Document):
     after: Annotated[BisectStep | None, described("The first bad commit; null while it is not known.")]
     steps: Annotated[tuple[BisectStep, ...], described("What was tried: both ends, then in order.")]
     notes: Annotated[tuple[str, ...], described("What limits the answer.")]
+
+
+# The answer of a search for the shortest clip that shows what is wrong with a run.
+
+
+class ShrinkStep(TriedRuns):
+    """A clip that was tried."""
+
+    begin_s: Annotated[float, described("From the beginning of what the run saw.")]
+    end_s: float
+    standing: Annotated[Standing, described("Bad if it shows the fault; what is skipped counts as not showing it.")]
+    words: Annotated[str, described("What was found, in words.")]
+    e_value: Annotated[
+        float | None,
+        described("Evidence for the answer; without a difference it exceeds 1 / p with a chance of at most p."),
+    ]
+
+
+class ShrinkAnswer(Document):
+    """The answer of a search for the shortest clip."""
+
+    answer: BisectOutcome
+    words: Annotated[str, described("The answer in one sentence.")]
+    run: int
+    dataset: str
+    fault: Annotated[str, described("What is wrong with the run, in words.")]
+    begin_s: Annotated[float, described("From the beginning of what the run saw.")]
+    end_s: float
+    recording_s: Annotated[float, described("How long that was.")]
+    variant: Annotated[Variant, described("The steps that make the clip, with times since 1970.")]
+    sensors: Annotated[tuple[str, ...], described("The sensors that it holds.")]
+    left_out: Annotated[tuple[str, ...], described("The sensors that nothing needs.")]
+    folder: Annotated[str | None, described("Where it was written; null if the budget was spent before.")]
+    size_bytes: int | None
+    error: Annotated[float, described("The largest chance that an answer about a clip is false.")]
+    decisions: Annotated[int, described("Clips that were decided, the whole included.")]
+    runs: Annotated[int, described("All runs that were made.")]
+    steps: Annotated[tuple[ShrinkStep, ...], described("What was tried, in order.")]
+    notes: tuple[str, ...]
 
 
 # The answer of a replay: whether what ran again agrees with what a bundle recorded.

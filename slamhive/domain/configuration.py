@@ -70,6 +70,21 @@ def variant_of(stored: Iterable[Mapping[str, Any]] | None) -> Variant:
     return tuple(VariantStep(**step) for step in stored or ())
 
 
+CLIP = "clip"
+"""The step that keeps a part of a recording, between its options ``begin_s`` and ``end_s``."""
+
+
+def clipped_span_s(sensors: Iterable[str], variant: Variant) -> tuple[float, float] | None:
+    """The times (s) between which a variant has messages; None unless each of the sensors is clipped."""
+    spans: list[tuple[float, float]] = []
+    for name in sensors:
+        clips = [step.options for step in variant if step.kind == CLIP and name in step.sensors]
+        if not clips:
+            return None
+        spans.append((max(float(clip["begin_s"]) for clip in clips), min(float(clip["end_s"]) for clip in clips)))
+    return (min(begin_s for begin_s, _ in spans), max(end_s for _, end_s in spans)) if spans else None
+
+
 class StepRules(Protocol):
     """Knowledge about the kinds of steps, implemented by the maker of variants."""
 

@@ -48,6 +48,7 @@ class EvaluationTask:
         files: Other files of the run by name; see :class:`~slamhive.evaluation.evaluators.base.Paired`.
         lever_arm_m: Point in the body frame that a ground truth of positions measures.
         uncertainty_m: Standard deviation of a position of the ground truth along each axis; None if it is not known.
+        span_s: Only the ground truth between these times counts; None for all of it.
     """
 
     id: str
@@ -61,6 +62,7 @@ class EvaluationTask:
     files: Mapping[str, Path] = field(default_factory=dict)
     lever_arm_m: tuple[float, ...] | None = None
     uncertainty_m: float | None = None
+    span_s: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +122,7 @@ def job_to_json(tasks: Sequence[EvaluationTask]) -> str:
                     "files": {name: str(path) for name, path in task.files.items()},
                     "lever_arm_m": None if task.lever_arm_m is None else list(task.lever_arm_m),
                     "uncertainty_m": task.uncertainty_m,
+                    "span_s": None if task.span_s is None else list(task.span_s),
                 }
                 for task in tasks
             ],
@@ -145,6 +148,7 @@ def job_from_json(text: str) -> tuple[EvaluationTask, ...]:
                 files={name: Path(path) for name, path in entry["files"].items()},
                 lever_arm_m=None if entry["lever_arm_m"] is None else tuple(entry["lever_arm_m"]),
                 uncertainty_m=entry["uncertainty_m"],
+                span_s=None if entry["span_s"] is None else tuple(entry["span_s"]),
             )
             for entry in content["tasks"]
         )

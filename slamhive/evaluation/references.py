@@ -80,7 +80,7 @@ class References:
         if task.reference is None:
             raise InvalidInput(NO_TRUTH)
         T_body_sensor = task.protocol.T_body_sensor or task.T_body_sensor
-        file = _File(task.reference, task.positions_only, task.protocol.duplicates)
+        file = _File(task.reference, task.positions_only, task.protocol.duplicates, task.span_s)
         arm_m = task.protocol.lever_arm_m or task.lever_arm_m
         key = (file, T_body_sensor, arm_m)
         if key not in self._moved:
@@ -103,18 +103,34 @@ class References:
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """A file of a ground truth, and how it is read."""
+    """A file of a ground truth, how it is read, and the times between which it counts."""
 
     path: Path
     positions_only: bool
     duplicates: Duplicates
+    span_s: tuple[float, ...] | None = None
 
 
 def _read(file: _File) -> TruthReference:
     """The ground truth of a file with eight columns, or four, which are positions."""
     data, name = read_bounded(file.path), f"ground truth {file.path.name}"
     trajectory, without = parse_ground_truth(data, name, file.duplicates)
+    if file.span_s is not None:
+        trajectory = _within(trajectory, file.span_s, name)
     return TruthReference(trajectory, rotations_known=not (file.positions_only or without))
+
+
+def _within(trajectory: Trajectory, span_s: tuple[float, ...], name: str) -> Trajectory:
+    """The poses between two times; raises InvalidInput if there is none."""
+    begin_s, end_s = span_s
+    stamps_s = trajectory.stamps_s
+    part = trajectory.take(np.flatnonzero((stamps_s >= begin_s) & (stamps_s <= end_s)))
+    if not len(part):
+        raise InvalidInput(
+            f"{name} has no pose between {begin_s:.3f} s and {end_s:.3f} s, where the recording was clipped",
+            "clip it where it has some; the clock of the recording has to be that of the ground truth",
+        )
+    return Trajectory(part.stamps_s, part.positions_m, part.quats_xyzw)
 
 
 def _moved(body: TruthReference, T_body_sensor: FloatArray, arm_m: tuple[float, ...] | None) -> TruthReference:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from slamhive.services.executors import Executors
     from slamhive.services.experiments import ExperimentService
     from slamhive.services.fetching import Fetching
-    from slamhive.services.gates import Bisections, Gates
+    from slamhive.services.gates import Bisections, Gates, Shrinkings
     from slamhive.services.imports import Imports
     from slamhive.services.kept_answers import KeptAnswers
     from slamhive.services.ledger import Ledger
@@ -259,6 +259,13 @@ class Hive:
         from slamhive.services.gates import Bisections
 
         return Bisections(self.settings, self.catalogue, self.executors, self.versions, self.gates)
+
+    @cached_property
+    def shrinkings(self) -> Shrinkings:
+        """Searches for the shortest part of a recording that shows what is wrong with a run."""
+        from slamhive.services.gates import Shrinkings
+
+        return Shrinkings(self.settings, self.catalogue, self.configurations, self.runs, self.gates)
 
     @cached_property
     def challenges(self) -> ChallengeService:

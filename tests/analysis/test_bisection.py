@@ -129,5 +129,5 @@ def test_the_shortest_clip_around_a_fault_is_found(begin_s: float, end_s: float)
         return Standing.BAD if clip[0] <= begin_s and clip[1] >= end_s else Standing.GOOD
 
     state = search_clips(100.0, 1.0, standing)
-    assert state.best == (math.floor(begin_s), math.ceil(end_s))
+    assert state.best == (float(math.floor(begin_s)), float(math.ceil(end_s)))
     assert len(state.tried) <= 2 * math.ceil(math.log2(100))

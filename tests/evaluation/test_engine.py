@@ -272,3 +272,13 @@ def test_numbers_that_break_one_evaluator_leave_the_others(bench: Bench, monkeyp
     assert result.reason is None
     assert "ate.rmse" in result.metrics
     assert result.missing["nees.position"] == f"it cannot be computed: {error}"
+
+
+def test_only_the_ground_truth_of_a_clip_counts(bench: Bench):
+    part = (STAMPS_S >= 10.0) & (STAMPS_S <= 12.0)
+    positions_m, quats = curve()
+    write_tum(bench.estimate, STAMPS_S[part], positions_m[part], quats[part])
+    whole, clip = bench.run().metrics, bench.run(span_s=(10.0, 12.0)).metrics
+    assert whole["tracked.path"] < 0.5
+    assert clip["tracked.path"] == pytest.approx(1.0)
+    assert "where the recording was clipped" in str(bench.run(span_s=(900.0, 901.0)).reason)

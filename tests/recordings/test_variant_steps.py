@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.domain.configuration import clipped_span_s, parse_step
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.recordings.variants.step import Message, Operation, Step, Stream
 from slamhive.recordings.variants.steps import STEPS, make_step
@@ -25,6 +26,7 @@ LIDAR = Sensor(
 RINGED = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4"), ("ring", "<u2")])
 EXAMPLES: dict[str, tuple[Sensor, dict[str, object]]] = {
     "rate": (CAMERA, {"every": 2}),
+    "clip": (IMU, {"begin_s": 0.25, "end_s": 0.75}),
     "resolution": (CAMERA, {"scale": 0.5}),
     "calibration": (CAMERA, {"fx": 40.0}),
     "point_range": (LIDAR, {"minimum_m": 1.0, "maximum_m": 20.0}),
@@ -156,6 +158,7 @@ def test_options_say_what_they_mean(kind):
         ("exposure", CAMERA, {}),
         ("gamma", CAMERA, {}),
         ("drop_out", IMU, {"fraction": 0}),
+        ("clip", IMU, {}),
         ("drop_bursts", IMU, {"per_minute": 0, "duration_s": 1}),
         ("stamp_jitter", IMU, {"sigma_s": 0}),
         ("time_offset", IMU, {}),
@@ -507,3 +510,17 @@ def test_fog_throws_light_back_from_before_the_surface():
     assert len(seen) == 2000
     assert (seen["y"] <= 20.0).all()
     assert (seen["y"] < 20.0).mean() == pytest.approx(1 - 0.05**0.8, abs=0.03)
+
+
+def test_a_clip_keeps_what_was_received_between_two_times():
+    kept = kept_by("clip", LIDAR, stamps_of(LIDAR, 50, begin_s=100.0), begin_s=101.0, end_s=102.0)
+    assert np.flatnonzero(kept).tolist() == list(range(10, 21))
+    with pytest.raises(InvalidInput, match=r"step clip: .*end_s \(2\) has to be after begin_s \(3\)"):
+        make_step("clip", {"begin_s": 3.0, "end_s": 2.0})
+
+
+def test_a_variant_is_clipped_where_all_sensors_are():
+    clips = (parse_step("clip@cam0 begin_s=5 end_s=9"), parse_step("clip@imu begin_s=4 end_s=8"))
+    assert clipped_span_s(["cam0", "imu"], clips) == (4.0, 9.0)
+    assert clipped_span_s(["cam0", "imu"], clips[:1]) is None
+    assert clipped_span_s(["cam0"], (*clips, parse_step("clip@cam0 begin_s=6 end_s=7"))) == (6.0, 7.0)

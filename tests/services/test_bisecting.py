@@ -16,8 +16,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from slamhive.base.errors import InvalidInput, NotFound
+from slamhive.cli import main
 from slamhive.documents.gate import BisectAnswer
 from slamhive.documents.submission import Submission
 from slamhive.domain.gate import BisectOutcome, Margin, Standing
@@ -288,14 +290,15 @@ def write_tiny(root: Path, factor: str) -> None:
 def test_a_killed_search_goes_on_and_finds_the_commit(hive: Hive, tmp_path: Path):
     commits = make_repository(tmp_path / "slam", ["1", BROKEN, "1.3", "1.31"], write_tiny)
     options = ["--repo", str(tmp_path / "slam"), "--good", commits[0], "--dataset", "track", "--set", "seconds=0"]
-    command = [sys.executable, "-m", "slamhive", "gate", "bisect", *options, "--error", "0.2", "--json"]
-    first = subprocess.Popen(command, cwd=CHECKOUT, start_new_session=True, stderr=subprocess.DEVNULL)
+    command = ["gate", "bisect", *options, "--error", "0.5", "--json"]
+    started = [sys.executable, "-m", "slamhive", *command]
+    first = subprocess.Popen(started, cwd=CHECKOUT, start_new_session=True, stderr=subprocess.DEVNULL)
     eventually(lambda: len(hive.searches.find("state = succeeded")) > 2, "the end of three runs")
     os.killpg(first.pid, signal.SIGKILL)
     first.wait()
     before = hive.searches.find("")
-    second = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)
-    assert second.returncode == 3, second.stderr  # the commit before the first bad one does not build
+    second = CliRunner().invoke(main, command)
+    assert second.exit_code == 3, second.output  # the commit before the first bad one does not build
     answer = BisectAnswer.read(json.loads(second.stdout))
     assert [found.commit for found in answer.left] == commits[1:3]
     assert [step.standing for step in answer.steps] == ["good", "skipped", "bad", "bad"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,9 @@ import numpy as np
 from slamhive.base.errors import InvalidInput
 from slamhive.base.files import size_bytes
 from slamhive.documents.model import dump
-from slamhive.domain.configuration import Variant
+from slamhive.domain.configuration import Variant, clipped_span_s
 from slamhive.domain.dataset import Dataset
+from slamhive.domain.protocol import Duplicates
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.packages.dataset_file import dataset_to_yaml
 from slamhive.recordings.staging import Progress, seal
@@ -25,15 +27,19 @@ from slamhive.recordings.variants.ros1_output import BagExtent
 from slamhive.recordings.variants.ros1_rewrite import make_ros1
 from slamhive.recordings.variants.rosbag2_variant import make_rosbag2
 from slamhive.recordings.variants.step import SeededStep, Step
-from slamhive.recordings.variants.streams import Treatment, topics_of, treat
+from slamhive.recordings.variants.streams import SILENCED, Treatment, camera_info_topic, topics_of, treat
+from slamhive.trajectory.layout import parse_ground_truth
+from slamhive.trajectory.table import read_bounded
 
 
-def build_variant(dataset: Dataset, variant: Variant, folder: Path, progress: Progress) -> Dataset:
+def build_variant(
+    dataset: Dataset, variant: Variant, folder: Path, progress: Progress, only: Collection[str] | None = None
+) -> Dataset:
     """Make ``variant`` of ``dataset`` in ``folder``, which is empty; the dataset itself if nothing changes.
 
     The folder is a dataset folder of its own: recording with the name and storage of the source's, ground truth,
     ``dataset.yaml`` with rates, sizes and intrinsics as they are now. Whoever calls writes aside and renames (the
-    cache does).
+    cache does). With ``only``, it holds these sensors and no other message.
 
     Raises:
         NotFound: a step or sensor that does not exist.
@@ -41,38 +47,64 @@ def build_variant(dataset: Dataset, variant: Variant, folder: Path, progress: Pr
         OSError: the disk is full or refuses.
     """
     treatments = treat(dataset, variant)
-    if not any(treatment.steps for treatment in treatments):
+    if only is None and not any(treatment.steps for treatment in treatments):
         return dataset
     if not dataset.bag_path.exists():
         raise InvalidInput(f"{dataset.bag_path} does not exist", "restore the dataset's recording")
     (folder / dataset.bag).parent.mkdir(parents=True, exist_ok=True)
 
     def choose(present: dict[str, str]) -> dict[str, Treatment]:
-        return topics_of(dataset, treatments, present)
+        topics = topics_of(dataset, treatments, present)
+        if only is None:
+            return topics
+        sensors = [sensor for sensor in dataset.sensors if sensor.name in only]
+        kept = {topic for sensor in sensors for topic in (sensor.topic, camera_info_topic(sensor.topic))}
+        return {**topics, **dict.fromkeys(present.keys() - kept, SILENCED)}
 
     make = make_ros1 if dataset.bag_path.suffix == ".bag" else make_rosbag2
     digest, before, after = make(dataset.bag_path, folder / dataset.bag, choose, progress)
     steps = "; ".join(str(step) for step in variant)
+    span_s = clipped_span_s([sensor.name for sensor in dataset.sensors], variant)
     made = replace(
         dataset,
         folder=folder,
         checksum=digest,
-        duration_s=_duration_s(dataset, before, after),
-        sensors=tuple(treatment.after for treatment in treatments),
+        duration_s=_duration_s(dataset, before, after, span_s),
+        sensors=tuple(entry.after for entry in treatments if only is None or entry.before.name in only),
         description=f"{dataset.description} Variant: {steps}.".strip(),
     )
     if dataset.groundtruth_path is not None:
-        shutil.copyfile(dataset.groundtruth_path, folder / dataset.groundtruth_path.name)
+        _copy_truth(dataset.groundtruth_path, folder / dataset.groundtruth_path.name, span_s)
     seal(folder, made)
     return made
 
 
-def _duration_s(dataset: Dataset, before: BagExtent, after: BagExtent) -> float:
-    """The stated duration minus what is missing at the ends."""
+def _copy_truth(source: Path, target: Path, span_s: tuple[float, float] | None) -> None:
+    """Copy a ground truth, or the part of it within a span."""
+    if span_s is None:
+        shutil.copyfile(source, target)
+        return
+    trajectory, _ = parse_ground_truth(read_bounded(source), source.name, Duplicates.KEEP)
+    within = set(np.flatnonzero((trajectory.stamps_s >= span_s[0]) & (trajectory.stamps_s <= span_s[1])).tolist())
+    pose = -1
+    with source.open(encoding="utf-8") as lines, target.open("w", encoding="utf-8") as kept:
+        for line in lines:
+            is_pose = bool(line.strip()) and not line.lstrip().startswith("#")
+            pose += is_pose
+            if not is_pose or pose in within:
+                kept.write(line)
+
+
+def _duration_s(dataset: Dataset, before: BagExtent, after: BagExtent, span_s: tuple[float, float] | None) -> float:
+    """The stated duration minus what is missing at the ends; what belongs to no sensor may go on beyond a clip."""
     if before.start_ns is None or before.end_ns is None or after.start_ns is None or after.end_ns is None:
         return 0.0
     lost_ns = (before.end_ns - before.start_ns) - (after.end_ns - after.start_ns)
-    return max(0.0, dataset.duration_s - lost_ns * 1e-9)
+    duration_s = max(0.0, dataset.duration_s - lost_ns * 1e-9)
+    if span_s is None:
+        return duration_s
+    start_s, end_s = max(span_s[0], before.start_ns * 1e-9), min(span_s[1], before.end_ns * 1e-9)
+    return min(duration_s, max(0.0, end_s - start_s))
 
 
 # The identity and the largest size of a variant, from ``dataset.yaml`` and the steps alone.

@@ -24,6 +24,13 @@ class Treatment:
     after: Sensor
     steps: tuple[tuple[Step, int, Sensor], ...]
     """Each step, its place among those of its kind on this sensor, and the sensor as the step finds it."""
+    silenced: bool = False
+    """No message stays."""
+
+
+_NOBODY = Sensor("", SensorKind.IMU, "", 1.0)
+SILENCED = Treatment(_NOBODY, _NOBODY, (), silenced=True)
+"""The treatment of a topic that is left out."""
 
 
 class TopicStream:
@@ -54,6 +61,8 @@ class TopicStream:
 
     def decide(self, stamp_ns: int) -> int | None:
         """The timestamp of the next message, None if it is dropped."""
+        if self.treatment.silenced:
+            return None
         for number, operation in enumerate(self._operations):
             index = self._reached[number]
             self._reached[number] += 1
@@ -172,6 +181,8 @@ def make_edit(topic: str, message_type: str, stream: TopicStream) -> Edit | None
     Raises InvalidInput where the steps ask for a change and the topic carries something else than its sensor should.
     """
     before, after = stream.treatment.before, stream.treatment.after
+    if stream.treatment.silenced:
+        return None
     if message_type == CAMERA_INFO:
         return _info_edit(topic, before, after)
     if not stream.transforms:

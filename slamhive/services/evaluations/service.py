@@ -20,6 +20,7 @@ from slamhive.base.files import sweep_folder, temporary_folder, write_aside
 from slamhive.base.settings import Settings
 from slamhive.documents.protocol import ProtocolMatchDocument, ProtocolSearchDocument
 from slamhive.domain.claim import MetricFamily, PrintedUnit, read_printed
+from slamhive.domain.configuration import clipped_span_s
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.protocol import Alignment, Duplicates, Protocol, ProtocolRequest, TrajectoryKind
 from slamhive.domain.sensors import IDENTITY4, Matrix4
@@ -383,6 +384,7 @@ class Evaluations:
             files=evaluation_files(folder, dataset),
             lever_arm_m=None if dataset.groundtruth is None else dataset.groundtruth.lever_arm_m,
             uncertainty_m=None if dataset.groundtruth is None else dataset.groundtruth.uncertainty_m,
+            span_s=clipped_span_s([sensor.name for sensor in dataset.sensors], run.variant),
         )
 
     def _folder(self, run_id: int) -> RunFolder:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         value_rows,
     )
     from slamhive.services.gates.service import Gates
+    from slamhive.services.gates.shrinking import Shrinkings, ShrinkRequest
     from slamhive.services.gates.trials import searched_metric
 
 

@@ -31,11 +31,12 @@ from slamhive.recordings.variants.steps.camera import (
 )
 from slamhive.recordings.variants.steps.imu import AddedImuNoise, ImuBias, ImuSaturation
 from slamhive.recordings.variants.steps.lidar import Fog, PointBeams, PointRange, PointStride, RangeNoise, Voxel
-from slamhive.recordings.variants.steps.timing import DropBursts, DropOut, Rate, StampJitter, TimeOffset
+from slamhive.recordings.variants.steps.timing import Clip, DropBursts, DropOut, Rate, StampJitter, TimeOffset
 
 STEPS: Registry[type[Step]] = Registry("pre-processing step", "slamhive.variant_steps", subclasses_of(Step, "kind"))
 _SHIPPED: tuple[type[Step], ...] = (
     Rate,
+    Clip,
     Resolution,
     Calibration,
     DepthRange,

@@ -1,4 +1,4 @@
-"""The step ``rate``: fewer messages."""
+"""Steps on the times of messages: fewer, a part of them, lost ones, and wrong timestamps. First ``rate``."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from slamhive.base.errors import InvalidInput
+from slamhive.domain.configuration import CLIP
 from slamhive.domain.sensors import Sensor
 from slamhive.recordings.variants.step import Operation, SeededStep, Step, Stream, option
 
 _RATE_TOLERANCE = 1e-3
 """Rates this close (relative) are one: ``dataset.yaml`` states measured rates."""
+_LATEST_S = 2.0**32
+"""Seconds of ROS 1 are numbers of 32 bits."""
 
 
 class Rate(Step):
@@ -85,6 +88,41 @@ class _Periods:
             return False
         self._taken = period
         return True
+
+
+# The reduction ``clip``: a part of the recording.
+
+
+class Clip(Step):
+    """Keep the messages that were received between two times. Errors are those over this part of the ground truth.
+
+    Both times are those of the recording's clock, which has to be that of the ground truth. What belongs to no sensor
+    of the dataset stays.
+    """
+
+    kind: ClassVar[str] = CLIP
+
+    begin_s: float = option("The first time that stays.", unit="s", default=0.0, ge=0, le=_LATEST_S)
+    end_s: float = option("The last time that stays.", unit="s", default=_LATEST_S, ge=0, le=_LATEST_S)
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.end_s <= self.begin_s:
+            raise ValueError(f"end_s ({self.end_s:.9g}) has to be after begin_s ({self.begin_s:.9g})")
+        return self
+
+    def applies_to(self, sensor: Sensor) -> bool:  # noqa: ARG002 - every message has a time
+        """Every sensor."""
+        return True
+
+    def is_identity(self, sensor: Sensor) -> bool:  # noqa: ARG002 - the options decide alone
+        """All of it."""
+        return self.begin_s == 0 and self.end_s == _LATEST_S
+
+    def operation(self, stream: Stream) -> Operation:  # noqa: ARG002 - the time decides alone
+        """A filter by time."""
+        begin_ns, end_ns = round(self.begin_s * 1e9), round(self.end_s * 1e9)
+        return Operation(keep=lambda _index, stamp_ns: begin_ns <= stamp_ns <= end_ns)
 
 
 # The fault ``drop_out``: single messages that never arrive.
