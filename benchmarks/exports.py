@@ -25,13 +25,13 @@ from slamhive.filters.fields import vocabulary_of
 from slamhive.services.exports import RUNS_AT_ONCE, ExportFormat, RunExport
 from slamhive.store import RunSort, open_store
 from slamhive.store.run_cells import RunCellPage
-from slamhive.web.columns import DEFAULT_COLUMNS
+from slamhive.web.columns import DEFAULT_COLUMNS, exported
 
 
 def export(url: str, kind: ExportFormat, path: Path) -> None:
     """Write all runs of the database, and print seconds, CPU seconds, MB of the file and MB of memory."""
     with closing(open_store(url)) as store:
-        content = RunExport(DEFAULT_COLUMNS, vocabulary_of(store.read(lambda t: t.searches.parameters())))
+        content = RunExport(exported(DEFAULT_COLUMNS), vocabulary_of(store.read(lambda t: t.searches.parameters())))
 
         def page(after: str | None) -> RunCellPage:
             return store.read(lambda t: t.runs.cells(None, RunSort(), after, RUNS_AT_ONCE, content.wanted))

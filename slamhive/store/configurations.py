@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Row, insert, select, update
+from sqlalchemy import Row, insert, select, type_coerce, update
 from sqlalchemy.exc import IntegrityError
 
 from slamhive.base.errors import NotFound
@@ -25,6 +25,7 @@ from slamhive.store.models import (
 )
 from slamhive.store.records import NewConfiguration
 from slamhive.store.rows import Repository, chunks, get_or_insert, to_json
+from slamhive.store.tables import LongText, from_json
 
 
 def option_rows(configuration_id: int, variant: Variant) -> list[dict[str, Any]]:
@@ -122,15 +123,23 @@ class ConfigurationRepository(Repository):
         """The same for many configurations, with one query for each few hundred."""
         wanted = sorted(set(configuration_ids))
         found: dict[int, dict[str, Value]] = {configuration_id: {} for configuration_id in wanted}
+        read: dict[str, Value] = {}  # few texts differ, and reading each of them took longer than the query
         for part in chunks(wanted):
             rows = self._connection.execute(
-                select(ConfigurationValueRow.configuration_id, ParameterRow.key, ConfigurationValueRow.value)
+                select(
+                    ConfigurationValueRow.configuration_id,
+                    ParameterRow.key,
+                    type_coerce(ConfigurationValueRow.value, LongText),
+                )
                 .join(ParameterRow, ParameterRow.id == ConfigurationValueRow.parameter_id)
                 .where(ConfigurationValueRow.configuration_id.in_(part))
                 .order_by(ConfigurationValueRow.configuration_id, ConfigurationValueRow.parameter_id)
             )
-            for configuration_id, key, value in rows.all():
-                found[configuration_id][key] = tuple(value) if isinstance(value, list) else value
+            for configuration_id, key, text in rows.all():
+                if text not in read:
+                    value = from_json(text)
+                    read[text] = tuple(value) if isinstance(value, list) else value
+                found[configuration_id][key] = read[text]
         return found
 
     def _ids_by_hash(self, hashes: Sequence[str]) -> dict[str, int]:

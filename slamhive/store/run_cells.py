@@ -49,6 +49,9 @@ class CellsWanted:
         )
 
 
+_as_json = json.JSONEncoder(sort_keys=True).encode
+
+
 @dataclass
 class ParameterCells:
     """The parameters of a configuration, shared by its runs. ``text``: as JSON."""
@@ -58,7 +61,7 @@ class ParameterCells:
     @cached_property
     def text(self) -> str:
         """The values as a JSON object, keys in order."""
-        return json.dumps(self.values, sort_keys=True)
+        return _as_json(self.values)
 
 
 class RunCells(NamedTuple):
@@ -100,7 +103,7 @@ def list_cells(
     query = run_query(found.protocol_id)
     names = {"id", "configuration_id"} | wanted.columns
     query = query.with_only_columns(*(column for column in query.selected_columns if column.key in names))
-    rows = {row.id: row for row in connection.execute(query.where(among(RunRow.id, found.run_ids)))}
+    rows = {row.id: row for row in connection.execute(query.where(among(RunRow.id, found.run_ids))).all()}
     metrics: dict[int, dict[str, float]] = {}
     if wanted.metrics:
         metrics = MetricRepository(connection).for_runs(

@@ -498,11 +498,11 @@ class Matches:
                 query = query.where(behind(keys, after, descending=order.sort.descending))
             by_value = [keys[0].is_(None)] if len(keys) > 1 else []  # NULLs last, in both directions
             query = query.order_by(*by_value, *ordered(keys, descending=order.sort.descending)).limit(limit)
-            return total, [tuple(row) for row in self.connection.execute(query)]
+            return total, [tuple(row) for row in self.connection.execute(query).all()]
         walked: list[tuple[Any, ...]] = []
         for query in order.walk(self.search.tree, after, limit):
             if len(walked) < limit:
-                walked += [tuple(row) for row in self.connection.execute(query.limit(limit - len(walked)))]
+                walked += [tuple(row) for row in self.connection.execute(query.limit(limit - len(walked))).all()]
         return total, walked
 
     def survey(self) -> tuple[Count, Sequence[int] | None]:

@@ -98,6 +98,10 @@ class UtcDateTime(TypeDecorator[datetime]):
         return None if value is None else value.replace(tzinfo=UTC)
 
 
+from_json = json.JSONDecoder().decode
+"""Reads the text of such a column. ``json.loads`` looks at its options for each value."""
+
+
 class JsonText(TypeDecorator[Any]):
     """A JSON value kept as text.
 
@@ -113,7 +117,7 @@ class JsonText(TypeDecorator[Any]):
 
     def process_result_value(self, value: str | None, dialect: Dialect) -> Any:  # noqa: ARG002
         """Back to the value."""
-        return None if value is None else json.loads(value)
+        return None if value is None else from_json(value)
 
 
 def enum_column(kind: type[E]) -> TypeEngine[E]:
