@@ -65,6 +65,13 @@ def dataset() -> None:
     help="Frames per second, where the format stores no timestamps.",
 )
 @click.option("--sequence", help="Sequence, where PATH holds several.")
+@click.option(
+    "--uncertainty",
+    "uncertainty_m",
+    type=float,
+    metavar="M",
+    help="Standard deviation of the ground truth's positions along each axis.",
+)
 @click.option("--accept-loss", is_flag=True, help="Import the rest where over 1 % of the messages are lost.")
 @click.option("--preview", is_flag=True, help="Show what would be made, and stop.")
 @json_option

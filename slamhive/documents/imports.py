@@ -157,6 +157,15 @@ class RecordingFacts(ApiRequest):
     frame_rate_hz: Annotated[
         float | None, described("Frames per second, without timestamps.", unit="Hz", title="Frame rate", gt=0)
     ] = None
+    uncertainty_m: Annotated[
+        float | None,
+        described(
+            "Standard deviation of the ground truth's positions along each axis.",
+            unit="m",
+            title="Uncertainty of the ground truth",
+            gt=0,
+        ),
+    ] = None
     accept_loss: Annotated[
         bool,
         described("Import the rest where over 1 % of the messages are lost.", title="Accept losses"),

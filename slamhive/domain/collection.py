@@ -131,7 +131,10 @@ class Sequence:
 
 @dataclass(frozen=True, slots=True)
 class Collection:
-    """A public collection. ``importer`` and ``options`` say how its sequences become datasets."""
+    """A public collection. ``importer`` and ``options`` say how its sequences become datasets.
+
+    ``uncertainty_m`` is the standard deviation of true positions along each axis, None if nothing is published.
+    """
 
     name: str
     title: str
@@ -144,6 +147,7 @@ class Collection:
     unverified: bool
     note: str
     sequences: tuple[Sequence, ...]
+    uncertainty_m: float | None = None
 
     @property
     def by_hand(self) -> tuple[Need, ...]:

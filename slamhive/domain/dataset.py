@@ -11,6 +11,8 @@ from slamhive.base.errors import InvalidInput, lacks
 from slamhive.domain.sensors import Sensor, SensorKind
 
 RELATIONS_FILE = "relations.txt"
+MOST_UNCERTAIN_M = 1e6
+"""A larger standard deviation of a true position is a mistake."""
 
 
 @dataclass(frozen=True, slots=True)

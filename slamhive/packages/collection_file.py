@@ -13,6 +13,7 @@ from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
 from slamhive.documents.model import check_name_in, explained, first_problem
 from slamhive.domain.collection import Collection, FileKind, Need, NeedKind, Part, RemoteFile, Sequence
+from slamhive.domain.dataset import MOST_UNCERTAIN_M
 from slamhive.domain.names import NAME_PATTERN
 from slamhive.domain.sensors import SensorKind
 
@@ -127,6 +128,9 @@ class CollectionModel(_Model):
     attributes: Words = Field(default_factory=list, description="Of every sequence.")
     sensors: dict[SensorKind, int] = Field(description="Number of sensors of each kind.")
     groundtruth: bool = Field(default=True, description="Whether the files contain ground truth.")
+    uncertainty_m: float | None = Field(
+        default=None, gt=0, le=MOST_UNCERTAIN_M, description="Of true positions along each axis, as published."
+    )
     path: InnerPath = Field(default="", description="What the importer reads below the folder of a sequence.")
     files: dict[str, FileModel] = Field(default_factory=dict)
     sources: dict[Name, list[PartModel]] = Field(default_factory=dict, description="The first is the default.")
@@ -157,6 +161,7 @@ def load_collection(path: Path) -> Collection:
             ),
             unverified=model.unverified,
             note=" ".join(model.note.split()),
+            uncertainty_m=model.uncertainty_m,
             sequences=tuple(_sequence(model, name, own or SequenceModel()) for name, own in model.sequences.items()),
         )
     except InvalidInput as error:

@@ -13,7 +13,7 @@ from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
 from slamhive.documents.model import check_name_in, first_problem
 from slamhive.domain.calibration import camera_model
-from slamhive.domain.dataset import Dataset, GroundTruth
+from slamhive.domain.dataset import MOST_UNCERTAIN_M, Dataset, GroundTruth
 from slamhive.domain.protocol import check_lever_arm
 from slamhive.domain.sensors import IDENTITY4, CalibrationValue, Sensor, SensorKind, is_rigid
 
@@ -61,7 +61,7 @@ class _GroundTruthModel(BaseModel):
     kitti_poses: str | None = None
     source: str = ""
     lever_arm_m: list[float] | None = None
-    uncertainty_m: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False)
+    uncertainty_m: float | None = Field(default=None, gt=0, le=MOST_UNCERTAIN_M, allow_inf_nan=False)
     uncertainties: str | None = None
     image_times: str | None = None
 

@@ -55,15 +55,15 @@ OPTION_HELP: dict[str, str] = {
     "frame_rate_hz": "frames per second, for formats that do not store timestamps",
     "sequence": "name of the sequence, for sources that hold several",
 }
-"""All options that an importer may take: the fields of :class:`ImportOptions`, without ``accept_loss``."""
+"""All options that an importer may take: the fields of :class:`ImportOptions` without those for all importers."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImportOptions:
     """Facts about a recording that users state and its files do not; None or empty means "look for yourself".
 
-    :data:`OPTION_HELP` explains the fields. All importers know ``accept_loss``: a :class:`Loss` is no error,
-    however large.
+    :data:`OPTION_HELP` explains the fields. Two count for all importers. ``accept_loss``: a :class:`Loss` is no error,
+    however large. ``uncertainty_m`` is the standard deviation of true positions along each axis.
     """
 
     groundtruth: Path | None = None
@@ -76,6 +76,7 @@ class ImportOptions:
     frame_rate_hz: float | None = None
     sequence: str | None = None
     accept_loss: bool = False
+    uncertainty_m: float | None = None
 
     @property
     def given(self) -> tuple[str, ...]:

@@ -353,8 +353,11 @@ class Fetching:
                 source=collection.homepage,
                 attributes=tuple(dict.fromkeys((*sequence.attributes, *planned.plan.text.attributes))),
             )
+            truth = planned.plan.truth
+            if truth is not None and truth.uncertainty_m is None:
+                truth = replace(truth, uncertainty_m=collection.uncertainty_m)
             return self._catalogue.import_dataset(
-                replace(planned, plan=replace(planned.plan, text=text)),
+                replace(planned, plan=replace(planned.plan, text=text, truth=truth)),
                 lambda share, text: progress(_UNPACKED + (1 - _UNPACKED) * share, text),
             )
 

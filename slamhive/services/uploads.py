@@ -592,6 +592,7 @@ def _planned(catalogue: Catalogue, request: RecordingFacts, recording: Recording
         frame_rate_hz=request.frame_rate_hz,
         sequence=request.sequence,
         accept_loss=request.accept_loss,
+        uncertainty_m=request.uncertainty_m,
     )
     return catalogue.plan_import(recording.source, options, format_name=request.format, name=request.name)
 

@@ -23,6 +23,7 @@ from slamhive.recordings.importers.registry import plan_import
 from slamhive.recordings.importing import ImportOptions, KeptRecording, perform
 from slamhive.recordings.staging import checksum
 from slamhive.runtime.recording import Recording
+from slamhive.trajectory.pose_file import read_uncertainties
 from tests.cases import case
 from tests.recordings.storages import FRAMES, PERIOD_NS, ROS1, START_NS, STORAGES, convert_to, dataset_of, write_ros1
 
@@ -336,7 +337,63 @@ def pose_messages(kind: str, number: int) -> Any:
     return message(kind, **made[kind]())
 
 
-def write_with_truth(path: Path, kind: str, topic: str = "/truth") -> None:
+def stating(kind, number, variances_m2):
+    """The same with variances of x, y and z in its covariance."""
+    made = pose_messages(kind, number)
+    covariance = np.zeros(9 if kind.endswith("NavSatFix") else 36)
+    covariance[:: 4 if kind.endswith("NavSatFix") else 7][:3] = variances_m2
+    if kind.endswith("NavSatFix"):
+        made.position_covariance, made.position_covariance_type = covariance, 2
+    else:
+        made.pose.covariance = covariance
+    return made
+
+
+@pytest.mark.parametrize(
+    "kind", ["geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry", "sensor_msgs/msg/NavSatFix"]
+)
+def test_covariances_on_a_topic_are_the_uncertainty_of_the_ground_truth(tmp_path, kind):
+    write_with_truth(tmp_path / "take.bag", kind, make=lambda kind, n: stating(kind, n, (0.01, 0.04, 0.0001 * (n + 1))))
+    _, plan = plan_import(tmp_path / "take.bag", ImportOptions(groundtruth_topic="/truth"))
+    assert plan.truth is not None
+    assert plan.truth.sigmas_m is not None
+    assert plan.truth.sigmas_m[:, :2] == pytest.approx(np.tile([0.1, 0.2], (FRAMES, 1)))
+    assert plan.truth.sigmas_m[:, 2] == pytest.approx(0.01 * np.sqrt(np.arange(1, FRAMES + 1)))
+    assert "the covariances of topic /truth are the uncertainty of the ground truth: 0.1 m (median)" in plan.notes
+    dataset = convert(tmp_path / "take.bag", tmp_path / "made", groundtruth_topic="/truth")
+    found = read_uncertainties(dataset.folder / "uncertainties.txt", plan.truth.times_s)
+    assert found == pytest.approx(plan.truth.sigmas_m)
+    assert dataset.groundtruth is not None
+    assert dataset.groundtruth.uncertainties == "uncertainties.txt"
+
+
+@pytest.mark.parametrize(
+    ("variances_m2", "said"),
+    [((0.0, 0.0, 0.0), False), ((-1.0, 0.0, 0.0), False), ((0.01, 0.01, 1e6), True), ((0.01, np.nan, 0.01), True)],
+)
+def test_covariances_that_state_nothing_are_no_uncertainty(tmp_path, variances_m2, said):
+    source = tmp_path / "take.bag"
+    write_with_truth(source, "nav_msgs/msg/Odometry", make=lambda kind, n: stating(kind, n, variances_m2))
+    _, plan = plan_import(source, ImportOptions(groundtruth_topic="/truth"))
+    assert plan.truth is not None
+    assert plan.truth.sigmas_m is None
+    note = f"{FRAMES} of the {FRAMES} covariances of topic /truth do not state the variance of x, y and z"
+    assert any(entry.startswith(note) for entry in plan.notes) is said
+
+
+def test_users_state_the_uncertainty_of_a_ground_truth(tmp_path):
+    source = tmp_path / "take.bag"
+    write_with_truth(source, "geometry_msgs/msg/PoseStamped")
+    _, plan = plan_import(source, ImportOptions(groundtruth_topic="/truth", uncertainty_m=0.02))
+    assert plan.truth is not None
+    assert (plan.truth.definition.uncertainty_m, plan.truth.definition.uncertainties) == (0.02, None)
+    with pytest.raises(InvalidInput, match=r"an uncertainty of -1 m is none; give a standard deviation in metres"):
+        plan_import(source, ImportOptions(groundtruth_topic="/truth", uncertainty_m=-1.0))
+    with pytest.raises(InvalidInput, match=r"the uncertainty of 0\.02 m belongs to no ground truth"):
+        plan_import(source, ImportOptions(uncertainty_m=0.02))
+
+
+def write_with_truth(path: Path, kind: str, topic: str = "/truth", make=pose_messages) -> None:
     """A bag with an IMU, ground truth on a topic, and the IMU's place on the body in /tf_static."""
     with Ros1Writer(path) as writer:
         truth = writer.add_connection(topic, kind, typestore=STORE)
@@ -366,7 +423,7 @@ def write_with_truth(path: Path, kind: str, topic: str = "/truth") -> None:
                 linear_acceleration_covariance=np.zeros(9),
             )
             writer.write(imu, stamp_ns, STORE.serialize_ros1(sample, "sensor_msgs/msg/Imu"))
-            writer.write(truth, stamp_ns, STORE.serialize_ros1(pose_messages(kind, number), kind))
+            writer.write(truth, stamp_ns, STORE.serialize_ros1(make(kind, number), kind))
 
 
 @pytest.mark.parametrize(

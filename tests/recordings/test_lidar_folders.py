@@ -44,6 +44,24 @@ def test_an_nclt_session_is_turned_so_that_z_points_up(tmp_path):
     assert len(truth.stamps_s) == 7
 
 
+def test_covariances_of_nclt_are_the_uncertainty_of_its_poses(tmp_path):
+    source = make_nclt(tmp_path / "2012-01-08")
+    names = [f"{first}{second}" for place, first in enumerate("xyzrph") for second in "xyzrph"[place:]]
+    for time_us, sigma_m in ((NCLT_START_US, 0.1), (NCLT_START_US + 400_000, 0.5)):
+        row = {"xx": sigma_m**2, "yy": 4 * sigma_m**2, "zz": 9 * sigma_m**2}
+        numbers = ",".join(f"{row.get(name, 7.0)}" for name in names)
+        with (source / "cov_2012-01-08.csv").open("a") as file:
+            file.write(f"{time_us},{numbers}\n")
+    made = plan(source)
+    assert made.truth is not None
+    since_s = made.truth.times_s - NCLT_START_US * 1e-6
+    assert made.truth.sigmas_m == pytest.approx(np.outer(0.1 + since_s, [1, 2, 3]), abs=1e-6)
+    assert any(note.startswith("cov_2012-01-08.csv is the uncertainty of the ground truth") for note in made.notes)
+    (source / "cov_2012-01-08.csv").write_text(f"{NCLT_START_US},-1{',0' * 20}\n")
+    with pytest.raises(InvalidInput, match=r"cov_2012-01-08\.csv, line 1: a variance is negative"):
+        plan(source)
+
+
 def test_gravity_points_down_in_the_body_of_nclt(tmp_path):
     """An accelerometer at rest measures +g along the axis that points up; that of NCLT points down."""
     imu = convert(make_nclt(tmp_path / "s"), tmp_path / "made").sensors[1]

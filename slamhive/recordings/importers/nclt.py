@@ -9,6 +9,7 @@ origin.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,15 @@ class NcltImporter:
         if len(truths) > 1:
             raise InvalidInput(f"{source} has {len(truths)} files groundtruth_*.csv", "leave the one of the session")
         truth = _truth(truths[0]) if truths else None
-        return ImportPlan(tuple(streams), truth, _text(source), notes=matched_truth(truth, streams))
+        notes = matched_truth(truth, streams)
+        covariances = [path for path in visible_files(source, "cov_*.csv") if path.is_file()]
+        if truth is not None and len(covariances) == 1:
+            sigmas_m = _sigmas_m(covariances[0], truth.times_s)
+            truth, middle_m = replace(truth, sigmas_m=sigmas_m), float(np.median(sigmas_m))
+            notes += (f"{covariances[0].name} is the uncertainty of the ground truth: {middle_m:.3g} m (median)",)
+        elif len(covariances) > 1:
+            raise InvalidInput(f"{source} has {len(covariances)} files cov_*.csv", "leave the one of the session")
+        return ImportPlan(tuple(streams), truth, _text(source), notes=notes)
 
 
 def _lidar(folder: Path) -> PlannedStream:
@@ -132,6 +141,20 @@ def _truth(path: Path) -> PlannedTruth:
         gravity_aligned=True,
         source="RTK GNSS, odometry and LiDAR in one pose graph",
     )
+
+
+def _sigmas_m(path: Path, times_s: Array) -> Array:
+    """Standard deviations of x, y, z in m at ``times_s`` (n,), interpolated; shape (n, 3).
+
+    Rows: utime, and the upper triangle of the covariance of x, y, z, roll, pitch, heading by rows, as nclt2ros reads.
+    """
+    rows = _finite_rows(read_timed_list(path, "utime and 21 covariances", TimeUnit.US, columns=22), 0, 21)
+    variances_m2 = rows.numbers(0, 21)[:, [0, 6, 11]]
+    if (variances_m2 < 0).any():
+        row = int((variances_m2 < 0).any(axis=1).argmax())
+        raise rows.error(row, "a variance is negative", "copy or download the file again")
+    sigmas_m = np.sqrt(variances_m2)
+    return np.column_stack([np.interp(times_s, rows.times_ns * 1e-9, sigmas_m[:, axis]) for axis in range(3)])
 
 
 def _finite_rows(rows: TimedList, start: int, count: int) -> TimedList:

@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 
 from slamhive.base.errors import InvalidInput
 from slamhive.base.registry import Registry, instances_of
+from slamhive.domain.dataset import MOST_UNCERTAIN_M
 from slamhive.recordings.importers.carmen import CarmenImporter
 from slamhive.recordings.importers.euroc import EurocImporter
 from slamhive.recordings.importers.evalio import EvalioImporter
@@ -32,7 +33,7 @@ from slamhive.recordings.importers.tartanair import TartanAirImporter
 from slamhive.recordings.importers.tum_rgbd import Eth3dImporter, TumRgbdImporter
 from slamhive.recordings.importers.video import VideoImporter
 from slamhive.recordings.importers.vslam_lab import VslamLabImporter
-from slamhive.recordings.importing import Detection, ImportOptions, ImportPlan, refuse_losses
+from slamhive.recordings.importing import Detection, ImportOptions, ImportPlan, PlannedTruth, refuse_losses
 from slamhive.trajectory.model import lacking
 
 
@@ -134,8 +135,24 @@ def plan_import(source: Path, options: ImportOptions, format_name: str | None = 
             reason = f" ({without})" if without else ""
             note = f"the ground truth has positions only{reason}: runs get no rotation errors"
             plan = replace(plan, truth=replace(truth, quats_xyzw=None), notes=(*plan.notes, note))
+    if options.uncertainty_m is not None:
+        plan = replace(plan, truth=_of_uncertainty(plan, options.uncertainty_m))
     refuse_losses(plan.notes, accepted=options.accept_loss)
     return name, plan
+
+
+def _of_uncertainty(plan: ImportPlan, uncertainty_m: float) -> PlannedTruth:
+    """The ground truth of the plan with a standard deviation that the user states."""
+    if not 0 < uncertainty_m <= MOST_UNCERTAIN_M:
+        raise InvalidInput(
+            f"an uncertainty of {uncertainty_m:g} m is none", "give a standard deviation in metres, for instance 0.01"
+        )
+    if plan.truth is None:
+        raise InvalidInput(
+            f"the uncertainty of {uncertainty_m:g} m belongs to no ground truth: there is none",
+            "give the ground truth, or leave the uncertainty out",
+        )
+    return replace(plan.truth, uncertainty_m=uncertainty_m)
 
 
 def detect_format(path: Path) -> str:

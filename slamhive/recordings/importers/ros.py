@@ -146,6 +146,7 @@ def _notes(bag: SourceBag, truth: FoundTruth | None, recorded_ns: tuple[int, int
         notes.append("there is no ground truth: runs get no ATE (--groundtruth FILE or --groundtruth-topic adds one)")
     elif not truth.gravity_aligned:
         notes.append("the z axis of the ground truth is not known to point up (gravity_aligned in dataset.yaml)")
+    notes += () if truth is None else truth.notes
     apart_s = (recorded_ns[0] - bag.start_ns) / NS_PER_S
     if abs(apart_s) > 60:
         notes.append(f"headers are {apart_s:.0f} s from the clock of the recording; the time of headers counts")

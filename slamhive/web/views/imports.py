@@ -229,7 +229,12 @@ def _page(error: SlamHiveError | None = None, refused: str = "") -> str:
 
 
 _FLAG = re.compile(r"--([a-z][a-z-]*)(?: (?:NAME|FILE)(?:\.tar)?)?")
-_OTHER_NAMES = {"topic": "topics", "depth_units": "depth_units_per_m", "frame_rate": "frame_rate_hz"}
+_OTHER_NAMES = {
+    "topic": "topics",
+    "depth_units": "depth_units_per_m",
+    "frame_rate": "frame_rate_hz",
+    "uncertainty": "uncertainty_m",
+}
 """Options of the command line whose field has another name."""
 TABLE = "table"
 LINES = "lines"
