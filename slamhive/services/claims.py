@@ -61,6 +61,8 @@ MOST_RUNS = 1000
 MOST_AT_ONCE = 20
 """One check makes so many runs of an entry; the next one makes more, if they are still needed."""
 _MOST_PROTOCOLS = 3
+_SUBMITTED = {"algorithm", "dataset", "parameters", "variant", "sensors", "playback_mode", "playback_rate"}
+"""Fields of an entry that say what runs."""
 _ENDING = ".json"
 _LIST = "slamhive claims list shows them"
 _MISSED = VerdictKind.MISSED_INPUT
@@ -193,7 +195,8 @@ class Claims:
             where: tuple[str | int, ...] = ("claims", number)
             try:
                 self._check_names(file, entry)
-                submission = _submission_of(entry)
+                submission = parse(Submission, entry.model_dump(mode="json", include=_SUBMITTED))
+                submission.check()
                 claims = []
                 for key, text in entry.states.items():
                     where = ("claims", number, "states", key)
@@ -409,17 +412,6 @@ class Claims:
         return self._settings.claims_folder / f"{check_name('claims', name)}{_ENDING}"
 
 
-def _submission_of(entry: ClaimEntry) -> Submission:
-    """The request for runs of an entry; raises InvalidInput."""
-    content = entry.model_dump(
-        mode="json",
-        include={"algorithm", "dataset", "parameters", "variant", "sensors", "playback_mode", "playback_rate"},
-    )
-    submission = parse(Submission, content)
-    submission.check()
-    return submission
-
-
 def _claim(file: ClaimsFile, entry: ClaimEntry, key: str, text: str) -> Claim:
     """One claim of an entry, with what the file says for all; raises InvalidInput or NotFound."""
     measured = metric(key)
@@ -440,7 +432,8 @@ def _claim(file: ClaimsFile, entry: ClaimEntry, key: str, text: str) -> Claim:
     settings = [f"{name} = {value}" for name, value in entry.parameters.items()]
     settings += [f"{role} = {sensor}" for role, sensor in entry.sensors.items()]
     settings += [plural(len(entry.variant), "pre-processing step")] if entry.variant else []
-    settings += [f"played {entry.playback_mode}, {entry.playback_rate:g} x"] if _other_playback(entry) else []
+    if {"playback_mode", "playback_rate"} & entry.model_fields_set:
+        settings.append(f"played {entry.playback_mode} at {entry.playback_rate:g} x")
     return Claim(
         algorithm=entry.algorithm,
         version=entry.version,
@@ -455,10 +448,6 @@ def _claim(file: ClaimsFile, entry: ClaimEntry, key: str, text: str) -> Claim:
         protocol=entry.protocol or file.protocol or BY_SENSORS,
         source=source,
     )
-
-
-def _other_playback(entry: ClaimEntry) -> bool:
-    return bool({"playback_mode", "playback_rate"} & entry.model_fields_set)
 
 
 def _fits(run: RunRecord, entry: CheckedEntry) -> bool:
