@@ -218,6 +218,20 @@ Nice = Annotated[
 ]
 
 
+SlowDown = Annotated[
+    float,
+    Asked(
+        "Slow each run down by this factor: of each core that it has, it gets 1 / factor of the time.",
+        title="Slowed down",
+        unit="times",
+        group="limits",
+        ge=1,
+        le=20,
+    ),
+]
+NO_SLOW_DOWN = 1.0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
     """Limits of each run; None means the default of the settings or of the package."""
@@ -226,6 +240,11 @@ class Limits:
     memory_mb: MemoryMb = None
     timeout_s: TimeoutS = None
     nice: Nice = 0
+    slow_down: SlowDown = NO_SLOW_DOWN
+
+    def varied(self, values: Mapping[str, Any]) -> Limits:
+        """The limits alone, with other values by name."""
+        return dataclasses.replace(self.limits, **values)
 
     @property
     def limits(self) -> Limits:

@@ -202,6 +202,10 @@ class Executor(ABC):
     def check_package(self, package: AlgorithmPackage) -> None:  # noqa: B027 - most take every package
         """Raise ImageMissing if the package can never run here. Quick: it is called before a run is queued."""
 
+    def no_part_of_a_core(self) -> str | None:
+        """Why a run here cannot be held to a part of the time of a core; None if it can."""
+        return None if Limit.CORES in self.capabilities.limits else f"the executor {self.name} does not limit cores"
+
     # -- images and environments ---------------------------------------------------------------------------------------
 
     @abstractmethod

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from slamhive.base.errors import InvalidInput, SlamHiveError, unknown
 from slamhive.base.strict_yaml import YamlPlace
+from slamhive.documents.limits import Limits
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import (
     Configuration,
@@ -157,6 +158,7 @@ class ParameterPair:
 
     ``parameters``: {axis name: parameter key}. ``fixed`` are the values of names that do not vary, ``aliases`` the
     further names of axes: {name: axis name}; conditions may use them all. ``variants`` remembers what was resolved.
+    ``limits`` are those of all runs, but for those that ``limit_axes`` vary.
     """
 
     algorithm: Algorithm
@@ -169,6 +171,8 @@ class ParameterPair:
     rules: StepRules
     variants: dict[tuple[Value, ...], Variant]
     sensors: Chosen
+    limits: Limits
+    limit_axes: tuple[str, ...] = ()
     map: InputMap | None = None
 
     @property
@@ -206,6 +210,10 @@ class ParameterPair:
             version=self.algorithm.version,
             map=self.map,
         )
+
+    def limits_of(self, row: Row) -> Limits:
+        """The limits of the runs of a combination."""
+        return self.limits.varied({name: row[name] for name in self.limit_axes})
 
     def variant(self, row: Row) -> Variant:
         """The steps that change something; raises InvalidInput for a value the sensor cannot have."""
@@ -275,6 +283,7 @@ def bind(
         axes.update({axis.name: BoundAxis(axis.values, axis.place) for axis in step.declaration.options})
     for varied, parameter in parameters:
         axes[varied.name] = BoundAxis(varied.values, varied.place, parameter)
+    axes.update({axis.name: BoundAxis(axis.values, axis.place) for axis in experiment.limit_axes})
     modes = tuple(mode.value for mode in experiment.playback.modes)
     axes[PLAYBACK_MODE] = BoundAxis(modes, experiment.place)
     axes[PLAYBACK_RATE] = BoundAxis(experiment.playback.rates, experiment.place)
@@ -307,6 +316,8 @@ def bind(
         rules=view.steps,
         variants=shared.setdefault(_treatment(dataset, steps), {}),
         sensors=chosen,
+        limits=experiment.limits,
+        limit_axes=tuple(axis.name for axis in experiment.limit_axes),
         map=_map(experiment, view, algorithm),
     )
 

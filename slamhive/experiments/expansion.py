@@ -11,6 +11,7 @@ from ruamel.yaml import YAML
 
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput, SlamHiveError, unknown
+from slamhive.documents.limits import Limits
 from slamhive.documents.model import first_problem
 from slamhive.domain.configuration import Configuration, Variant
 from slamhive.domain.parameters import Parameter, Value, find_parameter
@@ -115,7 +116,7 @@ def _axes_by_name(experiment: Experiment) -> dict[str, ExperimentAxis]:
     """Every axis by name; raises InvalidInput for an ambiguous name."""
     axes: dict[str, ExperimentAxis] = {}
     options = [axis for step in experiment.steps for axis in step.options]
-    for axis in (*options, *experiment.parameters):
+    for axis in (*options, *experiment.parameters, *experiment.limit_axes):
         if axis.name in RESERVED:
             raise InvalidInput(f"{axis.place}: the name {axis.name!r} is taken", "choose another")
         if axis.name in axes:
@@ -255,8 +256,8 @@ class Size:
 class PlannedRun:
     """A planned run.
 
-    ``number`` counts runs, ``cell`` configurations and ``repeat`` repeats from 1; ``name`` belongs to the configuration
-    (``paper-euroc-0007``).
+    ``number`` counts runs, ``cell`` configurations with limits, and ``repeat`` repeats, from 1; ``name``
+    (``paper-euroc-0007``) is that of the cell.
     ``values`` holds the value of each axis that applies, by axis name, after ``algorithm`` and ``dataset``.
     """
 
@@ -268,6 +269,7 @@ class PlannedRun:
     values: Mapping[str, Value]
     seed: int
     repeat: int
+    limits: Limits
 
 
 def count(experiment: Experiment, view: CatalogueView, limit: int = MAX_COMBINATIONS) -> Size:
@@ -303,24 +305,27 @@ class Expansion(Iterator[PlannedRun]):
 
     def _plan(self, experiment: Experiment, pairs: list[ParameterPair], conditions: Filter) -> Iterator[PlannedRun]:
         digits = max(4, len(str(self.size.configurations)))
-        seen: set[bytes] = set()
+        seen: set[bytes | tuple[bytes, Limits]] = set()
         number = 0
         for pair in pairs:
             heading: dict[str, Value] = {"algorithm": pair.algorithm.label, "dataset": pair.dataset.name}
             for row in _rows(pair, conditions):
                 configuration = pair.configuration(row)
                 content_hash = configuration.content_hash
-                digest = bytes.fromhex(content_hash)
-                if digest in seen:
+                digest, limits = bytes.fromhex(content_hash), pair.limits_of(row)
+                identity = (digest, limits) if pair.limit_axes else digest
+                if identity in seen:
                     self.merged += 1
                     continue
-                seen.add(digest)
+                seen.add(identity)
                 name = f"{experiment.name}-{len(seen):0{digits}d}"
                 values = {**heading, **row}
                 for seed in experiment.seeds:
                     for repeat in range(1, experiment.repeats + 1):
                         number += 1
-                        yield PlannedRun(number, len(seen), name, configuration, content_hash, values, seed, repeat)
+                        yield PlannedRun(
+                            number, len(seen), name, configuration, content_hash, values, seed, repeat, limits
+                        )
 
 
 def expand(experiment: Experiment, view: CatalogueView, limit: int = MAX_COMBINATIONS) -> Expansion:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from slamhive.base.strict_yaml import YamlPlace
 from slamhive.documents.limits import OPTION_NAMES, Limits, StopWhen
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.gate import Margin
-from slamhive.domain.names import plural
+from slamhive.domain.names import plain, plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Alignment
 from slamhive.domain.question import ExperimentQuestion, RunBudget, SearchSampler
@@ -191,7 +191,8 @@ class Experiment:
     ``same_cpu``: all runs are measured on one CPU model.
     The combinations are algorithms x datasets x steps x parameters x playback, each of them run with every seed,
     ``repeats`` times. ``algorithms`` and ``datasets`` are axes of names. ``map`` is the number or uid of the run whose
-    map all runs start with. With ``decide`` or ``optimise`` it chooses itself which combinations run, and how often.
+    map all runs start with. ``limits`` holds for all runs, except for those that ``limit_axes`` vary under the names of
+    its fields. With ``decide`` or ``optimise`` it chooses itself which combinations run, and how often.
     """
 
     name: str
@@ -208,6 +209,7 @@ class Experiment:
     playback: PlaybackAxes = field(default_factory=PlaybackAxes)
     stop_when: StopWhen = field(default_factory=StopWhen)
     limits: Limits = field(default_factory=Limits)
+    limit_axes: tuple[ExperimentAxis, ...] = ()
     evaluation: EvaluationChoice = field(default_factory=EvaluationChoice)
     executor: str | None = None
     priority: int = 0
@@ -245,6 +247,13 @@ class Experiment:
         return {**asdict(self.limits), **stated, "evaluate": self.evaluation.enabled}
 
     @property
+    def every_limit(self) -> Iterator[Limits]:
+        """The limits of its runs, each axis varied by itself."""
+        yield from (self.limits.varied({axis.name: value}) for axis in self.limit_axes for value in axis.values)
+        if not self.limit_axes:
+            yield self.limits
+
+    @property
     def content_hash(self) -> str:
         """SHA-256 over what is stated: places and comments in the file do not count, the order of axes does."""
         return _hash(_content(self))
@@ -260,6 +269,7 @@ _LATER: tuple[tuple[str, object], ...] = (
     ("same_cpu", True),
     ("sensors", ()),
     ("map", None),
+    ("limit_axes", ()),
     ("decide", None),
     ("optimise", None),
     ("against", ()),
@@ -364,5 +374,6 @@ def _label(values: Mapping[str, Value], told: Iterable[str]) -> str:
         if axis in values:
             value = values[axis]
             text = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+            text = plain(value) if isinstance(value, float) else text
             parts.append(text if axis == ALGORITHM else f"{axis} {text}")
     return ", ".join(parts)

@@ -21,7 +21,7 @@ from pydantic import (
 
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput, SlamHiveError
-from slamhive.documents.limits import NEVER, Limits, Priority, RepeatDisturbed, StopWhen
+from slamhive.documents.limits import NEVER, Limits, Option, Priority, RepeatDisturbed, StopWhen, options_of
 from slamhive.documents.model import PLAIN, SECTION, explained, first_problem_at
 from slamhive.documents.submission import (
     MAX_REPEATS,
@@ -161,6 +161,9 @@ Rates = Annotated[Any, PlainValidator(_values), AfterValidator(_rates), WithJson
 Modes = Annotated[Any, PlainValidator(_words), AfterValidator(_modes), WithJsonSchema(_WORDS_SCHEMA)]
 Conditions = Annotated[Any, PlainValidator(_conditions), AfterValidator(_condition_text), WithJsonSchema(_WORDS_SCHEMA)]
 AxisName = Annotated[str, AfterValidator(_axis_name)]
+LimitValues = Annotated[
+    Any, PlainValidator(lambda raw: () if raw is None else _values(raw)), WithJsonSchema(_VALUES_SCHEMA)
+]
 
 
 def _shape(raw: object) -> str:
@@ -192,6 +195,18 @@ class PlaybackModel(_Model):
 
     mode: Modes = Field(default=(PlaybackMode.REALTIME,), description="realtime, sequential, or both.")
     rate: Rates = Field(default=(1.0,), description="Times real time.")
+
+
+class LimitsModel(_Model):
+    """Limits of each run. Several values make an axis."""
+
+    cpus: LimitValues = Field(default=(), description="CPU limit in cores.")
+    memory: LimitValues = Field(default=(), description="Memory limit: 500 MB | 1 GB. A number alone is in MB.")
+    slow_down: LimitValues = Field(default=(), description="Of each core, a run gets 1 / this of the time: 1 | 4.")
+    timeout_s: LimitValues = Field(default=(), description="Wall-clock limit (s).")
+    nice: LimitValues = Field(default=(), description="Niceness, 0 to 19; higher lets other processes go first.")
+    cpu_cores: LimitValues = Field(default=(), description="The same as cpus.")
+    memory_mb: LimitValues = Field(default=(), description="The same as memory.")
 
 
 class EvaluateModel(_Model):
@@ -284,7 +299,7 @@ class ExperimentModel(_Model):
     playback: PlaybackModel = Field(default_factory=PlaybackModel)
     map: StartingMap = None
     stop_when: StopWhen = NEVER
-    limits: Limits = Limits()
+    limits: LimitsModel = Field(default_factory=LimitsModel)
     evaluate: SwitchOrEvaluate = Field(default=True, description="false leaves the evaluation to you.")
     executor: Executor = None
     priority: Priority = 0
@@ -321,6 +336,7 @@ def experiment_schema() -> str:
 
 def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experiment:
     evaluate = model.evaluate
+    limits = {axis.name: axis for axis in _limit_axes(model.limits, places)}
     return Experiment(
         name=model.name,
         description=model.description,
@@ -340,7 +356,8 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
         map=model.map,
         playback=PlaybackAxes(model.playback.mode, model.playback.rate),
         stop_when=model.stop_when,
-        limits=model.limits,
+        limits=Limits().varied({name: axis.values[0] for name, axis in limits.items() if len(axis.values) == 1}),
+        limit_axes=tuple(axis for axis in limits.values() if len(axis.values) > 1),
         evaluation=EvaluationChoice(alignment=evaluate.alignment)
         if isinstance(evaluate, EvaluateModel)
         else EvaluationChoice(enabled=evaluate),
@@ -350,6 +367,38 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
         decide=None if model.decide is None else _decide(model.decide, model, places),
         optimise=None if model.optimise is None else _optimise(model.optimise, model, places),
     )
+
+
+def _limit_axes(model: LimitsModel, places: strict_yaml.Places) -> Iterator[ExperimentAxis]:
+    """The limits that are stated, named after the fields of :class:`Limits`."""
+    for option in options_of(Limits):
+        keys = [key for key in (option.name, _LIMIT_WORDS.get(option.name, "")) if getattr(model, key, ())]
+        if len(keys) > 1:
+            raise InvalidInput(f"{places.of('limits', keys[1])}: {' and '.join(keys)} are the same", "keep one of them")
+        for key in keys:
+            place = places.of("limits", key)
+            try:
+                values = tuple(_limit_value(option, value) for value in getattr(model, key))
+                check_distinct(values)
+            except InvalidInput as error:
+                raise at(place, error) from None
+            yield ExperimentAxis(option.name, values, place)
+
+
+_LIMIT_WORDS = {"cpu_cores": "cpus", "memory_mb": "memory"}
+"""Other keys of limits: those of the command line."""
+
+
+def _limit_value(option: Option, written: Value) -> float | int:
+    """``500 MB`` in the unit and with the type of the option."""
+    is_number = isinstance(written, int | float) and not isinstance(written, bool)
+    value = float(written) if is_number else number(str(written), option.unit)  # type: ignore[arg-type]
+    if value is None or (option.kind is int and not value.is_integer()):
+        what = "whole number" if option.kind is int else "number"
+        raise InvalidInput(f"{option.label} {str(written)[:40]!r} is no {what}", f"use {option.expectation}")
+    checked: float | int = option.kind(value)
+    option.check(checked)
+    return checked
 
 
 def _decide(decide: DecideModel, model: ExperimentModel, places: strict_yaml.Places) -> DecidePlan:

@@ -234,6 +234,9 @@ _COLUMNS: dict[str, _Column] = {
         "playback_mode", "playback_rate", read=lambda row: f"{row.playback_mode.value} {row.playback_rate:g}"
     ),
     "seed": _stored("seed"),
+    "cpu_cores": _stored("cpu_cores"),
+    "memory_mb": _stored("memory_mb"),
+    "slow_down": _stored("slow_down"),
     "state": _stored("state", read=lambda row: row.state.value),
     "outcome": _Column(
         CellsWanted(frozenset({"state", "reason"}), frozenset({VERDICT})),
@@ -315,7 +318,7 @@ def _plain(parameters: Mapping[str, Any], own_keys: Sequence[str]) -> Value:
 
 def _is_number(key: str, vocabulary: Vocabulary) -> bool:
     if key in _COLUMNS:
-        return key in {"id", "configuration", "seed"}
+        return key in {"id", "configuration", "seed", "cpu_cores", "memory_mb", "slow_down"}
     if key in CATALOGUE:
         return True
     return all(entry.kind is FieldKind.NUMBER for entry in vocabulary.parameters[key.removeprefix(PARAMETER_PREFIX)])

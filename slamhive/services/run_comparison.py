@@ -14,6 +14,7 @@ from slamhive.base import strict_yaml
 from slamhive.base.bounds import whole_number
 from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.documents.catalogue import MatchDocument
+from slamhive.documents.limits import NO_SLOW_DOWN
 from slamhive.documents.protocol import ComparedColumn, ComparedMetric, ComparisonDocument
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.metrics import CATALOGUE, Direction, Metric, with_unknown
@@ -454,6 +455,7 @@ def settings_of(run: RunRecord, record: Mapping[str, Any]) -> dict[str, str]:
             "executor": run.executor,
             "CPU limit [cores]": None if run.cpu_cores is None else f"{run.cpu_cores:g}",
             "memory limit [MB]": None if run.memory_mb is None else str(run.memory_mb),
+            "slowed down": None if run.slow_down == NO_SLOW_DOWN else f"{run.slow_down:g} times",
             "seed": str(run.seed),
         }
     match = _match(record)

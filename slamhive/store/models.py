@@ -233,6 +233,7 @@ class RunRow(TableBase):
     cpu_cores = optional(Number)
     memory_mb = optional(Integer)
     timeout_s = optional(Number)
+    slow_down = column(Number, server_default=text("1"))
     attempt = column(Integer)
     lease_owner = optional(String(190))
     lease_expires_at = optional(UtcDateTime)

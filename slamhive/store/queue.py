@@ -120,7 +120,7 @@ class RunQueue(LeaseQueue[int]):
     def failures_since_asked(self, run: RunRecord) -> int:
         """The number of times that the configuration of ``run`` failed by its own fault since ``run`` was submitted.
 
-        Runs of other experiments do not count: they may have had other limits.
+        Runs of other experiments and of other cells do not count: they may have had other limits.
         """
         blaming = [reason for reason in FailureReason if reason.blames_configuration]
         failed = select(func.count()).where(
@@ -129,6 +129,7 @@ class RunQueue(LeaseQueue[int]):
             _RUNS.c.reason.in_(blaming),
             _RUNS.c.ended_at >= run.created_at,
             _RUNS.c.experiment_id.is_not_distinct_from(run.experiment_id),
+            _RUNS.c.cell.is_not_distinct_from(run.cell),
         )
         return self._number(failed)
 

@@ -53,7 +53,8 @@ class RunTableRepository(Repository):
         """The columns that every run has, by name and in the order of the ids; unknown runs are left out."""
         names = ("run_id", "configuration_id", "algorithm", "dataset", "state", "reason", "seed", "executor")
         more = ("version", "variant", "experiment", "host", "protocol", "protocol_label", "disturbed_by", "trajectory")
-        columns: dict[str, list[Any]] = {name: [] for name in (*names, *more)}
+        limits = ("cpu_cores", "memory_mb", "slow_down")
+        columns: dict[str, list[Any]] = {name: [] for name in (*names, *more, *limits)}
         for row in self._rows(_facts(), RunRow.id, run_ids):
             for name, value in zip(columns, row, strict=True):
                 columns[name].append(value)
@@ -217,6 +218,9 @@ def _facts() -> Select[Any]:
             ProtocolRow.label.label("protocol_label"),
             RunRow.disturbed_by,
             RunRow.trajectory,
+            RunRow.cpu_cores,
+            RunRow.memory_mb,
+            RunRow.slow_down,
         )
         .join(ConfigurationRow, ConfigurationRow.id == RunRow.configuration_id)
         .join(AlgorithmRow, AlgorithmRow.id == ConfigurationRow.algorithm_id)

@@ -234,7 +234,7 @@ _RUN_COLUMNS = {
 SEARCHED = (
     *("id", "configuration_id", "experiment_id", "current_protocol_id", "executor", "state", "reason", "seed"),
     *("priority", "exit_code", "created_at", "started_at", "ended_at", "disturbed_by", "trajectory"),
-    *("algorithm_version_id", "owner", "audience"),
+    *("algorithm_version_id", "owner", "audience", "cpu_cores", "memory_mb", "slow_down"),
 )
 
 

@@ -117,6 +117,27 @@ def all_columns() -> Mapping[str, ListColumn]:
         ListColumn("playback", "Playback", ColumnKind.TEXT, _playback),
         ListColumn("seed", "Seed", ColumnKind.NUMBER, lambda run: TableCell(str(run.seed)), sort="seed"),
         ListColumn(
+            "cpu_cores",
+            "CPU limit [cores]",
+            ColumnKind.NUMBER,
+            lambda run: _limit(run.cpu_cores),
+            help="that the run asked for",
+        ),
+        ListColumn(
+            "memory_mb",
+            "Memory limit [MB]",
+            ColumnKind.NUMBER,
+            lambda run: _limit(run.memory_mb),
+            help="that the run asked for",
+        ),
+        ListColumn(
+            "slow_down",
+            "Slowed down",
+            ColumnKind.NUMBER,
+            lambda run: TableCell(f"{run.slow_down:g}"),
+            help="of each core, the run got 1 / this of the time",
+        ),
+        ListColumn(
             "differs",
             "What differs",
             ColumnKind.DIFFERS,
@@ -238,6 +259,10 @@ def _reason(run: RunRecord) -> TableCell:
     if run.reason is None:
         return TableCell(DASH, missing=True)
     return TableCell(run.reason.value.replace("_", " "), run.detail or "")
+
+
+def _limit(value: float | None) -> TableCell:
+    return TableCell(DASH, "not stated", missing=True) if value is None else TableCell(f"{value:g}")
 
 
 def _text(text: str) -> TableCell:

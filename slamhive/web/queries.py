@@ -15,7 +15,7 @@ from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import Value
 from slamhive.experiments.experiment import Experiment
 from slamhive.filters.binding import Search, bind, means_of, read_search
-from slamhive.filters.fields import Vocabulary
+from slamhive.filters.fields import BUILT_IN, Vocabulary
 from slamhive.filters.parser import parse_filter
 from slamhive.filters.syntax import (
     Filter,
@@ -435,7 +435,7 @@ def repeats_count(form: MultiDict[str, str]) -> int:
 def stated_values(experiment: Experiment) -> dict[str, tuple[Value, ...]]:
     """{axis: its values} from the experiment file, without reading the cells."""
     options = (option for step in experiment.steps for option in step.options)
-    named = (experiment.algorithms, experiment.datasets, *options, *experiment.parameters)
+    named = (experiment.algorithms, experiment.datasets, *options, *experiment.parameters, *experiment.limit_axes)
     return {axis.name: axis.values for axis in named}
 
 
@@ -453,6 +453,7 @@ def search_of(
     is not stored, and which steps change nothing depends on the recording. In that case ``configurations`` are listed.
     """
     parameters = {axis.name for axis in experiment.parameters if axis.algorithm is None}
+    parameters |= {axis.name for axis in experiment.limit_axes if axis.name in BUILT_IN}
     chosen = {"experiment": experiment.name}
     conditions: list[Tree[FilterComparison]] = []
     for axis, value in values.items():

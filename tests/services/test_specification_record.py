@@ -11,10 +11,10 @@ from slamhive.base.errors import InvalidInput
 from slamhive.documents.limits import Limits
 from slamhive.domain.algorithm import AlgorithmPackage
 from slamhive.executors.base import Capabilities, ImageMissing
-from slamhive.executors.spec import ResourceLimits, RunInput, RunOutput, RunSpec
+from slamhive.executors.spec import Limit, ResourceLimits, RunInput, RunOutput, RunSpec
 from slamhive.executors.transfer import make_own_copies, written_places
 from slamhive.services.runs.record import spec_from_json, spec_to_json
-from slamhive.services.runs.specification import check_executor
+from slamhive.services.runs.specification import check_executor, cpu_limit
 from tests.services.fake_executor import FakeExecutor
 
 
@@ -72,3 +72,44 @@ def test_limits_that_a_user_asks_for_are_enforced_or_refused():
     check_executor(FakeExecutor(), package, Limits(cpu_cores=1.0, memory_mb=100))
     with pytest.raises(InvalidInput, match=r"has no requirements\.txt"):
         check_executor(Unlimited(), replace(package, name="other"), Limits())
+
+
+class WholeCores(FakeExecutor):
+    """Gives whole cores, as a machine without a controller of CPU time does."""
+
+    def no_part_of_a_core(self) -> str | None:
+        return "runs are bound to whole cores here"
+
+
+class Nodes(FakeExecutor):
+    """Runs on nodes, whose cores are not known beforehand."""
+
+    capabilities = Capabilities(limits=frozenset(Limit), shares_files=False)
+
+
+def test_a_slow_down_that_cannot_be_held_is_refused():
+    package = AlgorithmPackage("tiny", Path(), "Tiny", "1", "", "", "")
+    slowed = Limits(slow_down=4.0)
+    check_executor(FakeExecutor(), package, slowed)
+    for executor, reason in ((WholeCores(), "bound to whole cores"), (Unlimited(), "unlimited does not limit cores")):
+        with pytest.raises(InvalidInput, match=f"a slow-down of 4 cannot be held: .*{reason}.*; leave slow_down out"):
+            check_executor(executor, package, slowed)
+    with pytest.raises(InvalidInput, match="needs a CPU limit"):
+        check_executor(Nodes(), package, slowed)
+    check_executor(Nodes(), package, Limits(slow_down=4.0, cpu_cores=2.0))
+    with pytest.raises(InvalidInput, match=r"0\.1 cores slowed down by 20 are less than 0\.01 cores"):
+        check_executor(FakeExecutor(), package, Limits(slow_down=20.0, cpu_cores=0.1))
+
+
+@pytest.mark.parametrize(
+    ("asked", "slot", "here", "expected"),
+    [
+        (Limits(slow_down=4.0), (0, 1), True, 0.5),
+        (Limits(slow_down=4.0, cpu_cores=1.0), (0, 1), True, 0.25),
+        (Limits(slow_down=4.0, cpu_cores=8.0), (0, 1), True, 0.5),
+        (Limits(slow_down=4.0, cpu_cores=8.0), None, False, 2.0),
+        (Limits(cpu_cores=8.0), (0, 1), True, 8.0),
+    ],
+)
+def test_a_slowed_run_gets_a_part_of_the_time_of_the_cores_it_has(asked, slot, here, expected):
+    assert cpu_limit(asked, None, slot, here=here) == expected

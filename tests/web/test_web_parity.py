@@ -41,6 +41,7 @@ EXAMPLE = Submission(
     memory_mb=512,
     timeout_s=60.0,
     nice=5,
+    slow_down=4.0,
     priority=3,
     variant=(VariantStep("resolution", ("camera0", "camera1"), {"scale": 0.5, "interpolation": "area"}),),
     sensors={"left": "camera1", "right": "camera0"},
@@ -64,6 +65,7 @@ EXPERIMENT_KEYS = {
     "memory_mb": "limits.memory_mb",
     "timeout_s": "limits.timeout_s",
     "nice": "limits.nice",
+    "slow_down": "limits.slow_down",
     "variant": "steps",
 }
 """Where an experiment file has other names: several values, or sections."""
@@ -129,7 +131,8 @@ def _command_values() -> dict[str, Any]:
     arguments = [
         *("eye-slam-stereo", "room", "--set", "nFeatures=1234", "--repeat", "2", "--executor", "process"),
         *("--seed", "7", "--playback", "sequential", "--rate", "2", "--no-evaluate", "--align", "sim3"),
-        *("--cpus", "1.5", "--memory", "512", "--timeout", "60", "--nice", "5", "--priority", "3", "--step", STEP),
+        *("--cpus", "1.5", "--memory", "512", "--timeout", "60", "--nice", "5", "--slow-down", "4"),
+        *("--priority", "3", "--step", STEP),
         *("--stop-when", "lost_tracking_s=2.5", "--stop-when", "memory_mb=400", "--stop-when", "time_s=50"),
         *("--stop-when", "failures_of_configuration=3", "--repeat-disturbed", "1", "--map", "3"),
         *("--visibility", "private"),

@@ -275,6 +275,10 @@ class DockerExecutor(Executor):
         group = cgroup_of(int(container.attrs["State"]["Pid"]), container.id)
         return group or DockerStatsSource(container)
 
+    def no_part_of_a_core(self) -> str | None:
+        """Ask the engine if its kernel limits the CPU time of containers."""
+        return None if traits_of(self._engine()).limits_cpu else "the engine has no controller of CPU time"
+
     def gpus(self) -> tuple[Gpu, ...]:
         """The GPUs of this machine, which the driver lists."""
         return list_gpus()

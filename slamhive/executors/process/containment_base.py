@@ -13,6 +13,8 @@ from slamhive.executors.process.table import ProcessEntry, descendants, living, 
 from slamhive.executors.status import UsageSource
 
 _RESCAN_S = 0.5
+WHOLE_CORES = "bound to whole cores"
+"""Where the kernel does not limit CPU time: a part of a core cannot be held."""
 
 
 class DoesNotHold(Exception):

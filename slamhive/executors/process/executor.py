@@ -42,7 +42,7 @@ from slamhive.executors.base import (
 )
 from slamhive.executors.process.cgroup_home import NO_SCOPE, run_in_scope, scope_wanted
 from slamhive.executors.process.containment import found_again
-from slamhive.executors.process.containment_base import Containment
+from slamhive.executors.process.containment_base import WHOLE_CORES, Containment, DoesNotHold
 from slamhive.executors.process.environment import INHERITED, KEY_VARIABLE, Environments, pip_problem, shim_spec_of
 from slamhive.executors.process.exit_file import EXIT_FILE, assemble
 from slamhive.executors.process.run_cgroup import RunCgroup, group_name, left_over_groups
@@ -242,6 +242,17 @@ class ProcessExecutor(Executor):
         return [
             ProtectionFinding("protections", protections.text, f"{reasons}; {_CONTAIN_BETTER}" if reasons else None)
         ]
+
+    def no_part_of_a_core(self) -> str | None:
+        """Try out if the kernel limits the CPU time of a run."""
+        try:
+            protections = survey(self._context.installation, self._containment)
+        except DoesNotHold as error:
+            return str(error)
+        if protections.cpu != WHOLE_CORES:
+            return None
+        reasons = "; ".join(f"no {way}: {reason}" for way, reason in protections.does_not_hold.items())
+        return f"runs are {WHOLE_CORES} here" + (f" ({reasons})" if reasons else "")
 
     def check_package(self, package: AlgorithmPackage) -> None:
         """Raise ImageMissing if the package has no environment."""

@@ -19,7 +19,13 @@ from typing import Any, ClassVar
 from slamhive.base.clock import monotonic_s
 from slamhive.executors.cgroup import CGROUP_ROOT, CgroupV1, CgroupV2, TaskCounter, parse_flat
 from slamhive.executors.process.cgroup_home import V1_CONTROLLERS, V2_CONTROLLERS, CgroupHome, smallest_limit_above
-from slamhive.executors.process.containment_base import ContainmentLook, ContainmentRequest, DoesNotHold, ProcessTree
+from slamhive.executors.process.containment_base import (
+    WHOLE_CORES,
+    ContainmentLook,
+    ContainmentRequest,
+    DoesNotHold,
+    ProcessTree,
+)
 from slamhive.executors.process.table import ProcessEntry, end_all, living, read_process
 from slamhive.executors.refusals import REFUSAL_PATIENCE_S
 from slamhive.executors.status import UsageSource
@@ -142,7 +148,7 @@ class RunCgroup(ABC):
             "held_by": f"control group, version {self.version}" + (f", in {self._place}" if self._place else ""),
             "processes": f"enforced by the kernel (pids.max){self._above.get('pids', '')}",
             "memory": memory,
-            "cpu": f"enforced by the kernel ({self.cpu_file})" if self.holds_cpu else "bound to whole cores",
+            "cpu": f"enforced by the kernel ({self.cpu_file})" if self.holds_cpu else WHOLE_CORES,
             "end": end,
         }
 

@@ -14,7 +14,7 @@ import psutil
 
 from slamhive.base.clock import monotonic_s
 from slamhive.executors.process.cgroup_home import smallest_limit_around
-from slamhive.executors.process.containment_base import ContainmentLook, ContainmentRequest, ProcessTree
+from slamhive.executors.process.containment_base import WHOLE_CORES, ContainmentLook, ContainmentRequest, ProcessTree
 from slamhive.executors.process.table import ProcessEntry, descendants, end_all, living, processes_of_user
 
 _ROOM_FOR_OTHERS = 512
@@ -67,7 +67,7 @@ class TreeLimit:
             "held_by": "the supervisor alone",
             "processes": f"counted by the supervisor, which kills a run that has too many{ceiling}",
             "memory": f"checked by the supervisor{around}",
-            "cpu": "bound to whole cores",
+            "cpu": WHOLE_CORES,
             "end": "all processes below the supervisor are stopped, then killed",
         }
 

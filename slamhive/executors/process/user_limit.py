@@ -24,7 +24,13 @@ from slamhive.executors.process.confinement import (
     keep_only,
     prctl,
 )
-from slamhive.executors.process.containment_base import ContainmentLook, ContainmentRequest, DoesNotHold, ProcessTree
+from slamhive.executors.process.containment_base import (
+    WHOLE_CORES,
+    ContainmentLook,
+    ContainmentRequest,
+    DoesNotHold,
+    ProcessTree,
+)
 from slamhive.executors.process.table import ProcessEntry, end_all, living, processes_of_user
 from slamhive.executors.refusals import REFUSAL_PATIENCE_S
 
@@ -94,7 +100,7 @@ class UserLimit:
             "held_by": f"a user of its own ({self._uid})",
             "processes": "enforced by the kernel (RLIMIT_NPROC)",
             "memory": "checked by the supervisor",
-            "cpu": "bound to whole cores",
+            "cpu": WHOLE_CORES,
             "end": "all processes of the user are stopped, then killed",
         }
 

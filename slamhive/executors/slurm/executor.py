@@ -122,6 +122,10 @@ class SlurmExecutor(ProcessExecutor):
         """By ``scontrol``, which needs the rights of an operator."""
         command.drain(node, drained)
 
+    def no_part_of_a_core(self) -> str | None:
+        """Refuse: Slurm gives whole cores, and its jobs may set no limits of CPU time below them."""
+        return "Slurm gives whole cores to its jobs"
+
     def check_gpu(self) -> None:
         """Return whether a node that takes jobs, or may again, has the gres."""
         if not any(offers(node.gres, self._gpu) for node in command.list_nodes(self._options)):

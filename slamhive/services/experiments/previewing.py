@@ -94,7 +94,8 @@ def pair_problems(
     """
     recorded: dict[str, Mapping[str, int] | None] = {}
     packages: set[str] = set()
-    asked = experiment.limits
+    limits = list(dict.fromkeys(experiment.every_limit))
+    yield from _parts_of_cores(context, experiment, executor)
     for algorithm, dataset in expansion.pairs:
         if dataset.name in missing:
             recorded[dataset.name] = None
@@ -110,11 +111,21 @@ def pair_problems(
                 check_recorded(dataset, algorithm, topics)
             if algorithm.package.name not in packages:
                 packages.add(algorithm.package.name)
-                check_executor(context.executors().get(executor), algorithm.package, asked)
+                for asked in limits:
+                    check_executor(context.executors().get(executor), algorithm.package, asked)
             check_version(context.store, context.executors().get(executor), algorithm)
             protocol_of_pair(context, experiment, expansion, (algorithm.name, dataset.name))
         except SlamHiveError as error:
             yield at(experiment.datasets.place, error)
+
+
+def _parts_of_cores(context: ExperimentContext, experiment: Experiment, executor: str) -> Iterator[SlamHiveError]:
+    """Refuse to compare parts of cores where each of them would be a whole one."""
+    for axis in experiment.limit_axes:
+        if axis.name == "cpu_cores" and any(float(value) % 1 for value in axis.values):  # type: ignore[arg-type]
+            reason = context.executors().get(executor).no_part_of_a_core()
+            if reason is not None:
+                yield InvalidInput(f"{axis.place}: parts of a core cannot be held: {reason}", "vary whole cores")
 
 
 def protocol_of_pair(

@@ -10,7 +10,7 @@ import logging
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 
 from slamhive.base.clock import utc_now
@@ -197,7 +197,7 @@ def _requests(
             configuration_id=configuration_id,
             executor=record.executor,
             seed=run.seed,
-            **{**experiment.options, "priority": record.priority},
+            **{**experiment.options, **asdict(run.limits), "priority": record.priority},
             protocol=rows.protocols[configuration.algorithm, configuration.dataset],
             experiment_id=record.id,
             cell=run.cell,

@@ -71,7 +71,10 @@ def _machines(baseline: Sequence[MeasuredRun], candidates: Sequence[MeasuredRun]
     executors = [_texts(run.executor for run in runs) for runs in (baseline, candidates)]
     if all(executors) and executors[0] != executors[1]:
         yield f"The executors differ: {', '.join(executors[1])}; the baseline {', '.join(executors[0])}."
-    limits = [{(run.limits.cpu_cores, run.limits.memory_mb) for run in runs} for runs in (baseline, candidates)]
+    limits = [
+        {(run.limits.cpu_cores, run.limits.memory_mb, run.limits.slow_down) for run in runs}
+        for runs in (baseline, candidates)
+    ]
     if all(limits) and limits[0] != limits[1]:
         yield f"The runs had other limits of CPU or memory than the baseline, so {_MEASURED} may differ."
 

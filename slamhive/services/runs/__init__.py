@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         check_executor,
         check_gpu,
         check_recorded,
+        check_slow_down,
         provenance,
         recorded_topics,
         with_made_variant,

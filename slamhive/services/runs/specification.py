@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -13,7 +14,7 @@ from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.base.files import hash_files, write_aside
 from slamhive.base.settings import Settings
 from slamhive.documents.catalogue import MatchDocument
-from slamhive.documents.limits import Limits, RunOptions
+from slamhive.documents.limits import NO_SLOW_DOWN, Limits, RunOptions
 from slamhive.domain.algorithm import Algorithm, AlgorithmPackage, Gpu, GpuNeed
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.dataset import Dataset
@@ -134,6 +135,30 @@ def check_executor(executor: Executor, package: AlgorithmPackage, asked: Limits)
     refusal = executor.capabilities.refusal(executor.name, limits)
     if refusal is not None:
         raise InvalidInput(refusal, "leave the limit out, or choose another executor")
+    if asked.slow_down != NO_SLOW_DOWN:
+        check_slow_down(executor, asked)
+
+
+LEAST_CORES = 0.01
+"""The least CPU time that Docker and Linux grant."""
+
+
+def check_slow_down(executor: Executor, asked: Limits) -> None:
+    """Raise InvalidInput if ``executor`` cannot hold a run to a part of the time of its cores."""
+    reason = executor.no_part_of_a_core()
+    if reason is not None:
+        raise InvalidInput(f"a slow-down of {asked.slow_down:g} cannot be held: {reason}", "leave slow_down out")
+    if asked.cpu_cores is None and not executor.capabilities.takes_cores_here:
+        raise InvalidInput(
+            f"a slow-down of {asked.slow_down:g} needs a CPU limit: nobody knows the cores of a node of the executor "
+            f"{executor.name} beforehand",
+            "state the cores of the board too (--cpus, limits: {cpus: 4})",
+        )
+    if asked.cpu_cores is not None and asked.cpu_cores / asked.slow_down < LEAST_CORES:
+        raise InvalidInput(
+            f"{asked.cpu_cores:g} cores slowed down by {asked.slow_down:g} are less than {LEAST_CORES:g} cores",
+            "raise the CPU limit, or slow down less",
+        )
 
 
 def check_gpu(executor: Executor, package: AlgorithmPackage) -> None:
@@ -171,8 +196,7 @@ def build_spec(
         cores: Core numbers of the worker's slot, None for all cores.
         capabilities: Of the executor: default limits that it does not enforce are left out.
     """
-    # The numbers of this machine's cores mean nothing on another one.
-    limits = _limits(job, settings, cores if capabilities.takes_cores_here else None).only(capabilities.limits)
+    limits = _limits(job, settings, cores, here=capabilities.takes_cores_here).only(capabilities.limits)
     results = RunOutput(
         "result",
         folder.result,
@@ -223,7 +247,7 @@ def time_limit_s(job: Job, settings: Settings) -> float:
     """The wall-clock limit: as asked for, or derived from the recording's duration and the playback rate."""
     if job.options.timeout_s is not None:
         return job.options.timeout_s
-    duration_s = job.dataset.duration_s / min(job.configuration.playback.rate, 1.0)
+    duration_s = job.dataset.duration_s / min(job.configuration.playback.rate, 1.0) * job.options.slow_down
     factor = max(settings.run_timeout_factor, job.algorithm.package.time_factor)
     return factor * duration_s + settings.run_timeout_slack_s
 
@@ -299,16 +323,37 @@ def _input(name: str, source: Path, target: str, *, content: str | None = None, 
     return RunInput(name, source, target, size_bytes, content, own_copy)
 
 
-def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None) -> ResourceLimits:
+def _limits(job: Job, settings: Settings, cores: tuple[int, ...] | None, *, here: bool) -> ResourceLimits:
+    """The limits of the run; ``here``: it takes cores of this machine, whose numbers mean nothing on another one."""
+    cores = cores if here else None
     memory_mb = job.options.memory_mb or settings.run_memory_mb or job.algorithm.package.memory_mb
     return ResourceLimits(
-        cpu_cores=job.options.cpu_cores or settings.run_cpu_cores or None,
+        cpu_cores=cpu_limit(job.options, settings.run_cpu_cores or None, cores, here=here),
         memory_bytes=memory_mb * 1_000_000,
         pids=settings.run_pids,
         cpuset=cores,
         disk_bytes=disk_limit_bytes(settings),
         files=settings.run_files,
     )
+
+
+def cpu_limit(asked: Limits, default: float | None, cores: tuple[int, ...] | None, *, here: bool) -> float | None:
+    """The cores whose time a run may use, None for no limit; see :func:`check_slow_down`.
+
+    Args:
+        asked: What was asked for.
+        default: For runs that ask for none.
+        cores: Numbers of the cores of its slot, None for all.
+        here: It takes cores of this machine.
+    """
+    limit = asked.cpu_cores or default
+    if asked.slow_down == NO_SLOW_DOWN:
+        return limit
+    if here:
+        # Of the cores that it has: a part of more than there are would be too much.
+        most = len(os.sched_getaffinity(0)) if cores is None else len(cores)
+        limit = min(limit or most, most)
+    return None if limit is None else max(LEAST_CORES, limit / asked.slow_down)
 
 
 def disk_limit_bytes(settings: Settings) -> int:

@@ -16,7 +16,7 @@ from typing import Any
 
 from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.documents.json_values import exact, timestamp
-from slamhive.documents.limits import RunOptions
+from slamhive.documents.limits import NO_SLOW_DOWN, RunOptions
 from slamhive.domain.algorithm import Gpu, GpuNeed
 from slamhive.domain.parameters import check_stored
 from slamhive.domain.run import FailureReason, RunState
@@ -37,6 +37,7 @@ from slamhive.services.runs import (
     check_dataset_files,
     check_disk,
     check_gpu,
+    check_slow_down,
     handle_to_json,
     provenance,
     spec_to_json,
@@ -262,6 +263,8 @@ class Preparing:
         job = self._with_gpu(job)
         write_config(job, hand.folder)
         capabilities = hand.executor.capabilities
+        if job.options.slow_down != NO_SLOW_DOWN:
+            check_slow_down(hand.executor, job.options)
         spec = build_spec(job, hand.folder, hand.context.settings, identity, hand.cores, capabilities)
         # Record the attempt before the start: a worker that dies during the start may have started the run.
         package, host, now = job.algorithm.package, describe_host(), hand.context.now()
