@@ -15,7 +15,7 @@ import numpy as np
 
 from slamhive.analysis.racing import RaceAnswer, RaceRule, bayes_factor, counted, half_width_factor, race
 from slamhive.analysis.statistics import Numbers
-from slamhive.domain.gate import Margin, Standing
+from slamhive.domain.gate import Margin, TrialStanding
 
 Scores = Sequence[Numbers]
 """For each dataset the scores of the runs in their order: smaller is better, infinite for a failed run."""
@@ -36,7 +36,7 @@ class StepVerdict:
             often somebody looks. None where there is no answer.
     """
 
-    standing: Standing | None
+    standing: TrialStanding | None
     runs: int
     e_value: float | None = None
 
@@ -61,7 +61,7 @@ def step_verdict(reference: Scores, values: Scores, difference: Margin, error: f
         return StepVerdict(None, state.rounds)
     bad = state.answer is RaceAnswer.BEST and state.left[0] == 0
     seen = counted([[scores[: state.rounds] for scores in lane] for lane in (spoiled, values)], None)
-    return StepVerdict(Standing.BAD if bad else Standing.GOOD, state.rounds, bayes_factor(seen[0], seen[1]))
+    return StepVerdict(TrialStanding.BAD if bad else TrialStanding.GOOD, state.rounds, bayes_factor(seen[0], seen[1]))
 
 
 def next_runs(done: int, datasets: int, error: float) -> int:
@@ -140,12 +140,12 @@ class HistoryState:
             because all but the last were skipped.
     """
 
-    tried: tuple[tuple[str, Standing], ...]
+    tried: tuple[tuple[str, TrialStanding], ...]
     ask: str | None
     left: tuple[str, ...]
 
 
-def search_history(history: History, standing: Callable[[str], Standing | None]) -> HistoryState:
+def search_history(history: History, standing: Callable[[str], TrialStanding | None]) -> HistoryState:
     """Halve the range until one commit is left. One that is skipped gives way to its nearest neighbour.
 
     Args:
@@ -153,21 +153,21 @@ def search_history(history: History, standing: Callable[[str], Standing | None])
         standing: Of a commit; None if that has to be found out first.
     """
     bad, good = history.bad, set[str]()
-    tried: dict[str, Standing] = {}
+    tried: dict[str, TrialStanding] = {}
     while True:
         left = history.between(bad, good)
         for commit in left[:-1]:
-            if tried.get(commit) is Standing.SKIPPED:
+            if tried.get(commit) is TrialStanding.SKIPPED:
                 continue
             found = standing(commit)
             if found is None:
                 return HistoryState(tuple(tried.items()), commit, tuple(left))
             tried[commit] = found
-            if found is Standing.BAD:
+            if found is TrialStanding.BAD:
                 bad = commit
-            elif found is Standing.GOOD:
+            elif found is TrialStanding.GOOD:
                 good.add(commit)
-            if found is not Standing.SKIPPED:
+            if found is not TrialStanding.SKIPPED:
                 break
         else:
             order = {commit: place for place, commit in enumerate(history.parents)}
@@ -190,12 +190,12 @@ class ClipState:
         ask: The clip to look at next; None at the end.
     """
 
-    tried: tuple[tuple[Clip, Standing], ...]
+    tried: tuple[tuple[Clip, TrialStanding], ...]
     best: Clip
     ask: Clip | None
 
 
-def search_clips(duration_s: float, step_s: float, standing: Callable[[Clip], Standing | None]) -> ClipState:
+def search_clips(duration_s: float, step_s: float, standing: Callable[[Clip], TrialStanding | None]) -> ClipState:
     """Find the earliest end that still shows the fault, then the latest start.
 
     Ends and starts are multiples of ``step_s``. The clip that is returned was always found to be bad. It is the
@@ -212,7 +212,7 @@ def search_clips(duration_s: float, step_s: float, standing: Callable[[Clip], St
     def clip(start: int, end: int) -> Clip:
         return start * step_s, min(duration_s, end * step_s)
 
-    tried: list[tuple[Clip, Standing]] = []
+    tried: list[tuple[Clip, TrialStanding]] = []
     start, end = 0, steps
     shortest = 0  # the longest end that is known to be too short
     while end - shortest > 1:
@@ -221,7 +221,7 @@ def search_clips(duration_s: float, step_s: float, standing: Callable[[Clip], St
         if found is None:
             return ClipState(tuple(tried), clip(start, end), clip(start, middle))
         tried.append((clip(start, middle), found))
-        if found is Standing.BAD:
+        if found is TrialStanding.BAD:
             end = middle
         else:
             shortest = middle
@@ -232,7 +232,7 @@ def search_clips(duration_s: float, step_s: float, standing: Callable[[Clip], St
         if found is None:
             return ClipState(tuple(tried), clip(start, end), clip(middle, end))
         tried.append((clip(middle, end), found))
-        if found is Standing.BAD:
+        if found is TrialStanding.BAD:
             start = middle
         else:
             latest = middle

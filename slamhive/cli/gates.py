@@ -36,9 +36,10 @@ class AnsweringGroup(Answering, LazyGroup):
 
 @click.group(cls=AnsweringGroup)
 def gate() -> None:
-    """Find out in continuous integration if runs became worse. docs/gate.md is a tutorial.
+    """Find out if runs became worse, since which commit, and which seconds show it. docs/gate.md is a tutorial.
 
-    The exit code of a mistake is 2.
+    `check` is for continuous integration, `bisect` and `shrink` are for what comes after. The exit code of a mistake
+    is 2.
     """
 
 

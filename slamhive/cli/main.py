@@ -74,7 +74,7 @@ SECTIONS = {
     },
     "Results": {
         "compare": ("compare", "Show what differs between some runs, side by side"),
-        "gate": ("gates", "Fail in CI when new runs are worse than a stored baseline"),
+        "gate": ("gates", "Fail in CI when runs became worse; find the commit"),
         "claims": ("gates", "Say which numbers of a paper or README hold here"),
         "replay": ("archive", "Run an archive again here, and say if the results agree"),
         "analyse": ("analyses", "Draw plots and tables from an analysis file"),

@@ -13,7 +13,7 @@ from slamhive.documents.protocol import StatedProtocol
 from slamhive.documents.record import ConfigurationContent
 from slamhive.documents.run import ProtocolName
 from slamhive.domain.configuration import Variant
-from slamhive.domain.gate import Agreement, Answer, BisectOutcome, Standing
+from slamhive.domain.gate import Agreement, Answer, BisectOutcome, TrialStanding
 from slamhive.domain.metrics import Direction
 from slamhive.domain.verdict import VerdictKind
 
@@ -202,7 +202,7 @@ class TriedRuns(Document):
 class BisectStep(CommitDocument, TriedRuns):
     """A commit that was tried."""
 
-    standing: Annotated[Standing, described("Good, bad, or skipped because nothing can be said of it.")]
+    standing: Annotated[TrialStanding, described("Good, bad, or skipped because nothing can be said of it.")]
     reason: Annotated[str, described("Why it was skipped; empty if it was not.")]
     version: Annotated[str | None, described("The version of the package that it was built as; null if it was not.")]
     e_value: Annotated[
@@ -244,7 +244,9 @@ class ShrinkStep(TriedRuns):
 
     begin_s: Annotated[float, described("From the beginning of what the run saw.")]
     end_s: float
-    standing: Annotated[Standing, described("Bad if it shows the fault; what is skipped counts as not showing it.")]
+    standing: Annotated[
+        TrialStanding, described("Bad if it shows the fault; what is skipped counts as not showing it.")
+    ]
     words: Annotated[str, described("What was found, in words.")]
     e_value: Annotated[
         float | None,

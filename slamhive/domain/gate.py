@@ -117,8 +117,8 @@ def _read_margin(text: str) -> tuple[str, Margin | None]:
 # A search for the commit that made runs worse, or for the clip that shows it.
 
 
-class Standing(StrEnum):
-    """Standing of a commit, or of a clip. ``skipped``: nothing can be said of it."""
+class TrialStanding(StrEnum):
+    """TrialStanding of a commit, or of a clip. ``skipped``: nothing can be said of it."""
 
     GOOD = "good"
     BAD = "bad"

@@ -18,7 +18,7 @@ from slamhive.analysis.bisection import (
     step_error,
     step_verdict,
 )
-from slamhive.domain.gate import Margin, Standing
+from slamhive.domain.gate import Margin, TrialStanding
 
 pytestmark = pytest.mark.integration  # scipy takes a second to load
 
@@ -29,10 +29,10 @@ EXPECTED = math.ceil(math.log2(25)) + 1
 
 
 def found(first_bad: int, skipped: Collection[str] = ()) -> HistoryState:
-    def standing(commit: str) -> Standing:
+    def standing(commit: str) -> TrialStanding:
         if commit in skipped:
-            return Standing.SKIPPED
-        return Standing.BAD if int(commit[1:]) >= first_bad else Standing.GOOD
+            return TrialStanding.SKIPPED
+        return TrialStanding.BAD if int(commit[1:]) >= first_bad else TrialStanding.GOOD
 
     return search_history(LINE, standing)
 
@@ -49,7 +49,7 @@ def test_two_commits_that_cannot_be_tried_cost_no_more_than_twice_the_halving(fi
     skipped = {"c13", "c7"} - {f"c{first_bad}", f"c{first_bad - 1}"}
     state = found(first_bad, skipped)
     assert state.left == (f"c{first_bad}",)
-    assert sum(standing is not Standing.SKIPPED for _, standing in state.tried) <= 2 * math.log2(25)
+    assert sum(standing is not TrialStanding.SKIPPED for _, standing in state.tried) <= 2 * math.log2(25)
 
 
 def test_a_first_bad_commit_behind_skipped_ones_is_one_of_several():
@@ -64,7 +64,7 @@ def test_a_commit_that_nobody_has_tried_is_asked_for():
 def test_a_branch_that_was_merged_is_searched_too():
     history = History({"a": ("0",), "x": ("0",), "y": ("x",), "m": ("a", "y"), "z": ("m",)}, "z")
     bad = {"y", "m", "z"}
-    state = search_history(history, lambda commit: Standing.BAD if commit in bad else Standing.GOOD)
+    state = search_history(history, lambda commit: TrialStanding.BAD if commit in bad else TrialStanding.GOOD)
     assert state.left == ("y",)
 
 
@@ -84,14 +84,14 @@ def test_of_two_hundred_noisy_searches_hardly_any_finds_another_commit(factor: f
         reference = noisy(rng, 1.0)
         errors = iter(step_error(0.05, step, EXPECTED) for step in range(99))
 
-        def standing(commit: str) -> Standing:
+        def standing(commit: str) -> TrialStanding:
             if commit in skipped:  # noqa: B023 - used up within the turn
-                return Standing.SKIPPED
+                return TrialStanding.SKIPPED
             is_bad = int(commit[1:]) >= first_bad  # noqa: B023 - as above
             values = noisy(rng, factor if is_bad else 1.0)  # noqa: B023 - as above
             verdict = step_verdict([reference], [values], ALLOWED, next(errors))  # noqa: B023 - as above
             runs.append(verdict.runs)
-            return verdict.standing or Standing.SKIPPED
+            return verdict.standing or TrialStanding.SKIPPED
 
         right += search_history(LINE, standing).left == (f"c{first_bad}",)
     assert right >= 190
@@ -105,28 +105,28 @@ def test_the_chances_of_all_steps_together_stay_below_that_of_the_search():
 def test_runs_that_do_not_vary_decide_as_soon_as_any_could():
     few = next_runs(2, 1, 0.005)
     verdict = step_verdict([np.full(few, 0.05)], [np.full(few, 0.06)], ALLOWED, 0.005)
-    assert (verdict.standing, verdict.runs) == (Standing.BAD, few)
+    assert (verdict.standing, verdict.runs) == (TrialStanding.BAD, few)
     assert verdict.e_value is not None
     assert verdict.e_value > 1 / 0.005
 
 
 def test_a_failed_run_counts_as_bad_and_a_share_of_failures_can_be_compared():
     failing = np.array([0.05, math.inf] * 20)
-    assert step_verdict([np.full(40, 0.05)], [failing], ALLOWED, 0.005).standing is Standing.BAD
+    assert step_verdict([np.full(40, 0.05)], [failing], ALLOWED, 0.005).standing is TrialStanding.BAD
     shares = [np.zeros(40)], [np.array([0.0, 1.0] * 20)]
-    assert step_verdict(*shares, Margin(0.1, relative=False), 0.005).standing is Standing.BAD
+    assert step_verdict(*shares, Margin(0.1, relative=False), 0.005).standing is TrialStanding.BAD
 
 
 def test_where_more_is_better_less_is_worse():
     tracked, lost, better = np.full(12, -0.98), np.full(12, -0.80), np.full(12, -0.981)
     verdicts = [step_verdict([tracked], [values], ALLOWED, 0.005) for values in (lost, better)]
-    assert [verdict.standing for verdict in verdicts] == [Standing.BAD, Standing.GOOD]
+    assert [verdict.standing for verdict in verdicts] == [TrialStanding.BAD, TrialStanding.GOOD]
 
 
 @pytest.mark.parametrize(("begin_s", "end_s"), [(0.0, 2.0), (41.3, 44.9), (95.0, 100.0), (0.0, 100.0)])
 def test_the_shortest_clip_around_a_fault_is_found(begin_s: float, end_s: float):
-    def standing(clip: Clip) -> Standing:
-        return Standing.BAD if clip[0] <= begin_s and clip[1] >= end_s else Standing.GOOD
+    def standing(clip: Clip) -> TrialStanding:
+        return TrialStanding.BAD if clip[0] <= begin_s and clip[1] >= end_s else TrialStanding.GOOD
 
     state = search_clips(100.0, 1.0, standing)
     assert state.best == (float(math.floor(begin_s)), float(math.ceil(end_s)))

@@ -22,13 +22,13 @@ from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.cli import main
 from slamhive.documents.gate import BisectAnswer
 from slamhive.documents.submission import Submission
-from slamhive.domain.gate import BisectOutcome, Margin, Standing
+from slamhive.domain.gate import BisectOutcome, Margin, TrialStanding
 from slamhive.domain.metrics import metric
 from slamhive.domain.question import RunBudget
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.verdict import VerdictKind
 from slamhive.services.gates.bisecting import BisectRequest, BisectSearch
-from slamhive.services.gates.repository import Repository
+from slamhive.services.gates.repository import GitRepository
 from slamhive.services.gates.trials import Trial, TrialRuns
 from slamhive.services.hive import Hive
 from tests.services.tiny_project import ALGORITHM, MAPPING
@@ -71,7 +71,7 @@ def planted() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def history(tmp_path_factory: pytest.TempPathFactory) -> tuple[Repository, list[str]]:
+def history(tmp_path_factory: pytest.TempPathFactory) -> tuple[GitRepository, list[str]]:
     """A good commit and 25 later ones; the package is in ``slam/``."""
     folder = tmp_path_factory.mktemp("bisect") / "repository"
 
@@ -80,14 +80,14 @@ def history(tmp_path_factory: pytest.TempPathFactory) -> tuple[Repository, list[
         (root / "slam" / "algorithm.yaml").write_text(content)
 
     commits = make_repository(folder, planted(), write)
-    return Repository(folder), commits
+    return GitRepository(folder), commits
 
 
 @dataclass
 class MadeUpRuns:
     """A bench whose runs end at once: their errors are drawn, and vary by ``noise``."""
 
-    repository: Repository
+    repository: GitRepository
     noise: float
     seed: int
     crashing: Mapping[str, FailureReason] = field(default_factory=dict)
@@ -138,7 +138,7 @@ class MadeUpRuns:
 
 
 def searched(
-    history: tuple[Repository, list[str]],
+    history: tuple[GitRepository, list[str]],
     bench: MadeUpRuns,
     good: int = 0,
     bad: int = 25,
@@ -165,7 +165,7 @@ def searched(
     ("difference", "bad", "first_bad"), [(0.05, 17, 9), (0.05, 25, 9), (0.5, 25, 18)], ids=["10 %", "either", "300 %"]
 )
 def test_planted_regressions_are_found_in_a_real_history(
-    history: tuple[Repository, list[str]], difference: float, bad: int, first_bad: int
+    history: tuple[GitRepository, list[str]], difference: float, bad: int, first_bad: int
 ):
     answer = searched(history, MadeUpRuns(history[0], 0.02, 1), 0, bad, difference)
     assert answer.answer is BisectOutcome.FOUND
@@ -178,7 +178,7 @@ def test_planted_regressions_are_found_in_a_real_history(
     assert (answer.after.author, answer.after.e_value is not None) == ("Ada", True)
 
 
-def test_equal_contents_are_run_once(history: tuple[Repository, list[str]]):
+def test_equal_contents_are_run_once(history: tuple[GitRepository, list[str]]):
     bench = MadeUpRuns(history[0], 0.02, 2)
     answer = searched(history, bench)
     assert len(bench.runs) == answer.decisions + 1
@@ -186,17 +186,17 @@ def test_equal_contents_are_run_once(history: tuple[Repository, list[str]]):
     assert bench.content(history[1][3]) == bench.content(history[1][2])
 
 
-def test_commits_that_do_not_build_are_skipped_and_named(history: tuple[Repository, list[str]]):
+def test_commits_that_do_not_build_are_skipped_and_named(history: tuple[GitRepository, list[str]]):
     repository, commits = history
     answer = searched(history, MadeUpRuns(repository, 0.02, 3), 4, 8 + 1)
-    skipped = [step for step in answer.steps if step.standing is Standing.SKIPPED]
+    skipped = [step for step in answer.steps if step.standing is TrialStanding.SKIPPED]
     assert [step.commit for step in skipped] in ([], [commits[6]])
     assert all("does not build" in step.reason for step in skipped)
     assert answer.left[0].commit == commits[9]
 
 
 def test_a_commit_whose_runs_all_crash_is_skipped_and_the_rest_cannot_be_told_apart(
-    history: tuple[Repository, list[str]],
+    history: tuple[GitRepository, list[str]],
 ):
     repository, commits = history
     crashing = {commits[9]: FailureReason.NONZERO_EXIT}
@@ -209,12 +209,12 @@ def test_a_commit_whose_runs_all_crash_is_skipped_and_the_rest_cannot_be_told_ap
     assert len(bench.runs["a content of its own"]) == 2
 
 
-def test_a_bad_commit_that_is_not_worse_is_refused_with_both_means(history: tuple[Repository, list[str]]):
+def test_a_bad_commit_that_is_not_worse_is_refused_with_both_means(history: tuple[GitRepository, list[str]]):
     with pytest.raises(InvalidInput, match=r"is not worse than the good one by more than 50 %: 0\.05\d+ ± .* m, the"):
         searched(history, MadeUpRuns(history[0], 0.02, 5), 0, 12, 0.5)
 
 
-def test_ends_that_cannot_be_tried_are_refused(history: tuple[Repository, list[str]]):
+def test_ends_that_cannot_be_tried_are_refused(history: tuple[GitRepository, list[str]]):
     bench = MadeUpRuns(history[0], 0.02, 6)
     with pytest.raises(InvalidInput, match=r"the good commit .* cannot be tried: it does not build"):
         searched(history, bench, 6, 12)
@@ -224,13 +224,13 @@ def test_ends_that_cannot_be_tried_are_refused(history: tuple[Repository, list[s
         searched(history, bench, 2, 3)
 
 
-def test_a_spent_budget_ends_undecided_and_says_what_is_left(history: tuple[Repository, list[str]]):
+def test_a_spent_budget_ends_undecided_and_says_what_is_left(history: tuple[GitRepository, list[str]]):
     answer = searched(history, MadeUpRuns(history[0], 0.02, 7), budget=RunBudget(runs=10))
     assert (answer.answer, answer.runs <= 10, len(answer.left)) == (BisectOutcome.UNDECIDED, True, 25)
     assert answer.words.startswith("Undecided after the budget: the first bad commit is one of 25")
 
 
-def test_another_look_at_the_same_runs_comes_to_the_same_answer(history: tuple[Repository, list[str]]):
+def test_another_look_at_the_same_runs_comes_to_the_same_answer(history: tuple[GitRepository, list[str]]):
     bench = MadeUpRuns(history[0], 0.02, 8)
     first = searched(history, bench)
     runs = {content: list(found) for content, found in bench.runs.items()}
@@ -238,7 +238,7 @@ def test_another_look_at_the_same_runs_comes_to_the_same_answer(history: tuple[R
     assert bench.runs == runs
 
 
-def test_revisions_are_checked_in_one_line(history: tuple[Repository, list[str]], tmp_path: Path):
+def test_revisions_are_checked_in_one_line(history: tuple[GitRepository, list[str]], tmp_path: Path):
     repository, commits = history
     with pytest.raises(NotFound, match="no revision 'v9'"):
         repository.commit("v9")
@@ -249,13 +249,13 @@ def test_revisions_are_checked_in_one_line(history: tuple[Repository, list[str]]
     with pytest.raises(InvalidInput, match="are the same commit"):
         repository.history(commits[5], commits[5])
     with pytest.raises(InvalidInput, match="is no Git repository"):
-        Repository(tmp_path)
+        GitRepository(tmp_path)
     with pytest.raises(NotFound, match="is no folder"):
-        Repository(tmp_path / "nowhere")
+        GitRepository(tmp_path / "nowhere")
 
 
 def test_a_checkout_touches_neither_the_working_tree_nor_the_index(
-    history: tuple[Repository, list[str]], tmp_path: Path
+    history: tuple[GitRepository, list[str]], tmp_path: Path
 ):
     repository, commits = history
     dirty = repository.path / "slam" / "algorithm.yaml"

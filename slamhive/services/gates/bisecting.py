@@ -25,7 +25,7 @@ from slamhive.base.errors import Conflict, InvalidInput, NotFound
 from slamhive.base.files import temporary_folder, write_aside
 from slamhive.documents.gate import BisectAnswer, BisectStep, CommitDocument
 from slamhive.documents.submission import Submission
-from slamhive.domain.gate import FAILURES, BisectOutcome, Margin, Standing
+from slamhive.domain.gate import FAILURES, BisectOutcome, Margin, TrialStanding
 from slamhive.domain.metrics import Metric
 from slamhive.domain.names import mean_and_std, plural
 from slamhive.domain.packages import split_version, version_label
@@ -34,7 +34,7 @@ from slamhive.executors.base import EngineUnavailable, Executor, ImageMissing
 from slamhive.packages.algorithm_file import ALGORITHM_FILE, load_algorithms, package_hash, version_folder
 from slamhive.packages.published.folder import copy_plain_files
 from slamhive.services.datasets import check_writable
-from slamhive.services.gates.repository import SHORT, PackageSource, Repository
+from slamhive.services.gates.repository import SHORT, GitRepository, PackageSource
 from slamhive.services.gates.trials import FIRST_RUNS, MOST_RUNS, Tell, Trial, Trials, Work
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ class Bisections:
             Unavailable: Git or the engine does not answer.
         """
         check_writable(self._settings)
-        repository = Repository(request.repository)
+        repository = GitRepository(request.repository)
         good, bad = repository.commit(request.good), repository.commit(request.bad)
         history = repository.history(good, bad)
         source = self._source(request, repository, bad)
@@ -179,7 +179,7 @@ class Bisections:
             search = BisectSearch(request, repository.describe, bench, history, good, tell)
             return search.run(work)
 
-    def _source(self, request: BisectRequest, repository: Repository, bad: str) -> PackageSource:
+    def _source(self, request: BisectRequest, repository: GitRepository, bad: str) -> PackageSource:
         if request.package is not None:
             into = PurePosixPath(request.into)
             if into.is_absolute() or ".." in into.parts or not into.parts:
@@ -246,7 +246,7 @@ class _Bench:
 
     service: Bisections
     request: BisectRequest
-    repository: Repository
+    repository: GitRepository
     source: PackageSource
     executor: Executor
     record: BisectRecord
@@ -346,7 +346,7 @@ class CommitBench(Protocol):
 class _Settled:
     """What was found out about a commit, and why it was skipped."""
 
-    standing: Standing
+    standing: TrialStanding
     reason: str = ""
     e_value: float | None = None
 
@@ -416,14 +416,14 @@ class BisectSearch:
                 f"no run of the good commit {self._good[:SHORT]} ended well: {good.failure}", "name another --good"
             )
         standing = self._standing(self._history.bad)
-        if standing is Standing.GOOD:
+        if standing is TrialStanding.GOOD:
             raise InvalidInput(
                 f"the bad commit {self._history.bad[:SHORT]} is not worse than the good one by more than "
                 f"{self._request.difference.words(self._request.metric.unit)}: {self._values(bad)}, the good one "
                 f"{self._values(good)}",
                 "name another --bad, or a smaller --difference",
             )
-        if standing is Standing.SKIPPED:
+        if standing is TrialStanding.SKIPPED:
             return self._answer(BisectOutcome.UNDECIDED, tuple(self._history.parents))
         if standing is not None:
             state = search_history(self._history, self._standing)
@@ -443,10 +443,10 @@ class BisectSearch:
             self._trials[content] = self._bench.trial(commit)
         return self._trials[content]
 
-    def _standing(self, commit: str) -> Standing | None:
+    def _standing(self, commit: str) -> TrialStanding | None:
         content = self._bench.content(commit)
         if content is not None and content == self._bench.content(self._good):
-            return Standing.GOOD
+            return TrialStanding.GOOD
         if content not in self._settled:
             found = self._settle(commit)
             if found is None:
@@ -459,7 +459,7 @@ class BisectSearch:
         """Decide about a commit; None if more runs are needed."""
         request, good, trial = self._request, self._trial(self._good), self._trial(commit)
         if trial.problem:
-            return _Settled(Standing.SKIPPED, trial.problem)
+            return _Settled(TrialStanding.SKIPPED, trial.problem)
         is_bad = commit == self._history.bad
         if (
             trial.crashes
@@ -467,7 +467,7 @@ class BisectSearch:
             and not self._trial(self._history.bad).crashes
             and request.metric.key != FAILURES
         ):
-            return _Settled(Standing.SKIPPED, f"none of its runs ended well: {trial.failure}")
+            return _Settled(TrialStanding.SKIPPED, f"none of its runs ended well: {trial.failure}")
         commits = len(self._history.parents)
         expected = math.ceil(math.log2(commits)) + 1
         error = step_error(request.error, self._decisions, expected)
@@ -478,9 +478,11 @@ class BisectSearch:
         done = min(good.fewest, trial.fewest)
         if done >= request.most:
             self._decisions += 1
-            return _Settled(Standing.SKIPPED, f"undecided after {plural(done, 'run')} on each dataset")
+            return _Settled(TrialStanding.SKIPPED, f"undecided after {plural(done, 'run')} on each dataset")
         if trial.silent > request.most:
-            return _Settled(Standing.SKIPPED, f"{plural(trial.silent, 'run')} were cancelled, lost or not evaluated")
+            return _Settled(
+                TrialStanding.SKIPPED, f"{plural(trial.silent, 'run')} were cancelled, lost or not evaluated"
+            )
         first = trial.fewest < FIRST_RUNS
         wanted = FIRST_RUNS if first else min(request.most, next_runs(done, len(good.runs), error))
         self._need = (commit, wanted)
@@ -525,7 +527,7 @@ class BisectSearch:
     def _step(self, commit: str) -> BisectStep:
         content = self._bench.content(commit)
         trial = self._trial(commit)
-        found = self._settled.get(content, _Settled(Standing.GOOD))
+        found = self._settled.get(content, _Settled(TrialStanding.GOOD))
         return BisectStep(
             **dict(self._describe(commit)),
             runs=tuple(run.id for entry in trial.runs for run in entry.records),
@@ -547,7 +549,7 @@ class BisectSearch:
             (guilty,) = left
             known = [parent for parent in self._history.parents[guilty] if self._bench.content(parent) in self._trials]
             before, after = self._step(known[0] if known else self._good), self._step(guilty)
-        skipped = [step for step in steps if step.standing is Standing.SKIPPED]
+        skipped = [step for step in steps if step.standing is TrialStanding.SKIPPED]
         notes = [f"{step.commit[:SHORT]} was skipped: {step.reason}." for step in skipped]
         if after is not None and len(self._history.parents[after.commit]) > 1:
             notes.append("It is a merge: the branches that it joins are good by themselves.")

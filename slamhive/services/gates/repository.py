@@ -32,7 +32,7 @@ class PackageSource:
     into: str = "source"
 
 
-class Repository:
+class GitRepository:
     """A Git repository, which is only read. Neither its working tree nor its index plays a role.
 
     Args:

@@ -25,7 +25,7 @@ from slamhive.documents.submission import Submission
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.configuration import CLIP, Variant, VariantStep, clipped_span_s
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.gate import BisectOutcome, Margin, Standing
+from slamhive.domain.gate import BisectOutcome, Margin, TrialStanding
 from slamhive.domain.metrics import Direction, Metric
 from slamhive.domain.names import mean_and_std, plural
 from slamhive.domain.packages import version_label
@@ -317,19 +317,19 @@ class ShrinkSearch:
             self._begin()
             best, asks = whole, False
             standing = self._standing(whole)
-            if standing is Standing.GOOD:
+            if standing is TrialStanding.GOOD:
                 step = self._settled[whole]
                 raise InvalidInput(
                     f"run {self._request.run_id} {self._fault.words}, but {plural(len(step.runs), 'run')} like it say "
                     f"that the recording {step.words}",
                     "a lower --share finds what seldom shows" if self._fault.failure is not None else None,
                 )
-            if standing is Standing.BAD:
+            if standing is TrialStanding.BAD:
                 state = search_clips(whole[1], self._step_s, self._standing)
                 best, asks = state.best, state.ask is not None
             found = tuple(self._settled.values())
             if self._need is None:
-                is_known = standing is Standing.BAD and not asks
+                is_known = standing is TrialStanding.BAD and not asks
                 return self._absolute(best), found, BisectOutcome.FOUND if is_known else BisectOutcome.UNDECIDED
             variant, wanted = self._need
             submissions = self._fault.submissions(variant)
@@ -345,7 +345,7 @@ class ShrinkSearch:
         begin_s = self._begin_s if clip[0] == 0 else self._begin_s + clip[0]
         return math.floor(begin_s * 100) / 100, math.ceil((self._begin_s + clip[1]) * 100) / 100
 
-    def _standing(self, clip: Clip) -> Standing | None:
+    def _standing(self, clip: Clip) -> TrialStanding | None:
         if clip not in self._settled:
             whole = clip == (0.0, self._end_s - self._begin_s)
             variant = self._fault.variant(None if whole else self._absolute(clip), self._dataset)
@@ -371,9 +371,9 @@ class ShrinkSearch:
         if standing is None:
             hindrance = next((entry.hindrance for entry in trial.runs if entry.hindrance is not None), None)
             if hindrance is not None:
-                standing, reason = Standing.SKIPPED, hindrance
+                standing, reason = TrialStanding.SKIPPED, hindrance
             elif done >= self._request.most or trial.silent > self._request.most:
-                standing, reason = Standing.SKIPPED, f"undecided after {plural(trial.asked, 'run')}"
+                standing, reason = TrialStanding.SKIPPED, f"undecided after {plural(trial.asked, 'run')}"
             else:
                 wanted = next_runs(max(done, FIRST_RUNS), 1, error)
                 self._need = (variant, min(self._request.most, wanted))
@@ -392,12 +392,12 @@ class ShrinkSearch:
             e_value=verdict.e_value,
         )
 
-    def _words(self, standing: Standing, reason: str, trial: Trial) -> str:
+    def _words(self, standing: TrialStanding, reason: str, trial: Trial) -> str:
         """What a clip shows, with the values."""
         shown = {
-            Standing.BAD: "shows it",
-            Standing.GOOD: "does not show it",
-            Standing.SKIPPED: f"counts as not showing it, {reason}",
+            TrialStanding.BAD: "shows it",
+            TrialStanding.GOOD: "does not show it",
+            TrialStanding.SKIPPED: f"counts as not showing it, {reason}",
         }[standing]
         if self._fault.failure is not None:
             same = int(trial.runs[0].scores.sum())
