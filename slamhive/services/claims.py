@@ -22,6 +22,7 @@ from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, Unavaila
 from slamhive.base.files import make_shared_folder, remedy_of, write_aside
 from slamhive.documents.claims import ClaimAnswer, ClaimEntry, ClaimProtocol, ClaimsAnswer, ClaimsFile
 from slamhive.documents.gate import MeasuredRun
+from slamhive.documents.limits import NEVER
 from slamhive.documents.model import first_problem_at, parse
 from slamhive.documents.record import ConfigurationContent
 from slamhive.documents.submission import Submission
@@ -264,12 +265,16 @@ class Claims:
             and run.state is not RunState.CANCELLED
             and run.reason not in _NOT_COUNTED
         ]
+        bounded = [run for run in runs if run.stop_when != NEVER or (run.cpu_cores, run.memory_mb) != (None, None)]
+        runs = [run for run in runs if run not in bounded]
         still_open = [run.id for run in runs if not run.state.ended and run.asked_version == wanted.version]
         ended = sorted((run for run in runs if run.state.ended and _fits(run, entry)), key=lambda run: run.id)
         if claim.version is not None and not ended and algorithm.package.version != claim.version:
             return f"needs version {claim.version} of {name}; version {algorithm.package.version} is installed"
         counted = [run for run in ended if _sameness(run) == _sameness(ended[-1])][-MOST_RUNS:]
         notes = []
+        if bounded:
+            notes.append(f"{plural(len(bounded), 'run')} left out: their CPU, memory or end was limited.")
         if len(counted) < len(ended):
             left_out = plural(len(ended) - len(counted), "older run")
             notes.append(f"{left_out} of another version, or on another content of the dataset, left out.")
@@ -277,7 +282,7 @@ class Claims:
         starved = {number for number, run in measured.items() if run.failed is _MISSED and run.disturbed}
         if starved:
             notes.append(f"{plural(len(starved), 'run')} left out: input was missed on a disturbed machine.")
-        seeds = [run.seed + 1 for run in runs]
+        seeds = [run.seed + 1 for run in (*runs, *bounded)]
         return ClaimRuns(
             protocol,
             {run.id: measured[run.id] for run in counted if run.id in measured and run.id not in starved},

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 
 from slamhive.base.errors import Forbidden, InvalidInput, NotFound
@@ -15,6 +17,8 @@ from slamhive.base.project import project_root
 from slamhive.base.settings import Mode
 from slamhive.base.strict_yaml import load
 from slamhive.documents.claims import ClaimAnswer, ClaimsAnswer, ClaimsFile
+from slamhive.documents.limits import StopWhen
+from slamhive.documents.submission import Submission
 from slamhive.domain.claim import ClaimState
 from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.services.claims import badge_svg
@@ -127,6 +131,43 @@ def test_a_run_that_missed_input_on_a_busy_machine_says_nothing(hive: Hive, tmp_
     answer = only(hive, tmp_path, "ate.rmse: 5.00 cm", "    repeats: 3\n", 1800)
     assert (answer.state, answer.runs) == (ClaimState.HOLDS, tuple(run_ids[3:]))
     assert answer.notes == ("3 runs left out: input was missed on a disturbed machine.",)
+
+
+def test_only_the_data_that_ran_last_counts(hive: Hive, tmp_path: Path):
+    add_good(hive, errors_m(2, 0.5), nFeatures=1600, checksum=f"sha256:{'2' * 64}")
+    newest = add_good(hive, errors_m(3, 0.05, 0.01), nFeatures=1600)
+    answer = only(hive, tmp_path, "ate.rmse: 5.00 cm", "    repeats: 3\n", 1600)
+    assert (answer.state, answer.runs) == (ClaimState.HOLDS, tuple(newest))
+    assert answer.notes == ("2 older runs of another version, or on another content of the dataset, left out.",)
+
+
+def test_a_run_with_little_memory_or_a_rule_that_ends_it_says_nothing(hive: Hive, tmp_path: Path):
+    plain = Submission("eye-slam-stereo", "room", {"nFeatures": 1700}, executor="process")
+    rule = replace(plain, stop_when=StopWhen(time_s=5.0))
+    for limited in (replace(plain, memory_mb=900), replace(plain, cpu_cores=0.5), rule):
+        (run,) = hive.runs.submit(limited)
+        finish(hive, run.id, 0.5)
+    answer = only(hive, tmp_path, "ate.rmse: 5.00 cm", features=1700)
+    assert (answer.state, answer.runs) == (ClaimState.UNDECIDED, ())
+    assert answer.notes == ("3 runs left out: their CPU, memory or end was limited.",)
+
+
+def test_a_number_of_another_protocol_leads_to_it(hive: Hive, tmp_path: Path):
+    """The claim is the mean error where ours is the RMSE."""
+    run_ids = world.add_runs(hive, 2, nFeatures=1900)
+    for run_id in run_ids:
+        world.finish_run(hive, run_id)
+    estimate, truth = world.loop_path(noise_m=0.02)[:, 1:4], world.loop_path()[:, 1:4]
+    errors_m = np.linalg.norm(estimate - truth, axis=1)  # alignment moves these little: the noise has no direction
+    for run_id in run_ids:
+        world.evaluate_run(hive, run_id, float(np.sqrt(np.mean(errors_m**2))))
+    stated = f"ate.rmse: {errors_m.mean():.4f} m"
+    answer = only(hive, tmp_path, stated, "    repeats: 2\n    within: 1%\n", 1900)
+    assert answer.state is ClaimState.DIFFERS
+    usual = answer.protocols[0]
+    assert usual.key == "ate.mean"
+    assert usual.value == pytest.approx(errors_m.mean(), rel=0.02)
+    assert "would make it hold on run" in answer.notes[-1]
 
 
 def test_what_needs_a_dataset_says_how_to_get_it(hive: Hive, tmp_path: Path):
