@@ -40,7 +40,7 @@ from slamhive.documents.gate import Baseline, BaselineBrief, GateAnswer, ReplayA
 from slamhive.documents.imports import Import
 from slamhive.documents.machines import CloudPlanDocument, CloudStatus
 from slamhive.documents.model import json_schema
-from slamhive.documents.plain import OverviewDocument
+from slamhive.documents.plain import ExperimentStatusDocument, OverviewDocument
 from slamhive.documents.protocol import ComparisonDocument, ProtocolsDocument, ProtocolSearchDocument, ToolMetrics
 from slamhive.documents.record import RunFile
 from slamhive.documents.run import EvaluationDocument, RunWith
@@ -227,7 +227,7 @@ DOCUMENTS: dict[str, Any] = {
     "experiment-cell": experiment.CellDocument,
     "experiment-grid": experiment.GridDocument,
     "experiment-preview": experiment.ExperimentPreviewDocument,
-    "experiment-status": experiment.ExperimentStatusDocument,
+    "experiment-status": ExperimentStatusDocument,
     "found": FoundThing,
     "gate-answer": GateAnswer,
     "gate-baseline": Baseline,

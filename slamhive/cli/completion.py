@@ -163,7 +163,7 @@ DATASET = _completion_of(
     lambda hive: ((entry.name, f"{entry.duration_s:.1f} s") for entry in hive.catalogue.datasets())
 )
 EXPERIMENT = _completion_of(
-    lambda hive: ((entry.name, entry.standing.value) for entry in hive.experiments.list()), or_file=True
+    lambda hive: ((entry.name, entry.state.value) for entry in hive.experiments.list()), or_file=True
 )
 BASELINE = _completion_of(
     lambda hive: ((entry.name, plural(entry.runs, "run")) for entry in hive.gates.baselines.briefs()), or_file=True

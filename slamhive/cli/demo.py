@@ -15,11 +15,12 @@ from slamhive.base.machine import slowness
 from slamhive.cli.experiments import print_report
 from slamhive.cli.output import progress_bar, tell
 from slamhive.cli.waiting import experiment_to_end
+from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.placement import Remaining
 from slamhive.domain.verdict import Outcome
 from slamhive.executors.base import ImageMissing
 from slamhive.services.demo import DATASET, demo_algorithms, demo_source, is_rendered, render
-from slamhive.services.experiments import ConfigurationStanding, varying
+from slamhive.services.experiments import varying
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 
@@ -195,7 +196,7 @@ def run_demo(hive: Hive, seconds: float) -> None:
         else:
             render(hive, seconds, show)
     status = hive.experiments.start(demo_source(hive, algorithms, executor), executor)
-    if status.standing is ConfigurationStanding.FINISHED:
+    if status.state is ConfigurationStanding.FINISHED:
         tell(f"experiment {status.name} has run already, its results are shown again")
     experiment_to_end(hive, status.name, on_end=_announce, title=f"step {phases.count} of {phases.count}, runs")
     status = hive.experiments.status(status.name)

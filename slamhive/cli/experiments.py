@@ -19,6 +19,7 @@ from slamhive.cli.output import messages, print_json, print_table, progress_bar,
 from slamhive.cli.sharing import share_experiment, visibility_option
 from slamhive.cli.visible import confirm, say, write_out
 from slamhive.cli.waiting import experiment_to_end
+from slamhive.documents.plain import ConfigurationStanding, ExperimentStatusDocument
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.names import plural
 from slamhive.domain.parameters import Value
@@ -27,7 +28,6 @@ from slamhive.domain.verdict import DEFAULT_RULE, Outcome, failure_words
 from slamhive.services.experiments import (
     GUESSED_START_S,
     NO_FIGURES,
-    ConfigurationStanding,
     ExperimentSource,
     csv_text,
     failures_text,
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from slamhive.services.experiments import (
         Cell,
         ExperimentAnswer,
-        ExperimentStatus,
         MetricSpread,
         Progress,
     )
@@ -117,10 +116,10 @@ def _basis(found: ExperimentPreviewDocument) -> str:
     return guess if not found.measured_runs else f"{found.measured_runs:,} by earlier runs, the others {guess}"
 
 
-def print_status(status: ExperimentStatus) -> None:
+def print_status(status: ExperimentStatusDocument) -> None:
     """Print the progress of one experiment."""
     counts = ", ".join(f"{count:,} {phase.label}" for phase, count in status.counts.items() if count)
-    say(f"{status.name}: {status.standing}; {status.runs:,} runs of {status.cells:,} configurations: {counts}")
+    say(f"{status.name}: {status.state}; {status.runs:,} runs of {status.cells:,} configurations: {counts}")
     failures = {key: count for key, count in status.failures.items() if key is not FailureReason.LOST}
     if failures:
         say(f"failed: {', '.join(f'{failure_words(failure)} {count:,}' for failure, count in failures.items())}")
@@ -128,13 +127,13 @@ def print_status(status: ExperimentStatus) -> None:
         say(f"not counted: {plural(status.retried, 'failed or disturbed run')} that another run replaces")
     if status.disturbed:
         say(f"measured on a disturbed machine: {plural(status.disturbed, 'run')} (filter: disturbed = yes)")
-    if status.standing is ConfigurationStanding.STORING:
+    if status.state is ConfigurationStanding.STORING:
         say(f"{status.missing:,} runs are not stored yet; starting the same file again completes it")
-    if status.left is not None and status.left_s and status.standing is ConfigurationStanding.ACTIVE:
+    if status.left is not None and status.left_s and status.state is ConfigurationStanding.ACTIVE:
         say(f"{status.left.words(', including builds and evaluations')}; now: {status.phase}")
 
 
-def print_statuses(found: Sequence[ExperimentStatus]) -> None:
+def print_statuses(found: Sequence[ExperimentStatusDocument]) -> None:
     """Print one line for each experiment."""
     columns = (
         "no.",
@@ -147,9 +146,9 @@ def print_statuses(found: Sequence[ExperimentStatus]) -> None:
     )
     rows = [
         (
-            status.id,
+            status.number,
             status.name,
-            status.standing.value,
+            status.state.value,
             status.cells,
             status.runs,
             *(status.counts[outcome] or None for outcome in Outcome),
@@ -160,7 +159,7 @@ def print_statuses(found: Sequence[ExperimentStatus]) -> None:
     print_table(columns, rows, right=("no.", "configurations", "runs", *(outcome.label for outcome in Outcome)))
 
 
-def print_report(status: ExperimentStatus, cells: Sequence[Cell], axes: Sequence[str]) -> None:
+def print_report(status: ExperimentStatusDocument, cells: Sequence[Cell], axes: Sequence[str]) -> None:
     """Print a row for each cell and protocol: counts, and mean ± standard deviation of the metrics."""
     ate, *others = (heading for heading, *_ in FIGURES)
     headings = (ate, "median", *others)
@@ -320,9 +319,7 @@ def list_(cli: CliContext, as_json: bool) -> None:
     """List experiments, newest first."""
     found = cli.hive().experiments.list()
     if as_json:
-        from slamhive.documents import experiment as schema  # noqa: PLC0415 - tables need no model
-
-        print_json([schema.ExperimentStatusDocument.of(status).content for status in found])
+        print_json([status.content for status in found])
     elif found:
         print_statuses(found)
     else:
@@ -340,11 +337,9 @@ def status_(cli: CliContext, name: str | None, as_json: bool) -> None:
         _show_status(hive.experiments.status(name_of(name)), as_json)
         return
     ended = (ConfigurationStanding.FINISHED, ConfigurationStanding.CANCELLED)
-    found = [status for status in hive.experiments.list() if status.standing not in ended]
+    found = [status for status in hive.experiments.list() if status.state not in ended]
     if as_json:
-        from slamhive.documents import experiment as schema  # noqa: PLC0415 - tables need no model
-
-        print_json([schema.ExperimentStatusDocument.of(status).content for status in found])
+        print_json([status.content for status in found])
     elif found:
         print_statuses(found)
     else:
@@ -445,11 +440,9 @@ def report(cli: CliContext, name: str, csv_file: Path | None, as_json: bool) -> 
         print_answer(experiments.answer(known))
 
 
-def _show_status(status: ExperimentStatus, as_json: bool) -> None:
+def _show_status(status: ExperimentStatusDocument, as_json: bool) -> None:
     if as_json:
-        from slamhive.documents import experiment as schema  # noqa: PLC0415 - tables need no model
-
-        print_json(schema.ExperimentStatusDocument.of(status).content)
+        print_json(status.content)
     else:
         print_status(status)
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import SlamHiveError
 from slamhive.cli.output import counting_bar, tell
+from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import Outcome
-from slamhive.services.experiments import ConfigurationStanding
 from slamhive.services.hive import Hive
 from slamhive.store import EvaluationState, RunRecord
 
@@ -103,7 +103,7 @@ def experiment_to_end(
                             on_end(hive.runs.get(run_id))
                     waiting = left
                     status = hive.experiments.status(name)
-                    if status.standing is ConfigurationStanding.PAUSED and not status.counts[Outcome.RUNNING]:
+                    if status.state is ConfigurationStanding.PAUSED and not status.counts[Outcome.RUNNING]:
                         tell(f"experiment {name} is paused; `slamhive experiment resume {name}` lets it go on")
                         return
                     phase = f" ({status.phase})" if status.phase else ""

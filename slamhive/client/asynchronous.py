@@ -21,12 +21,12 @@ from slamhive.client.http import (
 from slamhive.client.requests import Request
 from slamhive.client.runs import submission_of
 from slamhive.client.waiting import PAUSE_S, is_complete, rests
+from slamhive.documents.plain import ExperimentStatusDocument
 
 if TYPE_CHECKING:
     import httpx
 
     from slamhive.client.trajectory import RunTrajectory
-    from slamhive.documents.experiment import ExperimentStatusDocument
     from slamhive.documents.run import RunDocument, RunWith
     from slamhive.domain.parameters import Value
 

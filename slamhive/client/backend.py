@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from slamhive.documents.claims import ClaimsAnswer
     from slamhive.documents.experiment import Decision, SearchStanding
     from slamhive.documents.imports import ImportedDocument
+    from slamhive.documents.plain import ExperimentStatusDocument
     from slamhive.documents.protocol import ProtocolSearchDocument
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility
@@ -113,10 +114,10 @@ class Backend(Protocol):
     def restore(self, deleted_at: str) -> tuple[int, ...]:
         """Take what was deleted together out of the trash; returns the numbers of the runs. Raises NotFound."""
 
-    def experiments(self) -> tuple[experiment_schema.ExperimentStatusDocument, ...]:
+    def experiments(self) -> tuple[ExperimentStatusDocument, ...]:
         """All experiments, the newest first."""
 
-    def experiment(self, name: str) -> experiment_schema.ExperimentStatusDocument:
+    def experiment(self, name: str) -> ExperimentStatusDocument:
         """One experiment; raises NotFound."""
 
     def decision(self, name: str) -> Decision:
@@ -128,10 +129,10 @@ class Backend(Protocol):
     def cells(self, name: str) -> Iterator[experiment_schema.CellDocument]:
         """The configurations of an experiment with their runs and metrics, read in pages."""
 
-    def start(self, text: str, executor: str | None) -> experiment_schema.ExperimentStatusDocument:
+    def start(self, text: str, executor: str | None) -> ExperimentStatusDocument:
         """Queue the runs of an experiment file. The same text again completes an interrupted start."""
 
-    def change(self, name: str, change: RequestedChange) -> experiment_schema.ExperimentStatusDocument:
+    def change(self, name: str, change: RequestedChange) -> ExperimentStatusDocument:
         """Pause, resume or cancel an experiment, or queue its failed runs again."""
 
     def datasets(self) -> tuple[DatasetDocument, ...]:

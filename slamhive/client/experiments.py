@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.client.backend import Backend, RequestedChange, RunQuery, text_of
 from slamhive.client.runs import RunList
+from slamhive.documents.plain import ExperimentStatusDocument
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 class Experiment:
     """One experiment, as it was when it was read; :meth:`refresh` reads it again."""
 
-    def __init__(self, backend: Backend, document: experiment_schema.ExperimentStatusDocument) -> None:
+    def __init__(self, backend: Backend, document: ExperimentStatusDocument) -> None:
         self._backend = backend
         self.document = document
 

@@ -19,6 +19,7 @@ from slamhive.client.backend import LOG_BYTES, RequestedChange, RunQuery
 from slamhive.client.requests import HEADERS, PREFIX, Request, raise_for
 from slamhive.client.waiting import PAUSE_S, percent_bar
 from slamhive.documents.imports import OCTETS, ImportedDocument, Upload
+from slamhive.documents.plain import ExperimentStatusDocument
 from slamhive.documents.protocol import ProtocolSearchDocument
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
     from slamhive.documents.challenge import ChallengeSubmission
     from slamhive.documents.claims import ClaimsAnswer
-    from slamhive.documents.experiment import CellDocument, Decision, ExperimentStatusDocument, SearchStanding
+    from slamhive.documents.experiment import CellDocument, Decision, SearchStanding
     from slamhive.documents.run import RunDocument, RunWith
     from slamhive.documents.submission import Submission
     from slamhive.domain.accounts import Visibility

@@ -13,9 +13,10 @@ from slamhive.client.backend import LOG_BYTES, RequestedChange, RunQuery
 from slamhive.client.waiting import percent_bar
 from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
 from slamhive.documents.challenge import ImageEntry
-from slamhive.documents.experiment import CellDocument, Decision, ExperimentStatusDocument, SearchStanding
+from slamhive.documents.experiment import CellDocument, Decision, SearchStanding
 from slamhive.documents.imports import ImportedDocument, RecordingFacts, RunsUpload
 from slamhive.documents.model import parse
+from slamhive.documents.plain import ExperimentStatusDocument
 from slamhive.documents.protocol import ProtocolSearchDocument
 from slamhive.documents.run import RunDocument, RunWith
 from slamhive.services.data_root import DataRoot
@@ -165,11 +166,11 @@ class LocalBackend:
 
     def experiments(self) -> tuple[ExperimentStatusDocument, ...]:
         """Implement :meth:`~slamhive.client.backend.Backend.experiments`."""
-        return tuple(map(ExperimentStatusDocument.of, self._hive.experiments.list()))
+        return self._hive.experiments.list()
 
     def experiment(self, name: str) -> ExperimentStatusDocument:
         """Implement :meth:`~slamhive.client.backend.Backend.experiment`."""
-        return ExperimentStatusDocument.of(self._hive.experiments.status(name))
+        return self._hive.experiments.status(name)
 
     def decision(self, name: str) -> Decision:
         """Implement :meth:`~slamhive.client.backend.Backend.decision`."""
@@ -187,7 +188,7 @@ class LocalBackend:
         """Implement :meth:`~slamhive.client.backend.Backend.start`."""
         from slamhive.services.experiments import ExperimentSource  # noqa: PLC0415 - on first use
 
-        return ExperimentStatusDocument.of(self._writing().experiments.start(ExperimentSource(text), executor))
+        return self._writing().experiments.start(ExperimentSource(text), executor)
 
     def change(self, name: str, change: RequestedChange) -> ExperimentStatusDocument:
         """Implement :meth:`~slamhive.client.backend.Backend.change`."""

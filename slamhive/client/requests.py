@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 from urllib.parse import parse_qs, quote, urlsplit
 
 from slamhive.base.errors import SlamHiveError, Unavailable
@@ -30,9 +30,10 @@ from slamhive.documents.api import (
 from slamhive.documents.catalogue import AlgorithmDocument, DatasetDocument
 from slamhive.documents.challenge import ChallengeSubmission, ChallengeSubmissions
 from slamhive.documents.claims import ClaimsDocument
-from slamhive.documents.experiment import Decision, ExperimentStatusDocument, SearchStanding
+from slamhive.documents.experiment import Decision, SearchStanding
 from slamhive.documents.imports import Upload
-from slamhive.documents.model import STATUS, Document, dump
+from slamhive.documents.model import STATUS, dump
+from slamhive.documents.plain import ExperimentStatusDocument
 from slamhive.documents.protocol import ProtocolSearchDocument
 from slamhive.documents.run import RunDocument, RunWith
 from slamhive.documents.submission import Submission
@@ -43,7 +44,17 @@ if TYPE_CHECKING:
     from slamhive.domain.finding import FoundAction
 
 T = TypeVar("T")
-D = TypeVar("D", bound=Document)
+
+
+class Readable(Protocol):
+    """A document that its JSON is read as."""
+
+    @classmethod
+    def read(cls, content: Any) -> Self:
+        """The document of this JSON."""
+
+
+D = TypeVar("D", bound=Readable)
 PREFIX = "/api/v1"
 HEADERS = {"X-SLAM-Hive": "1", "Accept": "application/json"}
 PAGE = 1000

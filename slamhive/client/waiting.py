@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 from slamhive.base.clock import monotonic_s
 from slamhive.client.backend import Backend
+from slamhive.domain.verdict import Outcome
 
 if TYPE_CHECKING:
     from slamhive.documents.api import AnalysisWithFile
-    from slamhive.documents.experiment import ExperimentStatusDocument
+    from slamhive.documents.plain import ExperimentStatusDocument
     from slamhive.documents.run import RunWith
 
 Show = Callable[[int, str], None]
@@ -71,11 +72,11 @@ def is_complete(run: RunWith) -> bool:
 
 def rests(status: ExperimentStatusDocument) -> bool:
     """Tell if an experiment has come to rest: nothing more happens by itself."""
-    return not status.phase or (status.state == "paused" and not status.counts.get("running"))
+    return not status.phase or (status.state == "paused" and not status.counts.get(Outcome.RUNNING))
 
 
 def _ended(status: ExperimentStatusDocument) -> int:
-    return status.runs - status.missing - status.counts.get("queued", 0) - status.counts.get("running", 0)
+    return status.runs - status.missing - status.counts.get(Outcome.QUEUED, 0) - status.counts.get(Outcome.RUNNING, 0)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import AliasChoices, AliasPath, BaseModel, ConfigDict, Field
@@ -12,11 +13,11 @@ from slamhive.documents.catalogue import CachedVariant, FoundThing, PublicSequen
 from slamhive.documents.experiment import (
     CellDocument,
     ExperimentAnswerDocument,
-    ExperimentStatusDocument,
     GridDocument,
     StoredAnalysis,
 )
 from slamhive.documents.model import Document, Moment, described
+from slamhive.documents.plain import ExperimentStatusDocument
 from slamhive.documents.run import Colours, Pinned, RunDocument, Sparks
 from slamhive.documents.submission import MAX_REPEATS, Submission
 from slamhive.domain.accounts import Visibility
@@ -477,6 +478,7 @@ class ExperimentsDocument(Document):
     experiments: tuple[ExperimentStatusDocument, ...]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentWithFile(ExperimentStatusDocument):
     """An experiment with its file, its axes and its answer."""
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import AliasChoices, BeforeValidator, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from slamhive.documents.model import Document, Moment, Timestamp, Values, cut, described
+from slamhive.documents.model import Document, Moment, Values, cut, described
 from slamhive.documents.plain import ToFetchDocument
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import Variant
@@ -19,7 +19,7 @@ from slamhive.domain.parameters import Value
 from slamhive.domain.question import CandidateStanding, ExperimentQuestion, QuestionAnswer
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.side_by_side import PlannedMixture
-from slamhive.domain.verdict import DEFAULT_RULE, VerdictKind
+from slamhive.domain.verdict import VerdictKind
 
 Counts = Annotated[dict[str, int], described("Runs by state.")]
 Failures = Annotated[dict[str, int], described("Failed runs by reason.")]
@@ -91,41 +91,6 @@ class ExperimentPreviewDocument(Document):
     rows: Annotated[tuple[PreviewRowDocument, ...], described("The first cells.")]
     mixed: Annotated[SkipJsonSchema[PlannedMixture | None], Field(exclude=True)] = None
     """What ``mixed_protocols`` says, for pages that offer the remedy."""
-
-
-class ExperimentStatusDocument(Document):
-    """The progress of an experiment."""
-
-    number: Annotated[int, described("Its number in this installation.")] = Field(
-        validation_alias=AliasChoices("id", "number")
-    )
-    name: str
-    description: str
-    state: str = Field(validation_alias=AliasChoices("standing", "state"))
-    executor: str
-    priority: int
-    repeats: int
-    created_at: Timestamp
-    cells: int
-    runs: int
-    missing: Annotated[int, described("Runs that are not stored because the start was interrupted.")]
-    counts: Counts
-    retried: Annotated[int, described("Failed or disturbed runs that another run replaces; not in counts.")]
-    failures: Failures
-    disturbed: Annotated[int, described("Runs that were measured on a disturbed machine.")]
-    failed_if: Annotated[str, described("When a run counts as failed.")] = DEFAULT_RULE.words
-    left_s: Annotated[float | None, described("Expected time left; null if it was not asked for.", unit="s")]
-    low_s: Annotated[float | None, described("It is longer in 19 of 20 cases; null if nothing was measured.", unit="s")]
-    high_s: Annotated[float | None, described("It is shorter in 19 of 20 cases; null as low_s.", unit="s")]
-    phase: Annotated[str, described("What happens now, such as a build; empty if nothing is left.")] = ""
-    same_cpu: Annotated[bool, described("All runs are measured on one CPU model.")] = False
-    cpu_model: Annotated[str | None, described("That CPU model; null while it is not known.")] = None
-    owner: Annotated[str | None, described("The account that it belongs to; null for nobody.")] = None
-    visibility: Annotated[Visibility, described("Who may see it and its runs, besides admins.")] = Visibility.TEAM
-    question: Annotated[
-        ExperimentQuestion | None, described("What it is asked, if it chooses its runs itself; null otherwise.")
-    ] = None
-    conclusion: Annotated[str | None, described("Its answer in one sentence; null while it chooses runs.")] = None
 
 
 class CellRunDocument(Document):

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from datetime import datetime
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from slamhive.documents.limits import Asked
+from slamhive.domain.accounts import Visibility
 from slamhive.domain.names import plural
 from slamhive.domain.placement import Remaining
+from slamhive.domain.question import ExperimentQuestion
+from slamhive.domain.run import FailureReason
+from slamhive.domain.verdict import DEFAULT_RULE, Failure, Outcome
+
+if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler
 
 
 class PlainDocument:
@@ -29,6 +39,31 @@ class PlainDocument:
 
         found: dict[str, Any] = dump(type(self), self)
         return found
+
+
+@dataclass(frozen=True, slots=True)
+class ShownAs:
+    """The type that the JSON Schema gives to a field, for ``Annotated``: it names no choices, which may become more."""
+
+    kind: Any
+    title: str
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        """The schema of that type, with the description of the field."""
+        from slamhive.documents.model import adapter  # noqa: PLC0415 - loads pydantic
+
+        said = {key: text for key, text in handler(schema).items() if key == "description"}
+        return {**adapter(self.kind).json_schema(), **said, "title": self.title}
+
+
+class ToTheMillisecond:
+    """A time as it is shown, for ``Annotated``."""
+
+    def __get_pydantic_core_schema__(self, kind: Any, handler: GetCoreSchemaHandler) -> Any:
+        """The schema of ``Timestamp``."""
+        from slamhive.documents.model import Timestamp  # noqa: PLC0415 - loads pydantic
+
+        return handler.generate_schema(Timestamp)
 
 
 # The machines that execute runs, and what they do.
@@ -142,3 +177,62 @@ class ToFetchDocument:
                 f", {'and ' if self.download_bytes is not None else ''}{plural(self.unknown, 'file')} of unknown size"
             )
         return text
+
+
+class ConfigurationStanding(StrEnum):
+    """The state of an experiment. ``storing``: its start is under way or was interrupted."""
+
+    STORING = "storing"
+    ACTIVE = "active"
+    PAUSED = "paused"
+    CANCELLED = "cancelled"
+    FINISHED = "finished"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExperimentStatusDocument(PlainDocument):
+    """The progress of an experiment."""
+
+    number: Annotated[int, Asked("Its number in this installation.")]
+    name: str
+    description: str
+    state: Annotated[ConfigurationStanding, ShownAs(str, "State")]
+    executor: str
+    priority: int
+    repeats: int
+    created_at: Annotated[datetime, ToTheMillisecond()]
+    cells: int
+    runs: int
+    missing: Annotated[int, Asked("Runs that are not stored because the start was interrupted.")]
+    counts: Annotated[Mapping[Outcome, int], Asked("Runs by state."), ShownAs(dict[str, int], "Counts")]
+    retried: Annotated[int, Asked("Failed or disturbed runs that another run replaces; not in counts.")]
+    failures: Annotated[Mapping[Failure, int], Asked("Failed runs by reason."), ShownAs(dict[str, int], "Failures")]
+    disturbed: Annotated[int, Asked("Runs that were measured on a disturbed machine.")]
+    failed_if: Annotated[str, Asked("When a run counts as failed.")] = DEFAULT_RULE.words
+    left_s: Annotated[float | None, Asked("Expected time left; null if it was not asked for.", unit="s")]
+    low_s: Annotated[float | None, Asked("It is longer in 19 of 20 cases; null if nothing was measured.", unit="s")]
+    high_s: Annotated[float | None, Asked("It is shorter in 19 of 20 cases; null as low_s.", unit="s")]
+    phase: Annotated[str, Asked("What happens now, such as a build; empty if nothing is left.")] = ""
+    same_cpu: Annotated[bool, Asked("All runs are measured on one CPU model.")] = False
+    cpu_model: Annotated[str | None, Asked("That CPU model; null while it is not known.")] = None
+    owner: Annotated[str | None, Asked("The account that it belongs to; null for nobody.")] = None
+    visibility: Annotated[Visibility, Asked("Who may see it and its runs, besides admins.")] = Visibility.TEAM
+    question: Annotated[
+        ExperimentQuestion | None, Asked("What it is asked, if it chooses its runs itself; null otherwise.")
+    ] = None
+    conclusion: Annotated[str | None, Asked("Its answer in one sentence; null while it chooses runs.")] = None
+
+    @property
+    def left(self) -> Remaining | None:
+        """The time left with its interval; None if it was not asked for."""
+        return None if self.left_s is None else Remaining(self.left_s, self.low_s, self.high_s)
+
+    @property
+    def ended(self) -> int:
+        """The number of runs that have ended."""
+        return sum(self.counts[outcome] for outcome in Outcome if outcome.ended)
+
+    @property
+    def ended_badly(self) -> int:
+        """Failed runs that can be retried; a run that failed by its verdict would fail again."""
+        return sum(count for failure, count in self.failures.items() if isinstance(failure, FailureReason))

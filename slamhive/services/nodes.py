@@ -12,6 +12,7 @@ from slamhive.base.clock import monotonic_s, utc_now
 from slamhive.base.errors import SlamHiveError, Unavailable, unknown
 from slamhive.base.settings import Mode, Settings
 from slamhive.documents.plain import (
+    ConfigurationStanding,
     EngineDocument,
     MachineDocument,
     NodeDocument,
@@ -23,7 +24,7 @@ from slamhive.executors.base import EngineUnavailable, Executor, Node
 from slamhive.executors.registry import AUTO
 from slamhive.services.datasets import check_writable
 from slamhive.services.executors import Executors
-from slamhive.services.experiments import ConfigurationStanding, ExperimentService
+from slamhive.services.experiments import ExperimentService
 from slamhive.store import RunRecord, Store
 from slamhive.store.durations import NODE, MachineRuns
 
@@ -224,7 +225,7 @@ class Nodes:
         return executor.nodes()
 
     def _left(self) -> Remaining:
-        active = [entry.name for entry in self._experiments.list() if entry.standing is ConfigurationStanding.ACTIVE]
+        active = [entry.name for entry in self._experiments.list() if entry.state is ConfigurationStanding.ACTIVE]
         found = (self._experiments.status(name).left for name in active)
         return sum((left for left in found if left is not None), Remaining(0.0))
 

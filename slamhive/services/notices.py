@@ -25,10 +25,11 @@ from slamhive.base.files import write_aside
 from slamhive.base.settings import MailSecurity, Settings
 from slamhive.documents.experiment import Notice, NoticeEvent
 from slamhive.documents.model import Document, Moment, described
+from slamhive.documents.plain import ConfigurationStanding, ExperimentStatusDocument
 from slamhive.domain.names import plural
 from slamhive.domain.verdict import Outcome
 from slamhive.recordings.variants.cache import Busy, exclusive
-from slamhive.services.experiments import ConfigurationStanding, ExperimentStatus, is_failing, status_of
+from slamhive.services.experiments import is_failing, status_of
 from slamhive.store import Store, Transaction
 from slamhive.store.records import ExperimentRecord
 
@@ -259,17 +260,17 @@ class Notices:
                         record = NoticeRecord(sent={**record.sent, key: after})
                         write_aside(path, json.dumps(record.content, indent=1) + "\n")
                     if event is NoticeEvent.FINISHED and self._is_over(after):
-                        self._done[status.id] = status.runs
+                        self._done[status.number] = status.runs
                 return arrived
         except Busy:  # another worker, perhaps on another machine, sends them now
             return 0
 
-    def _due(self, status: ExperimentStatus, record: NoticeRecord) -> Iterator[tuple[str, NoticeEvent]]:
+    def _due(self, status: ExperimentStatusDocument, record: NoticeRecord) -> Iterator[tuple[str, NoticeEvent]]:
         """Return everything there is to say about an experiment, said or not, and the key of each."""
         if _FAILING in record.sent or self._store.read(lambda t: is_failing(t, status, self._settings.notify_failures)):
             yield _FAILING, NoticeEvent.FAILING
-        if status.standing is ConfigurationStanding.FINISHED and not (
-            self._store.read(lambda t: t.durations.open_evaluations(status.id)) > 0
+        if status.state is ConfigurationStanding.FINISHED and not (
+            self._store.read(lambda t: t.durations.open_evaluations(status.number)) > 0
         ):
             # Repeats that are added later make another end.
             yield f"finished {status.runs}", NoticeEvent.FINISHED
@@ -310,11 +311,11 @@ def notices_of(settings: Settings, store: Store) -> Notices | None:
     return Notices(settings, store, channels) if channels else None
 
 
-def _status(t: Transaction, record: ExperimentRecord) -> ExperimentStatus:
+def _status(t: Transaction, record: ExperimentRecord) -> ExperimentStatusDocument:
     return status_of(record, t.experiment_counts.by_experiment(record.id).get(record.id, []))
 
 
-def _words(status: ExperimentStatus, event: NoticeEvent) -> str:
+def _words(status: ExperimentStatusDocument, event: NoticeEvent) -> str:
     good, failed, lost = (status.counts[entry] for entry in (Outcome.GOOD, Outcome.FAILED, Outcome.LOST))
     runs = plural(status.runs, "run")
     if event is NoticeEvent.FAILING:

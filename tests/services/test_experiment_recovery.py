@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.verdict import Outcome
-from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 
@@ -54,10 +55,10 @@ def test_a_killed_start_is_completed_by_the_same_file(hive: Hive, tmp_path: Path
     assert subprocess.run(command, env=os.environ, timeout=120, check=False).returncode == -signal.SIGKILL
     found = {status.name: status for status in hive.experiments.list()}
     if writes > 1:
-        assert found["many"].standing is ConfigurationStanding.STORING
+        assert found["many"].state is ConfigurationStanding.STORING
         assert sum(found["many"].counts.values()) == 120 - found["many"].missing < 120
     status = hive.experiments.start(ExperimentSource(MANY))
-    assert (status.standing, status.cells, status.runs, status.missing) == (ConfigurationStanding.ACTIVE, 60, 120, 0)
+    assert (status.state, status.cells, status.runs, status.missing) == (ConfigurationStanding.ACTIVE, 60, 120, 0)
     ids = hive.experiments.run_ids("many")
     runs = hive.store.read(lambda t: t.runs.get_many(ids))
     assert len(runs) == len({(run.cell, run.seed) for run in runs}) == 120
@@ -88,7 +89,7 @@ def test_a_lost_database_is_rebuilt_with_what_waited(hive: Hive) -> None:
         report = reindex(again, silent)
         assert (report.runs, report.experiments, report.queued, report.skipped) == (1, 1, 3, [])
         status = again.experiments.status("some")
-        assert status.standing is ConfigurationStanding.PAUSED
+        assert status.state is ConfigurationStanding.PAUSED
         assert (status.counts[Outcome.GOOD], status.counts[Outcome.QUEUED]) == (1, 3)
         after = list(again.experiments.report("some"))
         assert [(cell.name, cell.values, cell.counts) for cell in after] == [
@@ -98,7 +99,7 @@ def test_a_lost_database_is_rebuilt_with_what_waited(hive: Hive) -> None:
         assert again.experiments.status("some").counts[Outcome.QUEUED] == 3, "paused as before"
         again.experiments.resume("some")
         again.worker().run(until_idle=True)
-        assert again.experiments.status("some").standing is ConfigurationStanding.FINISHED
+        assert again.experiments.status("some").state is ConfigurationStanding.FINISHED
     finally:
         again.close()
 
@@ -109,7 +110,7 @@ def test_a_cancelled_experiment_stays_cancelled(hive: Hive) -> None:
     again = lose_database(hive)
     try:
         assert reindex(again, silent).queued == 0
-        assert again.experiments.status("some").standing is ConfigurationStanding.CANCELLED
+        assert again.experiments.status("some").state is ConfigurationStanding.CANCELLED
         assert again.experiments.run_ids("some") == ()
     finally:
         again.close()

@@ -15,6 +15,7 @@ from slamhive.base.files import size_bytes
 from slamhive.base.settings import Mode
 from slamhive.cli.demo import DemoPhase as BuildPhase
 from slamhive.cli.demo import Phases, buildable
+from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import Outcome
 from slamhive.services.experiments import previewing
@@ -25,7 +26,7 @@ from slamhive.services.experiments.context import (
     GUESSED_START_S,
 )
 from slamhive.services.experiments.previewing import NODE_BYTES_PER_S
-from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.store import Lease, RunRecord
 from tests.services.conftest import opened_hive
@@ -143,7 +144,7 @@ def test_starting_stores_cells_and_runs_with_all_that_the_file_says(hive: Hive) 
     done: list[tuple[int, int]] = []
     status = hive.experiments.start(source(), progress=lambda *now: done.append(now))
     assert done[-1] == (6, 6)
-    assert (status.standing, status.cells, status.runs, status.missing) == (ConfigurationStanding.ACTIVE, 6, 6, 0)
+    assert (status.state, status.cells, status.runs, status.missing) == (ConfigurationStanding.ACTIVE, 6, 6, 0)
     runs = runs_of(hive)
     assert len(runs) == 6
     for run in runs:
@@ -154,7 +155,7 @@ def test_starting_stores_cells_and_runs_with_all_that_the_file_says(hive: Hive) 
 
 def test_it_runs_and_tells_every_cell(finished: Hive) -> None:
     status = finished.experiments.status("six")
-    assert status.standing is ConfigurationStanding.FINISHED
+    assert status.state is ConfigurationStanding.FINISHED
     assert counts(finished) == {"good": 3, "failed": 3}
     assert status.failures == {"nonzero_exit": 3}
     assert (status.left_s, status.low_s, status.high_s) == (0.0, 0.0, 0.0)
@@ -274,11 +275,11 @@ def test_a_broken_package_is_told_with_its_reason(hive: Hive) -> None:
 
 def test_paused_runs_are_not_taken_and_resumed_ones_are(hive: Hive) -> None:
     hive.experiments.start(source())
-    assert hive.experiments.pause("six").standing is ConfigurationStanding.PAUSED
+    assert hive.experiments.pause("six").state is ConfigurationStanding.PAUSED
     assert all(run.held for run in runs_of(hive))
     work(hive)
     assert counts(hive) == {"queued": 6}
-    assert hive.experiments.resume("six").standing is ConfigurationStanding.ACTIVE
+    assert hive.experiments.resume("six").state is ConfigurationStanding.ACTIVE
     work(hive)
     assert counts(hive) == {"good": 3, "failed": 3}
     with pytest.raises(Conflict, match="has finished"):
@@ -304,7 +305,7 @@ def test_cancelling_ends_what_waits_and_asks_what_runs(hive: Hive) -> None:
     claimed = hive.store.write(lambda t: t.queue.claim(Lease("someone", now, 1e6)))
     assert claimed is not None
     status = hive.experiments.cancel("six")
-    assert status.standing is ConfigurationStanding.CANCELLED
+    assert status.state is ConfigurationStanding.CANCELLED
     assert counts(hive) == {"cancelled": 5, "running": 1}
     assert hive.runs.get(claimed.id).cancel_requested
     (cancelled,) = {run.id for run in runs_of(hive) if run.cell == 6}
@@ -410,7 +411,7 @@ def test_view_only_refuses_every_change(hive: Hive) -> None:
         with pytest.raises(Forbidden, match="view-only"):
             change()
     assert everything(hive) == before
-    assert hive.experiments.status("six").standing is ConfigurationStanding.ACTIVE
+    assert hive.experiments.status("six").state is ConfigurationStanding.ACTIVE
 
 
 def test_an_unknown_experiment_is_told_with_the_nearest(hive: Hive) -> None:

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from slamhive.base.errors import Conflict, InvalidInput, NotFound
+from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.question import CandidateStanding, QuestionAnswer
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.services.executors import Executors
-from slamhive.services.experiments import ConfigurationStanding, ExperimentSource
+from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from tests.services.gate_world import finish
@@ -79,7 +80,7 @@ def test_starting_stores_the_candidates_and_no_run(hive: Hive):
     start(hive)
     status = hive.experiments.status("two")
     assert (status.cells, status.runs, status.question, status.conclusion) == (2, 0, "decide", None)
-    assert status.standing is ConfigurationStanding.ACTIVE
+    assert status.state is ConfigurationStanding.ACTIVE
     assert status.phase == "choosing the next runs"
 
 
@@ -100,7 +101,7 @@ def test_rounds_are_balanced_until_one_is_best(hive: Hive):
     status = hive.experiments.status("two")
     assert status.conclusion == found.words
     assert status.conclusion.startswith("nFeatures 1000 is best in ATE RMSE with 0.0")
-    assert status.standing is ConfigurationStanding.FINISHED
+    assert status.state is ConfigurationStanding.FINISHED
     assert status.runs == found.runs < 80
 
 

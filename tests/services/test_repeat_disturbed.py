@@ -11,11 +11,12 @@ import pytest
 
 from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.documents import experiment as schema
+from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import Outcome
 from slamhive.experiments.file import parse_experiment
 from slamhive.services.experiments.progress import counted_runs
-from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.hive import Hive, open_hive
 from slamhive.services.reindex import reindex
 from slamhive.services.runs.service import repeat_if_disturbed
@@ -56,7 +57,7 @@ def test_a_disturbed_run_is_repeated_until_one_is_not(hive: Hive) -> None:
     assert (second.retry_of, second.seed, second.cell, second.repeat_disturbed) == (first.id, first.seed, first.cell, 1)
     status = hive.experiments.status("one")
     assert (status.counts[Outcome.UNJUDGED], status.retried, status.disturbed) == (1, 1, 0)
-    assert (status.runs, status.standing) == (1, ConfigurationStanding.FINISHED)
+    assert (status.runs, status.state) == (1, ConfigurationStanding.FINISHED)
     (cell,) = hive.experiments.report("one")
     (figures,) = cell.figures
     assert (figures.runs, figures.disturbed) == (1, 0)
@@ -74,7 +75,7 @@ def test_it_is_repeated_so_often_at_most_and_the_last_counts_marked(hive: Hive) 
     assert [run.repeat_disturbed for run in runs_of(hive)] == [2, 1, 0]
     status = hive.experiments.status("one")
     assert (status.counts[Outcome.UNJUDGED], status.retried, status.disturbed) == (1, 2, 1)
-    assert schema.ExperimentStatusDocument.of(status).content["disturbed"] == 1
+    assert status.content["disturbed"] == 1
     (cell,) = hive.experiments.report("one")
     (figures,) = cell.figures
     assert (figures.runs, figures.disturbed) == (1, 1)

@@ -13,10 +13,11 @@ from typing import Any
 import pytest
 
 from slamhive.base.settings import Mode
+from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.services.executors import Executors
-from slamhive.services.experiments.views import ConfigurationStanding, ExperimentSource
+from slamhive.services.experiments.views import ExperimentSource
 from slamhive.web.presenters.experiment_builder import MOST_TEXT
 from slamhive.web.security import API_HEADER
 from slamhive.web.views import experiments as views
@@ -281,7 +282,7 @@ def test_changes_need_the_token(trial: Web, path: str, token: dict[str, str]):
     assert answer.status_code == 400
     assert "CSRF" in answer.text
     assert names(trial) == ["trial"]
-    assert trial.hive.experiments.status("trial").standing is ConfigurationStanding.ACTIVE
+    assert trial.hive.experiments.status("trial").state is ConfigurationStanding.ACTIVE
 
 
 # -- the list and the page ---------------------------------------------------------------------------------------------
@@ -454,10 +455,10 @@ def test_many_configurations_make_a_small_page(web: Web):
 def test_pause_and_resume(trial: Web):
     assert "Pause" in trial.client.get("/experiments/trial").text
     assert act(trial, "pause").status_code == 303
-    assert trial.hive.experiments.status("trial").standing is ConfigurationStanding.PAUSED
+    assert trial.hive.experiments.status("trial").state is ConfigurationStanding.PAUSED
     assert "Resume" in trial.client.get("/experiments/trial").text
     assert act(trial, "resume").status_code == 303
-    assert trial.hive.experiments.status("trial").standing is ConfigurationStanding.ACTIVE
+    assert trial.hive.experiments.status("trial").state is ConfigurationStanding.ACTIVE
 
 
 def test_cancelling_asks_first(trial: Web):
@@ -466,7 +467,7 @@ def test_cancelling_asks_first(trial: Web):
     assert 'action="/experiments/trial/cancel"' in confirmation
     assert "12 runs will not run" in confirmation
     assert act(trial, "cancel").status_code == 303
-    assert trial.hive.experiments.status("trial").standing is ConfigurationStanding.CANCELLED
+    assert trial.hive.experiments.status("trial").state is ConfigurationStanding.CANCELLED
     assert trial.hive.runs.get(runs_of(trial, 1)[0]).state is RunState.CANCELLED
     assert 'class="confirm"' not in trial.client.get("/experiments/trial").text
 

@@ -32,10 +32,8 @@ if TYPE_CHECKING:
     from slamhive.services.experiments.views import (
         Cell,
         CellFigures,
-        ConfigurationStanding,
         ExperimentGrid,
         ExperimentSource,
-        ExperimentStatus,
         GridCell,
         MetricGrid,
         MetricSpread,

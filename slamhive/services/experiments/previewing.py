@@ -19,7 +19,7 @@ from slamhive.documents.experiment import (
     PreviewRowDocument,
     VariantNeedDocument,
 )
-from slamhive.documents.plain import ToFetchDocument
+from slamhive.documents.plain import ConfigurationStanding, ToFetchDocument
 from slamhive.domain.configuration import Configuration, Variant
 from slamhive.domain.matching import Origin, match_of, shown
 from slamhive.domain.placement import DataRuns, makespan_s, place
@@ -34,7 +34,6 @@ from slamhive.services.evaluations import protocol_for
 from slamhive.services.experiments.context import Costs, ExperimentContext, Progress, guessed_duration_s
 from slamhive.services.experiments.views import (
     ASSUMED_DURATION_S,
-    ConfigurationStanding,
     assumed_dataset,
     to_fetch,
     unfetched,

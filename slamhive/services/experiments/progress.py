@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.base.clock import SYSTEM_CLOCK, Clock
 from slamhive.base.errors import InvalidInput, unknown
+from slamhive.documents.plain import ConfigurationStanding, ExperimentStatusDocument
 from slamhive.domain.names import plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.placement import Remaining
@@ -23,9 +24,7 @@ from slamhive.services.experiments.views import (
     Cell,
     CellFigures,
     CellPage,
-    ConfigurationStanding,
     ExperimentGrid,
-    ExperimentStatus,
     GridCell,
     MeanOfRuns,
     MetricGrid,
@@ -194,7 +193,7 @@ _STANDINGS = {
 }
 
 
-def all_statuses(t: Transaction) -> tuple[ExperimentStatus, ...]:
+def all_statuses(t: Transaction) -> tuple[ExperimentStatusDocument, ...]:
     """All experiments, newest first, without the time left."""
     counts, disturbed = t.experiment_counts.by_experiment(), t.experiment_counts.disturbed()
     return tuple(
@@ -202,7 +201,7 @@ def all_statuses(t: Transaction) -> tuple[ExperimentStatus, ...]:
     )
 
 
-def status(t: Transaction, name: str, time_left: TimeLeft) -> ExperimentStatus:
+def status(t: Transaction, name: str, time_left: TimeLeft) -> ExperimentStatusDocument:
     """The experiment called ``name``; raises NotFound."""
     record = t.experiments.get(name)
     counts = t.experiment_counts.by_experiment(record.id).get(record.id, [])
@@ -213,7 +212,7 @@ def status(t: Transaction, name: str, time_left: TimeLeft) -> ExperimentStatus:
 
 def status_of(
     record: ExperimentRecord, found: Sequence[StateCount], disturbed: int = 0, left: Left | None = None
-) -> ExperimentStatus:
+) -> ExperimentStatusDocument:
     """The status of an experiment with these counts of runs."""
     counts: Counter[Outcome] = Counter()
     failures: Counter[Failure] = Counter()
@@ -226,11 +225,11 @@ def status_of(
         failure = failure_of(entry)
         if failure is not None:
             failures[failure] += entry.count
-    return ExperimentStatus(
-        id=record.id,
+    return ExperimentStatusDocument(
+        number=record.id,
         name=record.name,
         description=record.description,
-        standing=standing_of(record, counts),
+        state=standing_of(record, counts),
         executor=record.executor,
         priority=record.priority,
         repeats=record.repeats,
@@ -242,7 +241,9 @@ def status_of(
         retried=retried,
         failures=dict(failures),
         disturbed=disturbed,
-        left=None if left is None else left.time,
+        left_s=None if left is None else left.time.seconds,
+        low_s=None if left is None else left.time.low_s,
+        high_s=None if left is None else left.time.high_s,
         phase="" if left is None else left.phase or ("choosing the next runs" if record.undecided else ""),
         same_cpu=record.cpu_model is not None,
         cpu_model=record.cpu_model or None,
@@ -264,15 +265,15 @@ def standing_of(record: ExperimentRecord, counts: Mapping[Outcome, int]) -> Conf
     return _STANDINGS[record.state]
 
 
-def is_failing(t: Transaction, found: ExperimentStatus, wanted: int) -> bool:
+def is_failing(t: Transaction, found: ExperimentStatusDocument, wanted: int) -> bool:
     """Tell if the last ``wanted`` runs of an experiment that goes on have all failed; never if that is 0."""
     if (
         not wanted
         or found.counts[Outcome.FAILED] + found.counts[Outcome.LOST] < wanted
-        or found.standing in (ConfigurationStanding.FINISHED, ConfigurationStanding.CANCELLED)
+        or found.state in (ConfigurationStanding.FINISHED, ConfigurationStanding.CANCELLED)
     ):
         return False
-    ends = t.experiment_counts.last_ended(found.id, wanted)
+    ends = t.experiment_counts.last_ended(found.number, wanted)
     return len(ends) == wanted and all(ends)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from slamhive.base.errors import Conflict, SlamHiveError
+from slamhive.documents.plain import ConfigurationStanding, ExperimentStatusDocument
 from slamhive.domain.parameters import Value
 from slamhive.services.datasets import check_writable
 from slamhive.services.experiments import progress as statuses
@@ -14,10 +15,8 @@ from slamhive.services.experiments.progress import AxisTables, TimeLeft
 from slamhive.services.experiments.views import (
     Cell,
     CellPage,
-    ConfigurationStanding,
     ExperimentGrid,
     ExperimentSource,
-    ExperimentStatus,
     MetricGrid,
 )
 from slamhive.store import Transaction
@@ -79,7 +78,7 @@ class ExperimentService:
             record = context.store.read(lambda t: t.experiments.find(experiment.name))
             if record is not None:
                 check_same(context, record, experiment, executor)
-                standing = self.status(record.name).standing
+                standing = self.status(record.name).state
         except SlamHiveError as error:
             refusals.append(str(error))
         found = preview(context, experiment, usable, standing, progress, nodes)
@@ -106,7 +105,7 @@ class ExperimentService:
         executor: str | None = None,
         progress: Progress = silent,
         visibility: Visibility | None = None,
-    ) -> ExperimentStatus:
+    ) -> ExperimentStatusDocument:
         """Store the experiment and queue its runs; ``progress`` is called with the runs stored and their total.
 
         Starting the same file again completes an interrupted start, or changes nothing. ``executor`` overrides that of
@@ -123,16 +122,16 @@ class ExperimentService:
         check_writable(self._context.settings)
         return self.status(start(self._context, source, executor, progress, visibility))
 
-    def list(self) -> tuple[ExperimentStatus, ...]:
+    def list(self) -> tuple[ExperimentStatusDocument, ...]:
         """All experiments, the newest first, without the time left."""
         return self._context.store.read(statuses.all_statuses)
 
-    def is_failing(self, found: ExperimentStatus) -> bool:
+    def is_failing(self, found: ExperimentStatusDocument) -> bool:
         """Tell if the latest runs of an experiment that goes on have all failed (NOTIFY_FAILURES)."""
         wanted = self._context.settings.notify_failures
         return self._context.store.read(lambda t: statuses.is_failing(t, found, wanted))
 
-    def status(self, name: str) -> ExperimentStatus:
+    def status(self, name: str) -> ExperimentStatusDocument:
         """The progress of an experiment; raises NotFound."""
         return self._context.store.read(lambda t: statuses.status(t, name, self._time_left))
 
@@ -229,18 +228,18 @@ class ExperimentService:
         check_writable(self._context.settings)
         return restore_runs(self._context)
 
-    def pause(self, name: str) -> ExperimentStatus:
+    def pause(self, name: str) -> ExperimentStatusDocument:
         """Hold queued runs; active runs continue. Raises Conflict if all runs have ended."""
         check_writable(self._context.settings)
-        if self.status(name).standing is ConfigurationStanding.FINISHED:
+        if self.status(name).state is ConfigurationStanding.FINISHED:
             raise Conflict(f"experiment {name} has finished", "there is nothing to pause")
         return self._put(name, ExperimentState.PAUSED)
 
-    def resume(self, name: str) -> ExperimentStatus:
+    def resume(self, name: str) -> ExperimentStatusDocument:
         """Release the held runs."""
         return self._put(name, ExperimentState.ACTIVE)
 
-    def cancel(self, name: str) -> ExperimentStatus:
+    def cancel(self, name: str) -> ExperimentStatusDocument:
         """Cancel all queued and active runs. This cannot be undone."""
         return self._put(name, ExperimentState.CANCELLED)
 
@@ -251,7 +250,7 @@ class ExperimentService:
         check_writable(self._context.settings)
         return retry_failed(self._context, name)
 
-    def add_repeats(self, name: str, count: int, progress: Progress = silent) -> ExperimentStatus:
+    def add_repeats(self, name: str, count: int, progress: Progress = silent) -> ExperimentStatusDocument:
         """Add ``count`` repeats to each cell and seed, as if the file had requested them from the start.
 
         Raises InvalidInput for a count that is not allowed, Conflict if algorithms or datasets have changed.
@@ -276,7 +275,7 @@ class ExperimentService:
         check_writable(self._context.settings)
         conclude(self._context, name, words)
 
-    def _put(self, name: str, state: ExperimentState) -> ExperimentStatus:
+    def _put(self, name: str, state: ExperimentState) -> ExperimentStatusDocument:
         from slamhive.services.experiments.starting import put_state  # noqa: PLC0415
 
         check_writable(self._context.settings)

@@ -5,20 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from datetime import datetime
-from enum import StrEnum
 from pathlib import Path
 
 from slamhive.base import strict_yaml
 from slamhive.documents.plain import ToFetchDocument
-from slamhive.domain.accounts import Visibility
 from slamhive.domain.algorithm import ROS1_SUFFIX
 from slamhive.domain.collection import Collection, RemoteFile, Sequence
 from slamhive.domain.dataset import Dataset, GroundTruth
 from slamhive.domain.parameters import Value
-from slamhive.domain.placement import Remaining
-from slamhive.domain.question import ExperimentQuestion
-from slamhive.domain.run import FailureReason
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind
 from slamhive.domain.verdict import Failure, Outcome
 from slamhive.store.records import CellRun, ProtocolLabel
@@ -38,79 +32,6 @@ class ExperimentSource:
     def read(cls, path: Path) -> ExperimentSource:
         """The file at ``path``; raises InvalidInput."""
         return cls(strict_yaml.read_text(path), str(path))
-
-
-class ConfigurationStanding(StrEnum):
-    """The state of an experiment. ``storing``: its start is under way or was interrupted."""
-
-    STORING = "storing"
-    ACTIVE = "active"
-    PAUSED = "paused"
-    CANCELLED = "cancelled"
-    FINISHED = "finished"
-
-
-@dataclass(frozen=True, slots=True)
-class ExperimentStatus:
-    """The progress of an experiment.
-
-    ``counts`` of runs by phase leave out failed and disturbed runs that were repeated (``retried``). ``disturbed``
-    of the counted runs were measured on a disturbed machine.
-    ``failures``: {reason: runs}. ``left`` is the estimated time left with builds and evaluations, None if it was not
-    asked for; ``phase`` says what happens now. ``missing`` runs are not stored, because the start was interrupted.
-    With ``same_cpu`` all runs are measured on ``cpu_model``, which is None while it is not known.
-    ``owner``: the account that it belongs to, None for nobody; ``visibility``: who may see it besides admins.
-    One with a ``question`` chooses its runs until it has a ``conclusion``, a sentence.
-    """
-
-    id: int
-    name: str
-    description: str
-    standing: ConfigurationStanding
-    executor: str
-    priority: int
-    repeats: int
-    created_at: datetime
-    cells: int
-    runs: int
-    missing: int
-    counts: Mapping[Outcome, int]
-    retried: int
-    failures: Mapping[Failure, int]
-    disturbed: int
-    left: Remaining | None
-    phase: str = ""
-    same_cpu: bool = False
-    cpu_model: str | None = None
-    owner: str | None = None
-    visibility: Visibility = Visibility.TEAM
-    question: ExperimentQuestion | None = None
-    conclusion: str | None = None
-
-    @property
-    def left_s(self) -> float | None:
-        """The expected time left."""
-        return None if self.left is None else self.left.seconds
-
-    @property
-    def low_s(self) -> float | None:
-        """The lower end of its interval; None if nothing was measured."""
-        return None if self.left is None else self.left.low_s
-
-    @property
-    def high_s(self) -> float | None:
-        """The upper end of its interval; None if nothing was measured."""
-        return None if self.left is None else self.left.high_s
-
-    @property
-    def ended(self) -> int:
-        """The number of runs that have ended."""
-        return sum(self.counts[outcome] for outcome in Outcome if outcome.ended)
-
-    @property
-    def ended_badly(self) -> int:
-        """Failed runs that can be retried; a run that failed by its verdict would fail again."""
-        return sum(count for failure, count in self.failures.items() if isinstance(failure, FailureReason))
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +61,7 @@ class CellFigures:
 class Cell:
     """One configuration of an experiment with its runs.
 
-    ``counts`` as in :class:`ExperimentStatus`; ``failures`` counts all failed runs, retried ones too. Metrics of
+    ``counts`` as in ``ExperimentStatusDocument``; ``failures`` counts all failed runs, retried ones too. Metrics of
     different protocols are kept apart.
     """
 
@@ -168,7 +89,7 @@ class GridCell:
     """The cells of an experiment with the same two axis values: their number, the first one, and runs by phase.
 
     ``configurations`` are their numbers, empty if there are more than :data:`MOST_LISTED`. ``counts`` and
-    ``failures`` (runs by reason) as in :class:`ExperimentStatus`.
+    ``failures`` (runs by reason) as in ``ExperimentStatusDocument``.
     """
 
     cells: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import IO
 
 from flask import Response, request, url_for
@@ -37,10 +38,10 @@ from slamhive.documents.experiment import (
     Decision,
     ExperimentAnswerDocument,
     ExperimentPreviewDocument,
-    ExperimentStatusDocument,
     GridDocument,
     SearchStanding,
 )
+from slamhive.documents.plain import ExperimentStatusDocument
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.sharing import SharingChange
 from slamhive.services.stored_analyses import MEDIA_TYPES
@@ -64,14 +65,14 @@ from slamhive.web.views.challenges import MOST_SENT_BYTES, cancel_submission, ow
 @TABLE.get(Section.EXPERIMENTS, "/experiments", ExperimentsDocument)
 def experiments() -> ExperimentsDocument:
     """All experiments with their progress, the newest first."""
-    return ExperimentsDocument(experiments=tuple(map(ExperimentStatusDocument.of, hive().experiments.list())))
+    return ExperimentsDocument(experiments=hive().experiments.list())
 
 
 @TABLE.post(Section.EXPERIMENTS, "/experiments", ExperimentStatusDocument, body=ExperimentRequest, status=201)
 def start_experiment(body: ExperimentRequest) -> ExperimentStatusDocument:
     """Store the experiment in the file and queue its runs. The same file again completes an interrupted start."""
     source = ExperimentSource(body.yaml, SOURCE)
-    return ExperimentStatusDocument.of(hive().experiments.start(source, body.executor, visibility=body.visibility))
+    return hive().experiments.start(source, body.executor, visibility=body.visibility)
 
 
 @TABLE.post(Section.EXPERIMENTS, "/experiments/preview", ExperimentPreviewDocument, body=YamlRequest)
@@ -84,8 +85,9 @@ def preview_experiment(body: YamlRequest) -> ExperimentPreviewDocument:
 def experiment(name: str) -> ExperimentWithFile:
     """The progress of one experiment, its file, its axes, and what it says so far in a sentence."""
     services = hive().experiments
-    return ExperimentWithFile.of(
-        services.status(name),
+    found = services.status(name)
+    return ExperimentWithFile(
+        **{field.name: getattr(found, field.name) for field in fields(found)},
         yaml=services.source(name).text,
         axes=services.axes(name),
         answer=ExperimentAnswerDocument.of(services.answer(name)),
@@ -134,14 +136,14 @@ def change_experiment(name: str, action: str) -> ExperimentStatusDocument:
         "retry-failed": services.retry_failed,
     }
     changes[action](name)
-    return ExperimentStatusDocument.of(services.status(name))
+    return services.status(name)
 
 
 @TABLE.post(Section.EXPERIMENTS, "/experiments/{name}/share", ExperimentStatusDocument, body=VisibilityRequest)
 def share_experiment(name: str, body: VisibilityRequest) -> ExperimentStatusDocument:
     """Choose who may see one experiment and its runs; its owner may, and admins."""
     hive().sharings.experiment(name, SharingChange(body.visibility))
-    return ExperimentStatusDocument.of(hive().experiments.status(name))
+    return hive().experiments.status(name)
 
 
 @TABLE.post(
@@ -150,7 +152,7 @@ def share_experiment(name: str, body: VisibilityRequest) -> ExperimentStatusDocu
 def add_repeats(name: str, body: RepeatsRequest) -> ExperimentStatusDocument:
     """Add repeats of each configuration and seed of one experiment."""
     hive().experiments.add_repeats(name, body.count)
-    return ExperimentStatusDocument.of(hive().experiments.status(name))
+    return hive().experiments.status(name)
 
 
 # -- analyses: reports that a worker computes from a file --------------------------------------------------------------

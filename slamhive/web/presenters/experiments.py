@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from slamhive.documents.experiment import ExperimentPreviewDocument
+from slamhive.documents.plain import ExperimentStatusDocument
 from slamhive.domain.metrics import Metric
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason, RunState
@@ -17,7 +18,6 @@ from slamhive.services.experiments import (
     Cell,
     CellFigures,
     ExperimentGrid,
-    ExperimentStatus,
     GridCell,
     MetricGrid,
     MetricSpread,
@@ -138,7 +138,7 @@ def failures_in_words(failures: Mapping[Failure, int]) -> str:
     return ", ".join(f"{thousands(count)} {failure_words(failure)}" for failure, count in ordered if count)
 
 
-def status_in_words(status: ExperimentStatus) -> str:
+def status_in_words(status: ExperimentStatusDocument) -> str:
     """The progress of an experiment as text."""
     text = f"{thousands(status.ended)} of {plural(status.runs, 'run')} finished: {counts_in_words(status.counts)}."
     if status.retried:
@@ -286,7 +286,7 @@ def unit_of(metric: Metric) -> str:
     return display_unit(metric).unit
 
 
-def outcome_count(status: ExperimentStatus, outcome: str) -> int:
+def outcome_count(status: ExperimentStatusDocument, outcome: str) -> int:
     """Number of runs with one outcome."""
     return status.counts.get(Outcome(outcome), 0)
 

@@ -8,10 +8,11 @@ from datetime import timedelta
 from pathlib import Path
 
 from slamhive.base.clock import utc_now
+from slamhive.documents.plain import ConfigurationStanding, ExperimentStatusDocument
 from slamhive.domain.bibliography import Reference
 from slamhive.domain.run import FailureReason
 from slamhive.domain.verdict import Outcome
-from slamhive.services.experiments import Certainty, ConfigurationStanding, ExperimentAnswer, ExperimentStatus
+from slamhive.services.experiments import Certainty, ExperimentAnswer
 from slamhive.services.hive import Hive
 from slamhive.web.formatting import plural, thousands
 from slamhive.web.presenters import rankings
@@ -55,7 +56,7 @@ class Attention:
 class AnswerCard:
     """An experiment with its answer, and the strip of its first ranking; None while no run has ended."""
 
-    status: ExperimentStatus
+    status: ExperimentStatusDocument
     answer: ExperimentAnswer
     ranking: rankings.RankingView | None
 
@@ -86,13 +87,13 @@ def headline(active: int, queued: int) -> str:
     return ", ".join(parts) or "Nothing is running"
 
 
-def answer_cards(services: Hive, experiments: Sequence[ExperimentStatus]) -> list[AnswerCard]:
+def answer_cards(services: Hive, experiments: Sequence[ExperimentStatusDocument]) -> list[AnswerCard]:
     """The newest experiments with runs that have ended, each with its answer."""
     found = [entry for entry in experiments if entry.cells <= rankings.LARGEST and entry.ended][:LATEST]
     return [_card(services, entry) for entry in found]
 
 
-def _card(services: Hive, status: ExperimentStatus) -> AnswerCard:
+def _card(services: Hive, status: ExperimentStatusDocument) -> AnswerCard:
     axes = {axis: len(values) for axis, values in services.experiments.axes(status.name).items()}
     by_algorithm = axes.get("algorithm", 0) > 1
     telling = [axis for axis in rankings.naming_axes(axes) if axes[axis] > 1]  # a card has no room for the others
@@ -100,9 +101,11 @@ def _card(services: Hive, status: ExperimentStatus) -> AnswerCard:
     return AnswerCard(status, answer, next(iter(rankings.views(found, telling)), None))
 
 
-def needs(services: Hive, experiments: Sequence[ExperimentStatus], cards: Sequence[AnswerCard]) -> list[Attention]:
+def needs(
+    services: Hive, experiments: Sequence[ExperimentStatusDocument], cards: Sequence[AnswerCard]
+) -> list[Attention]:
     """List what needs somebody, the worst first."""
-    looked_at = [entry for entry in experiments if entry.standing is not ConfigurationStanding.CANCELLED][:LOOKED_AT]
+    looked_at = [entry for entry in experiments if entry.state is not ConfigurationStanding.CANCELLED][:LOOKED_AT]
     found = [need for entry in looked_at for need in _failed(entry)]
     found += _failed_alone(services)
     found += [need for entry in looked_at if entry.disturbed for need in _disturbed(services, entry)]
@@ -120,7 +123,7 @@ def needs(services: Hive, experiments: Sequence[ExperimentStatus], cards: Sequen
     return found + [need for card in cards for need in _undecided(card)]
 
 
-def _failed(status: ExperimentStatus) -> Iterator[Attention]:
+def _failed(status: ExperimentStatusDocument) -> Iterator[Attention]:
     counts, why = status.counts, failures_in_words(status.failures)
     failed, lost = counts[Outcome.FAILED], counts[Outcome.LOST]
     if status.ended_badly:
@@ -162,7 +165,7 @@ def _failed_alone(services: Hive) -> Iterator[Attention]:
         )
 
 
-def _disturbed(services: Hive, status: ExperimentStatus) -> Iterator[Attention]:
+def _disturbed(services: Hive, status: ExperimentStatusDocument) -> Iterator[Attention]:
     found = services.searches.find(f"experiment = {status.name} and disturbed = true and state = succeeded")
     repeated = services.runs.repeated(found)
     wanted = [number for number in found if number not in repeated][-_MOST_DISTURBED:]
@@ -178,7 +181,7 @@ def _disturbed(services: Hive, status: ExperimentStatus) -> Iterator[Attention]:
 
 def _undecided(card: AnswerCard) -> Iterator[Attention]:
     more = card.answer.more_repeats
-    if card.answer.certainty.undecided and more and card.status.standing is ConfigurationStanding.FINISHED:
+    if card.answer.certainty.undecided and more and card.status.state is ConfigurationStanding.FINISHED:
         yield Attention(
             "trust-limited",
             f"{card.status.name} is not decided: {card.answer.certainty.value}",

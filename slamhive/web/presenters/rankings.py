@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from slamhive.analysis.chart import algorithm_colours
+from slamhive.documents.plain import ExperimentStatusDocument
 from slamhive.domain.metrics import CATALOGUE, Metric
 from slamhive.domain.parameters import Value
 from slamhive.domain.side_by_side import short_names
 from slamhive.domain.trust import TrustLevel
 from slamhive.domain.verdict import Outcome
-from slamhive.services.experiments import RANKED_BY, ExperimentStatus, RankedCell, Ranking
+from slamhive.services.experiments import RANKED_BY, RankedCell, Ranking
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
 from slamhive.web.formatting import (
@@ -78,7 +79,7 @@ class RankingView:
     notes: tuple[str, ...]
 
 
-def title(status: ExperimentStatus) -> str:
+def title(status: ExperimentStatusDocument) -> str:
     """The heading: a ranking is preliminary until all runs have ended."""
     if status.ended == status.runs:
         return "Ranking"
@@ -96,7 +97,7 @@ def naming_axes(axes: Mapping[str, int]) -> list[str]:
 
 
 def of_experiment(
-    services: Hive, status: ExperimentStatus, axes: Sequence[str], *, by_algorithm: bool
+    services: Hive, status: ExperimentStatusDocument, axes: Sequence[str], *, by_algorithm: bool
 ) -> list[RankingView]:
     """The tables of an experiment; none while no run has ended, or if it is too large."""
     if status.cells > LARGEST:

@@ -6,10 +6,10 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 from flask import url_for as address
 
 from slamhive.base.errors import Unavailable
+from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.accounts import Action
 from slamhive.domain.run import RunState
 from slamhive.filters.words import matching
-from slamhive.services.experiments import ConfigurationStanding
 from slamhive.store.records import RunSort
 from slamhive.web.columns import column
 from slamhive.web.context import caller, callers, demo_work, hive, live_hub
@@ -64,7 +64,7 @@ def index() -> str:
         "dashboard/index.html",
         headline=home.headline(len(active), queued.total),
         worker_missing=bool(queued.total) and not view_only and not services.worker_alive(),
-        going_on=with_time_left(entry for entry in experiments if entry.standing in GOING_ON)[:LIST_LENGTH],
+        going_on=with_time_left(entry for entry in experiments if entry.state in GOING_ON)[:LIST_LENGTH],
         active=active,
         queued=queued.total,
         needs=[] if view_only else home.needs(services, experiments, cards),

@@ -12,6 +12,7 @@ from werkzeug.datastructures import MultiDict
 from slamhive.base.errors import NotFound, SlamHiveError, unknown
 from slamhive.documents.experiment import SearchStanding
 from slamhive.documents.limits import Limits, StopWhen, options_of
+from slamhive.documents.plain import ConfigurationStanding, ExperimentStatusDocument
 from slamhive.domain.accounts import Action, Visibility
 from slamhive.domain.metrics import CATALOGUE, described
 from slamhive.domain.protocol import ALIGNMENT_LABELS
@@ -21,9 +22,7 @@ from slamhive.experiments.file import parse_experiment
 from slamhive.filters.syntax import FilterComparison, Sign, Word, filter_text
 from slamhive.services.experiments import (
     METRICS,
-    ConfigurationStanding,
     ExperimentSource,
-    ExperimentStatus,
     question,
 )
 from slamhive.services.sharing import SharingChange
@@ -115,7 +114,7 @@ def _where(name: str) -> str:
     return filter_text(FilterComparison(Word("experiment"), Sign.EQUAL, (Word(name),)))
 
 
-def _tab(args: MultiDict[str, str], status: ExperimentStatus) -> str:
+def _tab(args: MultiDict[str, str], status: ExperimentStatusDocument) -> str:
     """The tab of an address: that it names, or that its arguments belong to, or the ranking once there is one."""
     tab = args.get("tab", "")
     if tab in TABS:
@@ -130,7 +129,7 @@ def _tab(args: MultiDict[str, str], status: ExperimentStatus) -> str:
     return "ranking" if judged and status.cells <= LARGE else "grid"
 
 
-def _ranking_words(status: ExperimentStatus) -> dict[str, Any]:
+def _ranking_words(status: ExperimentStatusDocument) -> dict[str, Any]:
     axes = {axis: len(found) for axis, found in hive().experiments.axes(status.name).items()}
     by = request.args.get("by") or ("algorithm" if axes.get("algorithm", 0) > 1 else "configuration")
     if by not in RANKED:
@@ -147,7 +146,7 @@ def _ranking_words(status: ExperimentStatus) -> dict[str, Any]:
 RANKED = {"algorithm": "By algorithm", "configuration": "By configuration"}
 
 
-def _grid_words(status: ExperimentStatus) -> dict[str, Any]:
+def _grid_words(status: ExperimentStatusDocument) -> dict[str, Any]:
     experiments = hive().experiments
     stated = parse_experiment(experiments.source(status.name).text)
     later = status.cells > LARGE and request.args.get("grid") != "now"
@@ -168,7 +167,7 @@ def _grid_words(status: ExperimentStatus) -> dict[str, Any]:
     }
 
 
-def _cells_words(status: ExperimentStatus) -> dict[str, Any]:
+def _cells_words(status: ExperimentStatusDocument) -> dict[str, Any]:
     experiments = hive().experiments
     cells = CellsQuery.from_args(request.args)
     page = experiments.cells(status.name, cells.after, cells.limit)
@@ -188,13 +187,13 @@ def _cells_words(status: ExperimentStatus) -> dict[str, Any]:
     }
 
 
-def _report_words(status: ExperimentStatus) -> dict[str, Any]:
+def _report_words(status: ExperimentStatusDocument) -> dict[str, Any]:
     services = hive()
     taken = may_analyse(services.settings) and Action.ANALYSE in caller().may
     return {"reports": services.stored_analyses.of_experiment(status.name), "taken": taken}
 
 
-def _setup_words(status: ExperimentStatus) -> dict[str, Any]:
+def _setup_words(status: ExperimentStatusDocument) -> dict[str, Any]:
     return {
         "source": hive().experiments.source(status.name).text,
         "scripts": experiment_scripts(status.name, hive().settings),
@@ -260,12 +259,10 @@ def share(name: str) -> Response:
     return make_response(redirect(address("experiments.show", name=name), 303))
 
 
-def with_time_left(found: Iterable[ExperimentStatus]) -> list[ExperimentStatus]:
+def with_time_left(found: Iterable[ExperimentStatusDocument]) -> list[ExperimentStatusDocument]:
     """The same experiments, with the time left for active ones."""
     experiments = hive().experiments
-    return [
-        experiments.status(entry.name) if entry.standing is ConfigurationStanding.ACTIVE else entry for entry in found
-    ]
+    return [experiments.status(entry.name) if entry.state is ConfigurationStanding.ACTIVE else entry for entry in found]
 
 
 # -- an experiment that chooses its runs: how it stands, what comes next, and why --------------------------------------
