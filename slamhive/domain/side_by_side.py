@@ -102,17 +102,22 @@ class MixedProtocols:
 
 @dataclass(frozen=True, slots=True)
 class PlannedMixture:
-    """Planned runs whose errors would not be comparable; ``alignment`` would make them so, None if none is known."""
+    """Planned runs whose errors would not be comparable.
+
+    Attributes:
+        protocols: Those of the runs.
+        remedy: The entries of ``evaluate`` that would make the errors comparable; empty if none are known.
+    """
 
     protocols: MixedProtocols
-    alignment: Alignment | None
+    remedy: Mapping[str, str]
 
     @property
     def sentences(self) -> str:
         """The counts and the way out in one line."""
-        if self.alignment is None:
+        if not self.remedy:
             return f"{self.protocols.words} Choose one alignment: evaluate: {{alignment: ...}}."
-        option = f"evaluate: {{alignment: {self.alignment}}}"
+        option = f"evaluate: {{{', '.join(f'{name}: {value}' for name, value in self.remedy.items())}}}"
         return f"{self.protocols.words} To evaluate all under {self.protocols.common_name}, add to the file: {option}"
 
 
@@ -142,12 +147,19 @@ def mixed_protocols(
         known = [definitions[use.fingerprint] for use in found if definitions and use.fingerprint in definitions]
         chosen = common_protocol(known)
         common = next((use for use in found if chosen is not None and use.fingerprint == chosen.fingerprint), None)
+        # Under it, live and final trajectories would stand side by side, which is no way out.
+        if definitions and chosen is not None and len({use.trajectory for use in stated}) > 1:
+            common = _live_use(chosen, definitions) or common
     elif definitions and found[0].fingerprint in definitions:
         # Algorithms with corrections leave the poses from before them as well; the others have nothing but live poses.
-        live = of_live(definitions[found[0].fingerprint])
-        if live.fingerprint in definitions:
-            common = ProtocolUse(live.fingerprint, live.label, TrajectoryKind.LIVE, 0)
+        common = _live_use(definitions[found[0].fingerprint], definitions)
     return MixedProtocols(found, common)
+
+
+def _live_use(protocol: Protocol, definitions: Mapping[str, Protocol]) -> ProtocolUse | None:
+    live = of_live(protocol)
+    known = live.fingerprint in definitions
+    return ProtocolUse(live.fingerprint, live.label, TrajectoryKind.LIVE, 0) if known else None
 
 
 def of_live(protocol: Protocol) -> Protocol:

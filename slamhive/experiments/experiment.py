@@ -15,7 +15,7 @@ from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.gate import Margin
 from slamhive.domain.names import plain, plural
 from slamhive.domain.parameters import Value
-from slamhive.domain.protocol import Alignment
+from slamhive.domain.protocol import Alignment, Protocol, ProtocolRequest, TrajectoryKind
 from slamhive.domain.question import ExperimentQuestion, RunBudget, SearchSampler
 from slamhive.experiments.condition import CombinationCondition
 
@@ -99,10 +99,35 @@ class SensorChoice:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationChoice:
-    """Tell if runs are evaluated, and how; ``alignment`` None means that it is chosen from the sensors."""
+    """Whether runs are evaluated, and how.
+
+    Attributes:
+        enabled: False leaves them without errors.
+        alignment: None for the one that follows from the sensors.
+        trajectory: None for ``traj.txt``, whatever kind the algorithm says it is.
+    """
 
     enabled: bool = True
     alignment: Alignment | None = None
+    trajectory: TrajectoryKind | None = None
+
+    def as_in(self, common: Protocol | None, planned: Iterable[Protocol]) -> dict[str, str]:
+        """The entries of ``evaluate`` that give all runs the protocol ``common`` in place of those planned."""
+        if common is None:
+            return {}
+        entries = {"alignment": self.alignment, "trajectory": self.trajectory}
+        for name in entries:
+            wanted = getattr(common, name)
+            if any(getattr(protocol, name) != wanted for protocol in planned):
+                entries[name] = wanted
+        return {name: str(value) for name, value in entries.items() if value is not None}
+
+    @property
+    def request(self) -> ProtocolRequest | None:
+        """The protocol that is asked for; None for the one that follows from the sensors."""
+        asked = {"alignment": self.alignment, "trajectory": self.trajectory}
+        values = {key: str(value) for key, value in asked.items() if value is not None}
+        return ProtocolRequest(values) if values else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,6 +295,7 @@ _LATER: tuple[tuple[str, object], ...] = (
     ("sensors", ()),
     ("map", None),
     ("limit_axes", ()),
+    ("trajectory", None),
     ("decide", None),
     ("optimise", None),
     ("against", ()),

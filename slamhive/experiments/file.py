@@ -36,6 +36,7 @@ from slamhive.domain.gate import Margin
 from slamhive.domain.metrics import Direction, Metric, metric
 from slamhive.domain.names import NAME_PATTERN, check_name
 from slamhive.domain.parameters import Value
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.question import SearchSampler, read_budget
 from slamhive.experiments.binding import at
 from slamhive.experiments.condition import parse_condition
@@ -213,6 +214,11 @@ class EvaluateModel(_Model):
     """The way in which runs are evaluated."""
 
     alignment: RequestedAlignment = None
+    trajectory: TrajectoryKind | None = Field(
+        default=None,
+        description="Which trajectory of a run is judged; left out: traj.txt. "
+        "live compares systems that correct their past with those that do not.",
+    )
 
 
 SwitchOrEvaluate = Annotated[
@@ -358,7 +364,7 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
         stop_when=model.stop_when,
         limits=Limits().varied({name: axis.values[0] for name, axis in limits.items() if len(axis.values) == 1}),
         limit_axes=tuple(axis for axis in limits.values() if len(axis.values) > 1),
-        evaluation=EvaluationChoice(alignment=evaluate.alignment)
+        evaluation=EvaluationChoice(alignment=evaluate.alignment, trajectory=evaluate.trajectory)
         if isinstance(evaluate, EvaluateModel)
         else EvaluationChoice(enabled=evaluate),
         executor=model.executor,

@@ -197,8 +197,7 @@ class EvaluationRepository(LeaseQueue[int]):
         if mixed is None:
             return None
         definitions = self.definitions({use.fingerprint for use in found})
-        if mixed.only_trajectories:
-            definitions |= self.definitions([of_live(protocol).fingerprint for protocol in definitions.values()])
+        definitions |= self.definitions([of_live(protocol).fingerprint for protocol in definitions.values()])
         return mixed_protocols(found, definitions)
 
     def definitions(self, fingerprints: Collection[str]) -> dict[str, domain.Protocol]:

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Any
 
 from werkzeug.datastructures import MultiDict
@@ -13,6 +14,7 @@ from werkzeug.datastructures import MultiDict
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
 from slamhive.documents.limits import RULES, Limits, options_of
+from slamhive.domain.protocol import Alignment, TrajectoryKind
 from slamhive.experiments.values import as_scalar, parse_values
 from slamhive.web.formatting import value_text
 
@@ -34,6 +36,8 @@ _SECTIONS = {
     "optimise": ("budget", "metric", "against", "limits", "within", "confidence", "worst", "sampler"),
     "decide": ("budget", "difference", "metric", "error", "worst"),
 }
+EVALUATE_CHOICES: Mapping[str, type[StrEnum]] = {"alignment": Alignment, "trajectory": TrajectoryKind}
+"""What the section ``evaluate`` may say, with the values of each entry."""
 _SETS = ("linked", "tied")
 _PARAMETERS = "parameters/"
 _STEP = re.compile(r"steps/(\d{1,3})/([\w.-]{1,64})")
@@ -152,7 +156,7 @@ def fields_from_yaml(text: str) -> ExperimentFields:
     values["sensors"] = "\n".join(f"{role}={_text(name)}" for role, name in _mapping(content.get("sensors")).items())
     evaluate = content.get("evaluate")
     if isinstance(evaluate, dict):
-        values["evaluate/alignment"] = _text(evaluate.get("alignment", ""))
+        values |= {f"evaluate/{name}": _text(evaluate.get(name, "")) for name in EVALUATE_CHOICES}
     elif evaluate is False:
         values["evaluate"] = "no"
     for key, entry in _mapping(content.get("parameters")).items():
@@ -184,7 +188,7 @@ def yaml_from_fields(fields: ExperimentFields) -> str:
     content |= {name: _value(fields.value(name)) for name in _VALUES[:-1]}
     for section, keys in _SECTIONS.items():
         content[section] = {key: _value(fields.value(f"{section}/{key}")) for key in keys}
-    evaluate = {"alignment": fields.value("evaluate/alignment").strip()}
+    evaluate = {name: fields.value(f"evaluate/{name}").strip() for name in EVALUATE_CHOICES}
     content["evaluate"] = False if fields.value("evaluate") == "no" else evaluate
     content["executor"] = fields.value("executor").strip()
     content["priority"] = _value(fields.value("priority"))
@@ -296,6 +300,6 @@ def _mapping(raw: object) -> dict[str, Any]:
 
 
 _NAMES = frozenset([
-    *_WORDS, *_VALUES, *_SETS, "sensors", "where", "evaluate", "evaluate/alignment",
+    *_WORDS, *_VALUES, *_SETS, "sensors", "where", "evaluate", *(f"evaluate/{name}" for name in EVALUATE_CHOICES),
     *(f"{section}/{key}" for section, keys in _SECTIONS.items() for key in keys),
 ])  # fmt: skip

@@ -67,6 +67,16 @@ def test_live_poses_of_all_runs_are_the_way_out_where_they_have_been_judged():
     assert mixed_protocols([use(live, 5, TrajectoryKind.LIVE), use(live, 6, TrajectoryKind.FINAL)], known) is None
 
 
+def test_one_run_without_live_poses_does_not_send_the_others_back_to_what_was_mixed():
+    live = of_live(SE3)
+    known = {SE3.fingerprint: SE3, live.fingerprint: live}
+    uses = [use(live, 5, TrajectoryKind.LIVE), use(live, 6, TrajectoryKind.FINAL), use(SE3, 1, TrajectoryKind.FINAL)]
+    found = mixed_protocols(uses, known)
+    assert found is not None
+    assert found.common is not None
+    assert found.common.fingerprint == live.fingerprint
+
+
 def test_a_run_that_does_not_say_its_kind_stands_beside_either():
     assert mixed_protocols([use(SE3, 5, TrajectoryKind.LIVE), use(SE3, 6)]) is None
 

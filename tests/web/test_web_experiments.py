@@ -116,6 +116,22 @@ def test_the_builder_says_before_the_start_that_protocols_would_be_mixed_and_one
     assert "not comparable" not in edit(web, **fields, do="write", evaluate="no")["preview"]
 
 
+def test_the_builder_offers_the_live_trajectory_where_live_and_final_ones_would_be_compared(web: Web, tmp_path: Path):
+    package = tmp_path / "project" / "algorithms" / "eye-slam" / "algorithm.yaml"
+    text = package.read_text().replace("trajectory_role: image", "trajectory_role: image, trajectory: live")
+    package.write_text(text.replace("trajectory_role: left", "trajectory_role: left, trajectory: final"))
+    fields = {"from": "fields", "name": "mine", "algorithms": ["eye-slam-mono", "eye-slam-stereo"], "datasets": "room"}
+    same = edit(web, **fields, do="write", **{"evaluate/alignment": "sim3"})
+    assert "1 run uses the final trajectory, 1 the live trajectory: not comparable." in words(same["preview"])
+    assert "Evaluate all under the live trajectory" in words(same["preview"])
+    plain = edit(web, **fields, do="write")
+    button = re.search(r'<button form="builder" name="do" value="([^"]+)"', plain["preview"])
+    assert button is not None
+    joined = edit(web, **fields, do=button[1])
+    assert "evaluate:\n  alignment: sim3\n  trajectory: live\n" in joined["yaml"]
+    assert "not comparable" not in joined["preview"]
+
+
 def test_the_builder_asks_for_repetitions_of_disturbed_runs(web: Web):
     fields = {"from": "fields", "do": "write", "name": "mine", "algorithms": "eye-slam-mono", "datasets": "room"}
     state = edit(web, **fields, repeat_disturbed="2")

@@ -24,13 +24,13 @@ from slamhive.domain.configuration import Configuration, Variant
 from slamhive.domain.matching import Origin, match_of, shown
 from slamhive.domain.placement import DataRuns, makespan_s, place
 from slamhive.domain.protocol import Protocol
-from slamhive.domain.side_by_side import PlannedMixture, ProtocolUse, mixed_protocols
+from slamhive.domain.side_by_side import PlannedMixture, ProtocolUse, mixed_protocols, of_live
 from slamhive.experiments.binding import at
 from slamhive.experiments.expansion import Expansion, PlannedRun
 from slamhive.experiments.experiment import Experiment
 from slamhive.recordings.variants.cache import VariantEntry
 from slamhive.services.configurations import unwatchable
-from slamhive.services.evaluations import protocol_for
+from slamhive.services.evaluations import fitting_protocol
 from slamhive.services.experiments.context import Costs, ExperimentContext, Progress, guessed_duration_s
 from slamhive.services.experiments.views import (
     ASSUMED_DURATION_S,
@@ -131,10 +131,11 @@ def protocol_of_pair(
     context: ExperimentContext, experiment: Experiment, expansion: Expansion, pair: Pair
 ) -> Protocol | None:
     """The protocol that the experiment requests; None for the default of the sensors."""
-    if experiment.evaluation.alignment is None:
+    asked = experiment.evaluation.request
+    if asked is None:
         return None
     algorithm, dataset = next((a, d) for a, d in expansion.pairs if (a.name, d.name) == pair)
-    return protocol_for(algorithm, dataset, context.settings, experiment.evaluation.alignment)
+    return fitting_protocol(algorithm, dataset, context.settings, asked)
 
 
 def planned_mixture(
@@ -150,15 +151,17 @@ def planned_mixture(
         if not runs or (dataset.groundtruth is None and dataset.relations is None):
             continue
         try:
-            protocol = protocol_for(algorithm, dataset, context.settings, experiment.evaluation.alignment)
+            protocol = fitting_protocol(algorithm, dataset, context.settings, experiment.evaluation.request)
         except SlamHiveError:
             continue  # it is among the refusals
-        definitions[protocol.fingerprint] = protocol
-        uses.append(ProtocolUse(protocol.fingerprint, protocol.label, None, runs))
+        definitions |= {one.fingerprint: one for one in (protocol, of_live(protocol))}
+        kind = None if protocol.trajectory is not None else algorithm.trajectory
+        uses.append(ProtocolUse(protocol.fingerprint, protocol.label, kind, runs))
     mixed = mixed_protocols(uses, definitions)
     if mixed is None:
         return None
-    return PlannedMixture(mixed, None if mixed.common is None else definitions[mixed.common.fingerprint].alignment)
+    common = None if mixed.common is None else definitions[mixed.common.fingerprint]
+    return PlannedMixture(mixed, experiment.evaluation.as_in(common, [definitions[use.fingerprint] for use in uses]))
 
 
 def find_disk_space(

@@ -14,12 +14,12 @@ from slamhive.documents.experiment import ExperimentPreviewDocument
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter
-from slamhive.domain.protocol import Alignment
 from slamhive.domain.sensors import SensorKind, SensorSetup
 from slamhive.recordings.variants.steps import STEPS, OptionInfo, describe_options, describe_step, treated_kinds
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.web.experiment_fields import (
+    EVALUATE_CHOICES,
     SOURCE,
     ExperimentFields,
     StepFields,
@@ -302,8 +302,12 @@ def _changed(fields: ExperimentFields, action: str, kind: str) -> ExperimentFiel
         return fields.with_step(new_step(kind))
     if what == "drop" and 0 <= index < len(fields.steps):
         return fields.without_step(index)
-    if what == "align" and number in set(Alignment):
-        return fields.with_value("evaluate/alignment", number)
+    if what == "evaluate":
+        for entry in number.split(";"):
+            name, _, value = entry.partition("=")
+            if name in EVALUATE_CHOICES and value in set(EVALUATE_CHOICES[name]):
+                fields = fields.with_value(f"evaluate/{name}", value)
+        return fields
     if what == "earlier":
         return fields.with_step_earlier(index)
     return fields

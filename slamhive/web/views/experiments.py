@@ -15,7 +15,7 @@ from slamhive.documents.limits import Limits, StopWhen, options_of
 from slamhive.documents.plain import ConfigurationStanding, ExperimentStatusDocument
 from slamhive.domain.accounts import Action, Visibility
 from slamhive.domain.metrics import CATALOGUE, described
-from slamhive.domain.protocol import ALIGNMENT_LABELS
+from slamhive.domain.protocol import ALIGNMENT_LABELS, TrajectoryKind
 from slamhive.domain.verdict import DEFAULT_RULE, Outcome
 from slamhive.executors.registry import EXECUTORS
 from slamhive.experiments.file import parse_experiment
@@ -356,6 +356,7 @@ def _builder_words(edited: ExperimentDraft) -> dict[str, Any]:
         "draft": edited,
         "builder": None if edited.fields is None else builder(edited.fields, *installed),
         "alignments": alignments,
+        "trajectories": [("", "traj.txt"), *((kind.value, kind.value) for kind in TrajectoryKind)],
         "limits": list(options_of(Limits)),
         "rules": list(options_of(StopWhen)),
         "executors": [("", "from the settings"), *((name, name) for name in EXECUTORS.names())],
