@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 def installation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The data root of an installation with one run of each kind; the environment leads to its project."""
     from tests.web import web_world as world  # noqa: PLC0415 - loads the whole web
+    from tests.web.test_web_claims import keep_claims  # noqa: PLC0415 - the same
 
     folder = tmp_path_factory.mktemp("client")
     hive = world.make_hive(folder)
     world.fill(hive)
+    keep_claims(hive)
     hive.close()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SLAMHIVE_ROOT", str(folder / "project"))

@@ -45,6 +45,12 @@ def test_documents_are_those_of_the_command_line(client: Hive, installation: Pat
     hive.close()
 
 
+def test_claims_are_those_that_were_checked(client: Hive) -> None:
+    (found,) = client.claims()
+    assert (found.name, found.words) == ("paper", "1 of 4 hold")
+    assert [claim.state for claim in found.claims] == ["holds", "differs", "undecided", "cannot be run"]
+
+
 def test_trajectories_go_to_evo(client: Hive) -> None:
     run = client.runs.get(RUNS["done"])
     found = run.trajectory().to_evo()
