@@ -6,6 +6,7 @@ import io
 import logging
 import math
 import os
+import re
 import stat
 import tempfile
 from array import array
@@ -61,9 +62,12 @@ def read_regular_file(path: Path, limit_bytes: int) -> bytes | None:
 
 def too_much_because(data: bytes) -> str | None:
     """In words, why lines of ``data`` would take far more memory than its size; None if they would not."""
-    lines = sum(data.count(end.encode()) for end in _LINE_ENDS)
+    # Each line has an end of at least one byte, so few bytes are no reason to count.
+    lines = sum(data.count(end.encode()) for end in _LINE_ENDS) if len(data) > MOST_LINES else 0
     if lines > MOST_LINES:
         return f"has {lines} lines, more than the {MOST_LINES} that are read"
+    if len(data) <= LONGEST_LINE_BYTES:
+        return None
     ends = np.flatnonzero(np.frombuffer(data, dtype=np.uint8) == ord("\n"))
     if np.diff(ends, prepend=-1, append=len(data)).max() > LONGEST_LINE_BYTES + 1:
         return f"has a line of more than {LONGEST_LINE_BYTES} bytes"
@@ -118,10 +122,37 @@ def read_numeric_columns(path: Path, columns: Sequence[str], limit_bytes: int) -
     header = [name.strip() for name in lines.readline().split(",")]
     if not set(columns) <= set(header):
         return np.empty((0, len(columns)))
+    fast = _plain_table(data, len(header), [header.index(name) for name in columns])
+    if fast is not None:
+        return fast
     values = array("d")
     for row in _rows(lines, [header.index(name) for name in columns]):
         values.extend(row)
     return np.array(values).reshape(-1, len(columns))
+
+
+_PLAIN = re.compile(rb"[0-9.,eE+\-\n]*")
+
+
+def _plain_table(data: bytes, width: int, places: Sequence[int]) -> FloatArray | None:
+    """The columns at ``places`` of a table of plain numbers below its heading; None if it has anything else."""
+    begin = data.find(b"\n") + 1
+    if (
+        begin == 0
+        or begin == len(data)
+        or not _PLAIN.fullmatch(data, begin)
+        or b"\n\n" in data
+        or b"\r" in data[:begin]
+    ):
+        return None
+    try:
+        rows = np.loadtxt(io.BytesIO(data[begin:]), delimiter=",", ndmin=2, dtype=np.float64)
+    except ValueError:
+        return None
+    if rows.shape[1] != width:
+        return None
+    found: FloatArray = rows[:, places]
+    return np.where(np.abs(found) <= LARGEST_NUMBER, found, np.nan)
 
 
 def _rows(lines: Iterable[str], places: list[int]) -> Iterator[list[float]]:

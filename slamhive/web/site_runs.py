@@ -29,7 +29,7 @@ from slamhive.run_folder.point_cloud import MapCloud
 from slamhive.services.analysis import script_json
 from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import RunColumn, settings_of
-from slamhive.services.runs import RunScene, RunSeries, path_of
+from slamhive.services.runs import RunScene, RunSeries, TrackFiles, path_of
 from slamhive.store.records import RunRecord
 from slamhive.trajectory.alignment import IDENTITY, Similarity
 from slamhive.web.figures import best_plane, captions, run_figures
@@ -234,9 +234,9 @@ class SiteScenes:
         self._hive = hive
         self._algorithms = algorithms
 
-    def write_run(self, folder: Path, run: RunRecord) -> bool:
+    def write_run(self, folder: Path, run: RunRecord, tracks: TrackFiles) -> bool:
         """Write the scene of a run, and its map; whether there is anything to show."""
-        scene = self._hive.runs.scene(run.id)
+        scene = self._hive.runs.scene(run, tracks=tracks)
         paths = [*run_paths(run.algorithm, scene, self._algorithms), *truth_paths(scene)]
         dataset = dataset_of(self._hive, run.dataset)
         cloud, why_not = self._cloud(run, scene, dataset)

@@ -31,7 +31,7 @@ from slamhive.services.analysis import report_content, report_environment, scrip
 from slamhive.services.claims import badge_svg
 from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import MOST_RUNS
-from slamhive.services.runs import run_series
+from slamhive.services.runs import TrackFiles, run_series
 from slamhive.services.stored_analyses import REPORT, AnalysisFolder
 from slamhive.store.records import AnalysisRecord, AnalysisState, RunRecord
 from slamhive.web.assets import PLOTLY_FILE
@@ -243,10 +243,11 @@ class StaticSite:
     def _write_run(self, folder: Path, page: Template, site: dict[str, Any], run: RunRecord) -> None:
         """Write the page of a run, and the script with what it draws."""
         record = self._hive.runs.record(run.id)
-        series = thinned(run_series(run, RunFolder(self._hive.settings.runs_folder / str(run.id))))
+        tracks = TrackFiles()
+        series = thinned(run_series(run, self._hive.runs.folder(run.id), files=tracks))
         drawn = drawing(run, series, colour_of(run.algorithm, self._algorithms))
         algorithm = self._algorithms.get(run.algorithm)
-        has_scene = self._scenes.write_run(folder, run)
+        has_scene = self._scenes.write_run(folder, run, tracks)
         text = page.render(
             site=site,
             root="../",
@@ -260,7 +261,7 @@ class StaticSite:
             ],
             parameters=parameter_rows(run, algorithm, self._match(run, record)),
             facts=_facts(run, algorithm),
-            log=self._hive.runs.log(run.id, LOG_BYTES),
+            log=self._hive.runs.log_of(run, LOG_BYTES),
             scene=scene_name(run.id) if has_scene else None,
         )
         (folder / f"{run.id}.html").write_text(text, encoding="utf-8")

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         Places,
         RunSeries,
         Samples,
+        TrackFiles,
         gap_of,
         latency_of,
         read_dataset_path,

@@ -22,9 +22,9 @@ from slamhive.services.runs.series import (
     SAME_TIME_S,
     Array,
     PathSeries,
+    TrackFiles,
     gap_of,
     nearest_values,
-    read_errors,
     read_whole_track,
 )
 from slamhive.store.records import RunRecord
@@ -83,24 +83,24 @@ class RunScene:
     reasons: tuple[str, ...]
 
 
-def run_scene(run: RunRecord, folder: RunFolder, fingerprint: str | None) -> RunScene:
+def run_scene(run: RunRecord, folder: RunFolder, fingerprint: str | None, tracks: TrackFiles | None = None) -> RunScene:
     """The paths of ``run`` under the protocol with this fingerprint; in the algorithm's frame without one."""
-    files = _files(run, folder)
+    files, tracks = _files(run, folder), tracks or TrackFiles()
     evaluation = None if fingerprint is None else folder.evaluation(fingerprint)
     gap_s = math.inf if evaluation is None else gap_of(evaluation)
-    aligned = None if evaluation is None else read_whole_track(evaluation / _ALIGNED, gap_s)
+    aligned = None if evaluation is None else tracks.track(evaluation / _ALIGNED, gap_s)
     if evaluation is None or aligned is None:
-        paths = [_path(kind, track) for kind, track in _read(files, gap_s).items()]
+        paths = [_path(kind, track) for kind, track in _read(files, gap_s, tracks).items()]
         reasons = () if paths else ("The run has left no trajectory that can be read.",)
         return RunScene(None, tuple(paths), aligned=False, to_scene=IDENTITY, reasons=reasons)
     kind = _judged_kind(evaluation, run)
-    others = _read({name: path for name, path in files.items() if name != kind}, gap_s)
-    raw = None if kind not in files else read_whole_track(files[kind])
+    others = _read({name: path for name, path in files.items() if name != kind}, gap_s, tracks)
+    raw = None if kind not in files else tracks.track(files[kind])
     offset_s = (run.metrics or {}).get(TIME_OFFSET, 0.0)
     to_scene, problem = _transform(raw, aligned, offset_s)
     moved = [] if to_scene is None else [_moved(track, to_scene, offset_s) for track in others.values()]
-    paths = [_path(kind, aligned, read_errors(evaluation)), *map(_path, others, moved)]
-    truth = read_whole_track(evaluation / "groundtruth.tum")
+    paths = [_path(kind, aligned, tracks.errors(evaluation)), *map(_path, others, moved)]
+    truth = tracks.track(evaluation / "groundtruth.tum")
     return RunScene(
         groundtruth=None if truth is None else _path("ground truth", truth),
         paths=tuple(paths),
@@ -179,8 +179,8 @@ def _judged_kind(evaluation: Path, run: RunRecord) -> str:
     return _own_kind(run) if judged is None else judged.value
 
 
-def _read(files: dict[str, Path], gap_s: float) -> dict[str, PathSeries]:
-    found = {kind: read_whole_track(path, gap_s) for kind, path in files.items()}
+def _read(files: dict[str, Path], gap_s: float, tracks: TrackFiles) -> dict[str, PathSeries]:
+    found = {kind: tracks.track(path, gap_s) for kind, path in files.items()}
     return {kind: track for kind, track in found.items() if track is not None}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,8 @@ class PathSeries:
 
     def even_places(self, most: int) -> Places:
         """The poses that :meth:`thinned` keeps."""
-        found: Places = np.unique(np.linspace(0, len(self.times_s) - 1, min(len(self.times_s), most)).astype(np.int64))
+        # No place comes twice: they are at least 1 apart before they are rounded down.
+        found: Places = np.linspace(0, len(self.times_s) - 1, min(len(self.times_s), most)).astype(np.int64)
         return found
 
 
@@ -114,8 +116,19 @@ class RunSeries:
         return next((entry.origin_s for entry in known if entry is not None and entry.origin_s is not None), None)
 
 
-def run_series(run: RunRecord, folder: RunFolder, fingerprint: str | None = None) -> RunSeries:
+class TrackFiles:
+    """Reads each trajectory, and the errors of each evaluation, once for all views of a run that are made together."""
+
+    def __init__(self) -> None:
+        self.track = cache(read_whole_track)
+        self.errors = cache(read_errors)
+
+
+def run_series(
+    run: RunRecord, folder: RunFolder, fingerprint: str | None = None, files: TrackFiles | None = None
+) -> RunSeries:
     """Read the plot data of ``run`` and of an evaluation: the current one, or that with this fingerprint."""
+    files = files or TrackFiles()
     estimate = groundtruth = errors = None
     gap_s = math.inf
     if fingerprint is None and run.protocol is not None:
@@ -123,9 +136,9 @@ def run_series(run: RunRecord, folder: RunFolder, fingerprint: str | None = None
     if fingerprint is not None:
         evaluation = folder.evaluation(fingerprint)
         gap_s = gap_of(evaluation)
-        estimate = read_track(evaluation / "traj.tum", gap_s)
-        groundtruth = read_track(evaluation / "groundtruth.tum")
-        errors = read_errors(evaluation)
+        estimate = _drawn(files.track(evaluation / "traj.tum", gap_s))
+        groundtruth = _drawn(files.track(evaluation / "groundtruth.tum"))
+        errors = files.errors(evaluation)
     aligned = estimate is not None
     frames = read_played_frames(folder.frames)
     # The time of the recording is 0 at its first frame, or at what is known of it otherwise.
@@ -139,7 +152,7 @@ def run_series(run: RunRecord, folder: RunFolder, fingerprint: str | None = None
     clock = None if frames is None else frames.clock((run.metrics or {}).get("startup"))
     usage = _columns(folder.profiling, ("time", "cpu_usage", "memory_usage"))
     found: dict[str, Any] = {
-        "estimate": estimate or read_track(folder.trajectory, gap_s),
+        "estimate": estimate or _drawn(files.track(folder.trajectory, gap_s)),
         "groundtruth": groundtruth,
         "error": None if errors is None else stamped_samples(errors[:, 0], errors[:, 1], start_s, gap_s),
         "cpu": None if usage is None else _usage_over_time(usage[:, 0], usage[:, 1], clock, start_s),
@@ -229,7 +242,10 @@ def read_track(path: Path, gap_s: float = math.inf) -> PathSeries | None:
 
     A gap longer than ``gap_s`` starts a new piece.
     """
-    whole = read_whole_track(path, gap_s)
+    return _drawn(read_whole_track(path, gap_s))
+
+
+def _drawn(whole: PathSeries | None) -> PathSeries | None:
     return None if whole is None else whole.thinned(MAX_POINTS)
 
 

@@ -29,7 +29,7 @@ from slamhive.services.executors import Executors
 from slamhive.services.runs.files import RunProgress, run_progress
 from slamhive.services.runs.record import handle_from_json
 from slamhive.services.runs.scene import Moment, RunScene, SceneFrame, SceneFrames, moment_at, run_scene
-from slamhive.services.runs.series import RunSeries, Samples, error_over_time, gap_of, run_series
+from slamhive.services.runs.series import RunSeries, Samples, TrackFiles, error_over_time, gap_of, run_series
 from slamhive.services.runs.specification import check_disk, check_executor, check_recorded, recorded_topics
 from slamhive.services.runs.stored import StoredRuns
 from slamhive.services.versions import check_version
@@ -215,11 +215,10 @@ class RunService(StoredRuns):
         evaluation = self.folder(run_id).evaluation(run.protocol.fingerprint)
         return error_over_time(evaluation, gap_of(evaluation))
 
-    def scene(self, run_id: int, fingerprint: str | None = None) -> RunScene:
+    def scene(self, run: RunRecord, fingerprint: str | None = None, tracks: TrackFiles | None = None) -> RunScene:
         """The trajectories of a run in one frame, under its current protocol or the one with this fingerprint."""
-        run = self.get(run_id)
         current = None if run.protocol is None else run.protocol.fingerprint
-        return run_scene(run, self.folder(run_id), fingerprint or current)
+        return run_scene(run, self.folder(run.id), fingerprint or current, tracks)
 
     def map_frame(self, run: RunRecord) -> SceneFrame:
         """Where the map of a run lies in :meth:`scene`, without reading what else is shown there."""

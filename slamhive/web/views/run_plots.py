@@ -114,7 +114,8 @@ DETAILS = ("sample", "thinned", "compared")
 def run(run_id: int) -> Response:
     """All trajectories of a run, the ground truth, and where the points of its map can be had."""
     services = hive()
-    record, scene = services.runs.get(run_id), services.runs.scene(run_id)
+    record = services.runs.get(run_id)
+    scene = services.runs.scene(record)
     dataset = dataset_of(services, record.dataset)
     cloud, without_map = None, ""
     if scene.to_scene is not None:
@@ -148,7 +149,7 @@ def comparison() -> Response:
     columns = enumerate(compared.columns)
     here = [(place, record) for place, column in columns for record in column.runs if record.dataset == first]
     fingerprint = None if compared.protocol is None else compared.protocol.fingerprint
-    scenes = {} if fingerprint is None else {run.id: services.runs.scene(run.id, fingerprint) for _, run in here}
+    scenes = {} if fingerprint is None else {run.id: services.runs.scene(run, fingerprint) for _, run in here}
     shown = {run_id: scene for run_id, scene in scenes.items() if scene.aligned}
     paths = [
         ShownPath(
