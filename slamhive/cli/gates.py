@@ -308,7 +308,7 @@ def shrink(cli: CliContext, /, run_id: int, as_json: bool, **options: Any) -> No
     if as_json:
         print_json(answer.content)
     else:
-        heads = ("from [s]", "to [s]", "runs", "e-value", "found")
+        heads = ("from s", "to s", "runs", "e-value", "found")
         rows = [
             (
                 f"{step.begin_s:.1f}",
@@ -348,8 +348,7 @@ def _print_bisect(answer: BisectAnswer) -> None:
         )
         for step in answer.steps
     ]
-    unit = f" [{answer.unit}]" if answer.unit else ""
-    heads = ("commit", "standing", "runs", "failed", f"{answer.label}{unit}", "e-value", "subject")
+    heads = ("commit", "standing", "runs", "failed", f"{answer.label} {answer.unit}".rstrip(), "e-value", "subject")
     print_table(heads, rows, right=heads[2:6], cut=("subject",))
     for note in answer.notes:
         tell(note)

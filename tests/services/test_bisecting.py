@@ -307,3 +307,8 @@ def test_a_killed_search_goes_on_and_finds_the_commit(hive: Hive, tmp_path: Path
     assert runs == set(hive.searches.find(""))
     assert runs.issuperset(before)
     assert answer.steps[0].version == "tiny@1"
+    again = CliRunner().invoke(main, command[:-1])
+    assert set(hive.searches.find("")) == runs
+    assert [line.split()[1] for line in again.stdout.splitlines()[1:5]] == ["good", "skipped", "bad", "bad"]
+    assert f"The first bad commit is one of 2, up to {commits[2][:10]}: those before it could not be" in again.stderr
+    assert f"{commits[1][:10]} was skipped: it does not build: algorithm.yaml" in again.stderr

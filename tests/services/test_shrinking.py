@@ -209,3 +209,13 @@ def test_a_crash_is_shown_by_the_second_half_of_a_real_recording(hive: Hive, tmp
         assert {entry.topic: entry.msgcount for entry in reader.connections if entry.msgcount} == {"/points": 30}
     truth = (tmp_path / "clip" / "groundtruth.txt").read_text().splitlines()
     assert (truth[0][0], len(truth), truth[1].split()[0]) == ("#", 31, "130")
+    made = hive.searches.find("")
+    refused = CliRunner().invoke(main, ["gate", "shrink", str(run.id), *options])
+    assert (refused.exit_code, "exists already; choose another folder" in refused.stderr) == (2, True)
+    again = CliRunner().invoke(main, ["gate", "shrink", str(run.id), *options[:4], "--to", str(tmp_path / "again")])
+    assert hive.searches.find("") == made
+    assert (
+        f"Run {run.id} failed (nonzero exit): 29.0 s of 59.0 s, from 30.0 s on, with lidar, still show it"
+        in again.stderr
+    )
+    assert "30.0" in again.stdout
