@@ -13,7 +13,7 @@ from slamhive.base.files import write_aside
 from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.main import LazyGroup
-from slamhive.cli.output import print_json, print_table, progress_bar, tell
+from slamhive.cli.output import counting_bar, print_json, print_table, progress_bar, tell
 from slamhive.cli.running import content_options, submission_values
 from slamhive.cli.visible import Answering, say
 from slamhive.domain.claim import ClaimState
@@ -438,7 +438,8 @@ def check_claims(cli: CliContext, /, path: Path, runs_too: bool, as_json: bool, 
         if work.evaluations:
             evaluate_to_end(hive.evaluations, work.evaluations)
         refused = work.refused
-    answer = hive.claims.answer(chosen, refused)
+    with counting_bar("checking", len(chosen.entries), tells_left=False) as show:
+        answer = hive.claims.answer(chosen, refused, show)
     if chosen == whole:
         hive.claims.keep(answer)
     print_json(answer.content) if as_json else _print_claims(answer)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -316,15 +316,22 @@ class Claims:
 
     # -- answering -------------------------------------------------------------------------------------------------
 
-    def answer(self, check: ClaimsCheck, refused: Mapping[int, str] | None = None) -> ClaimsAnswer:
+    def answer(
+        self,
+        check: ClaimsCheck,
+        refused: Mapping[int, str] | None = None,
+        progress: Callable[[int, str], None] = lambda _done, _about: None,
+    ) -> ClaimsAnswer:
         """State for each claim how far it holds on the runs that exist.
 
         Args:
             check: The claims.
             refused: Why entries could not be started, by their place; see :meth:`start`.
+            progress: Called before each entry with the number of those that are done, and with what it is about.
         """
         answers = []
         for place, entry in enumerate(check.entries):
+            progress(place, entry.claims[0].words)
             found = self._look(check, entry)
             hindrance = found if isinstance(found, str) else (refused or {}).get(place)
             for claim in entry.claims:

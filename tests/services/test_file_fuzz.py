@@ -278,6 +278,21 @@ def check_gate(hive: Hive, folder: Path, data: bytes) -> object:
     return found.content, answer_markdown(found), answer_junit(found)
 
 
+CLAIMS = """\
+format: 1
+name: fuzzed
+title: A table
+source: Table 1
+within: {ate.rmse: 5%, cpu.mean: 0.1 cores}
+obtain: {euroc: fetch it}
+claims:
+  - algorithm: tiny
+    dataset: track
+    runs: 5
+    parameters: {seconds: 1}
+    states: {ate.rmse: 1.6 ± 0.2 cm, cpu.mean: 0.5 cores}
+  - {algorithm: tiny, dataset: euroc, version: "1.0", of: median, repeats: 3, protocol: evo, states: {rpe.rmse: 1 mm}}
+"""
 COMBINATION = FILE.replace("orb-slam3-ros-stereo-inertial", "tiny").replace("nFeatures: 1000 | 2000", "seconds: 1 | 2")
 EVALUATION = f"evaluations/{PROTOCOL.fingerprint}"
 FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
@@ -289,6 +304,7 @@ FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
     "published combination": (COMBINATION.encode(), lambda h, _, d: h.experiments.convert(
         ExperimentSource(text_of(d)), {})),
     "protocol YAML": (PROTOCOL_YAML.encode(), lambda _, f, d: load_protocol(written(f, "p.yaml", d))),
+    "claims YAML": (CLAIMS.encode(), lambda h, f, d: h.claims.answer(h.claims.read(written(f, "c.yaml", d))).content),
     "configuration YAML": (CONFIGURATION.encode(), read_configuration),
     "config.yaml": (CONFIG.encode(), lambda _, f, d: run_config.load(written(f, "config.yaml", d))),
     "result.json of an engine": (result_of_a_run, lambda _h, _f, d: result_from_json(text_of(d))),

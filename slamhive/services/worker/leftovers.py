@@ -47,6 +47,7 @@ def sweep_leftovers(
         settings.ledger_folder,
         settings.baselines_folder,
         settings.bisections_folder,
+        settings.claims_folder,
         *_folders(settings.experiments_folder),
         *_folders(settings.analyses_folder),
     ):
