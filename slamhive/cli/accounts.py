@@ -12,7 +12,7 @@ from slamhive.cli.acting import acting
 from slamhive.cli.context import CliContext, choice, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say
-from slamhive.documents.machines import AccountDocument, ApiToken, AuditLineDocument
+from slamhive.documents.machines import AccountDocument, ApiToken
 from slamhive.domain.accounts import Identity, Role, Scope
 from slamhive.services.accounts import LONGEST_TOKEN_DAYS, TokenRequest
 from slamhive.store import Account
@@ -197,7 +197,7 @@ def audit(cli: CliContext, name: str | None, limit: int, as_json: bool) -> None:
     """List who started, deleted or changed what, the newest first."""
     lines = cli.hive().accounts.audit(limit, account=name)
     if as_json:
-        print_json([AuditLineDocument.of(line).content for line in lines])
+        print_json([line.content for line in lines])
     elif lines:
         rows = [
             (f"{line.at:%Y-%m-%d %H:%M:%S}", line.account, line.via, line.address, line.action, line.subject)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.store.accounts import Account, AccountCredentials, AuditAct, AuditLine, Key, KeyKind, NewKey
+    from slamhive.store.accounts import Account, AccountCredentials, AuditAct, Key, KeyKind, NewKey
     from slamhive.store.configuration_listing import (
         ConfigurationFilter,
         ConfigurationPage,

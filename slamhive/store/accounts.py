@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import ForeignKey, Index, Integer, Row, Select, String, delete, select, update
 
@@ -16,6 +16,9 @@ from slamhive.store.changes import changes_of
 from slamhive.store.models import NAME_LENGTH
 from slamhive.store.rows import Repository, cut, get_or_insert
 from slamhive.store.tables import TABLE_OPTIONS, JsonText, TableBase, UtcDateTime, column, enum_column, optional
+
+if TYPE_CHECKING:
+    from slamhive.documents.machines import AuditLineDocument
 
 # -- values: secrets go in as digests, and no secret comes out but the hash of a password ------------------------------
 
@@ -87,19 +90,6 @@ class AuditAct:
     """
 
     uid: str
-    at: datetime
-    account: str
-    via: str
-    address: str
-    action: str
-    subject: str
-
-
-@dataclass(frozen=True, slots=True)
-class AuditLine:
-    """A line of the audit log; see :class:`AuditAct`."""
-
-    id: int
     at: datetime
     account: str
     via: str
@@ -358,7 +348,6 @@ def _key(row: Row[Any]) -> Key:
 
 SUBJECT_LENGTH = 500
 _AUDIT = AuditLineRow.__table__
-_LINE = tuple(AuditLine.__dataclass_fields__)
 
 
 class AuditRepository(Repository):
@@ -373,14 +362,20 @@ class AuditRepository(Repository):
         }
         get_or_insert(self._connection, AuditLineRow, {"uid": act.uid}, values)
 
-    def lines(self, limit: int, before: int | None = None, account: str | None = None) -> list[AuditLine]:
+    def lines(self, limit: int, before: int | None = None, account: str | None = None) -> list[AuditLineDocument]:
         """The newest lines, of one account or of all; ``before`` continues after the line of that id."""
-        query = select(*(_AUDIT.c[name] for name in _LINE)).order_by(_AUDIT.c.id.desc()).limit(limit)
+        from slamhive.documents.machines import AuditLineDocument  # noqa: PLC0415 - loads pydantic
+
+        query = (
+            select(*(_AUDIT.c[name] for name in AuditLineDocument.model_fields))
+            .order_by(_AUDIT.c.id.desc())
+            .limit(limit)
+        )
         if before is not None:
             query = query.where(_AUDIT.c.id < before)
         if account is not None:
             query = query.where(_AUDIT.c.account == account)
-        return [AuditLine(**row._mapping) for row in self._connection.execute(query)]
+        return [AuditLineDocument(**row._mapping) for row in self._connection.execute(query)]
 
     def _stored(self) -> Iterator[str]:
         """The numbers of new runs and names of experiments: the request does not have them."""

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from typing import TYPE_CHECKING
 
 from slamhive.base.clock import utc_now
 from slamhive.base.errors import Conflict, InvalidInput, Unauthenticated
@@ -29,7 +30,10 @@ from slamhive.domain.accounts import (
 )
 from slamhive.domain.names import check_name
 from slamhive.services.accounts import passwords
-from slamhive.store import Account, AccountCredentials, AuditLine, Key, KeyKind, NewKey, Store, Transaction
+from slamhive.store import Account, AccountCredentials, Key, KeyKind, NewKey, Store, Transaction
+
+if TYPE_CHECKING:
+    from slamhive.documents.machines import AuditLineDocument
 
 SESSION_LASTS = timedelta(days=14)
 LONGEST_TOKEN_DAYS = 366
@@ -266,7 +270,7 @@ class Accounts:
 
     # -- audit log ---------------------------------------------------------------------------------------------------
 
-    def audit(self, limit: int, before: int | None = None, account: str | None = None) -> Sequence[AuditLine]:
+    def audit(self, limit: int, before: int | None = None, account: str | None = None) -> Sequence[AuditLineDocument]:
         """The newest lines of the audit log; ``before`` continues after the line of that number."""
         return self._store.read(lambda t: t.audit.lines(limit, before, account))
 
