@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from slamhive.base.project import project_root
+from slamhive.documents.catalogue import ContradictionDocument
 from slamhive.domain.dataset import Blame
-from slamhive.evaluation.trial import Contradiction, TruthTrial, judge_truth
+from slamhive.evaluation.trial import TruthTrial, judge_truth
 from slamhive.trajectory.layout import read_tum
 from slamhive.trajectory.model import FloatArray, Trajectory
 from slamhive.trajectory.transforms import interpolate, rotations_from_quats
@@ -130,7 +131,7 @@ def judged(truth: Trajectory, systems: Mapping[str, Trajectory], *, shared: bool
     return judge_truth(truth, systems, {name: common if shared else frozenset({name}) for name in systems})
 
 
-def unknown(sequence: str, truth: Trajectory, found: TruthTrial) -> list[Contradiction]:
+def unknown(sequence: str, truth: Trajectory, found: TruthTrial) -> list[ContradictionDocument]:
     """The stretches besides the steps that this ground truth really has."""
     known_s = [truth.stamps_s[0] + at_s for at_s in REAL_JUMPS_S.get(sequence, ())]
     return [entry for entry in found.stretches if not any(abs(entry.begin_s - at_s) < 2 for at_s in known_s)]

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from slamhive.documents.catalogue import ConstantOffsetDocument, ContradictionDocument
 from slamhive.domain.dataset import Blame
 from slamhive.trajectory.model import FloatArray, Trajectory
 from slamhive.trajectory.transforms import interpolate, rotations_from_quats
@@ -61,54 +62,6 @@ AGREEING = 0.7
 """A system agrees if its residual differs from the common one by at most this share of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Contradiction:
-    """A stretch in which the systems agree with each other and not with the ground truth.
-
-    Attributes:
-        begin_s: First timestamp.
-        end_s: Last timestamp.
-        rms_m: RMS of the difference from the systems' common path, aligned outside the stretch.
-        max_m: The largest.
-        agreeing: The systems that agree.
-        differing: Those that have poses there and do not agree.
-        ratio: The common residual over that which the systems do not have in common, in the clearest window.
-        blame: TRUTH if the ground truth shows the fault itself, or if no sensor is common to the agreeing systems.
-        because: Reason for the blame, in words.
-        confidence: ``high``, ``medium`` or ``low``.
-    """
-
-    begin_s: float
-    end_s: float
-    rms_m: float
-    max_m: float
-    agreeing: tuple[str, ...]
-    differing: tuple[str, ...]
-    ratio: float
-    blame: Blame
-    because: str
-    confidence: str
-
-
-@dataclass(frozen=True, slots=True)
-class ConstantOffset:
-    """A constant of the whole sequence on which the systems agree: a lever arm or a time offset.
-
-    It is between the ground truth and the sensors; which of both is to be corrected, it does not show.
-
-    Attributes:
-        kind: ``lever_arm`` or ``time_offset``.
-        values: x, y, z in the frame of the estimates in m, or the offset in s.
-        sigmas: Standard errors of their mean over the systems.
-        agreeing: The systems that agree.
-    """
-
-    kind: str
-    values: tuple[float, ...]
-    sigmas: tuple[float, ...]
-    agreeing: tuple[str, ...]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TruthTrial:
     """Result of a trial.
@@ -128,8 +81,8 @@ class TruthTrial:
 
     systems: tuple[str, ...]
     left_out: Mapping[str, str]
-    stretches: tuple[Contradiction, ...]
-    constants: tuple[ConstantOffset, ...]
+    stretches: tuple[ContradictionDocument, ...]
+    constants: tuple[ConstantOffsetDocument, ...]
     stamps_s: FloatArray
     residuals_m: Mapping[str, FloatArray]
     common_m: FloatArray
@@ -421,7 +374,7 @@ _CONTEXT_S = (2.0, 15.0)
 
 def _contradiction(
     part: tuple[int, int], scene: _Scene, sensors: Mapping[str, frozenset[str]] | None
-) -> Contradiction | None:
+) -> ContradictionDocument | None:
     """The stretch with its size, seen from an alignment before and after it; None where the systems do not agree."""
     first, last = part
     stamps_s, true_m, names = scene.stamps_s, scene.true_m, scene.names
@@ -458,17 +411,17 @@ def _contradiction(
     blame, because = _blamed(true_m, scene.estimated_m[present], part, agreeing, sensors)
     clear = ratio >= 2.0 * SCALES[0].over_own
     confidence = "low" if blame is Blame.UNDECIDED else "high" if clear and len(agreeing) > FEWEST_SYSTEMS else "medium"
-    return Contradiction(
-        float(stamps_s[first]),
-        float(stamps_s[last]),
-        size_m,
-        float(np.nanmax(np.linalg.norm(middle, axis=1))),
-        agreeing,
-        differing,
-        ratio,
-        blame,
-        because,
-        confidence,
+    return ContradictionDocument(
+        begin_s=float(stamps_s[first]),
+        end_s=float(stamps_s[last]),
+        rms_m=size_m,
+        max_m=float(np.nanmax(np.linalg.norm(middle, axis=1))),
+        agreeing=agreeing,
+        differing=differing,
+        ratio=ratio,
+        blame=blame,
+        because=because,
+        confidence=confidence,
     )
 
 
@@ -526,9 +479,9 @@ LEAST_ARM_M = 0.03
 LEAST_OFFSET_S = 0.01
 
 
-def _constants(witnesses: Sequence[_Witness], *, rotations_known: bool) -> tuple[ConstantOffset, ...]:
+def _constants(witnesses: Sequence[_Witness], *, rotations_known: bool) -> tuple[ConstantOffsetDocument, ...]:
     """The lever arm and the time offset that the systems agree on, if they are certain."""
-    found: list[ConstantOffset] = []
+    found: list[ConstantOffsetDocument] = []
     arms = np.stack([witness.arm_m for witness in witnesses])
     arm_sigmas = np.stack([witness.arm_sigma_m for witness in witnesses])
     offsets = np.array([[witness.offset_s] for witness in witnesses])
@@ -550,7 +503,11 @@ def _constants(witnesses: Sequence[_Witness], *, rotations_known: bool) -> tuple
         # Arms are of the measured point in the frame of the estimates, whichever side has the orientations.
         sign = -1.0 if kind == "lever_arm" and rotations_known else 1.0
         names = tuple(witness.name for witness, yes in zip(witnesses, agrees, strict=True) if yes)
-        found.append(ConstantOffset(kind, tuple((sign * mean).tolist()), tuple(spread.tolist()), names))
+        found.append(
+            ConstantOffsetDocument(
+                kind=kind, values=tuple((sign * mean).tolist()), sigmas=tuple(spread.tolist()), agreeing=names
+            )
+        )
     return tuple(found)
 
 
