@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, TypeVar
 from slamhive.base.clock import monotonic_s
 from slamhive.base.errors import Conflict, InvalidInput, Unavailable
 from slamhive.base.files import remedy_of, write_aside
+from slamhive.documents.catalogue import LinkReportDocument
 from slamhive.domain.collection import RemoteFile
 from slamhive.downloads.web import AccessToken, Changed, Interrupted, Refused, Timeouts, Web, body
 
@@ -541,23 +542,12 @@ class CheckedLink:
     token: AccessToken | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class LinkReport:
-    """The answer of an address; ``problem`` is None if it gives the file."""
-
-    address: str
-    problem: str | None
-    size_bytes: int | None
-    ranges: bool | None
-    duration_s: float
-
-
 def check_links(
     links: Iterable[CheckedLink],
     timeouts: Timeouts,
     connections: int = 8,
     checked: Callable[[int], None] = lambda _count: None,
-) -> list[LinkReport]:
+) -> list[LinkReportDocument]:
     """Ask each address for one byte; the reports are in the order of ``links``.
 
     Args:
@@ -577,15 +567,27 @@ def check_links(
         return [future.result() for future in work]
 
 
-def check_link(link: CheckedLink, timeouts: Timeouts) -> LinkReport:
+def check_link(link: CheckedLink, timeouts: Timeouts) -> LinkReportDocument:
     """Ask one address."""
     begun_s = monotonic_s()
     try:
         found = probe(Web(timeouts, link.token), link.address)
     except (Refused, Interrupted) as error:
-        return LinkReport(link.address, error.message, None, None, monotonic_s() - begun_s)
+        return LinkReportDocument(
+            address=link.address,
+            problem=error.message,
+            size_bytes=None,
+            ranges=None,
+            duration_s=monotonic_s() - begun_s,
+        )
     published = link.file.size_bytes
     problem = None
     if published is not None and found.size_bytes not in {None, published}:
         problem = f"offers {found.size_bytes:,} bytes, {published:,} are published"
-    return LinkReport(link.address, problem, found.size_bytes, found.ranges, monotonic_s() - begun_s)
+    return LinkReportDocument(
+        address=link.address,
+        problem=problem,
+        size_bytes=found.size_bytes,
+        ranges=found.ranges,
+        duration_s=monotonic_s() - begun_s,
+    )

@@ -309,8 +309,7 @@ class Fetching:
         checked: Callable[[int], None] = lambda _count: None,
     ) -> list[LinkReportDocument]:
         """Ask every address of :meth:`links`; ``checked`` is called with the number of those that are done."""
-        reports = check_links(self.links(names), timeouts or Timeouts(), connections, checked)
-        return [LinkReportDocument.of(report) for report in reports]
+        return check_links(self.links(names), timeouts or Timeouts(), connections, checked)
 
     @property
     def folder(self) -> Path:
