@@ -10,8 +10,9 @@ from slamhive.cli import completion
 from slamhive.cli.context import CliContext, json_option, pass_cli, run_number
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say
+from slamhive.documents.protocol import ComparedValue
 from slamhive.domain.verdict import Outcome
-from slamhive.services.run_comparison import Figure, RunComparison, read_run_ids
+from slamhive.services.run_comparison import RunComparison, read_run_ids
 
 
 @click.command()
@@ -61,7 +62,7 @@ def _print(comparison: RunComparison, *, everything: bool) -> None:
     say(comparison.address)
 
 
-def _figure(figure: Figure | None, *, best: bool) -> str | None:
+def _figure(figure: ComparedValue | None, *, best: bool) -> str | None:
     if figure is None:
         return None
     interval = "" if figure.low is None else f" ({figure.low:.3g} to {figure.high:.3g})"

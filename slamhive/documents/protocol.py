@@ -129,6 +129,16 @@ class ComparedValue(Document):
     low: Annotated[float | None, described("Lower end of the 95 % interval of the mean; null for a single run.")]
     high: Annotated[float | None, described("Upper end of the 95 % interval of the mean; null for a single run.")]
 
+    @property
+    def shown(self) -> str:
+        """The mean with the digits that decide on a tie."""
+        return shown_digits(self.mean)
+
+
+def shown_digits(value: float) -> str:
+    """The three significant digits that pages show; values that agree in them are a tie."""
+    return f"{value:.3g}"
+
 
 class ComparedMetric(Document):
     """One metric of all columns."""

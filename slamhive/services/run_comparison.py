@@ -15,7 +15,14 @@ from slamhive.base.bounds import whole_number
 from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.documents.catalogue import MatchDocument
 from slamhive.documents.limits import NO_SLOW_DOWN
-from slamhive.documents.protocol import ComparedColumn, ComparedMetric, ComparisonDocument
+from slamhive.documents.protocol import (
+    ComparedColumn,
+    ComparedMetric,
+    ComparedProtocol,
+    ComparedValue,
+    ComparisonDocument,
+    shown_digits,
+)
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.metrics import CATALOGUE, Direction, Metric, with_unknown
 from slamhive.domain.names import plural
@@ -82,11 +89,6 @@ _LARGEST_ID = 2**53 - 1
 _REMEDY = f"name {FEWEST_RUNS} to {MOST_RUNS} runs, for example 3,5,8"
 
 
-def shown_digits(value: float) -> str:
-    """The three significant digits that pages show; values that agree in them are a tie."""
-    return f"{value:.3g}"
-
-
 @dataclass(frozen=True, slots=True)
 class RunColumn:
     """One column: a run, or the runs of a configuration. ``failed`` are the members that count as failed."""
@@ -112,16 +114,6 @@ class RunColumn:
 
 
 @dataclass(frozen=True, slots=True)
-class CommonProtocol:
-    """A protocol under which runs of the comparison have metrics, and the runs that lack it but could have it."""
-
-    fingerprint: str
-    label: str
-    runs: tuple[int, ...]
-    lacking: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class SettingLine:
     """One setting or parameter: a text for each column, None where the runs do not have it."""
 
@@ -135,26 +127,11 @@ class SettingLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
-    """A metric of a column: the mean over ``count`` runs, with a 95 % interval if there are several."""
-
-    mean: float
-    count: int
-    low: float | None = None
-    high: float | None = None
-
-    @property
-    def shown(self) -> str:
-        """The mean with the digits that decide on a tie."""
-        return shown_digits(self.mean)
-
-
-@dataclass(frozen=True, slots=True)
 class MetricLine:
     """One metric: a value for each column, None where it is missing. ``best`` is the column to mark, None for none."""
 
     metric: Metric
-    figures: tuple[Figure | None, ...]
+    figures: tuple[ComparedValue | None, ...]
     best: int | None
 
     @property
@@ -184,8 +161,8 @@ class RunComparison:
 
     columns: tuple[RunColumn, ...]
     grouped: bool
-    protocols: tuple[CommonProtocol, ...]
-    protocol: CommonProtocol | None
+    protocols: tuple[ComparedProtocol, ...]
+    protocol: ComparedProtocol | None
     settings: tuple[SettingLine, ...]
     metrics: tuple[MetricLine, ...]
     unmarked: tuple[Unmarked, ...]
@@ -237,7 +214,7 @@ class RunComparison:
         )
 
 
-def mixed_trajectories(runs: Sequence[RunRecord], protocol: CommonProtocol | None) -> dict[str, tuple[int, ...]]:
+def mixed_trajectories(runs: Sequence[RunRecord], protocol: ComparedProtocol | None) -> dict[str, tuple[int, ...]]:
     """The runs by the kind of the trajectory that was judged under ``protocol``; empty if all are of one kind."""
     if protocol is None or with_trajectory(protocol.label, TrajectoryKind.LIVE) == protocol.label:
         return {}
@@ -309,11 +286,11 @@ def _sample(metric: Metric, column: RunColumn, values: Values) -> list[float]:
     return [values[run][metric.key] for run in runs if metric.key in values[run]]
 
 
-def _figure(sample: Sequence[float]) -> Figure | None:
+def _figure(sample: Sequence[float]) -> ComparedValue | None:
     if not sample:
         return None
     if len(sample) == 1:
-        return Figure(sample[0], 1)
+        return ComparedValue(mean=sample[0], count=1, low=None, high=None)
     import numpy as np  # noqa: PLC0415 - loaded for repeats only, with scipy
 
     from slamhive.analysis.statistics import summarise  # noqa: PLC0415
@@ -321,8 +298,8 @@ def _figure(sample: Sequence[float]) -> Figure | None:
     summary = summarise(np.array(sample))
     if summary is None:
         return None
-    ends = (None, None) if summary.interval is None else (summary.interval.low, summary.interval.high)
-    return Figure(summary.mean, summary.count, *ends)
+    low, high = (None, None) if summary.interval is None else (summary.interval.low, summary.interval.high)
+    return ComparedValue(mean=summary.mean, count=summary.count, low=low, high=high)
 
 
 def _best(metric: Metric, columns: Sequence[RunColumn], samples: Sequence[Sequence[float]]) -> int | None:
@@ -354,7 +331,7 @@ def _differ(first: Sequence[float], second: Sequence[float]) -> bool:
 
 
 def group_sentences(
-    columns: Sequence[RunColumn], values: Values, protocol: CommonProtocol, baseline: int
+    columns: Sequence[RunColumn], values: Values, protocol: ComparedProtocol, baseline: int
 ) -> tuple[str, ...]:
     """Sentences on the repeats of each column beside those of the column at the place ``baseline``.
 
@@ -610,7 +587,7 @@ class RunComparisons:
 
 def _read(
     t: Transaction, run_ids: Sequence[int]
-) -> tuple[tuple[RunRecord, ...], dict[int, _ByProtocol], tuple[CommonProtocol, ...]]:
+) -> tuple[tuple[RunRecord, ...], dict[int, _ByProtocol], tuple[ComparedProtocol, ...]]:
     unknown = sorted(set(run_ids) - t.run_table.existing(run_ids))
     if unknown:
         shown = ", ".join(map(str, unknown[:_MOST_NAMED])) + (", ..." if len(unknown) > _MOST_NAMED else "")
@@ -623,17 +600,26 @@ def _read(
         for entry in t.evaluations.for_run(run.id)
         if entry.state is EvaluationState.SUCCEEDED
     }
-    common: list[CommonProtocol] = []
+    common: list[ComparedProtocol] = []
     for key, label in labels.items():
         having = tuple(run.id for run in runs if key in values[run.id])
         could = (run.id for run in runs if run.state is RunState.SUCCEEDED)
         kinds = {run.trajectory for run in runs if run.id in having}
         words = with_trajectory(label, *kinds) if len(kinds) == 1 else label
-        common.append(CommonProtocol(key, words, having, tuple(run_id for run_id in could if run_id not in having)))
+        common.append(
+            ComparedProtocol(
+                fingerprint=key,
+                label=words,
+                runs=having,
+                lacking=tuple(run_id for run_id in could if run_id not in having),
+            )
+        )
     return runs, values, tuple(common)
 
 
-def _chosen(protocols: Sequence[CommonProtocol], runs: Sequence[RunRecord], asked: str | None) -> CommonProtocol | None:
+def _chosen(
+    protocols: Sequence[ComparedProtocol], runs: Sequence[RunRecord], asked: str | None
+) -> ComparedProtocol | None:
     """The protocol that was asked for, or the one that the most runs have; of several, the one that lists show."""
     if asked is not None:
         found = next((entry for entry in protocols if entry.fingerprint == asked), None)

@@ -10,7 +10,7 @@ import pytest
 from slamhive.domain.run import Host
 from slamhive.domain.trust import Trust, TrustLevel
 from slamhive.services.run_comparison import (
-    CommonProtocol,
+    ComparedProtocol,
     MetricLine,
     RunColumn,
     Unmarked,
@@ -148,7 +148,7 @@ def test_a_sentence_says_how_a_group_stands_to_the_baseline():
     errors_m = {1: 0.10, 2: 0.11, 3: 0.12, 4: 0.50, 5: 0.51, 6: 0.52, 7: 0.10, 8: 0.12, 9: 0.13}
     values = {run: {"ate.rmse": error_m} for run, error_m in errors_m.items()}
     columns = repeats(3, 1, 2, 3), repeats(4, 4, 5, 6), repeats(5, 7, 8, 9), repeats(6, 10, 11, failed=(10, 11))
-    protocol = CommonProtocol("f" * 16, "SE(3)", (), ())
+    protocol = ComparedProtocol(fingerprint="f" * 16, label="SE(3)", runs=(), lacking=())
     worse, near, none = group_sentences(columns, values, protocol, 0)
     assert worse == (
         "Configuration 4 is worse than configuration 3: ATE 0.510 ± 0.010 m against 0.110 ± 0.010 m, p < 0.001."

@@ -11,10 +11,11 @@ import numpy as np
 from slamhive.analysis.chart import RUN_COLOURS, Chart, Line
 from slamhive.analysis.plotly_chart import plotly_figure
 from slamhive.analysis.report import Plot
+from slamhive.documents.protocol import ComparedValue
 from slamhive.domain.metrics import Direction, Group, Metric
 from slamhive.domain.names import plural
 from slamhive.domain.verdict import Outcome
-from slamhive.services.run_comparison import Figure, RunColumn, RunComparison
+from slamhive.services.run_comparison import RunColumn, RunComparison
 from slamhive.services.run_differences import differences, from_start
 from slamhive.services.runs import RunSeries, RunService
 from slamhive.web.figures import ComparedRun, best_plane, compared_figures, timeline
@@ -286,7 +287,7 @@ def _note(column: RunColumn, *, grouped: bool) -> str:
 
 
 def _difference_cell(
-    figure: Figure | None, base: Figure | None, unit: DisplayUnit, metric: Metric, *, is_baseline: bool
+    figure: ComparedValue | None, base: ComparedValue | None, unit: DisplayUnit, metric: Metric, *, is_baseline: bool
 ) -> TableCell:
     """The difference to the baseline, with the value as a note; the value itself for the baseline."""
     value = _metric_cell(figure, unit, metric)
@@ -297,7 +298,7 @@ def _difference_cell(
     return TableCell(text, value.exact, note=f"{value.text} {f'({value.note})' if value.note else ''}".strip())
 
 
-def _metric_cell(figure: Figure | None, unit: DisplayUnit, metric: Metric) -> TableCell:
+def _metric_cell(figure: ComparedValue | None, unit: DisplayUnit, metric: Metric) -> TableCell:
     if figure is None:
         return TableCell(DASH, f"no {metric.label} known", missing=True)
     text, exact = significant(figure.mean * unit.factor), f"{figure.mean!r} {metric.unit}".strip()
