@@ -35,10 +35,9 @@ from slamhive.services.experiments import (
 )
 
 if TYPE_CHECKING:
-    from slamhive.documents.experiment import ExperimentPreviewDocument, NodesPlanDocument
+    from slamhive.documents.experiment import ExperimentAnswerDocument, ExperimentPreviewDocument, NodesPlanDocument
     from slamhive.services.experiments import (
         Cell,
-        ExperimentAnswer,
         MetricSpread,
         Progress,
     )
@@ -193,7 +192,7 @@ def print_report(status: ExperimentStatusDocument, cells: Sequence[Cell], axes: 
     say("disturbed: how many of these were measured on a disturbed machine and are not replaced")
 
 
-def print_answer(found: ExperimentAnswer) -> None:
+def print_answer(found: ExperimentAnswerDocument) -> None:
     """Print the question, the answer, that on each dataset if there are several, and what is left out."""
     say(found.question)
     say(found.sentence)
@@ -407,9 +406,7 @@ def answer(cli: CliContext, name: str, as_json: bool) -> None:
     """Print the question and its answer: who is best, by which test, or the repeats that would decide."""
     found = cli.hive().experiments.answer(name_of(name))
     if as_json:
-        from slamhive.documents import experiment as schema  # noqa: PLC0415 - tables need no model
-
-        print_json(schema.ExperimentAnswerDocument.of(found).content)
+        print_json(found.content)
     else:
         print_answer(found)
 

@@ -11,7 +11,7 @@ from pydantic import AliasChoices, BeforeValidator, Field
 from pydantic.json_schema import SkipJsonSchema
 
 from slamhive.documents.model import Document, Moment, Values, cut, described
-from slamhive.documents.plain import ToFetchDocument
+from slamhive.documents.plain import ShownAs, ToFetchDocument
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.configuration import Variant
 from slamhive.domain.metrics import CATALOGUE
@@ -146,12 +146,29 @@ class CellDocument(Document):
     figures: Annotated[tuple[CellFiguresDocument, ...], described("Metrics, those of each protocol by themselves.")]
 
 
+class Certainty(StrEnum):
+    """Degree to which the answer of an experiment is settled."""
+
+    SEPARATED = "separated"
+    NOT_SEPARATED = "not separated"
+    TOO_FEW = "too few repeats"
+    ALONE = "nothing to compare"
+    OPEN = "no result yet"
+
+    @property
+    def undecided(self) -> bool:
+        """True if more repeats may change it."""
+        return self in (Certainty.NOT_SEPARATED, Certainty.TOO_FEW)
+
+
 class DatasetAnswerDocument(Document):
     """The answer of an experiment on one dataset."""
 
     dataset: str
     certainty: Annotated[
-        str, described("separated, not separated, too few repeats, nothing to compare, or no result yet.")
+        Certainty,
+        described("separated, not separated, too few repeats, nothing to compare, or no result yet."),
+        ShownAs(str, "Certainty"),
     ]
     leaders: Annotated[tuple[str, ...], described("The best, then those that no test separates from it.")]
     p_value: Annotated[float | None, described("Of the test behind the sentence; null without one.")]
@@ -164,7 +181,7 @@ class ExperimentAnswerDocument(Document):
 
     question: str
     sentence: Annotated[str, described("The answer in words.")]
-    certainty: Annotated[str, described("The least settled of the datasets.")]
+    certainty: Annotated[Certainty, described("The least settled of the datasets."), ShownAs(str, "Certainty")]
     more_repeats: Annotated[int | None, described("Repeats of each to add; null if none are called for.")]
     by: Annotated[str, described("What is compared: algorithm or configuration.")]
     datasets: tuple[DatasetAnswerDocument, ...]

@@ -6,7 +6,8 @@ import itertools
 
 import pytest
 
-from slamhive.services.experiments.answer import Certainty, DatasetAnswer, answer_on, question
+from slamhive.documents.experiment import Certainty, DatasetAnswerDocument
+from slamhive.services.experiments.answer import answer_on, question
 from slamhive.services.experiments.ranking import RankEntries, RankEntry, placed
 from slamhive.store.experiments import CellSample
 from slamhive.store.records import ProtocolLabel
@@ -20,7 +21,7 @@ def entry(number: int, n: int, mean_m: float = 0.1, std_m: float = 0.01, failed:
     return RankEntry(number, good, failed, n + failed)
 
 
-def answered(*entries: RankEntry, waiting: tuple[int, ...] = ()) -> DatasetAnswer:
+def answered(*entries: RankEntry, waiting: tuple[int, ...] = ()) -> DatasetAnswerDocument:
     names = {number: "abcdef"[number - 1] for number in (*(known.number for known in entries), *waiting)}
     ordered = sorted(entries, key=lambda known: known.key)
     return answer_on("room", RankEntries(SE3, 0, ordered, list(waiting)), names)

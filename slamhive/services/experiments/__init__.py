@@ -8,9 +8,6 @@ from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from slamhive.services.experiments.answer import (
-        Certainty,
-        DatasetAnswer,
-        ExperimentAnswer,
         pair_sentence,
         question,
     )

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
+from slamhive.documents.experiment import Certainty, DatasetAnswerDocument, ExperimentAnswerDocument
 from slamhive.domain.names import mean_and_std, plural
 from slamhive.domain.parameters import Value
 from slamhive.services.experiments.ranking import RankEntries, RankEntry, SeparationTest
@@ -27,66 +26,7 @@ REPEATS_WANTED = 3
 """So many runs of each are asked for where there are fewer than two, which no test can judge."""
 
 
-class Certainty(StrEnum):
-    """Degree to which the answer of an experiment is settled."""
-
-    SEPARATED = "separated"
-    NOT_SEPARATED = "not separated"
-    TOO_FEW = "too few repeats"
-    ALONE = "nothing to compare"
-    OPEN = "no result yet"
-
-    @property
-    def undecided(self) -> bool:
-        """True if more repeats may change it."""
-        return self in (Certainty.NOT_SEPARATED, Certainty.TOO_FEW)
-
-
-@dataclass(frozen=True, slots=True)
-class DatasetAnswer:
-    """The answer on one dataset.
-
-    Attributes:
-        dataset: Its name.
-        certainty: How far it is settled.
-        leaders: The first of the ranking, then those that no test separates from it.
-        p_value: Of the test behind the sentence; None if there was none.
-        more_repeats: Repeats of each that would settle it at the present spread; None if none would, or if it is.
-        sentence: The same in words.
-    """
-
-    dataset: str
-    certainty: Certainty
-    leaders: tuple[str, ...]
-    p_value: float | None
-    more_repeats: int | None
-    sentence: str
-
-
-@dataclass(frozen=True, slots=True)
-class ExperimentAnswer:
-    """The question of an experiment and its answer.
-
-    Attributes:
-        question: The question, ending in a question mark.
-        sentence: The answer in one or two sentences.
-        certainty: The least settled of the datasets.
-        more_repeats: The most that one of them needs, at most :data:`MOST_SUGGESTED`; None if no repeat is called for.
-        by: What is compared, ``algorithm`` or ``configuration``.
-        datasets: The answer on each dataset.
-        notes: What the answer leaves out.
-    """
-
-    question: str
-    sentence: str
-    certainty: Certainty
-    more_repeats: int | None
-    by: str
-    datasets: tuple[DatasetAnswer, ...]
-    notes: tuple[str, ...]
-
-
-def answer(record: ExperimentRecord, table: AxisTable, entries: Mapping[str, RankEntries]) -> ExperimentAnswer:
+def answer(record: ExperimentRecord, table: AxisTable, entries: Mapping[str, RankEntries]) -> ExperimentAnswerDocument:
     """The answer of an experiment; ``entries`` are those of :func:`~ranking.entries_by_dataset`."""
     axes = table.axes
     by = "algorithm" if len(axes.get("algorithm", ())) > 1 else "configuration"
@@ -95,7 +35,7 @@ def answer(record: ExperimentRecord, table: AxisTable, entries: Mapping[str, Ran
     # The certainty of all datasets together.
     known = {entry.certainty for entry in found}
     order = (Certainty.TOO_FEW, Certainty.NOT_SEPARATED, Certainty.OPEN, Certainty.SEPARATED, Certainty.ALONE)
-    return ExperimentAnswer(
+    return ExperimentAnswerDocument(
         question=question(record.description, axes),
         sentence=_over_all(found),
         certainty=next((certainty for certainty in order if certainty in known), Certainty.OPEN),
@@ -140,29 +80,45 @@ def _names(table: AxisTable, by: str) -> dict[int, str]:
     return texts
 
 
-def answer_on(dataset: str, entries: RankEntries, names: Mapping[int, str]) -> DatasetAnswer:
+def answer_on(dataset: str, entries: RankEntries, names: Mapping[int, str]) -> DatasetAnswerDocument:
     """The answer on one dataset. ``names``: {cell: what it is compared as}; the first cell of a name stands for it."""
     competitors = _competitors(entries, names)
     waiting = list(dict.fromkeys(name for number in entries.waiting if (name := names[number]) not in competitors))
     if entries.other_runs:
         text = "No answer: errors under several protocols, or of live and final trajectories, are not comparable."
-        return DatasetAnswer(dataset, Certainty.OPEN, (), None, None, text)
+        return DatasetAnswerDocument(
+            dataset=dataset, certainty=Certainty.OPEN, leaders=(), p_value=None, more_repeats=None, sentence=text
+        )
     good = {name: entry for name, entry in competitors.items() if entry.good is not None}
     if not good:
         failed = sum(entry.failed for entry in entries.ended)
         text = f"No run gave a result: {plural(failed, 'run')} failed." if failed else "No run has been evaluated yet."
-        return DatasetAnswer(dataset, Certainty.OPEN, (), None, None, text)
+        return DatasetAnswerDocument(
+            dataset=dataset, certainty=Certainty.OPEN, leaders=(), p_value=None, more_repeats=None, sentence=text
+        )
     leader, first = next(iter(good.items()))
     if len(competitors) == 1:
         certainty = Certainty.OPEN if waiting else Certainty.ALONE
         other = f"{_listed(waiting)} has no result yet" if waiting else "there is nothing to compare it with"
-        return DatasetAnswer(dataset, certainty, (leader,), None, None, f"{leader}: ATE {_spread(first)}; {other}.")
+        return DatasetAnswerDocument(
+            dataset=dataset,
+            certainty=certainty,
+            leaders=(leader,),
+            p_value=None,
+            more_repeats=None,
+            sentence=f"{leader}: ATE {_spread(first)}; {other}.",
+        )
     single = [name for name, entry in good.items() if not entry.ranked]
     if not first.ranked or (single and len(good) - len(single) == 1):
         more = REPEATS_WANTED - 1
         text = f"{leader} has the smallest ATE, {_spread(first)}, but no test can judge one run of {_listed(single)}"
-        return DatasetAnswer(
-            dataset, Certainty.TOO_FEW, (leader,), None, more, f"{text}; add {plural(more, 'repeat')}."
+        return DatasetAnswerDocument(
+            dataset=dataset,
+            certainty=Certainty.TOO_FEW,
+            leaders=(leader,),
+            p_value=None,
+            more_repeats=more,
+            sentence=f"{text}; add {plural(more, 'repeat')}.",
         )
     return _tested(dataset, competitors, waiting)
 
@@ -175,7 +131,7 @@ def _competitors(entries: RankEntries, names: Mapping[int, str]) -> dict[str, Ra
     return found
 
 
-def _tested(dataset: str, competitors: Mapping[str, RankEntry], waiting: Sequence[str]) -> DatasetAnswer:
+def _tested(dataset: str, competitors: Mapping[str, RankEntry], waiting: Sequence[str]) -> DatasetAnswerDocument:
     leader, first = next(iter(competitors.items()))
     rivals = {name: entry for name, entry in competitors.items() if name != leader and not _one_run(entry)}
     tests = {name: SeparationTest.of(first, entry) for name, entry in rivals.items()}
@@ -185,13 +141,27 @@ def _tested(dataset: str, competitors: Mapping[str, RankEntry], waiting: Sequenc
         second, test = next(iter(tests.items()))
         text = f"{leader} is best: {_test_words(test, first, competitors[second], second)}.{so_far}"
         certainty = Certainty.OPEN if waiting else Certainty.SEPARATED
-        return DatasetAnswer(dataset, certainty, (leader,), test.p_value, None, text)
+        return DatasetAnswerDocument(
+            dataset=dataset,
+            certainty=certainty,
+            leaders=(leader,),
+            p_value=test.p_value,
+            more_repeats=None,
+            sentence=text,
+        )
     needed = [test.repeats_to_decide for test in sharing.values()]
     more = None if None in needed else max(count for count in needed if count is not None)
     p_value = min(test.p_value for test in sharing.values())
     sign = "=" if len(sharing) == 1 else "≥"
     text = f"{_listed([leader, *sharing])} are not separated, {_p_text(p_value, sign)}; {_would_decide(more)}.{so_far}"
-    return DatasetAnswer(dataset, Certainty.NOT_SEPARATED, (leader, *sharing), p_value, more, text)
+    return DatasetAnswerDocument(
+        dataset=dataset,
+        certainty=Certainty.NOT_SEPARATED,
+        leaders=(leader, *sharing),
+        p_value=p_value,
+        more_repeats=more,
+        sentence=text,
+    )
 
 
 def _test_words(test: SeparationTest, entry: RankEntry, other: RankEntry, name: str = "") -> str:
@@ -229,7 +199,7 @@ def _one_run(entry: RankEntry) -> bool:
     return entry.good is not None and not entry.ranked
 
 
-def _over_all(found: Sequence[DatasetAnswer]) -> str:
+def _over_all(found: Sequence[DatasetAnswerDocument]) -> str:
     """One sentence for all datasets; that of the dataset itself if there is one."""
     if len(found) == 1:
         return found[0].sentence
@@ -257,7 +227,7 @@ def _over_all(found: Sequence[DatasetAnswer]) -> str:
     return text + (f"; {plural(more, 'more repeat')} would decide where it can." if more else ".")
 
 
-def _suggested(found: Iterable[DatasetAnswer]) -> int | None:
+def _suggested(found: Iterable[DatasetAnswerDocument]) -> int | None:
     needed = [entry.more_repeats for entry in found if entry.more_repeats is not None]
     return max((count for count in needed if count <= MOST_SUGGESTED), default=None)
 

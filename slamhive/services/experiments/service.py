@@ -23,10 +23,9 @@ from slamhive.store import Transaction
 from slamhive.store.records import ExperimentState
 
 if TYPE_CHECKING:
-    from slamhive.documents.experiment import ExperimentPreviewDocument
+    from slamhive.documents.experiment import ExperimentAnswerDocument, ExperimentPreviewDocument
     from slamhive.domain.accounts import Visibility
     from slamhive.packages.published.experiment import Converted
-    from slamhive.services.experiments.answer import ExperimentAnswer
     from slamhive.services.experiments.progress import AxisTable
     from slamhive.services.experiments.ranking import RankEntries, Ranking
     from slamhive.services.experiments.starting import Restored
@@ -177,18 +176,20 @@ class ExperimentService:
 
         return self._context.store.read(lambda t: rankings(t, *self._ranked(t, name), by_algorithm=by_algorithm))
 
-    def answer(self, name: str) -> ExperimentAnswer:
+    def answer(self, name: str) -> ExperimentAnswerDocument:
         """The answer of the experiment so far, in a sentence, and the repeats that would settle it."""
         from slamhive.services.experiments.answer import answer  # noqa: PLC0415 - lists and reports need none
 
         return self._context.store.read(lambda t: answer(*self._ranked(t, name)))
 
-    def answer_and_rankings(self, name: str, *, by_algorithm: bool) -> tuple[ExperimentAnswer, tuple[Ranking, ...]]:
+    def answer_and_rankings(
+        self, name: str, *, by_algorithm: bool
+    ) -> tuple[ExperimentAnswerDocument, tuple[Ranking, ...]]:
         """The same as :meth:`answer` and :meth:`rankings`, from one reading of the runs."""
         from slamhive.services.experiments.answer import answer  # noqa: PLC0415 - lists and reports need none
         from slamhive.services.experiments.ranking import rankings  # noqa: PLC0415
 
-        def work(t: Transaction) -> tuple[ExperimentAnswer, tuple[Ranking, ...]]:
+        def work(t: Transaction) -> tuple[ExperimentAnswerDocument, tuple[Ranking, ...]]:
             ranked = self._ranked(t, name)
             return answer(*ranked), rankings(t, *ranked, by_algorithm=by_algorithm)
 

@@ -36,7 +36,6 @@ from slamhive.documents.claims import ClaimsDocument
 from slamhive.documents.experiment import (
     CellDocument,
     Decision,
-    ExperimentAnswerDocument,
     ExperimentPreviewDocument,
     GridDocument,
     SearchStanding,
@@ -90,7 +89,7 @@ def experiment(name: str) -> ExperimentWithFile:
         **{field.name: getattr(found, field.name) for field in fields(found)},
         yaml=services.source(name).text,
         axes=services.axes(name),
-        answer=ExperimentAnswerDocument.of(services.answer(name)),
+        answer=services.answer(name),
     )
 
 

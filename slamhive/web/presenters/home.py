@@ -8,11 +8,11 @@ from datetime import timedelta
 from pathlib import Path
 
 from slamhive.base.clock import utc_now
+from slamhive.documents.experiment import Certainty, ExperimentAnswerDocument
 from slamhive.documents.plain import ConfigurationStanding, ExperimentStatusDocument
 from slamhive.domain.bibliography import Reference
 from slamhive.domain.run import FailureReason
 from slamhive.domain.verdict import Outcome
-from slamhive.services.experiments import Certainty, ExperimentAnswer
 from slamhive.services.hive import Hive
 from slamhive.web.formatting import plural, thousands
 from slamhive.web.presenters import rankings
@@ -57,7 +57,7 @@ class AnswerCard:
     """An experiment with its answer, and the strip of its first ranking; None while no run has ended."""
 
     status: ExperimentStatusDocument
-    answer: ExperimentAnswer
+    answer: ExperimentAnswerDocument
     ranking: rankings.RankingView | None
 
     @property
