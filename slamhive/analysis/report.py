@@ -200,6 +200,11 @@ class Plot(PlotHead):
         return () if self.result is None else self.result.tables
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """Its remarks, one sentence each."""
+        return () if self.result is None else self.result.notes
+
+    @property
     def exclusions(self) -> list[str]:
         """The runs that it leaves out, one sentence for each reason."""
         excluded = () if self.result is None else self.result.excluded
@@ -261,6 +266,7 @@ class PlotBrief(Document):
     title: str
     error: str | None
     charts: Annotated[int, described("How many plots it has.")]
+    notes: Annotated[tuple[str, ...], described("What it has found, one sentence each.")] = ()
 
 
 class ReportBrief(Summary):

@@ -86,6 +86,8 @@ def analyse(cli: CliContext, /, file: Path, out: Path | None, as_json: bool, **o
         _show_what_differs(report)
         rows = [(entry.form, entry.title, entry.charts, entry.error or "") for entry in plots]
         print_table(("form", "title", "plots", "not shown because"), rows)
+        for note in (note for entry in plots for note in entry.notes):
+            tell(note)
         if out is not None:
             tell(f"written to {out}" + ("" if parquet_there() else f"; {WITHOUT_PARQUET}: {PARQUET_REMEDY}"))
     if refused:

@@ -43,6 +43,7 @@ PLOT_TYPES = {
     "sensitivity": "x: image_rate",
     "parallel": "metric: ate.rmse",
     "importance": "metric: ate.rmse",
+    "budget": "budgets: [image_rate, scale]",
     "selector": 'bounds: ["ate.rmse < 0.1", "cpu.mean <= 2"]',
 }
 

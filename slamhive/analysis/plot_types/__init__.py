@@ -11,6 +11,7 @@ from slamhive.analysis.plot_types.base import (
     RunUsage,
     one_value,
 )
+from slamhive.analysis.plot_types.budget import BudgetCurves
 from slamhive.analysis.plot_types.by_algorithm import ByAlgorithm
 from slamhive.analysis.plot_types.coverage import Coverage
 from slamhive.analysis.plot_types.critical_difference import CriticalDifference
@@ -25,6 +26,7 @@ from slamhive.analysis.plot_types.selector import Selector
 from slamhive.analysis.plot_types.trajectories import Trajectories
 
 for _plot_type in (
+    BudgetCurves(),
     ByAlgorithm(),
     Coverage(),
     CriticalDifference(),

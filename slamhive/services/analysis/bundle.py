@@ -273,7 +273,7 @@ def shown_plot(plot: Plot, most_rows: int = SHOWN_ROWS) -> ShownPlot:
         raw=tuple(
             RawData(key=table.key, title=table.title, rows=len(table.rows)) for table in plot.tables if table.raw
         ),
-        notes=(*(() if plot.result is None else plot.result.notes), *plot.exclusions),
+        notes=(*plot.notes, *plot.exclusions),
         runs=None if plot.result is None else plot.result.runs,
         failed=None if plot.result is None else plot.result.failed,
     )
