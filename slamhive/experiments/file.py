@@ -378,7 +378,7 @@ def _experiment(model: ExperimentModel, places: strict_yaml.Places) -> Experimen
 def _limit_axes(model: LimitsModel, places: strict_yaml.Places) -> Iterator[ExperimentAxis]:
     """The limits that are stated, named after the fields of :class:`Limits`."""
     for option in options_of(Limits):
-        keys = [key for key in (option.name, _LIMIT_WORDS.get(option.name, "")) if getattr(model, key, ())]
+        keys = [key for key in (option.name, LIMIT_WORDS.get(option.name, "")) if getattr(model, key, ())]
         if len(keys) > 1:
             raise InvalidInput(f"{places.of('limits', keys[1])}: {' and '.join(keys)} are the same", "keep one of them")
         for key in keys:
@@ -391,7 +391,7 @@ def _limit_axes(model: LimitsModel, places: strict_yaml.Places) -> Iterator[Expe
             yield ExperimentAxis(option.name, values, place)
 
 
-_LIMIT_WORDS = {"cpu_cores": "cpus", "memory_mb": "memory"}
+LIMIT_WORDS = {"cpu_cores": "cpus", "memory_mb": "memory"}
 """Other keys of limits: those of the command line."""
 
 

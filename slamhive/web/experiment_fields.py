@@ -15,6 +15,7 @@ from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
 from slamhive.documents.limits import RULES, Limits, options_of
 from slamhive.domain.protocol import Alignment, TrajectoryKind
+from slamhive.experiments.file import LIMIT_WORDS
 from slamhive.experiments.values import as_scalar, parse_values
 from slamhive.web.formatting import value_text
 
@@ -38,6 +39,7 @@ _SECTIONS = {
 }
 EVALUATE_CHOICES: Mapping[str, type[StrEnum]] = {"alignment": Alignment, "trajectory": TrajectoryKind}
 """What the section ``evaluate`` may say, with the values of each entry."""
+_LIMIT_NAMES = {word: name for name, word in LIMIT_WORDS.items()}
 _SETS = ("linked", "tied")
 _PARAMETERS = "parameters/"
 _STEP = re.compile(r"steps/(\d{1,3})/([\w.-]{1,64})")
@@ -147,6 +149,8 @@ def fields_from_yaml(text: str) -> ExperimentFields:
     values = {name: _text(content[name]) for name in (*_WORDS, *_VALUES) if name in content}
     for section, keys in _SECTIONS.items():
         found = _mapping(content.get(section))
+        if section == "limits":
+            found = {_LIMIT_NAMES.get(key, key): value for key, value in found.items()}
         values |= {f"{section}/{key}": _text(found[key]) for key in keys if key in found}
     values |= {name: "\n".join(_texts(content[name])) for name in ("where",) if name in content}
     for name in _SETS:
@@ -228,6 +232,8 @@ def _field_name(path: KeyPath, fields: ExperimentFields) -> str | None:
         return None if number is None else "/".join(["steps", str(number), *map(str, path[2:3] or ("name",))])
     if path[0] in (*_SETS, "sensors", "where", "algorithms", "datasets"):
         return str(path[0])
+    if path[0] == "limits":
+        path = (path[0], *(_LIMIT_NAMES.get(str(key), key) for key in path[1:]))
     return "/".join(map(str, path[:3]))
 
 

@@ -167,3 +167,15 @@ def test_strange_shapes_are_shown_as_far_as_there_are_fields(text: str):
 
 def test_the_examples_are_there():
     assert Path(project_root() / "docs" / "examples" / "paper-euroc.yaml") in EXAMPLES
+
+
+def test_limits_are_kept_under_the_words_of_the_command_line() -> None:
+    text = "name: x\nalgorithms: a\ndatasets: d\nlimits: {cpus: 0.5 | 1, memory: 500 MB | 1 GB, slow_down: 4}\n"
+    fields = fields_from_yaml(text)
+    assert fields.value("limits/cpu_cores") == "0.5 | 1"
+    written = parse_experiment(yaml_from_fields(fields))
+    assert (written.limits, [axis.values for axis in written.limit_axes]) == (
+        parse_experiment(text).limits,
+        [(0.5, 1.0), (500, 1000)],
+    )
+    assert field_at(text, 4, fields) in ("limits/cpu_cores", "limits/memory_mb", "limits/slow_down")
