@@ -21,7 +21,7 @@ from slamhive.cli.visible import confirm, say, write_out
 from slamhive.cli.waiting import experiment_to_end
 from slamhive.documents.plain import ConfigurationStanding, ExperimentStatusDocument
 from slamhive.domain.accounts import Visibility
-from slamhive.domain.names import plural
+from slamhive.domain.names import mean_and_std, plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.run import FailureReason
 from slamhive.domain.verdict import DEFAULT_RULE, Outcome, failure_words
@@ -47,13 +47,13 @@ if TYPE_CHECKING:
 
 
 FIGURES = (
-    ("ATE m", "ate.rmse", 1.0, "{:.4f}"),
-    ("tracked", "tracked_fraction", 1.0, "{:.3f}"),
-    ("CPU cores", "cpu.mean", 1.0, "{:.2f}"),
-    ("RAM MB", "ram.max", 1e-6, "{:.0f}"),
-    ("time s", "duration", 1.0, "{:.1f}"),
+    ("ATE m", "ate.rmse", 1.0),
+    ("tracked", "tracked_fraction", 1.0),
+    ("CPU cores", "cpu.mean", 1.0),
+    ("RAM MB", "ram.max", 1e-6),
+    ("time s", "duration", 1.0),
 )
-"""Heading, metric, factor and format of the metrics of a report."""
+"""Heading, metric and factor of the metrics of a report."""
 
 
 def print_preview(found: ExperimentPreviewDocument) -> None:
@@ -163,11 +163,11 @@ def print_report(status: ExperimentStatusDocument, cells: Sequence[Cell], axes: 
     ate, *others = (heading for heading, *_ in FIGURES)
     headings = (ate, "median", *others)
     columns = ("cell", *axes, "runs", "good", "failed", "failures", "disturbed", *headings, "protocol")
-    _, median_key, median_factor, median_form = FIGURES[0]
+    _, median_key, median_factor = FIGURES[0]
     rows: list[tuple[Any, ...]] = []
     for cell in cells:
         for figures in cell.figures or (NO_FIGURES,):
-            first, *rest = (_spread(figures.metrics.get(key), factor, form) for _, key, factor, form in FIGURES)
+            first, *rest = (_spread(figures.metrics.get(key), factor) for _, key, factor in FIGURES)
             median = figures.metrics.get(median_key)
             rows.append(
                 (
@@ -179,7 +179,7 @@ def print_report(status: ExperimentStatusDocument, cells: Sequence[Cell], axes: 
                     failures_text(cell),
                     figures.disturbed or None,
                     first,
-                    None if median is None else median_form.format(median.median * median_factor),
+                    None if median is None else mean_and_std(median.median * median_factor, None),
                     *rest,
                     figures.protocol[:8] if figures.protocol else None,
                 )
@@ -202,11 +202,10 @@ def print_answer(found: ExperimentAnswerDocument) -> None:
         say(f"note: {note}")
 
 
-def _spread(found: MetricSpread | None, factor: float, form: str) -> str | None:
+def _spread(found: MetricSpread | None, factor: float) -> str | None:
     if found is None:
         return None
-    mean = form.format(found.mean * factor)
-    return mean if found.std is None else f"{mean} ± {form.format(found.std * factor)}"
+    return mean_and_std(found.mean * factor, None if found.std is None else found.std * factor)
 
 
 def _value(values: Mapping[str, Value], axis: str) -> str | None:

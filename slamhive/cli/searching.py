@@ -17,6 +17,7 @@ from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say, write_out
 from slamhive.domain.finding import MOST_PINNED
 from slamhive.domain.metrics import CATALOGUE
+from slamhive.domain.names import mean_and_std
 from slamhive.domain.side_by_side import ProtocolUse
 from slamhive.filters.binding import Search, bind, means_of, read_search
 from slamhive.filters.parser import parse_filter
@@ -25,7 +26,7 @@ from slamhive.filters.words import in_words
 from slamhive.services.exports import RUNS_AT_ONCE, GroupExport, Record, RunExport, TableExport, by_protocol
 from slamhive.services.searches import order_in_words, runs_text, summary
 from slamhive.store import Count, RunSort
-from slamhive.store.records import GroupRecord, SavedSearchRecord, Spread, group_uses
+from slamhive.store.records import GroupRecord, SavedSearchRecord, group_uses
 from slamhive.store.run_cells import RunCells
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def print_groups(listing: Listing) -> None:
         (
             *(group.configuration_id, group.algorithm, group.dataset, runs_text(group), group.failed, group.disturbed),
             None if label is None else label.fingerprint,
-            *(_spread_text(figures.get(key)) for key in metrics),
+            *(None if (found := figures.get(key)) is None else mean_and_std(found.mean, found.std) for key in metrics),
         )
         for group in page.records
         for label, figures in by_protocol(group)
@@ -164,12 +165,6 @@ def print_groups(listing: Listing) -> None:
         print_table((*GROUP_HEAD, *metrics), rows, right=("configuration", "runs", "failed", "disturbed", *metrics))
     listing.tell_mixed(group_uses(page.records), page.runs)
     tell(listing.summary(len(page.records), page.runs, grouped=True))
-
-
-def _spread_text(spread: Spread | None) -> str | None:
-    if spread is None:
-        return None
-    return f"{spread.mean:.3g}" if spread.std is None else f"{spread.mean:.3g} ± {spread.std:.2g}"
 
 
 @click.group("search")

@@ -42,16 +42,21 @@ class MixedProtocols:
 
     ``uses`` are the protocols and kinds of trajectories, the most used first. ``common`` is the protocol that all of
     the runs can be evaluated under, None where no protocol helps or none is known. Of live and final trajectories, it
-    is the one that judges the live trajectory of all.
+    is the one that judges the live trajectory of all, or the final one where some run has no live one. ``refused`` is
+    the protocol that would have helped, with the number of runs whose evaluation under it failed.
     """
 
     uses: tuple[ProtocolUse, ...]
     common: ProtocolUse | None = None
+    refused: ProtocolUse | None = None
 
     @property
     def words(self) -> str:
-        """The counts as a sentence: ``6 runs use Sim(3), 6 SE(3): not comparable``."""
-        return f"{self.counts}: not comparable."
+        """The counts as a sentence: ``6 runs use Sim(3), 6 SE(3): not comparable``, and what was tried."""
+        if self.refused is None or self.refused.trajectory is None:
+            return f"{self.counts}: not comparable."
+        tried = f"the {self.refused.trajectory.adjective} trajectory of {plural(self.refused.runs, 'run')}"
+        return f"{self.counts}: not comparable. No evaluation of {tried} succeeded."
 
     @property
     def counts(self) -> str:
@@ -77,6 +82,8 @@ class MixedProtocols:
     @property
     def remedy(self) -> str:
         """The way out, as an imperative."""
+        if self.common is None and self.refused is not None:
+            return "compare runs of one kind of trajectory"
         if self.common is None and self.only_trajectories:
             return "compare runs of one kind of trajectory, or evaluate all under a protocol that names one"
         if self.common is None:
@@ -94,8 +101,8 @@ class MixedProtocols:
         """The short name of the common protocol, for a button; empty without one."""
         if self.common is None:
             return ""
-        if self.only_trajectories:
-            return f"the {TrajectoryKind.LIVE.adjective} trajectory"
+        if self.only_trajectories and self.common.trajectory is not None:
+            return f"the {self.common.trajectory.adjective} trajectory"
         labels = [use.label for use in self.uses if use.fingerprint != self.common.fingerprint]
         return short_names([self.common.label, *labels])[0]
 
@@ -122,13 +129,16 @@ class PlannedMixture:
 
 
 def mixed_protocols(
-    uses: Iterable[ProtocolUse], definitions: Mapping[str, Protocol] | None = None
+    uses: Iterable[ProtocolUse],
+    definitions: Mapping[str, Protocol] | None = None,
+    refused: Mapping[str, int] | None = None,
 ) -> MixedProtocols | None:
     """The protocols of runs side by side if they are not comparable; None if they are.
 
     Args:
         uses: Protocols and trajectories of the runs; runs without errors are left out.
         definitions: {fingerprint: protocol}, from which the common one is chosen.
+        refused: {fingerprint: number of the runs that could not be evaluated under it}; it is not offered again.
     """
     runs: Counter[ProtocolUse] = Counter()
     for use in uses:
@@ -142,6 +152,7 @@ def mixed_protocols(
     order = sorted(runs, key=lambda use: (-runs[use], use.trajectory is None, use.full_label, use.fingerprint))
     found = tuple(replace(use, runs=runs[use]) for use in order)
     common = None
+    of_kinds: list[ProtocolUse] = []
     if len(fingerprints) > 1:
         # A protocol that names a trajectory fits only the runs that left one of this kind.
         known = [definitions[use.fingerprint] for use in found if definitions and use.fingerprint in definitions]
@@ -149,17 +160,23 @@ def mixed_protocols(
         common = next((use for use in found if chosen is not None and use.fingerprint == chosen.fingerprint), None)
         # Under it, live and final trajectories would stand side by side, which is no way out.
         if definitions and chosen is not None and len({use.trajectory for use in stated}) > 1:
-            common = _live_use(chosen, definitions) or common
+            of_kinds = _of_kinds(chosen, definitions)
     elif definitions and found[0].fingerprint in definitions:
         # Algorithms with corrections leave the poses from before them as well; the others have nothing but live poses.
-        common = _live_use(definitions[found[0].fingerprint], definitions)
-    return MixedProtocols(found, common)
+        of_kinds = _of_kinds(definitions[found[0].fingerprint], definitions)
+    if not of_kinds:
+        return MixedProtocols(found, common)
+    in_vain = refused or {}
+    tried = next((replace(use, runs=lost) for use in of_kinds if (lost := in_vain.get(use.fingerprint))), None)
+    return MixedProtocols(found, next((use for use in of_kinds if use.fingerprint not in in_vain), None), tried)
 
 
-def _live_use(protocol: Protocol, definitions: Mapping[str, Protocol]) -> ProtocolUse | None:
-    live = of_live(protocol)
-    known = live.fingerprint in definitions
-    return ProtocolUse(live.fingerprint, live.label, TrajectoryKind.LIVE, 0) if known else None
+def _of_kinds(protocol: Protocol, definitions: Mapping[str, Protocol]) -> list[ProtocolUse]:
+    """The same protocol for one kind of trajectory, as far as it is known: the live one first."""
+    kinds = (of_live(protocol), replace(protocol, trajectory=TrajectoryKind.FINAL))
+    return [
+        ProtocolUse(one.fingerprint, one.label, one.trajectory, 0) for one in kinds if one.fingerprint in definitions
+    ]
 
 
 def of_live(protocol: Protocol) -> Protocol:

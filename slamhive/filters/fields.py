@@ -115,7 +115,7 @@ VERDICT = Field(
     "Verdict",
     FieldKind.CHOICE,
     Source.VERDICT,
-    help="whether the run is good or why it counts as failed; 'failed' and 'diverged' stand for several reasons",
+    help="good, or why the run counts as failed; 'failed' and 'diverged' stand for several; a lost run has none",
     choices=(*map(str, VerdictKind), *VERDICT_GROUPS),
     groups={**{str(kind): (str(kind),) for kind in VerdictKind}, **VERDICT_GROUPS},
 )

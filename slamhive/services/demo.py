@@ -46,13 +46,13 @@ def render(hive: Hive, seconds: float, progress: Progress) -> None:
 
 
 def demo_source(hive: Hive, algorithms: Sequence[str], executor: str) -> ExperimentSource:
-    """The experiment with ``algorithms``, under a name that goes with them and with the data."""
+    """The experiment with ``algorithms``, under a name that goes with them, with the file and with the data."""
     content = strict_yaml.parse((hive.catalogue.project_root / FILE).read_text(encoding="utf-8"), FILE)
     heard = {entry.kind for name in algorithms for entry in hive.catalogue.algorithm(name).inputs}
     left_out = () if SensorKind.CAMERA in heard else ("steps", "linked", "where")
-    parts = [hive.catalogue.dataset(DATASET).checksum, executor, *algorithms]
-    name = f"{content['name']}-{hashlib.sha256(' '.join(parts).encode()).hexdigest()[:6]}"
     kept = {key: value for key, value in content.items() if key not in left_out}
+    parts = [hive.catalogue.dataset(DATASET).checksum, executor, *algorithms, strict_yaml.dump(kept)]
+    name = f"{content['name']}-{hashlib.sha256(' '.join(parts).encode()).hexdigest()[:6]}"
     return ExperimentSource(strict_yaml.dump({**kept, "name": name, "algorithms": list(algorithms)}), FILE)
 
 

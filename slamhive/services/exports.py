@@ -244,9 +244,9 @@ _COLUMNS: dict[str, _Column] = {
     ),
     "reason": _stored("reason", read=lambda row: None if row.reason is None else row.reason.value),
     "verdict": _Column(
-        CellsWanted(frozenset({"state"}), frozenset({VERDICT})),
+        CellsWanted(frozenset({"state", "reason"}), frozenset({VERDICT})),
         lambda runs: [
-            None if (kind := verdict_kind(run.row.state, run.judged)) is None else kind.value for run in runs
+            None if (kind := verdict_kind(run.state, run.reason, run.judged)) is None else kind.value for run in runs
         ],
     ),
     "trust": _Column(

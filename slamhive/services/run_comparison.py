@@ -33,7 +33,7 @@ from slamhive.domain.trust import TrustLevel
 from slamhive.domain.verdict import ERROR, Outcome, judge
 from slamhive.run_folder.folder import RunFolder
 from slamhive.store import Store
-from slamhive.store.records import EvaluationState, ProtocolLabel, RunRecord
+from slamhive.store.records import EvaluationState, ProtocolLabel, RunRecord, verdict_kind
 from slamhive.store.transaction import Transaction
 
 if TYPE_CHECKING:
@@ -544,7 +544,7 @@ class RunComparisons:
         if baseline is not None and baseline not in run_ids:
             raise InvalidInput(f"the baseline {baseline} is none of the compared runs", "name one of them")
         (runs, values, protocols), mixed = self._store.read(
-            lambda t: (_read(t, run_ids), t.evaluations.mixed(t.evaluations.uses(run_ids)))
+            lambda t: (_read(t, run_ids), t.evaluations.mixed_of(run_ids))
         )
         chosen = _chosen(protocols, runs, protocol)
         fingerprint = None if chosen is None else chosen.fingerprint
@@ -645,4 +645,5 @@ def _columns(
 
 def _failed(run: RunRecord, values: Mapping[str, float]) -> bool:
     """Tell if a run counts as failed under the protocol of these values; a run that lacks them is not judged."""
-    return run.state is RunState.FAILED or (bool(values) and judge(values).kind.failed)
+    kind = verdict_kind(run.state, run.reason, judge(values).kind if values else None)
+    return kind is not None and kind.failed

@@ -166,7 +166,7 @@ class Searches:
             found = None if uses is None else t.evaluations.mixed(uses)
             if not few or (found is None and uses is not None):
                 return found
-            return t.evaluations.mixed(t.evaluations.uses(t.searches.run_ids(search))) or found
+            return t.evaluations.mixed_of(t.searches.run_ids(search)) or found
 
         return self._store.read(work)
 

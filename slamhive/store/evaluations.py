@@ -14,7 +14,7 @@ from sqlalchemy.exc import IntegrityError
 from slamhive.base.errors import Conflict, NotFound
 from slamhive.domain import protocol as domain
 from slamhive.domain.run import RunState
-from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, mixed_protocols, of_live
+from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse, mixed_protocols
 from slamhive.evaluation.job import Artefacts, EvaluationResult
 from slamhive.store.catalogue import CatalogueRepository
 from slamhive.store.changes import AskedEvaluations, changes_of
@@ -190,15 +190,40 @@ class EvaluationRepository(LeaseQueue[int]):
                 found[ProtocolUse(fingerprint, label, trajectory, 0)] += count
         return [replace(use, runs=count) for use, count in found.items()]
 
-    def mixed(self, uses: Iterable[ProtocolUse]) -> MixedProtocols | None:
-        """The protocols of runs side by side if they are not comparable, with the one that all of them can have."""
+    def mixed_of(self, run_ids: Iterable[int]) -> MixedProtocols | None:
+        """The protocols of these runs if they are not comparable, with the one that all of them can have."""
+        wanted = list(run_ids)
+        return self.mixed(self.uses(wanted), wanted)
+
+    def mixed(self, uses: Iterable[ProtocolUse], run_ids: Iterable[int] = ()) -> MixedProtocols | None:
+        """The same for runs whose protocols are known; ``run_ids`` tell which protocols were tried in vain."""
         found = list(uses)
         mixed = mixed_protocols(found)
         if mixed is None:
             return None
         definitions = self.definitions({use.fingerprint for use in found})
-        definitions |= self.definitions([of_live(protocol).fingerprint for protocol in definitions.values()])
-        return mixed_protocols(found, definitions)
+        kinds = (
+            replace(protocol, trajectory=kind).fingerprint
+            for protocol in definitions.values()
+            for kind in domain.TrajectoryKind
+        )
+        definitions |= self.definitions(set(kinds))
+        return mixed_protocols(found, definitions, self._refused(list(run_ids), definitions))
+
+    def _refused(self, run_ids: Sequence[int], fingerprints: Collection[str]) -> dict[str, int]:
+        """{fingerprint: number of these runs whose evaluations under it all failed}."""
+        failed: dict[str, set[int]] = {}
+        for part in chunks(run_ids):
+            query = (
+                select(ProtocolRow.fingerprint, _TABLE.c.run_id)
+                .join(_TABLE, _TABLE.c.protocol_id == ProtocolRow.id)
+                .where(_TABLE.c.run_id.in_(part), _TABLE.c.state == EvaluationState.FAILED)
+                .where(ProtocolRow.fingerprint.in_(sorted(fingerprints)))
+            )
+            for fingerprint, run_id in self._connection.execute(query):
+                failed.setdefault(fingerprint, set()).add(run_id)
+        left = {fingerprint: runs - self.having(runs, fingerprint) for fingerprint, runs in failed.items()}
+        return {fingerprint: len(runs) for fingerprint, runs in left.items() if runs}
 
     def definitions(self, fingerprints: Collection[str]) -> dict[str, domain.Protocol]:
         """{fingerprint: protocol}; unknown ones are left out."""

@@ -244,10 +244,11 @@ class RunRecord(RunOptions):
 
     @property
     def verdict(self) -> Verdict | None:
-        """The verdict: good, or why not. None if it has not ended, was cancelled or was never evaluated."""
-        if self.state is RunState.FAILED:
+        """The verdict: good, or why not. None if it has not ended, was cancelled, lost or never evaluated."""
+        kind = verdict_kind(self.state, self.reason, self.judged)
+        if kind is VerdictKind.ENDED_BADLY:
             return ended_badly(self.reason or self.state)
-        if self.judged is None:
+        if kind is None:
             return None
         return not_evaluable(None) if self.judged is VerdictKind.NOT_EVALUABLE else judge(self.metrics or {})
 
@@ -287,9 +288,14 @@ def trust_in(
     return judge_trust(metrics, disturbance, realtime=playback is PlaybackMode.REALTIME)
 
 
-def verdict_kind(state: RunState, judged: VerdictKind | None) -> VerdictKind | None:
-    """The kind of :attr:`RunRecord.verdict`, from the stored verdict alone."""
-    return VerdictKind.ENDED_BADLY if state is RunState.FAILED else judged
+def verdict_kind(state: RunState, reason: FailureReason | None, judged: VerdictKind | None) -> VerdictKind | None:
+    """The kind of :attr:`RunRecord.verdict`, from the stored verdict alone.
+
+    A lost run has none: that it was taken away says nothing about it.
+    """
+    if state is RunState.FAILED:
+        return None if reason is FailureReason.LOST else VerdictKind.ENDED_BADLY
+    return judged
 
 
 @dataclass(frozen=True, slots=True)

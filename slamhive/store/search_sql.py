@@ -37,7 +37,7 @@ from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.configuration import PlaybackMode
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.parameters import ParameterType
-from slamhive.domain.run import RunState
+from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trust import DROPPED_FRAMES, LIMITS, TrustLevel
 from slamhive.domain.verdict import VerdictKind
 from slamhive.filters.binding import Bound, Condition, Search, Value, members_of
@@ -141,7 +141,9 @@ def verdict_tree(leaf: Condition) -> Bound:
     codes = tuple(CODES[kind] for kind in kinds if kind in CODES)
     parts: list[Bound] = [Condition(_STORED, Sign.IN, codes)] if codes else []
     if VerdictKind.ENDED_BADLY in kinds:
-        parts.append(Condition(BUILT_IN["state"], Sign.EQUAL, (RunState.FAILED.value,)))
+        failed = Condition(BUILT_IN["state"], Sign.EQUAL, (RunState.FAILED.value,))
+        kept = Condition(BUILT_IN["reason"], Sign.NOT_EQUAL, (FailureReason.LOST.value,))
+        parts.append(join("and", [failed, kept]))
     return join("or", parts) if parts else Condition(_STORED, Sign.IN, ())
 
 
@@ -388,7 +390,9 @@ class Sql:
 
     def failed(self, runs: FromClause) -> ColumnElement[bool]:
         """Test if a row of ``runs`` counts as failed, by its end or by its verdict."""
-        ended_badly: ColumnElement[bool] = runs.c.state == RunState.FAILED
+        # A run that was taken away is lost, and has not failed.
+        kept = func.coalesce(runs.c.reason != FailureReason.LOST, true())
+        ended_badly: ColumnElement[bool] = and_(runs.c.state == RunState.FAILED, kept)
         found = self.figures_where(STORED_FAILURE, by_value=True)
         if found is None:
             return ended_badly

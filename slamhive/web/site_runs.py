@@ -23,8 +23,7 @@ from slamhive.base.bounds import parse_json_object
 from slamhive.base.errors import NotFound, SlamHiveError
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.metrics import CATALOGUE, Metric, with_unknown
-from slamhive.domain.run import RunState
-from slamhive.domain.verdict import outcome_words
+from slamhive.domain.verdict import Outcome, outcome_words
 from slamhive.run_folder.point_cloud import MapCloud
 from slamhive.services.analysis import script_json
 from slamhive.services.hive import Hive
@@ -100,7 +99,7 @@ def run_script(run: RunRecord, record: Mapping[str, Any], drawn: Mapping[str, An
     """
     rows = [row for needs in (True, False) for row in metric_rows(run, needs_protocol=needs)]
     figures = run.metrics or {}
-    failed = run.state is RunState.FAILED or (run.judged is not None and run.judged.failed)
+    failed = run.outcome is Outcome.FAILED
     content = {
         "id": run.id,
         "algorithm": run.algorithm,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind
@@ -75,6 +77,17 @@ def test_one_run_without_live_poses_does_not_send_the_others_back_to_what_was_mi
     assert found is not None
     assert found.common is not None
     assert found.common.fingerprint == live.fingerprint
+    # Those that have no live poses are named, and what was tried in vain is not offered again.
+    found = mixed_protocols(uses, known, {live.fingerprint: 1})
+    assert found is not None
+    assert found.common is None
+    assert found.words.endswith("not comparable. No evaluation of the live trajectory of 1 run succeeded.")
+    assert found.remedy == "compare runs of one kind of trajectory"
+    final = replace(SE3, trajectory=TrajectoryKind.FINAL)
+    found = mixed_protocols(uses, known | {final.fingerprint: final}, {live.fingerprint: 1})
+    assert found is not None
+    assert found.common is not None
+    assert found.common.fingerprint == final.fingerprint
 
 
 def test_a_run_that_does_not_say_its_kind_stands_beside_either():

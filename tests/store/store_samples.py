@@ -78,7 +78,7 @@ class Samples:
         requests = [self.request(configuration_id, **fields) for _ in range(count)]
         return self.store.write(lambda tx: tx.runs.add_runs(requests, self.now))
 
-    def run_in(self, state: RunState, **fields: Any) -> int:
+    def run_in(self, state: RunState, because: FailureReason = FailureReason.TIMEOUT, **fields: Any) -> int:
         """A run that has gone through life up to ``state``; the queue must be empty before."""
         (run_id,) = self.queued(**fields)
         if state is RunState.QUEUED:
@@ -87,7 +87,7 @@ class Samples:
         assert claimed is not None
         assert claimed.id == run_id
         for target in PATHS[state]:
-            reason: Any = {"reason": FailureReason.TIMEOUT} if target is RunState.FAILED else {}
+            reason: Any = {"reason": because} if target is RunState.FAILED else {}
             self.store.write(
                 lambda tx, to=target, why=reason: tx.runs.move(run_id, to, why="test", now=self.now, **why)  # type: ignore[misc]
             )

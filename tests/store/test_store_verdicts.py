@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import pytest
 from sqlalchemy import text
 
-from slamhive.domain.run import RunState
+from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trust import DROPPED_FRAMES
 from slamhive.domain.verdict import DIVERGED, ERROR_OVER_REPEATS, REPEATS_LIMIT, VerdictKind, outcome_words
 from slamhive.evaluation.job import EvaluationResult
@@ -179,14 +179,15 @@ def test_every_kind_that_is_stored_has_a_code_of_its_own() -> None:
 
 @pytest.fixture
 def mixed(store: Store, samples: Samples) -> list[int]:
-    """Runs of every kind: 5 repeats, one lost, one diverged, one that cannot be evaluated, and some not judged."""
+    """Runs of every kind: 5 repeats, one that lost track, one diverged, one lost with its node, and some not judged."""
     runs = evaluated(store, samples, 0.1, 0.12, 0.11, 1.4, None)
     lost = samples.run_in(RunState.SUCCEEDED)
     evaluate(store, lost, outcome(0.01, tracked=0.2))
     far = samples.run_in(RunState.SUCCEEDED, configuration_id=samples.configuration({"nFeatures": 7}))
     evaluate(store, far, outcome(8.0))
+    taken = samples.run_in(RunState.FAILED, FailureReason.LOST)
     states = (RunState.FAILED, RunState.CANCELLED, RunState.SUCCEEDED, RunState.QUEUED)
-    return [*runs, lost, far, *(samples.run_in(state) for state in states)]
+    return [*runs, lost, far, taken, *(samples.run_in(state) for state in states)]
 
 
 def found(store: Store, where: str, sort: RunSort | None = None) -> list[int]:
@@ -225,6 +226,15 @@ def test_filters_find_runs_by_their_verdict(
     assert set(found(store, where, RunSort("ate.rmse"))) == set(wanted)
 
 
+def test_a_run_that_was_taken_away_is_lost_and_has_not_failed(store: Store, mixed: list[int]) -> None:
+    (taken,) = found(store, "reason = lost")
+    (run,) = store.read(lambda tx: tx.runs.get_many([taken], with_metrics=True))
+    assert (run.outcome_words, run.verdict) == ("lost", None)
+    for where in ("verdict = failed", "verdict = ended_badly", "has verdict"):
+        assert taken not in found(store, where)
+    assert taken in found(store, "missing verdict")
+
+
 def test_a_filter_that_chooses_a_protocol_goes_by_the_verdicts_under_it(store: Store, mixed: list[int]) -> None:
     evaluate(store, mixed[0], outcome(6.0, SIM3), SIM3)
     assert found(store, f"verdict = diverged_far and protocol = {SIM3.fingerprint}") == [mixed[0]]
@@ -240,7 +250,7 @@ def test_a_filter_says_in_words_what_it_looks_for() -> None:
 def test_groups_count_every_failure_and_average_the_others(store: Store, mixed: list[int]) -> None:
     page = store.read(lambda tx: tx.searches.groups(Search(), RunSort("failed"), None, 10, ["ate.rmse"]))
     first, second = page.records
-    assert [(group.runs, group.failed) for group in (first, second)] == [(10, 4), (1, 1)]
+    assert [(group.runs, group.failed) for group in (first, second)] == [(11, 4), (1, 1)]
     (figures,) = first.figures.values()
     spread = figures["ate.rmse"]
     assert [spread.n, spread.median, spread.mean, spread.maximum] == pytest.approx([3, 0.11, 0.11, 0.12])

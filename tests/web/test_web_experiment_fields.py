@@ -50,7 +50,7 @@ same_cpu: false
 playback: {mode: realtime | sequential, rate: 1 | .5}
 stop_when: {lost_tracking_s: 3.5, failures_of_configuration: 2}
 limits: {memory_mb: 1000, timeout_s: 60}
-evaluate: {alignment: sim3}
+evaluate: {alignment: sim3, trajectory: live}
 executor: process
 priority: -3
 """

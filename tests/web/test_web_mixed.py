@@ -13,7 +13,8 @@ from click.testing import CliRunner
 
 from slamhive.base.settings import Mode
 from slamhive.cli import main
-from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind
+from slamhive.domain.side_by_side import of_live
 from slamhive.filters.binding import Search
 from slamhive.services.stored_analyses.computing import AnalysisJobs
 from slamhive.store.searches import SearchRepository
@@ -116,6 +117,15 @@ def test_a_plan_says_it_before_the_start_and_names_the_option(
     assert json.loads(CliRunner().invoke(main, [*plan, "--json"]).stdout)["mixed_protocols"] == said
     file.write_text(f"{file.read_text()}{option}\n")
     assert json.loads(CliRunner().invoke(main, [*plan, "--json"]).stdout)["mixed_protocols"] is None
+    # The same of the kinds of trajectories that packages say they leave.
+    package = project / "algorithms" / "eye-slam" / "algorithm.yaml"
+    for role, kind in (("image", "final"), ("left", "live")):
+        package.write_text(package.read_text().replace(f"_role: {role}}}", f"_role: {role}, trajectory: {kind}}}"))
+    said = json.loads(CliRunner().invoke(main, [*plan, "--json"]).stdout)["mixed_protocols"]
+    assert said.startswith("2 runs use the final trajectory, 2 the live trajectory: not comparable.")
+    assert "trajectory: live}" in said
+    file.write_text(file.read_text().replace(option, "evaluate: {alignment: sim3, trajectory: live}"))
+    assert json.loads(CliRunner().invoke(main, [*plan, "--json"]).stdout)["mixed_protocols"] is None
 
 
 def test_the_new_results_are_shown_as_soon_as_they_are_there(web: Web) -> None:
@@ -164,6 +174,22 @@ def test_a_comparison_and_the_editor_of_analyses_say_the_same(web: Web) -> None:
     named = yaml + f"protocol: {SIM3.fingerprint}\n"
     answer = web.client.post("/analyses/check", data={"csrf_token": web.token, "yaml": named}).get_json()
     assert answer["message"] == "both: valid."
+
+
+def test_a_run_without_a_live_trajectory_is_named_instead_of_offered_again(web: Web) -> None:
+    """The button for live trajectories worked for one run, and failed for the other, which has a final one only."""
+    live = of_live(PROTOCOL)
+    done, other = web.runs["done"], web.runs["bare"]
+    world.evaluate_run(web.hive, other)
+    world.set_trajectory(web.hive, [done], TrajectoryKind.LIVE)
+    world.set_trajectory(web.hive, [other], TrajectoryKind.FINAL)
+    world.evaluate_run(web.hive, done, protocol=live)
+    web.hive.current_protocols.use([done], live.fingerprint)
+    assert "Evaluate all under SE(3), live trajectory" in banner(web, "/runs")
+    world.evaluate_run(web.hive, other, reason="run has no live trajectory", protocol=live)
+    text = banner(web, "/runs")
+    assert "No evaluation of the live trajectory of 1 run succeeded." in text
+    assert "Evaluate all" not in text
 
 
 @pytest.mark.integration

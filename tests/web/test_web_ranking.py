@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from functools import partial
 
 import pytest
-from sqlalchemy import Update, update
 
 from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind
 from slamhive.domain.side_by_side import of_live
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource, RankedCell, Ranking
 from slamhive.services.experiments.ranking import BEST, WORST
-from slamhive.store import Transaction
-from slamhive.store.models import RunRow
 from tests.web import web_world as world
 from tests.web.web_world import Web
 
@@ -229,19 +225,13 @@ def test_configurations_under_several_protocols_are_all_listed_and_none_has_a_pl
     assert [place for _, place in order(ranked(web).best)] == [1, 2, 3]
 
 
-def _execute(change: Update, t: Transaction) -> None:
-    t.runs._connection.execute(change)
-
-
 def test_live_and_final_trajectories_have_no_common_order(web: Web) -> None:
     start(web, (500, 600), repeats=2)
     end(web, 1, (0.1, 0.11))
     end(web, 2, (0.2, 0.21))
     for number, kind in ((1, TrajectoryKind.LIVE), (2, TrajectoryKind.FINAL)):
         (cell,) = web.hive.experiments.cells("ranked", number - 1, 1).cells
-        runs = RunRow.__table__
-        change = update(runs).where(runs.c.id.in_([run.id for run in cell.runs])).values(trajectory=kind)
-        web.hive.store.write(partial(_execute, change))
+        world.set_trajectory(web.hive, [run.id for run in cell.runs], kind)
     assert [place for _, place in order(ranked(web).best)] == [None, None]
     page = web.client.get("/experiments/ranked").text
     assert "2 runs use the final trajectory, 2 the live trajectory: not comparable." in page
@@ -253,11 +243,9 @@ def test_the_live_trajectories_of_all_are_ranked_by_one_button(web: Web) -> None
     start(web, (500, 600), repeats=2)
     end(web, 1, (0.1, 0.11))
     end(web, 2, (0.2, 0.21))
-    runs = RunRow.__table__
     cells = [web.hive.experiments.cells("ranked", number, 1).cells[0] for number in range(2)]
     for cell, kind in zip(cells, (TrajectoryKind.LIVE, TrajectoryKind.FINAL), strict=True):
-        change = update(runs).where(runs.c.id.in_([run.id for run in cell.runs])).values(trajectory=kind)
-        web.hive.store.write(partial(_execute, change))
+        world.set_trajectory(web.hive, [run.id for run in cell.runs], kind)
     protocol = of_live(Protocol(Alignment.SE3))
     for run in cells[1].runs:
         world.evaluate_run(web.hive, run.id, 0.3, protocol=protocol)

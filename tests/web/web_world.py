@@ -6,7 +6,7 @@ import csv
 import shutil
 import uuid
 from base64 import b64encode
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -20,18 +20,20 @@ import numpy as np
 from flask import Flask
 from flask.testing import FlaskClient
 from jinja2 import FileSystemBytecodeCache
+from sqlalchemy import update
 from werkzeug.routing import Rule
 
 from slamhive.base.project import project_root
 from slamhive.base.settings import Mode, Settings
 from slamhive.domain.configuration import Configuration
 from slamhive.domain.parameters import parse_settings
-from slamhive.domain.protocol import Alignment, Protocol
+from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.evaluation.job import EvaluationResult
 from slamhive.run_folder.folder import RunFolder
 from slamhive.services.hive import Hive
 from slamhive.store import Lease, RunRequest, Transaction, open_store
+from slamhive.store.models import RunRow
 from slamhive.web.app import create_app
 from tests.services.tiny_project import write_bag
 
@@ -237,6 +239,13 @@ def evaluate_run(
     rows = "\n".join(f"{at:.6f},{error:.9f}" for at, error in zip(estimate[:, 0], errors, strict=True))
     (folder / "errors.csv").write_text("timestamp,ape_m\n" + rows + "\n")
     (folder / "result.json").write_text("{}")
+
+
+def set_trajectory(hive: Hive, run_ids: Sequence[int], kind: TrajectoryKind) -> None:
+    """Let ``traj.txt`` of these runs be of this kind, as if their algorithms had said so."""
+    runs = RunRow.__table__
+    change = update(runs).where(runs.c.id.in_(run_ids)).values(trajectory=kind)
+    hive.store.write(lambda t: t.runs._connection.execute(change))
 
 
 def fill(hive: Hive) -> None:

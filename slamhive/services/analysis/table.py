@@ -21,7 +21,7 @@ from slamhive.documents.model import load
 from slamhive.domain.configuration import Variant
 from slamhive.domain.dataset import ATTRIBUTE_KINDS, Dataset
 from slamhive.domain.metrics import CATALOGUE
-from slamhive.domain.run import RunState
+from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.sensors import SensorKind
 from slamhive.domain.trust import DisturbanceKind
 from slamhive.domain.verdict import EVIDENCE, FailureRule
@@ -228,15 +228,15 @@ def load_table(
 def _evaluated(source: Any, facts: Columns, errors_m: Mapping[int, float], protocol: str | None) -> Columns:
     """The facts of runs with a known result, the outcomes of their evaluations, and their protocols.
 
-    Runs that were not evaluated, were cancelled, or have not ended are left out: they have not failed.
+    Runs that were not evaluated, were cancelled or lost, or have not ended are left out: they have not failed.
     """
     ended_well = [state == RunState.SUCCEEDED for state in facts["state"]]
     pairs = list(zip(facts["run_id"], ended_well, strict=True))
     lacking = [run_id for run_id, well in pairs if well and run_id not in errors_m]
     evaluations = dict.fromkeys(errors_m, EvaluationState.SUCCEEDED) | source.evaluated(lacking, protocol)
     kept = [
-        run_id in evaluations if well else state == RunState.FAILED
-        for (run_id, well), state in zip(pairs, facts["state"], strict=True)
+        run_id in evaluations if well else state == RunState.FAILED and reason != FailureReason.LOST
+        for (run_id, well), state, reason in zip(pairs, facts["state"], facts["reason"], strict=True)
     ]
     if not any(kept) and kept:
         under = "" if protocol is None else f" under protocol {source.protocol_label(protocol)} ({protocol})"

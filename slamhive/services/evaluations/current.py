@@ -13,7 +13,7 @@ from slamhive.domain.metrics import described
 from slamhive.domain.names import plural
 from slamhive.domain.protocol import Protocol, ProtocolRequest, exactly, with_trajectory
 from slamhive.domain.run import RunState
-from slamhive.domain.side_by_side import MixedProtocols, ProtocolUse
+from slamhive.domain.side_by_side import MixedProtocols
 from slamhive.evaluation.job import Artefacts
 from slamhive.evaluation.presets import PRESETS, Preset
 from slamhive.run_folder.folder import RunFolder
@@ -113,11 +113,7 @@ class CurrentProtocols:
 
     def mixed(self, run_ids: Iterable[int]) -> MixedProtocols | None:
         """The protocols of these runs if their errors are not comparable, with the one that all can have."""
-        return self._store.read(lambda t: t.evaluations.mixed(t.evaluations.uses(run_ids)))
-
-    def mixed_among(self, uses: Iterable[ProtocolUse]) -> MixedProtocols | None:
-        """The same for runs whose protocols are known."""
-        return self._store.read(lambda t: t.evaluations.mixed(uses))
+        return self._store.read(lambda t: t.evaluations.mixed_of(run_ids))
 
     def _known(self, fingerprint: str) -> Protocol:
         found = self._store.read(lambda t: t.evaluations.definitions([fingerprint]))

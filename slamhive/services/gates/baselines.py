@@ -51,7 +51,7 @@ def measured_runs(t: Transaction, runs: Sequence[RunRecord], fingerprint: str) -
 
 def _failed(run: RunRecord, values: Mapping[str, float]) -> VerdictKind | None:
     """Why a run counts as failed; None for one that is good or was not evaluated."""
-    kind = verdict_kind(run.state, kind_of(values.get(VERDICT)))
+    kind = verdict_kind(run.state, run.reason, kind_of(values.get(VERDICT)))
     return kind if kind is not None and kind.failed else None
 
 

@@ -114,7 +114,8 @@ def tiles(run: RunRecord, standing: RepeatStanding) -> list[Tile]:
             continue
         unit = display_unit(metric)
         exact = f"{metric.definition} {value!r} {metric.unit}".strip()
-        found.append(Tile(title, significant(value * unit.factor), unit.unit, note, exact))
+        text = significant(value * unit.factor)
+        found.append(Tile(title, text, "core" if (text, unit.unit) == ("1", "cores") else unit.unit, note, exact))
     return found
 
 
