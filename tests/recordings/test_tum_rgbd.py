@@ -107,6 +107,14 @@ def test_icl_nuim_numbers_its_frames_and_has_a_negative_fy(tmp_path):
         plan(source)
 
 
+def test_the_times_of_the_colour_images_are_kept_with_the_ground_truth(source):
+    found = plan(source, **with_calibration(source))
+    assert found.truth is not None
+    assert isinstance(found.recording, tuple)
+    assert found.truth.image_times_s == pytest.approx(found.recording[0].times_ns / 1e9)
+    assert found.truth.definition.image_times == "image_times.txt"
+
+
 def test_what_is_left_out_is_said(source):
     next((source / "depth").iterdir()).unlink()
     write(source / "accelerometer.txt", "# timestamp ax ay az")

@@ -144,9 +144,14 @@ class TumRgbdImporter:
         intrinsics, camera_notes = _intrinsics(colour.paths[0], family, options)
         camera = camera_stream("cam0", colour, intrinsics)
         streams = (camera, depth_stream(camera.sensor, depth, options.depth_units_per_m or _UNITS_PER_M))
-        truth = _truth(source, family, options)
+        truth = _at_images(_truth(source, family, options), camera)
         notes = (*colour_notes, *depth_notes, *camera_notes, *_left_out(source), *matched_truth(truth, streams))
         return ImportPlan(streams, truth, _text(source, family), notes=notes)
+
+
+def _at_images(truth: PlannedTruth | None, camera: PlannedStream) -> PlannedTruth | None:
+    """The ground truth with the times of the images: ETH3D's tool, which reads such folders, compares at these."""
+    return None if truth is None else replace(truth, image_times_s=camera.times_ns / NS_PER_S)
 
 
 def _is_icl(source: Path) -> bool:
@@ -271,8 +276,7 @@ class Eth3dImporter:
         path = options.groundtruth or source / _TRUTH
         known = options.groundtruth is not None or path.is_file()
         truth = tum_truth(path, "motion capture", gravity_aligned=False) if known else None
-        if truth is not None:  # their tool compares at the times of the images
-            truth = replace(truth, image_times_s=streams[0].times_ns / NS_PER_S)
+        truth = _at_images(truth, streams[0])
         return ImportPlan(
             tuple(streams),
             truth,
