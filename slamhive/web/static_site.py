@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from base64 import b64encode
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -217,9 +218,10 @@ class StaticSite:
         found = [answer for answer in self._hive.claims.all() if answer.claims]
         for answer in found:
             (folder / "claims").mkdir(exist_ok=True)
-            text = page.render(site=site, root="../", answer=answer, run_url=_RUN_PAGE.format)
-            (folder / "claims" / f"{answer.name}.html").write_text(text, encoding="utf-8")
             badge = badge_svg(claim.state for claim in answer.claims)
+            shown = f"data:image/svg+xml;base64,{b64encode(badge.encode()).decode()}"  # pages load no pictures
+            text = page.render(site=site, root="../", answer=answer, run_url=_RUN_PAGE.format, badge=shown)
+            (folder / "claims" / f"{answer.name}.html").write_text(text, encoding="utf-8")
             (folder / "claims" / f"{answer.name}.svg").write_text(badge, encoding="utf-8")
         return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from typing import Any
 
 import pytest
@@ -85,4 +86,7 @@ def test_a_static_site_has_the_claims_and_their_badge(web: Web):
     page = (folder / "claims" / "paper.html").read_text()
     assert world.HOSTILE not in page
     assert '<a href="../runs/1.html">1</a>' in page
-    assert "1 of 4 hold" in (folder / "claims" / "paper.svg").read_text()
+    badge = (folder / "claims" / "paper.svg").read_text()
+    assert "claims: 1 of 4 hold" in badge
+    assert "img-src data:" in page, "so the picture is in the page itself"
+    assert f'src="data:image/svg+xml;base64,{b64encode(badge.encode()).decode()}"' in page
