@@ -83,6 +83,9 @@ FACTS = (
 )
 """The columns of every table, in this order."""
 
+LIMITS = ("cpu_cores", "memory_mb", "slow_down")
+"""The columns of limits, which runs of one configuration need not share."""
+
 NOT_STATED = "not stated"
 """The group of runs without a value."""
 
@@ -244,6 +247,19 @@ class RunTable:
         """A sentence on runs that were measured on several CPU models; empty if they were not."""
         mixed = [f"{model} ({plural(runs, 'run')})" for model, runs in self.mixed_cpus.items()]
         return f"Several CPU models together: {', '.join(mixed)}." if mixed else ""
+
+    @property
+    def limit_words(self) -> str:
+        """A sentence on runs of one algorithm under several limits; empty if the limits are the same."""
+        mixed = []
+        for key in LIMITS:
+            of_algorithms = self.frame.groupby("algorithm", sort=False)[key]
+            if (of_algorithms.nunique(dropna=False) > 1).any():
+                values = sorted(self.frame[key].unique(), key=lambda value: (pd.isna(value), value))
+                texts = ["none stated" if pd.isna(value) else f"{value:g}" for value in values]
+                column = self.columns[key]
+                mixed.append(f"{column.label} {', '.join(texts)} {column.unit}")
+        return f"Several limits together: {'; '.join(mixed)}." if mixed else ""
 
     @property
     def rule_words(self) -> str:

@@ -116,6 +116,7 @@ def test_failed_runs_are_shown_as_failures_with_their_dropped_frames():
     assert list(failed.y) == [100.0, 0.0, 0.0, 0.0]
     assert list(dropped.y) == [40.0, 0.0, 0.0, 0.0]
     assert "10 failed" in failures.caption
+    assert "Several limits together: CPU limit 0.25, 0.5, 1, 2 cores; Memory limit 300, 600 MB." in failures.caption
 
 
 def test_a_budget_that_is_too_small_everywhere_is_told():

@@ -232,6 +232,7 @@ def caption(table: RunTable, shown: int, protocol: str | None, *more: str) -> st
         table.version_words,
         table.trajectory_words,
         table.cpu_words,
+        table.limit_words,
     ]
     parts.append(f"Protocol: {protocol}." if protocol else "No metric here depends on an evaluation protocol.")
     return " ".join(filter(None, [*parts, *more]))
