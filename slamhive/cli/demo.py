@@ -17,6 +17,7 @@ from slamhive.cli.output import progress_bar, tell
 from slamhive.cli.waiting import experiment_to_end
 from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.placement import Remaining
+from slamhive.domain.run import RunState
 from slamhive.domain.verdict import Outcome
 from slamhive.executors.base import ImageMissing
 from slamhive.services.demo import DATASET, demo_algorithms, demo_source, is_rendered, render
@@ -198,7 +199,12 @@ def run_demo(hive: Hive, seconds: float) -> None:
     status = hive.experiments.start(demo_source(hive, algorithms, executor), executor)
     if status.state is ConfigurationStanding.FINISHED:
         tell(f"experiment {status.name} has run already, its results are shown again")
-    experiment_to_end(hive, status.name, on_end=_announce, title=f"step {phases.count} of {phases.count}, runs")
+
+    def announce(run: RunRecord) -> None:
+        reasons = (evaluation.reason for evaluation in hive.evaluations.of_run(run.id))
+        tell(describe_end(run, next(filter(None, reasons), None)))
+
+    experiment_to_end(hive, status.name, on_end=announce, title=f"step {phases.count} of {phases.count}, runs")
     status = hive.experiments.status(status.name)
     print_report(status, list(hive.experiments.report(status.name)), varying(hive.experiments.axes(status.name)))
     tell(f"demo done in {monotonic_s() - began:.0f} s; data in {hive.settings.data}")
@@ -247,7 +253,16 @@ def buildable(hive: Hive, executor: str, algorithms: Sequence[str], phases: Phas
     return found
 
 
-def _announce(run: RunRecord) -> None:
+def describe_end(run: RunRecord, problem: str | None) -> str:
+    """The line about a run that has ended: its error, or why it has none.
+
+    ``problem``: why its evaluation failed; None if it did not.
+    """
     error_m = (run.metrics or {}).get("ate.rmse")
-    result = f"ATE RMSE {error_m:.4f} m" if error_m is not None else (run.detail or "not evaluated")
-    tell(f"run {run.id}: {run.algorithm} {run.state}, {run.poses or 0} poses, {result}")
+    if error_m is not None:
+        result = f"ATE RMSE {error_m:.4f} m"
+    elif run.state is RunState.SUCCEEDED:
+        result = f"not evaluated: {problem}" if problem else "not evaluated"
+    else:
+        result = run.detail or "no reason is known"
+    return f"run {run.id}: {run.algorithm} {run.state}, {run.poses or 0} poses, {result}"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ from slamhive.base.errors import Conflict, Forbidden, InvalidInput, NotFound, Sl
 from slamhive.base.files import size_bytes
 from slamhive.base.settings import Mode
 from slamhive.cli.demo import DemoPhase as BuildPhase
-from slamhive.cli.demo import Phases, buildable
+from slamhive.cli.demo import Phases, buildable, describe_end
 from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.run import RunState
 from slamhive.domain.verdict import Outcome
@@ -88,6 +90,19 @@ def test_the_time_left_of_the_demo_counts_no_build_that_is_over(hive: Hive) -> N
     between_s = GUESSED_OVERHEAD_S + GUESSED_EVALUATION_S
     assert started.left_s == pytest.approx(6 * (10.0 + GUESSED_START_S + between_s))
     assert (started.low_s, started.high_s) == (None, None), "only the length of the recording is known"
+
+
+def test_the_demo_says_of_each_run_its_error_or_why_it_has_none(finished: Hive) -> None:
+    runs = [finished.runs.get(run.id) for run in runs_of(finished)]
+    good = next(run for run in runs if run.metrics)
+    crashed = next(run for run in runs if run.state is RunState.FAILED)
+    begin = f"run {good.id}: tiny succeeded, {good.poses} poses, "
+    assert re.fullmatch(rf"{begin}ATE RMSE \d\.\d{{4}} m", describe_end(good, None))
+    lost = replace(good, metrics=None)
+    assert describe_end(lost, "only 2 poses match") == f"{begin}not evaluated: only 2 poses match"
+    assert describe_end(lost, None) == f"{begin}not evaluated"
+    assert crashed.detail
+    assert describe_end(crashed, None) == f"run {crashed.id}: tiny failed, {crashed.poses or 0} poses, {crashed.detail}"
 
 
 def test_a_preview_tells_what_would_happen_and_stores_nothing(hive: Hive) -> None:
