@@ -64,6 +64,18 @@ def step_verdict(reference: Scores, values: Scores, difference: Margin, error: f
     return StepVerdict(TrialStanding.BAD if bad else TrialStanding.GOOD, state.rounds, bayes_factor(seen[0], seen[1]))
 
 
+def half_way(good: Scores, bad: Scores, runs: int, least: Margin) -> Margin:
+    """Half of the difference between both ends of a search, and no less than ``least``.
+
+    A limit there is far from both, so that the fewest runs tell commits apart. It follows from the first ``runs`` runs
+    on each dataset, so it stays when more are made.
+    """
+    seen = counted([[scores[:runs] for scores in lane] for lane in (good, bad)], None)
+    means = [float(table.mean()) for table in seen]
+    least_value = least.value * (abs(means[0]) if least.relative else 1.0)
+    return Margin(max(least_value, (means[1] - means[0]) / 2), relative=False)
+
+
 def next_runs(done: int, datasets: int, error: float) -> int:
     """How many runs of each a further look should have, on each dataset; ``done`` are there already.
 

@@ -213,6 +213,7 @@ def check(cli: CliContext, /, baseline_name: str, as_json: bool, **options: Any)
 @click.option("--algorithm", metavar="NAME", help="Which of the package's algorithms, if it has several.")
 @click.option("--metric", default="ate.rmse", show_default=True, help="What became worse; or failures.")
 @click.option("--difference", default="5%", show_default=True, help="How much worse than the good commit is allowed.")
+@click.option("--half-way", is_flag=True, help="Tell commits apart half way between both ends: takes fewer runs.")
 @click.option(
     "--error", type=click.FloatRange(0.001, 0.5), default=0.05, show_default=True, help="Chance of a false answer."
 )
@@ -243,14 +244,14 @@ def bisect(cli: CliContext, /, as_json: bool, **options: Any) -> None:
         raise InvalidInput("say what to run: --dataset, or --baseline", "one of the two")
     hive = cli.hive()
     metric = searched_metric(options["metric"])
-    own = ("datasets", "baseline", "folder", "package", "into", "algorithm", "error", "most", "restart", "good", "bad")
+    own = ("datasets", "baseline", "folder", "package", "into", "algorithm", "half_way", "error", "most", "restart")
     request = BisectRequest(
         repository=options["repo"],
         submission=Submission("", "", **_run_values(options)),
         metric=metric,
         difference=read_difference(options["difference"], metric),
         budget=None if options["budget"] is None else read_budget(options["budget"]),
-        **{name: options[name] for name in own},
+        **{name: options[name] for name in (*own, "good", "bad")},
     )
     answer = hive.bisections.find(request, partial(run_to_end, hive, evaluate=True), partial(tell, style="dim"))
     print_json(answer.content) if as_json else _print_bisect(answer)

@@ -178,6 +178,15 @@ def test_planted_regressions_are_found_in_a_real_history(
     assert (answer.after.author, answer.after.e_value is not None) == ("Ada", True)
 
 
+def test_half_way_between_both_ends_a_large_regression_takes_few_runs_in_noise(
+    history: tuple[GitRepository, list[str]],
+):
+    answers = [searched(history, MadeUpRuns(history[0], 0.10, 9), bad=25, half_way=half) for half in (True, False)]
+    assert answers[0].left[0].commit == history[1][18]
+    assert answers[0].difference.startswith("0.08")
+    assert answers[0].runs < 80 < answers[1].runs
+
+
 def test_equal_contents_are_run_once(history: tuple[GitRepository, list[str]]):
     bench = MadeUpRuns(history[0], 0.02, 2)
     answer = searched(history, bench)

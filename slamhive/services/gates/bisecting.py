@@ -19,7 +19,7 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slamhive.analysis.bisection import History, next_runs, search_history, step_error, step_verdict
+from slamhive.analysis.bisection import History, half_way, next_runs, search_history, step_error, step_verdict
 from slamhive.base.clock import utc_now
 from slamhive.base.errors import Conflict, InvalidInput, NotFound
 from slamhive.base.files import temporary_folder, write_aside
@@ -63,7 +63,8 @@ class BisectRequest:
         datasets: What it runs on; empty with a baseline.
         baseline: Name or file of a baseline whose configurations run.
         metric: What is compared.
-        difference: How much worse than the good commit is allowed.
+        difference: How much worse than the good commit is allowed. The bad one has to be worse than that.
+        half_way: Commits between them are told apart half way between both ends, if that is more than ``difference``.
         error: The largest chance that the answer is false.
         most: A commit that is undecided after so many runs on each dataset is skipped.
         budget: Of all runs.
@@ -82,6 +83,7 @@ class BisectRequest:
     package: str | None = None
     into: str = "source"
     algorithm: str | None = None
+    half_way: bool = False
     error: float = 0.05
     most: int = MOST_RUNS
     budget: RunBudget | None = None
@@ -385,6 +387,7 @@ class BisectSearch:
         self._settled: dict[str | None, _Settled] = {}
         self._trials: dict[str | None, Trial] = {}
         self._decisions = 0
+        self._allowed = self._request.difference
         self._need: tuple[str, int] | None = None
 
     def run(self, work: Work) -> BisectAnswer:
@@ -471,9 +474,11 @@ class BisectSearch:
         commits = len(self._history.parents)
         expected = math.ceil(math.log2(commits)) + 1
         error = step_error(request.error, self._decisions, expected)
-        verdict = step_verdict(good.scores, trial.scores, request.difference, error)
+        verdict = step_verdict(good.scores, trial.scores, self._allowed, error)
         if verdict.standing is not None:
             self._decisions += 1
+            if is_bad and request.half_way:
+                self._allowed = half_way(good.scores, trial.scores, verdict.runs, request.difference)
             return _Settled(verdict.standing, "", verdict.e_value)
         done = min(good.fewest, trial.fewest)
         if done >= request.most:
@@ -566,7 +571,7 @@ class BisectSearch:
             metric=request.metric.key,
             label=request.metric.label,
             unit=request.metric.unit,
-            difference=request.difference.words(request.metric.unit),
+            difference=self._allowed.words(request.metric.unit),
             error=request.error,
             commits=len(self._history.parents),
             decisions=self._decisions,
