@@ -10,7 +10,7 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.cli.running import parse_steps, step_option
 from slamhive.cli.visible import say
-from slamhive.documents.catalogue import CachedVariant, StepDocument, StepOptionDocument
+from slamhive.documents.catalogue import CachedVariant, StepDocument
 from slamhive.documents.model import load
 from slamhive.domain.configuration import Variant
 from slamhive.recordings.variants.cache import VariantEntry
@@ -92,7 +92,7 @@ def make(cli: CliContext, dataset: str, variant: tuple[str, ...], as_json: bool)
         hive.variants.hold(source, steps, progress) as used,
     ):
         progress(1.0, "done")
-    entry = hive.variants.find(used.key)
+    entry = hive.variants.cache.find(used.key)
     if as_json:
         print_json(CachedVariant.of(entry).content)
     else:
@@ -141,7 +141,7 @@ def verify(cli: CliContext, keys: tuple[str, ...], dataset: str | None, as_json:
     with progress_bar("verifying") as progress:
         for number, entry in enumerate(chosen):
             progress(number / len(chosen), entry.key[:KEY_SHOWN])
-            problems[entry.key] = hive.variants.verify(entry.key)
+            problems[entry.key] = hive.variants.cache.verify(entry.key)
     damaged = {key: problem for key, problem in problems.items() if problem is not None}
     if as_json:
         print_json([{"key": key, "problem": problem} for key, problem in problems.items()])
@@ -158,15 +158,14 @@ def _chosen(cli: CliContext, keys: tuple[str, ...], dataset: str | None, everyth
     if keys and (dataset is not None or everything):
         raise InvalidInput("keys and a choice of many exclude each other", "give either KEY... or --dataset or --all")
     if keys:
-        return tuple(service.find(key) for key in keys)
+        return tuple(service.cache.find(key) for key in keys)
     if dataset is None and not everything:
         raise InvalidInput("no variant is named", "give KEY..., --dataset NAME or --all")
     return service.entries(dataset)
 
 
 def _step(kind: str) -> StepDocument:
-    options = tuple(map(StepOptionDocument.of, describe_options(kind)))
-    return StepDocument(kind=kind, help=describe_step(kind), options=options)
+    return StepDocument(kind=kind, help=describe_step(kind), options=describe_options(kind))
 
 
 def _default(value: object, required: bool) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Self
 
 from pydantic import AliasPath, BeforeValidator, Field
+from pydantic.json_schema import SkipJsonSchema
 
 from slamhive.documents.model import Document, Timestamp, described
 from slamhive.domain import dataset as domain
@@ -13,6 +14,7 @@ from slamhive.domain.collection import Collection, NeedKind, Sequence
 from slamhive.domain.configuration import Playback, Variant
 from slamhive.domain.finding import FoundKind
 from slamhive.domain.matching import Match, Origin
+from slamhive.domain.names import plain
 from slamhive.domain.parameters import ParameterType, Value
 from slamhive.domain.protocol import Alignment, PoseTime, TrajectoryKind
 from slamhive.domain.sensors import SensorKind, SensorSetup
@@ -277,6 +279,22 @@ class StepOptionDocument(Document):
     unit: str
     allowed: Annotated[str, described("The range or the choices; empty if every value is allowed.")]
     help: str
+    choices: Annotated[SkipJsonSchema[tuple[str, ...]], Field(exclude=True)] = ()
+    """For forms: the words of an option that takes only some."""
+
+    @property
+    def explanation(self) -> str:
+        """The help with what is allowed: ``Width and height times this; above 0, at most 1``."""
+        return f"{self.help.removesuffix('.')}; {self.allowed or self.type}."
+
+    @property
+    def hint(self) -> str:
+        """The default for an empty field: ``default 4``, ``required``, ``not set``."""
+        if self.required:
+            return "required"
+        if isinstance(self.default, int | float) and not isinstance(self.default, bool):
+            return f"default {plain(self.default)}"
+        return "not set" if self.default is None else f"default {str(self.default).lower()}"
 
 
 class StepDocument(Document):

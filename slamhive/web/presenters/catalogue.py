@@ -10,13 +10,12 @@ from typing import Any
 
 from slamhive.analysis.chart import OKABE_ITO
 from slamhive.base.errors import InvalidInput, SlamHiveError
-from slamhive.documents.catalogue import MatchDocument, TruthTrialDocument
+from slamhive.documents.catalogue import MatchDocument, StepOptionDocument, TruthTrialDocument
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter, ParameterType
 from slamhive.domain.sensors import IDENTITY4, Sensor, SensorKind
 from slamhive.recordings.variants.steps import (
-    OptionInfo,
     RegisteredSteps,
     describe_options,
     describe_step,
@@ -78,7 +77,7 @@ class StepKind:
 
     kind: str
     help: str
-    options: tuple[OptionInfo, ...]
+    options: tuple[StepOptionDocument, ...]
     sensors: tuple[SensorKind, ...]
 
     @property

@@ -10,12 +10,13 @@ from werkzeug.datastructures import MultiDict
 
 from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError
 from slamhive.documents.api import LONGEST_YAML
+from slamhive.documents.catalogue import StepOptionDocument
 from slamhive.documents.experiment import ExperimentPreviewDocument
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter
 from slamhive.domain.sensors import SensorKind, SensorSetup
-from slamhive.recordings.variants.steps import STEPS, OptionInfo, describe_options, describe_step, treated_kinds
+from slamhive.recordings.variants.steps import STEPS, describe_options, describe_step, treated_kinds
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.web.experiment_fields import (
@@ -67,7 +68,7 @@ class StepRow:
 
     fields: StepFields
     summary: str
-    options: tuple[OptionInfo, ...]
+    options: tuple[StepOptionDocument, ...]
     strange: tuple[str, ...]
 
 
@@ -102,7 +103,7 @@ def builder(fields: ExperimentFields, algorithms: Sequence[Algorithm], datasets:
     known = {entry.name for entries in (shared, *own.values()) for entry in entries}
     steps = []
     for step in fields.steps:
-        options: tuple[OptionInfo, ...] = ()
+        options: tuple[StepOptionDocument, ...] = ()
         try:
             options, words = describe_options(step.kind), describe_step(step.kind)
         except NotFound as error:
@@ -263,7 +264,7 @@ def draft_from_text(hive: Hive, text: str) -> ExperimentDraft:
     if not text.strip():
         return empty_draft()
     try:
-        text = hive.experiments.with_datasets(ExperimentSource(text, SOURCE)).text
+        text = hive.experiments.context.with_datasets(ExperimentSource(text, SOURCE)).text
         fields = fields_from_yaml(text)
     except InvalidInput as error:
         return with_error(ExperimentDraft(text, None), error)

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from slamhive.base.errors import InvalidInput
 from slamhive.base.registry import Registry, subclasses_of
+from slamhive.documents.catalogue import StepOptionDocument
 from slamhive.documents.model import first_problem
 from slamhive.domain.configuration import VariantStep
 from slamhive.domain.dataset import Dataset
@@ -85,37 +86,6 @@ _BOUNDS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class OptionInfo:
-    """One option of a step, for pages and docs; a ``default`` of None means required, or left out.
-
-    ``choices`` are the words of an option that takes only some.
-    """
-
-    name: str
-    type: str
-    default: Any
-    required: bool
-    unit: str
-    allowed: str
-    help: str
-    choices: tuple[str, ...] = ()
-
-    @property
-    def explanation(self) -> str:
-        """The help with what is allowed: ``Width and height times this; above 0, at most 1``."""
-        return f"{self.help.removesuffix('.')}; {self.allowed or self.type}."
-
-    @property
-    def hint(self) -> str:
-        """The default for an empty field: ``default 4``, ``required``, ``not set``."""
-        if self.required:
-            return "required"
-        if isinstance(self.default, int | float) and not isinstance(self.default, bool):
-            return f"default {plain(self.default)}"
-        return "not set" if self.default is None else f"default {str(self.default).lower()}"
-
-
 class RegisteredSteps:
     """The rules of all registered steps, as :class:`slamhive.domain.configuration.StepRules` asks for them."""
 
@@ -173,7 +143,7 @@ def treated_kinds(kind: str) -> tuple[SensorKind, ...]:
     return tuple(entry for entry in SensorKind if step.applies_to(Sensor("", entry, "", 1.0)))
 
 
-def describe_options(kind: str) -> tuple[OptionInfo, ...]:
+def describe_options(kind: str) -> tuple[StepOptionDocument, ...]:
     """Every option of a step with type, unit, range and meaning, the seed last; raises NotFound."""
     step_type = STEPS.get(kind)
     schema = step_type.model_json_schema()
@@ -182,12 +152,12 @@ def describe_options(kind: str) -> tuple[OptionInfo, ...]:
     return tuple(_option(name, entry, required=name in required) for name, entry in entries)
 
 
-def _option(name: str, entry: Mapping[str, Any], *, required: bool) -> OptionInfo:
+def _option(name: str, entry: Mapping[str, Any], *, required: bool) -> StepOptionDocument:
     kinds = [part for part in entry.get("anyOf", [entry]) if part.get("type") != "null"]
     value = kinds[0]
     choices = value.get("enum")
     bounds = [words.format(_number(value[key])) for key, words in _BOUNDS.items() if key in value]
-    return OptionInfo(
+    return StepOptionDocument(
         name=name,
         type=str(value.get("type", "string")),
         default=entry.get("default"),
