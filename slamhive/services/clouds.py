@@ -29,7 +29,7 @@ def work_of(order: CloudFile, path: Path, experiments: Callable[[], ExperimentSe
     if order.experiment is None:
         return Work(order.hours or 0.0)
     service = experiments()
-    source = service.with_datasets(ExperimentSource.read(path.parent / order.experiment))
+    source = service.context.with_datasets(ExperimentSource.read(path.parent / order.experiment))
     found = service.preview(source)
     datasets = tuple(map(str, parse_experiment(source.text, source.name).datasets.values))
     copied = order.prepare is not None and order.prepare.datasets

@@ -108,7 +108,7 @@ def _file_folders(
             left_out.append((folder.root, str(error)))
     try:
         if runs:
-            ledger.repeat_later(hive.store.write(lambda t: file_runs(t, hive.catalogue, runs)))
+            ledger.later.update(hive.store.write(lambda t: file_runs(t, hive.catalogue, runs)))
     except (SlamHiveError, OverflowError) as error:
         if len(folders) > 1:
             return [entry for folder in folders for entry in _file_folders(hive, [folder], report, ledger, damaged)]

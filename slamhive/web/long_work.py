@@ -133,7 +133,7 @@ class VariantMaker(Background):
     def drop(self, name: str, key: str) -> str:
         """Remove the variant of the dataset called ``name`` whose key begins with ``key``; its whole key."""
         self._hive.check_writable()
-        entry = self._hive.variants.find(key)
+        entry = self._hive.variants.cache.find(key)
         if entry.dataset != name:
             raise NotFound(f"{name} has no variant {key[:40]!r}")
         self._hive.variants.drop(entry.key)

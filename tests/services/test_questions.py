@@ -213,7 +213,7 @@ def test_two_that_choose_at_once_add_each_run_once(hive: Hive):
     start(hive)
     assert len(hive.experiments.ask_for_runs("two", {1: 1, 2: 1}, 0)) == 2
     assert hive.experiments.ask_for_runs("two", {1: 1, 2: 1}, 0) == []
-    with hive.experiments._context.folder("two").locked(), pytest.raises(Conflict, match="another process"):
+    with hive.experiments.context.folder("two").locked(), pytest.raises(Conflict, match="another process"):
         hive.experiments.ask_for_runs("two", {1: 1}, 2)
 
 

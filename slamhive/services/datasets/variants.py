@@ -78,7 +78,7 @@ class VariantService:
         self._settings = settings
         self._store = store
         limits = CacheLimits(settings.variant_cache_bytes, settings.min_free_disk_mb * 1_000_000)
-        self._cache = VariantCache(settings.variants_folder, limits, self._used_by_runs)
+        self.cache = VariantCache(settings.variants_folder, limits, self._used_by_runs)
 
     def resolve(self, dataset: Dataset, variant: Variant) -> Variant:
         """``variant`` with default options added and steps without effect removed; a step may leave sensors out.
@@ -92,7 +92,7 @@ class VariantService:
         """Raise whatever would keep ``variant`` from being made, disk space included; reads no recorded data."""
         plan = plan_variant(dataset, variant)
         if plan is not None:
-            self._cache.check_room(plan)
+            self.cache.check_room(plan)
 
     def plan(self, dataset: Dataset, variant: Variant) -> VariantPlan | None:
         """Key and estimated size of ``variant``; None for the unmodified dataset; raises as :meth:`check`."""
@@ -130,7 +130,7 @@ class VariantService:
 
             return build_variant(dataset, variant, folder, on_progress)
 
-        with self._cache.hold(plan, build, progress) as made:
+        with self.cache.hold(plan, build, progress) as made:
             yield UsedVariant(plan.key, made)
 
     @contextlib.contextmanager
@@ -139,24 +139,16 @@ class VariantService:
         if key == IDENTITY:
             yield
             return
-        with self._cache.hold_made(key):
+        with self.cache.hold_made(key):
             yield
-
-    def sweep(self) -> None:
-        """Remove the leftovers of killed builds."""
-        self._cache.sweep()
 
     def entries(self, dataset: str | None = None) -> tuple[VariantEntry, ...]:
         """The variants in the cache, of one dataset or of all, most recently used first."""
-        return tuple(entry for entry in self._cache.entries() if dataset is None or entry.dataset == dataset)
-
-    def find(self, key: str) -> VariantEntry:
-        """The variant whose key starts with ``key``; raises NotFound, or InvalidInput if there are several."""
-        return self._cache.find(key)
+        return tuple(entry for entry in self.cache.entries() if dataset is None or entry.dataset == dataset)
 
     def drop(self, key: str) -> None:
         """Remove a variant; raises Conflict while a run uses it."""
-        self._cache.drop(key)
+        self.cache.drop(key)
         self._store.note_act()
 
     def drop_unused(self, dataset: str) -> tuple[VariantEntry, ...]:
@@ -164,16 +156,12 @@ class VariantService:
         dropped: list[VariantEntry] = []
         for entry in self.entries(dataset):
             try:
-                self._cache.drop(entry.key)
+                self.cache.drop(entry.key)
             except Conflict:
                 logger.info("variant %s of %s is in use and stays", entry.key, dataset)
             else:
                 dropped.append(entry)
         return tuple(dropped)
-
-    def verify(self, key: str) -> str | None:
-        """Read every byte of a variant; returns what is wrong with it, None if nothing is."""
-        return self._cache.verify(key)
 
     def _used_by_runs(self) -> set[str]:
         """The variants of active runs: their containers outlive a killed worker and its locks."""

@@ -40,13 +40,9 @@ class ExperimentService:
     """
 
     def __init__(self, context: ExperimentContext) -> None:
-        self._context = context
+        self.context = context
         self._tables = AxisTables()
         self._time_left = TimeLeft(context.settings.worker_slots)
-
-    def with_datasets(self, source: ExperimentSource) -> ExperimentSource:
-        """``source`` with names of datasets in place of a filter; raises InvalidInput naming file and line."""
-        return self._context.with_datasets(source)
 
     def preview(
         self,
@@ -65,7 +61,7 @@ class ExperimentService:
         from slamhive.services.experiments.previewing import preview  # noqa: PLC0415 - lists and reports need neither
         from slamhive.services.experiments.starting import check_question, check_same  # noqa: PLC0415
 
-        context = self._context
+        context = self.context
         source = context.with_datasets(source)
         experiment = parse_experiment(source.text, source.name)
         refusals: list[str] = []
@@ -96,7 +92,7 @@ class ExperimentService:
         """Combinations of the published SLAM Hive as experiment files; raises as :func:`convert_published`."""
         from slamhive.services.experiments.converting import convert_published  # noqa: PLC0415
 
-        return convert_published(self._context.catalogue, source, meanings)
+        return convert_published(self.context.catalogue, source, meanings)
 
     def start(
         self,
@@ -118,34 +114,34 @@ class ExperimentService:
         """
         from slamhive.services.experiments.starting import start  # noqa: PLC0415
 
-        check_writable(self._context.settings)
-        return self.status(start(self._context, source, executor, progress, visibility))
+        check_writable(self.context.settings)
+        return self.status(start(self.context, source, executor, progress, visibility))
 
     def list(self) -> tuple[ExperimentStatusDocument, ...]:
         """All experiments, the newest first, without the time left."""
-        return self._context.store.read(statuses.all_statuses)
+        return self.context.store.read(statuses.all_statuses)
 
     def is_failing(self, found: ExperimentStatusDocument) -> bool:
         """Tell if the latest runs of an experiment that goes on have all failed (NOTIFY_FAILURES)."""
-        wanted = self._context.settings.notify_failures
-        return self._context.store.read(lambda t: statuses.is_failing(t, found, wanted))
+        wanted = self.context.settings.notify_failures
+        return self.context.store.read(lambda t: statuses.is_failing(t, found, wanted))
 
     def status(self, name: str) -> ExperimentStatusDocument:
         """The progress of an experiment; raises NotFound."""
-        return self._context.store.read(lambda t: statuses.status(t, name, self._time_left))
+        return self.context.store.read(lambda t: statuses.status(t, name, self._time_left))
 
     def source(self, name: str) -> ExperimentSource:
         """The original file of an experiment."""
-        record = self._context.store.read(lambda t: t.experiments.get(name))
+        record = self.context.store.read(lambda t: t.experiments.get(name))
         return ExperimentSource(record.source, f"experiment {name}")
 
     def axes(self, name: str) -> dict[str, tuple[Value, ...]]:
         """The axes of an experiment with all values, in the order of the file."""
-        return self._context.store.read(lambda t: self._tables.get(t, t.experiments.get(name)).axes)
+        return self.context.store.read(lambda t: self._tables.get(t, t.experiments.get(name)).axes)
 
     def cells(self, name: str, after: int = 0, limit: int = 50) -> CellPage:
         """The next ``limit`` cells (1 to 1000) after number ``after``, with their runs and metrics."""
-        return self._context.store.read(lambda t: statuses.cell_page(t, name, after, limit))
+        return self.context.store.read(lambda t: statuses.cell_page(t, name, after, limit))
 
     def grid(self, name: str, row_axis: str, column_axis: str) -> ExperimentGrid:
         """The number of runs in each phase, for each pair of values of two axes."""
@@ -155,7 +151,7 @@ class ExperimentService:
             counts = t.experiment_counts.by_cell(record.id)
             return self._tables.get(t, record).grid((row_axis, column_axis), counts, name)
 
-        return self._context.store.read(work)
+        return self.context.store.read(work)
 
     def metric_grid(self, name: str, row_axis: str, column_axis: str, metric: str) -> MetricGrid:
         """The mean of a metric over the good runs, for each pair of values of two axes."""
@@ -165,7 +161,7 @@ class ExperimentService:
             samples = t.experiment_values.samples(record.id, metric)
             return self._tables.get(t, record).means((row_axis, column_axis), samples, name)
 
-        return self._context.store.read(work)
+        return self.context.store.read(work)
 
     def rankings(self, name: str, *, by_algorithm: bool = False) -> tuple[Ranking, ...]:
         """The configurations in order, the best first, for each dataset on which a run has ended.
@@ -174,13 +170,13 @@ class ExperimentService:
         """
         from slamhive.services.experiments.ranking import rankings  # noqa: PLC0415 - lists and reports need none
 
-        return self._context.store.read(lambda t: rankings(t, *self._ranked(t, name), by_algorithm=by_algorithm))
+        return self.context.store.read(lambda t: rankings(t, *self._ranked(t, name), by_algorithm=by_algorithm))
 
     def answer(self, name: str) -> ExperimentAnswerDocument:
         """The answer of the experiment so far, in a sentence, and the repeats that would settle it."""
         from slamhive.services.experiments.answer import answer  # noqa: PLC0415 - lists and reports need none
 
-        return self._context.store.read(lambda t: answer(*self._ranked(t, name)))
+        return self.context.store.read(lambda t: answer(*self._ranked(t, name)))
 
     def answer_and_rankings(
         self, name: str, *, by_algorithm: bool
@@ -193,7 +189,7 @@ class ExperimentService:
             ranked = self._ranked(t, name)
             return answer(*ranked), rankings(t, *ranked, by_algorithm=by_algorithm)
 
-        return self._context.store.read(work)
+        return self.context.store.read(work)
 
     def _ranked(self, t: Transaction, name: str) -> tuple[ExperimentRecord, AxisTable, dict[str, RankEntries]]:
         from slamhive.services.experiments.ranking import entries_by_dataset  # noqa: PLC0415 - as above
@@ -204,34 +200,34 @@ class ExperimentService:
 
     def report(self, name: str) -> Iterator[Cell]:
         """All cells in order, read in pages to save memory. Raises NotFound at once."""
-        self._context.store.read(lambda t: t.experiments.get(name))
-        return statuses.all_cells(self._context, name)
+        self.context.store.read(lambda t: t.experiments.get(name))
+        return statuses.all_cells(self.context, name)
 
     def run_ids(self, name: str) -> tuple[int, ...]:
         """The ids of all its runs, including retries, in order."""
-        return self._context.store.read(lambda t: tuple(t.experiments.run_ids(t.experiments.get(name).id)))
+        return self.context.store.read(lambda t: tuple(t.experiments.run_ids(t.experiments.get(name).id)))
 
     def unfinished(self, name: str) -> tuple[int, ...]:
         """The ids of its runs that have not ended or wait for evaluation, in order."""
-        return self._context.store.read(lambda t: tuple(t.experiments.unfinished(t.experiments.get(name).id)))
+        return self.context.store.read(lambda t: tuple(t.experiments.unfinished(t.experiments.get(name).id)))
 
     def restore_rows(self) -> Iterator[Restored]:
         """First part of reindexing: a row for each experiment folder."""
         from slamhive.services.experiments.starting import restore_rows  # noqa: PLC0415
 
-        check_writable(self._context.settings)
-        return restore_rows(self._context)
+        check_writable(self.context.settings)
+        return restore_rows(self.context)
 
     def restore_runs(self) -> Iterator[Restored]:
         """Second part of reindexing, after the run folders are filed: cells, and runs that no worker has started."""
         from slamhive.services.experiments.starting import restore_runs  # noqa: PLC0415
 
-        check_writable(self._context.settings)
-        return restore_runs(self._context)
+        check_writable(self.context.settings)
+        return restore_runs(self.context)
 
     def pause(self, name: str) -> ExperimentStatusDocument:
         """Hold queued runs; active runs continue. Raises Conflict if all runs have ended."""
-        check_writable(self._context.settings)
+        check_writable(self.context.settings)
         if self.status(name).state is ConfigurationStanding.FINISHED:
             raise Conflict(f"experiment {name} has finished", "there is nothing to pause")
         return self._put(name, ExperimentState.PAUSED)
@@ -248,8 +244,8 @@ class ExperimentService:
         """Queue a new run for each failed one; returns their number. A second call finds none left to retry."""
         from slamhive.services.experiments.starting import retry_failed  # noqa: PLC0415
 
-        check_writable(self._context.settings)
-        return retry_failed(self._context, name)
+        check_writable(self.context.settings)
+        return retry_failed(self.context, name)
 
     def add_repeats(self, name: str, count: int, progress: Progress = silent) -> ExperimentStatusDocument:
         """Add ``count`` repeats to each cell and seed, as if the file had requested them from the start.
@@ -258,27 +254,27 @@ class ExperimentService:
         """
         from slamhive.services.experiments.starting import add_repeats  # noqa: PLC0415
 
-        check_writable(self._context.settings)
-        add_repeats(self._context, name, count, progress)
+        check_writable(self.context.settings)
+        add_repeats(self.context, name, count, progress)
         return self.status(name)
 
     def ask_for_runs(self, name: str, more: Mapping[int, int], known: int) -> Sequence[int]:
         """Queue more runs of an experiment that chooses them; see the function of this name in ``starting``."""
         from slamhive.services.experiments.starting import ask_for_runs  # noqa: PLC0415
 
-        check_writable(self._context.settings)
-        return ask_for_runs(self._context, name, more, known)
+        check_writable(self.context.settings)
+        return ask_for_runs(self.context, name, more, known)
 
     def conclude(self, name: str, words: str) -> None:
         """Store the conclusion of an experiment that chooses its runs."""
         from slamhive.services.experiments.starting import conclude  # noqa: PLC0415
 
-        check_writable(self._context.settings)
-        conclude(self._context, name, words)
+        check_writable(self.context.settings)
+        conclude(self.context, name, words)
 
     def _put(self, name: str, state: ExperimentState) -> ExperimentStatusDocument:
         from slamhive.services.experiments.starting import put_state  # noqa: PLC0415
 
-        check_writable(self._context.settings)
-        put_state(self._context, name, state)
+        check_writable(self.context.settings)
+        put_state(self.context, name, state)
         return self.status(name)

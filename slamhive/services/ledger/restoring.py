@@ -68,7 +68,8 @@ class LedgerRestore:
         self._catalogue = catalogue
         self._files = files
         self._numbers: dict[int, int] = {}
-        self._later: dict[int, int] = {}
+        self.later: dict[int, int] = {}
+        """Runs that repeat others which are not filed yet: {number: number of the other}."""
         self._unnumbered: list[tuple[str, VersionRow]] = []
         self.problems: list[str] = []
 
@@ -98,15 +99,11 @@ class LedgerRestore:
 
     # -- after the folders -----------------------------------------------------------------------------------------
 
-    def repeat_later(self, left: Mapping[int, int]) -> None:
-        """Remember runs that repeat others which are not filed yet, {number: number of the other}."""
-        self._later.update(left)
-
     def restore_after_runs(self) -> int:
         """Runs without a folder, sizes of experiments, evaluations, labels and searches; how many runs there were."""
         self._versions()
         restored = self._runs()
-        self._store.write(lambda t: t.ledger.repeat(self._later))
+        self._store.write(lambda t: t.ledger.repeat(self.later))
         # Experiments are complete if all their cells and runs are restored.
         told = {str(line.get("experiment")): line["size"] for line in self._files.cells.read() if "size" in line}
 
@@ -264,7 +261,7 @@ class LedgerRestore:
             return len(new), t.filed_runs.file(filed)
 
         count, left = self._store.write(work)
-        self._later.update(left)
+        self.later.update(left)
         return count
 
     def _filed(

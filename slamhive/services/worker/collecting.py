@@ -57,7 +57,7 @@ class Collecting:
         hand.executor.save_log(hand.handle, hand.folder.log)
         hand.executor.collect(hand.spec, hand.handle)
         settle_result(hand)
-        saved = hand.saved()
+        saved = hand.keeper.read()
         evidence = gather_evidence(
             hand.folder,
             status,
@@ -314,7 +314,7 @@ def disk_limits(saved: dict[str, Any]) -> DiskLimits:
 def settle_result(hand: RunInHand) -> None:
     """Record the files of an ended run, then remove those that must not stay."""
     known = hand.keeper.readable()
-    saved = hand.saved() if known else {}
+    saved = hand.keeper.read() if known else {}
     limits = disk_limits(saved)
     found = survey(hand.folder, limits)
     if known and LEFT not in saved:

@@ -90,11 +90,11 @@ class RunDriver:
         with ExitStack() as held:
             if hand.run.state is not RunState.PREPARING and hand.keeper.readable():
                 # Another worker prepared the run: its own holds of the variant and the GPU ended with it.
-                if hand.run.variant and (key := variant_key(hand.saved())) is not None:
+                if hand.run.variant and (key := variant_key(hand.keeper.read())) is not None:
                     held.enter_context(self._context.variants.hold_made(key))
                 leased = hand.executor.capabilities.gpu is GpuGiver.WORKER
                 if leased and hand.run.state in (RunState.STARTING, RunState.RUNNING):
-                    gpu = hand.saved().get("gpu")
+                    gpu = hand.keeper.read().get("gpu")
                     if gpu is not None:
                         held.enter_context(hold_gpu(hand, [Gpu(**gpu)]))
             steps: dict[RunState, Callable[[], None]] = {
@@ -166,7 +166,7 @@ class RunDriver:
         if handle.gpu is not None:
             started["gpu"] = asdict(handle.gpu)
         if handle.variant_checksum is not None:
-            started["dataset"] = with_made_variant(hand.saved(), handle.variant_checksum)
+            started["dataset"] = with_made_variant(hand.keeper.read(), handle.variant_checksum)
         hand.move(RunState.RUNNING, "started", record=started, **row)
 
     def _cancel(self) -> None:
@@ -185,7 +185,7 @@ class RunDriver:
             hand.executor.remove(hand.handle)
             settle_result(hand)
             remove_scratch(hand)
-        elif hand.keeper.readable() and "spec" in hand.saved():
+        elif hand.keeper.readable() and "spec" in hand.keeper.read():
             # Even if the answer to the start was lost, something may have been started.
             hand.executor.discard(hand.spec)
             remove_scratch(hand)
@@ -378,7 +378,7 @@ class Watch:
         if cause == "cancelled":
             self._hand.move(RunState.CANCELLING, CANCELLED_BY_USER, record=sampled)
             return
-        stopped_because = self._hand.saved().get(STOPPED_BECAUSE, cause)
+        stopped_because = self._hand.keeper.read().get(STOPPED_BECAUSE, cause)
         self._hand.move(RunState.COLLECTING, _ENDINGS.get(stopped_because, stopped_because), record=sampled)
 
     @contextmanager
@@ -398,7 +398,7 @@ class Watch:
             return hand.executor.host_reading(hand.handle)
 
         reader = HostReader(HostCounters(hand.spec.limits.cpuset)).read if here else ask_executor
-        gpu = hand.saved().get("gpu")
+        gpu = hand.keeper.read().get("gpu")
         use = None if gpu is None else GpuLog(hand.folder.gpu, lambda: hand.executor.gpu_use(hand.handle, gpu["uuid"]))
         machine = MachineLogs(energy, HostLog(hand.folder.host, reader), use)
         self._sampler = Sampler(source, hand.folder.profiling, interval_s, offset_s=offset_s, machine=machine)
@@ -417,7 +417,7 @@ class Watch:
     def _wait_for_end(self) -> str:
         """Return ``exited``, ``gone``, ``cancelled``, or the value to store under :data:`STOPPED_BECAUSE`."""
         hand = self._hand
-        saved = hand.saved()
+        saved = hand.keeper.read()
         disk = DiskWatch(hand, disk_limits(saved))
         engine_was_away = ENGINE_AWAY in saved
         while True:

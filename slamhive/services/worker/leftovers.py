@@ -58,7 +58,7 @@ def sweep_leftovers(
     sweep_partial_folders(settings.datasets_folder)
     for aside in settings.algorithms_folder.glob(".import-*"):
         sweep_folder(aside)
-    variants.sweep()
+    variants.cache.sweep()
     sweep_imports(settings.runs_folder)
     for run in store.read(lambda t: t.runs.get_many(t.queue.lately(LATEST))):
         run_folder = RunFolder(settings.runs_folder / str(run.id))

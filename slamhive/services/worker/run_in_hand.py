@@ -138,7 +138,7 @@ class RunInHand:
     @cached_property
     def spec(self) -> RunSpec:
         """Return the specification of the run, as the record has it."""
-        return spec_from_json(self.saved()["spec"])
+        return spec_from_json(self.keeper.read()["spec"])
 
     @property
     def started_at(self) -> datetime:
@@ -148,10 +148,6 @@ class RunInHand:
     def elapsed_s(self) -> float:
         """Return the wall-clock time since the start."""
         return (self.context.now() - self.started_at).total_seconds()
-
-    def saved(self) -> dict[str, Any]:
-        """Return the record as it was last written."""
-        return self.keeper.read()
 
     def begin(self) -> None:
         """Write the record of a run that is about to be prepared; raises LeaseLost."""
