@@ -15,7 +15,7 @@ from sqlalchemy import Connection
 from slamhive.domain.accounts import NO_SHARING, Sharing
 from slamhive.domain.protocol import Protocol
 from slamhive.evaluation.job import Artefacts
-from slamhive.store.records import NewCell, NewConfiguration, RunRequest
+from slamhive.store.records import CellRecord, NewConfiguration, RunRequest
 
 T = TypeVar("T")
 
@@ -61,7 +61,7 @@ class Changes:
     runs: list[NewRow[RunRequest]] = field(default_factory=list)
     cancelled: list[tuple[Sequence[int], datetime, str]] = field(default_factory=list)
     asked_to_end: set[int] = field(default_factory=set)
-    cells: list[tuple[int, Sequence[NewCell]]] = field(default_factory=list)
+    cells: list[tuple[int, Sequence[CellRecord]]] = field(default_factory=list)
     experiments: set[int] = field(default_factory=set)
     asked_evaluations: list[AskedEvaluations] = field(default_factory=list)
     evaluated: set[int] = field(default_factory=set)

@@ -33,7 +33,6 @@ from slamhive.store.records import (
     CellRun,
     ExperimentRecord,
     ExperimentState,
-    NewCell,
     ProtocolLabel,
     StateCount,
 )
@@ -227,7 +226,7 @@ class ExperimentRepository(Repository):
 
     # -- cells -----------------------------------------------------------------------------------------------------
 
-    def add_cells(self, experiment_id: int, cells: Sequence[NewCell]) -> None:
+    def add_cells(self, experiment_id: int, cells: Sequence[CellRecord]) -> None:
         """Store cells that are not stored yet."""
         rows = [
             {

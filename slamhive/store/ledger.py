@@ -30,7 +30,7 @@ from slamhive.store.models import (
     RunRow,
     SavedSearchRow,
 )
-from slamhive.store.records import EvaluationState, NewCell, NewConfiguration, RunRequest, SavedSearchRecord
+from slamhive.store.records import CellRecord, EvaluationState, NewConfiguration, RunRequest, SavedSearchRecord
 from slamhive.store.rows import Repository, chunks, get_or_insert
 from slamhive.store.run_listing import options_of_row
 from slamhive.store.runs import DeletedRunRepository, RunRepository
@@ -334,7 +334,7 @@ class ArchiveRepository(Repository):
         shared = sharing_columns(Sharing(values.get("owner"), values.get("visibility")))
         return get_or_insert(self._connection, ExperimentRow, {"uid": uid}, {"name": name, **values, **shared})[0]
 
-    def add_cells(self, experiment_id: int, cells: Sequence[NewCell]) -> None:
+    def add_cells(self, experiment_id: int, cells: Sequence[CellRecord]) -> None:
         """Store the cells that are not stored yet."""
         if cells:
             wanted = [cell.number for cell in cells]

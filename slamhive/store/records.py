@@ -535,23 +535,13 @@ class ExperimentRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class NewCell:
-    """A cell to store: its configuration, and its value on each axis that applies to it."""
+class CellRecord:
+    """A cell: its configuration, and its value on each axis that applies to it."""
 
     number: int
     name: str
     configuration_id: int
     values: Mapping[str, Value]
-
-
-@dataclass(frozen=True, slots=True)
-class CellRecord:
-    """A stored cell."""
-
-    number: int
-    name: str
-    configuration_id: int
-    values: dict[str, Value]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from slamhive.evaluation.job import EvaluationResult
 from slamhive.services.analysis.table import TableRequest, load_table
 from slamhive.services.hive import Hive
 from slamhive.store import Lease, RunSort
-from slamhive.store.records import ExperimentState, NewCell
+from slamhive.store.records import CellRecord, ExperimentState
 from tests.store.store_samples import SE3, WORKER, Samples
 
 pytestmark = pytest.mark.integration
@@ -51,7 +51,7 @@ def runs(hive: Hive) -> list[int]:
 
     def add(t: Any) -> int:
         record = t.experiments.get_or_create("0" * 32, "e", created_at=NOW, **values)
-        t.experiments.add_cells(record.id, [NewCell(1, "c", configuration, {"seed": 1, "rate": 2})])
+        t.experiments.add_cells(record.id, [CellRecord(1, "c", configuration, {"seed": 1, "rate": 2})])
         number: int = record.id
         return number
 

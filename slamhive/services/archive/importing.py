@@ -49,7 +49,7 @@ from slamhive.services.runs import (
 from slamhive.services.stored_analyses import AnalysisFolder
 from slamhive.store import Store, Transaction
 from slamhive.store.durations import NOT_KNOWN
-from slamhive.store.records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration
+from slamhive.store.records import CellRecord, ExperimentRecord, ExperimentState, NewConfiguration
 
 BATCH = 100
 _CHECKING = 0.7
@@ -536,14 +536,14 @@ class Surroundings:
     def _cells(self) -> None:
         ids = {record.name: record.id for record in self._store.read(lambda t: t.experiments.all())}
         for part in _batched(self._archive.lines(layout.CELLS)):
-            cells: dict[str, list[NewCell]] = {}
+            cells: dict[str, list[CellRecord]] = {}
             for content in part:
                 name, cell = writing.cell_from_line(content)
                 cells.setdefault(self._experiment_names[name], []).append(
                     replace(cell, configuration_id=self._configurations[cell.configuration_id])
                 )
 
-            def work(t: Transaction, cells: dict[str, list[NewCell]] = cells) -> None:
+            def work(t: Transaction, cells: dict[str, list[CellRecord]] = cells) -> None:
                 for name, entries in cells.items():
                     t.archive.add_cells(ids[name], entries)
 

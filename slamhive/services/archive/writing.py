@@ -45,10 +45,10 @@ from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.records import (
     AnalysisRecord,
     AnalysisState,
+    CellRecord,
     EvaluationState,
     ExperimentRecord,
     ExperimentState,
-    NewCell,
     RunRecord,
     RunSort,
     SavedSearchRecord,
@@ -273,10 +273,10 @@ def experiment_from_line(content: Mapping[str, Any]) -> ExperimentRecord:
     )
 
 
-def cell_from_line(content: Mapping[str, Any]) -> tuple[str, NewCell]:
+def cell_from_line(content: Mapping[str, Any]) -> tuple[str, CellRecord]:
     """Experiment and cell of a line; raises InvalidInput for anything else."""
     line = read_line(ArchivedCell, content)
-    return line.experiment, NewCell(line.number, line.name, line.configuration, line.values)
+    return line.experiment, CellRecord(line.number, line.name, line.configuration, line.values)
 
 
 def dataset_from_line(content: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:

@@ -40,7 +40,7 @@ from slamhive.services.experiments.views import ExperimentSource
 from slamhive.services.runs import repeat_if_disturbed, retry_request, run_uid
 from slamhive.store import Transaction
 from slamhive.store.durations import NOT_KNOWN
-from slamhive.store.records import ExperimentRecord, ExperimentState, NewCell, NewConfiguration, RunRequest
+from slamhive.store.records import CellRecord, ExperimentRecord, ExperimentState, NewConfiguration, RunRequest
 
 logger = logging.getLogger(__name__)
 
@@ -163,7 +163,7 @@ def _store(
     t.experiments.add_cells(
         record.id,
         [
-            NewCell(head.cell, head.name, configuration_id, head.values)
+            CellRecord(head.cell, head.name, configuration_id, head.values)
             for head, configuration_id in zip(heads, ids, strict=True)
             if head.cell not in stored
         ],

@@ -42,7 +42,7 @@ from slamhive.evaluation.job import Artefacts
 from slamhive.store.changes import AskedEvaluations, NewRow
 from slamhive.store.configuration_listing import ConfigurationRecord
 from slamhive.store.filed_runs import EndedEvaluation
-from slamhive.store.records import EvaluationState, NewCell, NewConfiguration, RunRequest
+from slamhive.store.records import CellRecord, EvaluationState, NewConfiguration, RunRequest
 
 logger = logging.getLogger(__name__)
 
@@ -322,15 +322,15 @@ def runs_of(line: Line) -> Iterator[LedgerRun]:
             yield LedgerRun(number, request, experiment, stated.at)
 
 
-def cell_line(experiment: str, cells: Sequence[NewCell]) -> Line:
+def cell_line(experiment: str, cells: Sequence[CellRecord]) -> Line:
     """Cells of the experiment with this uid."""
     rows = (CellRow(cell.number, cell.name, cell.configuration_id, dict(cell.values)) for cell in cells)
     return {"experiment": experiment, "cells": rows}
 
 
-def cells_of(line: Line) -> list[NewCell]:
+def cells_of(line: Line) -> list[CellRecord]:
     """The cells of a line, none if it is of another kind; raises InvalidInput."""
-    return [NewCell(*row) for row in CellsLine.read(line).cells]
+    return [CellRecord(*row) for row in CellsLine.read(line).cells]
 
 
 def cancelled_line(run_ids: Sequence[int], at: datetime, why: str) -> Line:

@@ -34,7 +34,6 @@ from slamhive.store import Store, Transaction
 from slamhive.store.changes import AskedEvaluations, Changes
 from slamhive.store.configuration_listing import ConfigurationRecord
 from slamhive.store.filed_runs import EndedEvaluation
-from slamhive.store.records import NewCell
 
 logger = logging.getLogger(__name__)
 
@@ -94,10 +93,7 @@ class Missing:
             if stored.get(record.uid, 0) > len(told[record.uid]):
                 after = -1
                 while cells := self._store.read(lambda t: t.experiments.cells(record.id, after, _AT_ONCE)):  # noqa: B023
-                    yield cell_line(
-                        record.uid,
-                        [NewCell(cell.number, cell.name, cell.configuration_id, cell.values) for cell in cells],
-                    )
+                    yield cell_line(record.uid, cells)
                     after = cells[-1].number
             if sizes.get(record.uid) != counted[record.uid]:
                 yield {"experiment": record.uid, "size": counted[record.uid]}
