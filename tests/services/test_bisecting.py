@@ -309,6 +309,8 @@ def test_a_killed_search_goes_on_and_finds_the_commit(hive: Hive, tmp_path: Path
     second = CliRunner().invoke(main, command)
     assert second.exit_code == 3, second.output  # the commit before the first bad one does not build
     answer = BisectAnswer.read(json.loads(second.stdout))
+    typo = CliRunner().invoke(main, [*command, "--dataset", "trak"])
+    assert (typo.exit_code, "unknown dataset 'trak'; did you mean 'track'" in typo.stderr) == (2, True)
     assert [found.commit for found in answer.left] == commits[1:3]
     assert [step.standing for step in answer.steps] == ["good", "skipped", "bad", "bad"]
     assert answer.steps[2].mean == pytest.approx(1.3 * (answer.steps[0].mean or 0), rel=0.05)

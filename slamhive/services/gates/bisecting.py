@@ -167,6 +167,11 @@ class Bisections:
             Unavailable: Git or the engine does not answer.
         """
         check_writable(self._settings)
+        # What no commit can run on is said before the first is built.
+        for name in request.datasets:
+            self._catalogue.dataset(name).check_recorded()
+        if request.baseline is not None:
+            self._gates.prepare(request.baseline)
         repository = GitRepository(request.repository)
         good, bad = repository.commit(request.good), repository.commit(request.bad)
         history = repository.history(good, bad)
