@@ -360,10 +360,12 @@ def make_table(
         else:
             extra[key] = np.array([None if entry is None else str(entry) for entry in entries], dtype=object)
         columns[key] = Column(key, key, ColumnKind.PARAMETER, numeric=numeric)
-    words = list(attributes)
+    words = [tuple(entry) for entry in attributes]
+    known_words = set(words)
     for kind in ATTRIBUTE_KINDS if words else ():
         if kind.name not in columns:
-            extra[kind.name] = np.array([kind.of(entry) for entry in words], dtype=object)
+            value_of = {entry: kind.of(entry) for entry in known_words}
+            extra[kind.name] = np.array([value_of[entry] for entry in words], dtype=object)
             columns[kind.name] = Column(kind.name, kind.label, ColumnKind.FACT, numeric=False)
     for key, entries_of_metric in metrics.items():
         extra[key] = np.array(list(entries_of_metric), dtype=float)  # None becomes NaN

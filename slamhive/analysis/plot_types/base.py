@@ -284,11 +284,15 @@ def raw_table(key: str, table: RunTable, keys: Sequence[str], title: str = "Raw 
     chosen = ["run_id", "configuration_id", "algorithm", "dataset", *named]
     columns = [_table_column(table.column(name)) for name in chosen]
     columns += [TableColumn("disturbed", "Disturbed by"), TableColumn("failed", "Failed because")]
-    rows = tuple(
-        tuple(plain_cell(value) for value in row)
-        for row in table.frame[[*chosen, "disturbed", FAILED]].itertuples(index=False, name=None)
-    )
-    return ResultTable(key, title, tuple(columns), rows, raw=True)
+    cells = [_plain_cells(table.frame[name]) for name in (*chosen, "disturbed", FAILED)]
+    return ResultTable(key, title, tuple(columns), tuple(zip(*cells, strict=True)), raw=True)
+
+
+def _plain_cells(column: pd.Series) -> list[Cell]:
+    """The cells of a column, by :func:`plain_cell`. Most columns are of numbers, which need no look at each."""
+    if column.dtype == np.float64 and np.isfinite(column.to_numpy()).all():
+        return list(column.tolist())
+    return [plain_cell(value) for value in column.tolist()]
 
 
 def in_megabytes(table: ResultTable) -> ResultTable:
