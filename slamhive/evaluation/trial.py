@@ -408,14 +408,17 @@ def _contradiction(
         # The windows have shown agreement; over the context the systems drift apart by more than the fault.
         agreeing, differing = tuple(names[i] for i in present), ()
     ratio = float(scene.ratios[first : last + 1].max())
-    blame, because = _blamed(true_m, scene.estimated_m[present], part, agreeing, sensors)
+    max_m = float(np.nanmax(np.linalg.norm(middle, axis=1)))
+    of_all = None if sensors is None else [sensors.get(name, frozenset()) for name in agreeing]
+    shared = None if of_all is None else frozenset.intersection(*of_all)
+    blame, because = _blamed(true_m, scene.estimated_m[present], part, max_m, shared)
     clear = ratio >= 2.0 * SCALES[0].over_own
     confidence = "low" if blame is Blame.UNDECIDED else "high" if clear and len(agreeing) > FEWEST_SYSTEMS else "medium"
     return ContradictionDocument(
         begin_s=float(stamps_s[first]),
         end_s=float(stamps_s[last]),
         rms_m=size_m,
-        max_m=float(np.nanmax(np.linalg.norm(middle, axis=1))),
+        max_m=max_m,
         agreeing=agreeing,
         differing=differing,
         ratio=ratio,
@@ -428,18 +431,18 @@ def _contradiction(
 _SPIKE = 3.0
 _STILL_M = 1e-4
 _MOVING_M = 0.02
+_JUMP_SHARE = 0.25
+"""A jump of the ground truth explains a contradiction if it is at least this share of it."""
 
 
 def _blamed(
-    true_m: FloatArray,
-    estimated_m: FloatArray,
-    part: tuple[int, int],
-    agreeing: Sequence[str],
-    sensors: Mapping[str, frozenset[str]] | None,
+    true_m: FloatArray, estimated_m: FloatArray, part: tuple[int, int], max_m: float, shared: frozenset[str] | None
 ) -> tuple[Blame, str]:
-    """Decide whether the ground truth is wrong, or whether the systems may share an error of one sensor."""
+    """Decide whether the ground truth is wrong, or whether the systems may share an error of one sensor.
+
+    ``shared`` are the sensors that all agreeing systems use, None if they are not known.
+    """
     first, last = max(part[0] - 2, 0), part[1] + 3
-    shared = frozenset.intersection(*(sensors.get(name, frozenset()) for name in agreeing)) if sensors else frozenset()
     truth = _accelerations(true_m)
     own = _median(np.stack([_accelerations(positions_m) for positions_m in estimated_m]))
     inside = slice(first, min(last, len(truth)))
@@ -448,14 +451,15 @@ def _blamed(
     if np.any((steps_m < _STILL_M) & (own_steps_m > _MOVING_M)):
         return Blame.TRUTH, "it stands still while the systems move"
     peak, own_peak = _peak(truth, inside), _peak(own, inside)
-    if peak > _SPIKE and peak > 2.0 * own_peak and own_peak < _SPIKE:
+    large = np.nanmax(truth[inside], initial=0.0) >= _JUMP_SHARE * max_m
+    if large and peak > _SPIKE and peak > 2.0 * own_peak and own_peak < _SPIKE:
         return Blame.TRUTH, "it jumps where the systems move smoothly"
     if own_peak > _SPIKE:
         return Blame.UNDECIDED, "the systems jump together there"
     if shared:
         names = ", ".join(sorted(shared))
         return Blame.UNDECIDED, f"the systems share {names}, whose errors would look the same"
-    if sensors is None:
+    if shared is None:
         return Blame.UNDECIDED, "it is not known whether the systems share a sensor"
     return Blame.TRUTH, "the systems share no sensor"
 

@@ -38,6 +38,15 @@ def test_faults_of_the_ground_truth_are_found() -> None:
     assert np.mean(found) >= 0.9
 
 
+def test_a_small_jump_of_the_truth_does_not_explain_a_large_contradiction() -> None:
+    """The ground truth of MH_05 has a jerk of 5 cm at 84 s, within an excursion of 37 cm that all systems share."""
+    truth, systems = cases.case("MH_05", 1)
+    shared = cases.shared_errors(float(truth.stamps_s[0]) + 85)["excursion of 0.37 m over 15 s"]
+    found = cases.judged(truth, {name: shared(estimate) for name, estimate in systems.items()}, shared=True)
+    assert [entry.blame for entry in found.stretches] == [Blame.UNDECIDED] * len(found.stretches)
+    assert found.stretches
+
+
 @pytest.mark.parametrize("error", list(cases.shared_errors(0.0)))
 def test_an_error_that_all_systems_share_does_not_outvote_the_truth(error: str) -> None:
     wrong, _, _ = cases.outvoted(error, 1, cases.SEQUENCES[3:5])
