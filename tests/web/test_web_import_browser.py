@@ -24,6 +24,7 @@ from tests.recordings.format_world import make_euroc
 from tests.serving import serving
 from tests.web import web_world as world
 from tests.web.browser_world import BROWSER, DESK, PHONE, Faults, opened, violations, wide_parts
+from tests.web.journey_world import Walk, known_clicks
 from tests.web.test_web_uploads import tar_of
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def test_a_recording_becomes_a_dataset_in_five_clicks_though_the_connection_brea
         clicks.on("button", "Import")
         page.get_by_role("link", name="Open desk").wait_for()
         sound(page, faults, look)
-        assert clicks.count == 5
+        assert clicks.count == known_clicks()["a dataset by the web"][size is PHONE]
     assert hive.catalogue.dataset("desk").duration_s > 0
 
 
@@ -159,8 +160,9 @@ def package(hive: Hive, tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.parametrize(("place", "size"), [(0, {**DESK, "width": 1440}), (1, PHONE)])
 def test_the_log_of_a_build_comes_live_and_the_algorithm_is_there(
-    chromium: Browser, hive: Hive, package: Path, monkeypatch: pytest.MonkeyPatch
+    chromium: Browser, hive: Hive, package: Path, monkeypatch: pytest.MonkeyPatch, place: int, size: dict[str, int]
 ) -> None:
     go_on = threading.Event()
 
@@ -171,18 +173,21 @@ def test_the_log_of_a_build_comes_live_and_the_algorithm_is_there(
         return "identity"
 
     monkeypatch.setattr(ProcessExecutor, "build", build)
-    with serving(hive) as address, opened(chromium, address) as (page, faults):
-        page.goto(f"{address}/import")
-        page.get_by_text("From a folder on the server").click()
+    with serving(hive) as address, opened(chromium, address, viewport=size) as (page, faults):
+        page.goto(address)
+        walk = Walk(page)
+        walk.new("Import")
+        walk.click(page.get_by_text("From a folder on the server"))
         form = page.get_by_role("form", name="Algorithm from a path")
-        form.get_by_label("Path", exact=True).fill(str(package))
-        form.get_by_role("button", name="Look at the folder").click()
+        walk.type(form.get_by_label("Path", exact=True), str(package))
+        walk.click(form.get_by_role("button", name="Look at the folder"))
         page.get_by_text("a package with 1 algorithm: new-slam").wait_for()
-        page.get_by_role("button", name="Build and import").click()
+        walk.click(page.get_by_role("button", name="Build and import"))
         page.get_by_role("region", name="Log, as it comes").get_by_text("Step 1/2 : the first").wait_for()
         go_on.set()
         page.get_by_role("link", name="Open new-slam").wait_for()  # the page follows by itself
         sound(page, faults, "light")
+        assert (walk.clicks, walk.wide) == (known_clicks()["an algorithm by the web"][place], [])
     assert hive.catalogue.algorithm("new-slam").title
 
 
