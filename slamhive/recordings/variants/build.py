@@ -73,6 +73,8 @@ def build_variant(
         sensors=tuple(entry.after for entry in treatments if only is None or entry.before.name in only),
         description=f"{dataset.description} Variant: {steps}.".strip(),
     )
+    if only is not None:
+        made = replace(made, reference_map=None, relations=None)  # of the whole recording
     if dataset.groundtruth_path is not None:
         _copy_truth(dataset.groundtruth_path, folder / dataset.groundtruth_path.name, span_s)
     seal(folder, made)
