@@ -1,4 +1,7 @@
-"""The one place that asks the machine for the time. ``docs/design.md`` says which clock decides what."""
+"""The one place that asks the machine for the time, and times as JSON has them.
+
+``docs/design.md`` says which clock decides what.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,16 @@ def utc_now() -> datetime:
 def monotonic_s() -> float:
     """Seconds that never jump, for durations, deadlines and intervals."""
     return time.monotonic()
+
+
+def timestamp(at: datetime | None) -> str | None:
+    """ISO 8601 with the UTC offset, None for None."""
+    return None if at is None else at.isoformat(timespec="milliseconds")
+
+
+def exact(at: datetime | None) -> str | None:
+    """The same to the microsecond, for records from which rows are rebuilt."""
+    return None if at is None else at.isoformat()
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 # Exporters load OpenCV, and no list of datasets should wait for it.
-_ELSEWHERE = {"export": "dataset_export", **dict.fromkeys(("fetch", "search", "links"), "dataset_fetch")}
+_ELSEWHERE = dict.fromkeys(("fetch", "search", "links", "export"), "dataset_transfer")
 
 
 @click.group(cls=LazyGroup, modules=_ELSEWHERE)

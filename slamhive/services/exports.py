@@ -17,8 +17,8 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
+from slamhive.base.clock import timestamp
 from slamhive.base.errors import Unavailable, unknown
-from slamhive.documents.json_values import timestamp
 from slamhive.domain.accounts import visibility_of
 from slamhive.domain.configuration import variant_of
 from slamhive.domain.metrics import CATALOGUE

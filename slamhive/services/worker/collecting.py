@@ -10,11 +10,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from slamhive.base.clock import monotonic_s
+from slamhive.base.clock import exact, monotonic_s
 from slamhive.base.errors import SlamHiveError
 from slamhive.base.settings import Settings
 from slamhive.base.tree import remove_tree
-from slamhive.documents.json_values import exact
 from slamhive.documents.limits import StopWhen
 from slamhive.domain.algorithm import RunUser
 from slamhive.domain.protocol import Protocol

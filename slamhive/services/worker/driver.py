@@ -14,8 +14,8 @@ from dataclasses import asdict, replace
 from datetime import datetime
 from typing import Any
 
+from slamhive.base.clock import exact, timestamp
 from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, Unavailable
-from slamhive.documents.json_values import exact, timestamp
 from slamhive.documents.limits import NO_SLOW_DOWN, RunOptions
 from slamhive.domain.algorithm import Gpu, GpuNeed
 from slamhive.domain.parameters import check_stored

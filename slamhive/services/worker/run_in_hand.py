@@ -11,11 +11,10 @@ from datetime import datetime
 from functools import cached_property
 from typing import Any, Unpack
 
-from slamhive.base.clock import utc_now
+from slamhive.base.clock import exact, utc_now
 from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError
 from slamhive.base.files import relative_paths
 from slamhive.base.settings import Settings
-from slamhive.documents.json_values import exact
 from slamhive.domain.accounts import NO_SHARING, Sharing
 from slamhive.domain.algorithm import Gpu
 from slamhive.domain.protocol import Protocol
