@@ -52,7 +52,7 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class SimulatedSearches:
-    """What became of the searches of one case: shares, and the means of decisions and runs."""
+    """Outcomes of the searches of one case: shares, and the means of decisions and runs."""
 
     noise: float
     worse: float

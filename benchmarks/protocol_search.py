@@ -55,7 +55,7 @@ ASSOCIATIONS = (
 
 @dataclass
 class Score:
-    """What searches found: how often the true protocol was among the matches, alone, first, and how many there were."""
+    """Counts of searches: the true protocol among the matches, alone, first, and how many there were."""
 
     cases: int = 0
     found: int = 0

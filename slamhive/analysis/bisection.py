@@ -27,7 +27,7 @@ _MORE = 4
 
 @dataclass(frozen=True, slots=True)
 class StepVerdict:
-    """What the runs say so far.
+    """State of the knowledge after the runs so far.
 
     Attributes:
         standing: None while they are too few.
@@ -77,7 +77,7 @@ def half_way(good: Scores, bad: Scores, runs: int, least: Margin) -> Margin:
 
 
 def next_runs(done: int, datasets: int, error: float) -> int:
-    """How many runs of each a further look should have, on each dataset; ``done`` are there already.
+    """Runs of each that a further look should have, on each dataset; ``done`` are there already.
 
     No answer is possible before some number of runs, however large the difference is.
     """
@@ -143,7 +143,7 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class HistoryState:
-    """How far a search is.
+    """Progress of a search for a commit.
 
     Attributes:
         tried: What was found out about commits, in the order of the search.
@@ -194,7 +194,7 @@ Clip = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class ClipState:
-    """How far a search for the shortest clip is.
+    """Progress of a search for the shortest clip.
 
     Attributes:
         tried: What was found out, in order.

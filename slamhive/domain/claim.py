@@ -161,7 +161,7 @@ class Claim:
 
     @property
     def margin(self) -> float:
-        """How far our value may be off, in the printed unit: the rounding and the tolerance together."""
+        """Largest difference of our value, in the printed unit: the rounding and the tolerance together."""
         allowed = self.tolerance.value
         if self.tolerance.relative:
             allowed *= self.stated.printed.value
@@ -171,7 +171,7 @@ class Claim:
 
     @property
     def words(self) -> str:
-        """What it is about: ``kiss-icp on room``."""
+        """Subject of the claim: ``kiss-icp on room``."""
         version = "" if self.version is None else f" {self.version}"
         return f"{self.algorithm}{version} on {self.dataset}{f' ({self.settings})' if self.settings else ''}"
 
@@ -189,7 +189,7 @@ _STATISTICS = ("rmse", "mean", "median", "max", "std")
 
 
 class ClaimState(StrEnum):
-    """How far a claim holds."""
+    """State of a claim."""
 
     HOLDS = "holds"
     DIFFERS = "differs"

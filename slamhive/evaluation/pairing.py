@@ -138,7 +138,7 @@ def without_stretches(truth: Trajectory, protocol: Protocol) -> Trajectory:
 
 
 def image_times(files: Mapping[str, Path], protocol: Protocol) -> FloatArray | None:
-    """When the images of the dataset were taken, in s, shape (k,), without the stretches that are left out.
+    """Times of the images of the dataset, in s, shape (k,), without the stretches that are left out.
 
     None where the protocol compares at other times, or the dataset does not state them. Raises InvalidInput for a
     damaged file.

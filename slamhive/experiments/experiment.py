@@ -99,7 +99,7 @@ class SensorChoice:
 
 @dataclass(frozen=True, slots=True)
 class EvaluationChoice:
-    """Whether runs are evaluated, and how.
+    """The evaluation that an experiment asks for.
 
     Attributes:
         enabled: False leaves them without errors.

@@ -169,7 +169,7 @@ def run_git(
 
 
 def git_reason(done: subprocess.CompletedProcess[str]) -> str:
-    """What Git says last about why it failed."""
+    """The last line of Git, which says why it failed."""
     return (done.stderr.strip().splitlines() or ["git gives no reason"])[-1]
 
 

@@ -39,9 +39,9 @@ from slamhive.experiments.binding import at
 from slamhive.experiments.file import read_difference
 from slamhive.filters.fields import units_of
 from slamhive.services.datasets import check_writable
-from slamhive.services.deciding.look import NEVER_RUNS
-from slamhive.services.evaluations.protocols import fitting_protocol
-from slamhive.services.gates.baselines import measured_runs, pairing_key
+from slamhive.services.deciding import NEVER_RUNS
+from slamhive.services.evaluations import fitting_protocol
+from slamhive.services.gates import measured_runs, pairing_key
 from slamhive.store import RunRecord, Store
 
 if TYPE_CHECKING:

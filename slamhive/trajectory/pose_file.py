@@ -410,7 +410,7 @@ def read_times(path: Path) -> FloatArray:
 
 
 def read_image_times(path: Path, truth: Span) -> FloatArray:
-    """When images were taken, in s, increasing, shape (n,).
+    """Times of images, in s, increasing, shape (n,).
 
     Args:
         path: Lines that begin with a timestamp, alone or before a file name: ``rgb.txt`` of TUM and ETH3D, ``data.csv``

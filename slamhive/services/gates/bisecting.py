@@ -1,7 +1,7 @@
 """Searches a Git repository for the commit that made runs worse: builds commits, runs what decides, and remembers.
 
-Whoever looks next comes to the same step: it follows from the runs in the database and from a small file in the data
-root, which says when the search began and what each content of the package was built as.
+Whoever looks next comes to the same step. It follows from the runs in the database and from a small file in the data
+root. The file says when the search began, and which version each content of the package became.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class BisectRequest:
 
 @dataclass
 class BisectRecord:
-    """What a search remembers: when it began, and for each content of the package its version or the problem."""
+    """Memory of a search: when it began, and for each content of the package its version or the problem."""
 
     path: Path
     started_at: datetime
@@ -109,7 +109,7 @@ class BisectRecord:
             started_at = datetime.fromisoformat(content["started_at"])
             return cls(path, started_at, dict(content["versions"]), dict(content["problems"]))
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InvalidInput(f"{path} cannot be read: {error}", "give --restart to begin anew") from None
+            raise InvalidInput(f"{path} cannot be read: {error}", "give --restart to begin again") from None
 
     def save(self) -> None:
         """Write the file."""
@@ -221,7 +221,7 @@ class Bisections:
         return [algorithm.name for algorithm in load_algorithms(folder)]
 
     def submissions(self, request: BisectRequest, label: str) -> list[Submission]:
-        """What runs of a version; raises NotFound or InvalidInput if it cannot."""
+        """The runs of a version; raises NotFound or InvalidInput if it cannot."""
         if request.baseline is not None:
             check = self._gates.prepare(request.baseline)
             return [rerun.submission for rerun in self._gates.reruns(check, [label], request.submission.executor)]
@@ -269,7 +269,7 @@ class _Bench:
         return self.contents[commit]
 
     def trial(self, commit: str) -> Trial:
-        """What is known of a commit, which is built now if it was not."""
+        """Knowledge about a commit, which is built now if it was not."""
         content = self.content(commit)
         if content is None:
             return Trial(problem=f"it has no folder {self.source.folder}")
@@ -343,7 +343,7 @@ class CommitBench(Protocol):
         """Identifies what is built of a commit; None if it has no package."""
 
     def trial(self, commit: str) -> Trial:
-        """What is known of a commit, which is built now if it was not."""
+        """Knowledge about a commit, which is built now if it was not."""
 
     def ask(self, commit: str, wanted: int) -> list[int]:
         """Queue runs of a commit until there are ``wanted`` on each dataset; the numbers of those that are open."""
@@ -351,7 +351,7 @@ class CommitBench(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Settled:
-    """What was found out about a commit, and why it was skipped."""
+    """Findings about a commit, and why it was skipped."""
 
     standing: TrialStanding
     reason: str = ""
@@ -499,7 +499,7 @@ class BisectSearch:
         return None
 
     def _spent(self) -> bool:
-        """Whether the budget has no room for the runs that are needed."""
+        """True if the budget has no room for the runs that are needed."""
         budget = self._request.budget
         if budget is None or self._need is None:
             return False

@@ -62,7 +62,7 @@ class GitRepository:
         return found.stdout.strip()
 
     def history(self, good: str, bad: str) -> History:
-        """What is in ``bad`` and not in ``good``; raises InvalidInput if ``good`` is no ancestor of ``bad``."""
+        """The commits in ``bad`` but not in ``good``; raises InvalidInput if ``good`` is no ancestor of ``bad``."""
         if good == bad:
             raise InvalidInput(f"--good and --bad are the same commit, {good[:SHORT]}", "name an older good one")
         if run_git(["-C", str(self.path), "merge-base", "--is-ancestor", good, bad]).returncode != 0:

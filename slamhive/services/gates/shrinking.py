@@ -163,7 +163,7 @@ class Shrinkings:
             yield sensor.name
 
     def _fault(self, request: ShrinkRequest, run: RunRecord) -> Fault:
-        """What is wrong with the run."""
+        """The fault of the run."""
         if not run.state.ended or run.executor == IMPORTED:
             problem = "was imported" if run.executor == IMPORTED else f"is {run.state}"
             raise Conflict(f"run {run.id} {problem}", "name a run that was executed here and has ended")
@@ -188,7 +188,7 @@ class Shrinkings:
         return Fault(request, trials, own, f"failed ({failure_words(failure)})", failure=failure)
 
     def _submission(self, run: RunRecord) -> Submission:
-        """How the run is repeated: with the very version that ran, if it was kept."""
+        """The submission that repeats the run: with the very version that ran, if it was kept."""
         submission, _ = self._configurations.submission(run.configuration_id)
         if run.version is not None and run.version.number is not None:
             label = version_label(run.algorithm, run.version.number)
@@ -220,7 +220,7 @@ class Shrinkings:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """What is wrong with a run, and how a clip is asked whether it shows that.
+    """The fault of a run, and the test whether a clip shows it.
 
     Attributes:
         request: The question.
@@ -247,7 +247,7 @@ class Fault:
         return (*kept, VariantStep(CLIP, names, {"begin_s": span_s[0], "end_s": span_s[1]}))
 
     def submissions(self, variant: Variant) -> list[Submission]:
-        """What runs on a clip: the faulty one, and the good one if there is one."""
+        """The candidates that run on a clip: the faulty one, and the good one if there is one."""
         return [replace(entry, variant=variant) for entry in (self.own, self.other) if entry is not None]
 
     def trial(self, variant: Variant) -> Trial:
@@ -260,7 +260,7 @@ class Fault:
         return Trial(tuple(found))
 
     def scores(self, trial: Trial) -> tuple[Scores, Scores, Margin]:
-        """What a good one would give, what the faulty one gave, and the difference that is allowed."""
+        """The value of a good run, that of the faulty one, and the difference that is allowed."""
         own = trial.runs[0].scores
         if self.other is not None:
             return [trial.runs[1].scores], [own], self.request.difference
@@ -393,7 +393,7 @@ class ShrinkSearch:
         )
 
     def _words(self, standing: TrialStanding, reason: str, trial: Trial) -> str:
-        """What a clip shows, with the values."""
+        """The finding on a clip, with the values."""
         shown = {
             TrialStanding.BAD: "shows it",
             TrialStanding.GOOD: "does not show it",

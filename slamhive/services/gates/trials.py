@@ -163,7 +163,7 @@ class Trial:
 
     @property
     def fewest(self) -> int:
-        """How many runs say something, on the dataset with the fewest."""
+        """Number of runs that say something, on the dataset with the fewest."""
         return min((len(entry.ended) for entry in self.runs), default=0)
 
     @property
@@ -174,12 +174,12 @@ class Trial:
 
     @property
     def silent(self) -> int:
-        """How many runs have ended and say nothing."""
+        """Number of runs that have ended and say nothing."""
         return sum(len(entry.records) - len(entry.ended) - len(entry.open) for entry in self.runs)
 
     @property
     def spent_s(self) -> float:
-        """How long its runs took together."""
+        """Sum of the durations of its runs."""
         runs = [run for entry in self.runs for run in entry.records]
         return sum((run.ended_at - run.started_at).total_seconds() for run in runs if run.ended_at and run.started_at)
 
@@ -199,7 +199,7 @@ class Trial:
 
     @property
     def asked(self) -> int:
-        """How many runs there are, whatever they say."""
+        """Number of all runs, whatever they say."""
         return sum(len(entry.records) for entry in self.runs)
 
     @property
