@@ -240,9 +240,9 @@ def bisect(cli: CliContext, /, as_json: bool, **options: Any) -> None:
     from slamhive.experiments.file import read_difference  # noqa: PLC0415 - as above
     from slamhive.services.gates import BisectRequest, searched_metric  # noqa: PLC0415 - loads scipy
 
+    hive = cli.hive()
     if bool(options["datasets"]) == (options["baseline"] is not None):
         raise InvalidInput("say what to run: --dataset, or --baseline", "one of the two")
-    hive = cli.hive()
     metric = searched_metric(options["metric"])
     own = ("datasets", "baseline", "folder", "package", "into", "algorithm", "half_way", "error", "most", "restart")
     request = BisectRequest(

@@ -122,10 +122,15 @@ class PlannedMixture:
     @property
     def sentences(self) -> str:
         """The counts and the way out in one line."""
+        return f"{self.protocols.words} {self.way_out[0].upper()}{self.way_out[1:]}"
+
+    @property
+    def way_out(self) -> str:
+        """The way out alone, as an imperative."""
         if not self.remedy:
-            return f"{self.protocols.words} Choose one alignment: evaluate: {{alignment: ...}}."
+            return "choose one alignment: evaluate: {alignment: ...}."
         option = f"evaluate: {{{', '.join(f'{name}: {value}' for name, value in self.remedy.items())}}}"
-        return f"{self.protocols.words} To evaluate all under {self.protocols.common_name}, add to the file: {option}"
+        return f"to evaluate all under {self.protocols.common_name}, add to the file: {option}"
 
 
 def mixed_protocols(

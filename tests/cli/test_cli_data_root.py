@@ -39,8 +39,8 @@ def leaves(command: click.Command, name: str = "") -> Iterator[tuple[str, click.
 
 
 def mistake_of(name: str) -> int:
-    """The exit code of a mistake: 1 is an answer of gates and replays."""
-    return 2 if name.startswith("gate ") or name == "replay" else 1
+    """The exit code of a mistake: 1 is an answer of gates, claims and replays."""
+    return 2 if name.startswith(("gate ", "claims ")) or name == "replay" else 1
 
 
 COMMANDS = dict(leaves(main))

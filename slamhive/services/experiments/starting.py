@@ -25,7 +25,6 @@ from slamhive.domain.question import SearchSampler
 from slamhive.experiments.expansion import Expansion, PlannedRun
 from slamhive.experiments.experiment import Experiment, ExperimentCandidate, candidates_of, check_candidates
 from slamhive.experiments.file import parse_experiment
-from slamhive.services.evaluations import protocol_for
 from slamhive.services.experiments.context import ExperimentContext, Progress, silent
 from slamhive.services.experiments.folder import ExperimentFolder, StoredExperiment, experiment_folders
 from slamhive.services.experiments.previewing import (
@@ -34,6 +33,7 @@ from slamhive.services.experiments.previewing import (
     disk_space_problems,
     find_disk_space,
     pair_problems,
+    planned_mixture,
     protocol_of_pair,
 )
 from slamhive.services.experiments.views import ExperimentSource
@@ -359,24 +359,15 @@ def check_question(context: ExperimentContext, experiment: Experiment, expansion
         from slamhive.analysis.optuna_sampling import check_sampler  # noqa: PLC0415 - loads numpy
 
         check_sampler(experiment.optimise.sampler)
-    if experiment.optimise is not None and experiment.optimise.sampler is not SearchSampler.MODEL:
-        from slamhive.analysis.optuna_sampling import check_sampler  # noqa: PLC0415 - loads numpy
-
-        check_sampler(experiment.optimise.sampler)
     if not metric(plan.metric).needs_protocol:
         return
     if not experiment.evaluation.enabled:
         raise InvalidInput(f"{plan.place}: {plan.metric} comes from an evaluation", "leave out evaluate: false")
-    known: dict[str, tuple[str, Protocol]] = {}
-    for algorithm, dataset in expansion.pairs:
-        protocol = protocol_for(algorithm, dataset, context.settings, experiment.evaluation.alignment)
-        other, first = known.setdefault(dataset.name, (algorithm.label, protocol))
-        if protocol.fingerprint != first.fingerprint:
-            raise InvalidInput(
-                f"{plan.place}: on {dataset.name}, {algorithm.label} is evaluated with {protocol.label}, and {other} "
-                f"with {first.label}, so that their errors cannot be compared",
-                "state one alignment for both, such as evaluate: {alignment: se3}",
-            )
+    for name in dict.fromkeys(dataset.name for _, dataset in expansion.pairs):
+        pairs = {(algorithm.name, name): 1 for algorithm, dataset in expansion.pairs if dataset.name == name}
+        mixed = planned_mixture(context, experiment, expansion, pairs)
+        if mixed is not None:
+            raise InvalidInput(f"{plan.place}: on {name}, {mixed.protocols.words.rstrip('.')}", mixed.way_out)
 
 
 def planned_candidates(context: ExperimentContext, experiment: Experiment) -> tuple[ExperimentCandidate, ...]:
