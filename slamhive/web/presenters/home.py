@@ -96,7 +96,8 @@ def answer_cards(services: Hive, experiments: Sequence[ExperimentStatusDocument]
 def _card(services: Hive, status: ExperimentStatusDocument) -> AnswerCard:
     axes = {axis: len(values) for axis, values in services.experiments.axes(status.name).items()}
     by_algorithm = axes.get("algorithm", 0) > 1
-    telling = [axis for axis in rankings.naming_axes(axes) if axes[axis] > 1]  # a card has no room for the others
+    # A card has no room for axes with one value, nor for the best values of an algorithm.
+    telling = ["algorithm"] if by_algorithm else [axis for axis in rankings.naming_axes(axes) if axes[axis] > 1]
     answer, found = services.experiments.answer_and_rankings(status.name, by_algorithm=by_algorithm)
     return AnswerCard(status, answer, next(iter(rankings.views(found, telling)), None))
 
