@@ -10,6 +10,7 @@ from http import HTTPStatus
 
 from flask import Flask, Response, current_app, g, make_response, render_template, request
 from werkzeug.exceptions import BadRequest, HTTPException
+from werkzeug.exceptions import NotFound as NoPage
 
 from slamhive.base.errors import SlamHiveError, Unavailable, changed_text
 from slamhive.documents.api import OldError, ProblemDocument
@@ -77,7 +78,10 @@ def _explained(error: SlamHiveError) -> Response:
 
 
 def _http(error: HTTPException) -> Response:
-    answer = _answer(error.code or 500, error.description or error.name, None)
+    message, remedy = error.description or error.name, None
+    if message == NoPage.description:
+        message, remedy = "nothing is at this address", "check its spelling, or search for what you want"
+    answer = _answer(error.code or 500, message, remedy)
     for name, value in error.get_headers():
         if name not in {"Content-Type", "Content-Length"}:
             answer.headers[name] = value

@@ -73,6 +73,12 @@ def test_plotly_comes_from_the_package_and_may_be_kept(shown: Web):
     assert shown.client.get("/assets/plotly-0.0.0.min.js").status_code == 404
 
 
+def test_an_address_without_a_page_says_so_in_plain_words(shown: Web):
+    answer = shown.client.get("/no/such/page")
+    assert answer.status_code == 404
+    assert "Nothing is at this address." in answer.text
+
+
 def test_empty_pages_say_what_to_do_next(empty: Web):
     assert "Run the demo" in empty.client.get("/").text
     assert "slamhive dataset room" in empty.client.get("/datasets").text
