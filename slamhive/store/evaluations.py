@@ -123,13 +123,16 @@ class EvaluationRepository(LeaseQueue[int]):
         if result.succeeded:
             MetricRepository(self._connection).replace(row.run_id, result.fingerprint, result.metrics)
             runs, protocols = RunRow.__table__, ProtocolRow.__table__
-            definition = select(protocols.c.definition).where(protocols.c.id == row.protocol_id)
-            # Only ``traj.txt`` decides: a protocol of another trajectory would change what lists show of the run.
+            query = select(protocols.c.definition).where(protocols.c.id == row.protocol_id)
+            definition = self._connection.execute(query).scalar_one()
+            asked = self._connection.execute(select(runs.c.protocol_override).where(runs.c.id == row.run_id)).scalar()
             chosen = update(runs).where(runs.c.id == row.run_id)
             if row.makes_current:
                 self._connection.execute(chosen.values(current_protocol_id=row.protocol_id))
                 became_current = True
-            elif "trajectory" not in self._connection.execute(definition).scalar_one():
+            # A protocol of another trajectory than ``traj.txt`` comes beside the run's own, and would change what lists
+            # show of the run. It counts if the run was submitted with it.
+            elif "trajectory" not in definition or definition == asked:
                 first = chosen.where(runs.c.current_protocol_id.is_(None))
                 became_current = changed(self._connection, first.values(current_protocol_id=row.protocol_id)) == 1
             MetricRepository(self._connection).follow_protocols([row.run_id])

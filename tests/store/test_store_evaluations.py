@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from slamhive.base.errors import Conflict, InvalidInput, NotFound
+from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.run import RunState
 from slamhive.evaluation.job import Artefacts
 from slamhive.store import EvaluationState, Lease, LeaseLost, Store
@@ -74,6 +76,15 @@ def test_another_protocol_is_shown_only_once_it_is_chosen_and_both_sets_are_kept
         SE3.fingerprint: {"ate.rmse": 0.07},
         SIM3.fingerprint: {"ate.rmse": 0.05},
     }
+
+
+def test_another_trajectory_is_shown_only_of_a_run_that_was_submitted_with_it(store: Store, samples: Samples) -> None:
+    live = replace(SE3, trajectory=TrajectoryKind.LIVE)
+    for asked, shown in ((live, live.fingerprint), (None, None)):
+        run_id = samples.run_in(RunState.SUCCEEDED, protocol=asked)
+        evaluate(store, run_id, result(live, ate_rmse=0.05), live)
+        run = store.read(lambda tx, number=run_id: tx.runs.get(number, with_metrics=True))  # type: ignore[misc]
+        assert (None if run.protocol is None else run.protocol.fingerprint) == shown
 
 
 def test_a_protocol_without_figures_cannot_be_chosen(store: Store, samples: Samples) -> None:
