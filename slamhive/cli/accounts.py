@@ -35,7 +35,10 @@ def token() -> None:
 @json_option
 @pass_cli
 def create(cli: CliContext, account: str, name: str, scopes: tuple[str, ...], days: int, as_json: bool) -> None:
-    """Make the token NAME for ACCOUNT, and print its text, which is stored nowhere."""
+    """Make the token NAME for ACCOUNT, and print its text.
+
+    The text is stored nowhere.
+    """
     request = TokenRequest(name, [Scope(scope) for scope in scopes], days)
     with acting(cli, f"{account}: {name}, {', '.join(scopes)}, {days} d") as accounts:
         made, text = accounts.create_token(account, request)

@@ -449,7 +449,7 @@ def check_claims(cli: CliContext, /, path: Path, runs_too: bool, as_json: bool, 
     raise click.exceptions.Exit(1 if differs else 0 if states == {ClaimState.HOLDS} else 3)
 
 
-@claims.command("list")
+@claims.command("list", short_help="List the files of claims that were checked here")
 @json_option
 @pass_cli
 def list_claims(cli: CliContext, as_json: bool) -> None:
@@ -464,7 +464,7 @@ def list_claims(cli: CliContext, as_json: bool) -> None:
         tell("no claims; `slamhive claims check FILE` checks some")
 
 
-@claims.command("show")
+@claims.command("show", short_help="Show the last answer about the claims NAME")
 @click.argument("name", shell_complete=completion.CLAIMS)
 @json_option
 @pass_cli
@@ -486,11 +486,14 @@ def badge(cli: CliContext, name: str, file: Path) -> None:
     say(f"badge of claims {name} written to {file}")
 
 
-@claims.command("remove")
+@claims.command("remove", short_help="Forget the last answer about the claims NAME")
 @click.argument("name", shell_complete=completion.CLAIMS)
 @pass_cli
 def remove_claims(cli: CliContext, name: str) -> None:
-    """Forget the last answer about the claims NAME; their file and the runs stay."""
+    """Forget the last answer about the claims NAME.
+
+    Their file and the runs stay.
+    """
     cli.hive().claims.remove(name)
     say(f"claims {name} removed")
 
