@@ -59,14 +59,18 @@ priority: -3
 def meaning(text: str) -> list[object]:
     """What an experiment states, apart from where it stands in the file."""
     experiment = parse_experiment(text)
-    axes = [*experiment.parameters, *(option for step in experiment.steps for option in step.options)]
+    axes = [
+        *experiment.parameters,
+        *experiment.limit_axes,
+        *(option for step in experiment.steps for option in step.options),
+    ]
     parts = [
         [(axis.name, axis.values) for axis in (experiment.algorithms, experiment.datasets, *axes)],
         [(step.name, step.kind, step.sensors) for step in experiment.steps],
         [(link.axes, link.equal) for link in experiment.links],
         [where.text for where in experiment.where],
     ]
-    placed = {"algorithms", "datasets", "parameters", "steps", "links", "where", "place"}
+    placed = {"algorithms", "datasets", "parameters", "limit_axes", "steps", "links", "where", "place"}
     return [*parts, *(getattr(experiment, name) for name in Experiment.__slots__ if name not in placed)]
 
 
