@@ -126,6 +126,11 @@ class History:
             found[commit] = bits
         return found
 
+    def in_order(self, commits: Collection[str]) -> tuple[str, ...]:
+        """Some of the commits, the oldest first."""
+        wanted = set(commits)
+        return tuple(commit for commit in self.parents if commit in wanted)
+
     def between(self, bad: str, good: Collection[str]) -> list[str]:
         """The commits that may be the first bad one, those in the middle first; ``bad`` is the last."""
         known = 0
@@ -173,7 +178,7 @@ def search_history(history: History, standing: Callable[[str], TrialStanding | N
                 continue
             found = standing(commit)
             if found is None:
-                return HistoryState(tuple(tried.items()), commit, tuple(left))
+                return HistoryState(tuple(tried.items()), commit, history.in_order(left))
             tried[commit] = found
             if found is TrialStanding.BAD:
                 bad = commit
@@ -182,8 +187,7 @@ def search_history(history: History, standing: Callable[[str], TrialStanding | N
             if found is not TrialStanding.SKIPPED:
                 break
         else:
-            order = {commit: place for place, commit in enumerate(history.parents)}
-            return HistoryState(tuple(tried.items()), None, tuple(sorted(left, key=order.__getitem__)))
+            return HistoryState(tuple(tried.items()), None, history.in_order(left))
 
 
 # The shortest clip of a recording.
@@ -221,31 +225,28 @@ def search_clips(duration_s: float, step_s: float, standing: Callable[[Clip], Tr
     """
     steps = max(1, math.ceil(duration_s / step_s))
 
-    def clip(start: int, end: int) -> Clip:
+    tried: list[tuple[Clip, TrialStanding]] = []
+
+    def halve(bad: int, other: int, clip: Callable[[int], Clip]) -> tuple[int, Clip | None]:
+        """Move an end that shows the fault towards one that is too far; where it is now, and the clip to ask for."""
+        way = 1 if other > bad else -1
+        while abs(other - bad) > 1:
+            middle = bad + way * ((abs(other - bad) + 1) // 2)
+            found = standing(clip(middle))
+            if found is None:
+                return bad, clip(middle)
+            tried.append((clip(middle), found))
+            if found is TrialStanding.BAD:
+                bad = middle
+            else:
+                other = middle
+        return bad, None
+
+    def between(start: int, end: int) -> Clip:
         return start * step_s, min(duration_s, end * step_s)
 
-    tried: list[tuple[Clip, TrialStanding]] = []
-    start, end = 0, steps
-    shortest = 0  # the longest end that is known to be too short
-    while end - shortest > 1:
-        middle = (shortest + end) // 2
-        found = standing(clip(start, middle))
-        if found is None:
-            return ClipState(tuple(tried), clip(start, end), clip(start, middle))
-        tried.append((clip(start, middle), found))
-        if found is TrialStanding.BAD:
-            end = middle
-        else:
-            shortest = middle
-    latest = end
-    while latest - start > 1:
-        middle = (start + latest + 1) // 2
-        found = standing(clip(middle, end))
-        if found is None:
-            return ClipState(tuple(tried), clip(start, end), clip(middle, end))
-        tried.append((clip(middle, end), found))
-        if found is TrialStanding.BAD:
-            start = middle
-        else:
-            latest = middle
-    return ClipState(tuple(tried), clip(start, end), None)
+    start = 0
+    end, ask = halve(steps, 0, lambda place: between(0, place))
+    if ask is None:
+        start, ask = halve(0, end, lambda place: between(place, end))
+    return ClipState(tuple(tried), between(start, end), ask)

@@ -230,11 +230,20 @@ def median_interval(values: Numbers) -> Interval | None:
     Returns:
         None for fewer than 6 values, from which no such interval follows.
     """
-    rank = int(scipy.stats.binom.ppf((1 - CONFIDENCE) / 2, len(values), 0.5)) if len(values) else 0
+    rank = median_rank(len(values))
     if rank < 1:
         return None
     ordered = np.sort(values)
     return Interval(float(ordered[rank - 1]), float(ordered[-rank]))
+
+
+def median_rank(count: int) -> int:
+    """The rank of the values, from both ends, between which the median of ``count`` runs lies with at least 95 %.
+
+    0 for fewer than 6, from which no such interval follows. See W. J. Conover, Practical Nonparametric Statistics,
+    section 3.2.
+    """
+    return int(scipy.stats.binom.ppf((1 - CONFIDENCE) / 2, count, 0.5)) if count else 0
 
 
 def _both_ways(first: Evidence, second: Evidence) -> Evidence:

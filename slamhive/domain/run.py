@@ -60,11 +60,17 @@ class FailureReason(StrEnum):
     CONFIGURATION_FAILED = "configuration_failed"
 
     @property
+    def before_start(self) -> bool:
+        """True if the algorithm never ran: its package or its data could not be made ready."""
+        return self in _BEFORE_START
+
+    @property
     def blames_configuration(self) -> bool:
         """The failure counts against the run's configuration: it was tried, and nothing took the run away."""
         return self not in _NOT_THE_CONFIGURATION
 
 
+_BEFORE_START = frozenset({FailureReason.IMAGE_MISSING, FailureReason.PREPROCESS_ERROR, FailureReason.START_ERROR})
 _NOT_THE_CONFIGURATION = frozenset({FailureReason.LOST, FailureReason.CONFIGURATION_FAILED})
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -39,7 +38,6 @@ from slamhive.experiments.binding import at
 from slamhive.experiments.file import read_difference
 from slamhive.filters.fields import units_of
 from slamhive.services.datasets import check_writable
-from slamhive.services.deciding import NEVER_RUNS
 from slamhive.services.evaluations import fitting_protocol
 from slamhive.services.gates import measured_runs, pairing_key
 from slamhive.store import RunRecord, Store
@@ -67,7 +65,6 @@ _SUBMITTED = {"algorithm", "dataset", "parameters", "variant", "sensors", "playb
 _ENDING = ".json"
 _LIST = "slamhive claims list shows them"
 _MISSED = VerdictKind.MISSED_INPUT
-_NOT_COUNTED = NEVER_RUNS | {FailureReason.LOST}
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,12 +187,17 @@ class Claims:
         except ValidationError as error:
             place, problem = first_problem_at(error, ClaimsFile)
             raise InvalidInput(f"{places.of(*place)}: {problem}") from None
+        algorithms = [algorithm.name for algorithm in self._tools.catalogue.algorithms()]
+        datasets = [dataset.name for dataset in self._tools.catalogue.datasets()]
         entries: list[CheckedEntry] = []
         seen: dict[object, int] = {}
         for number, entry in enumerate(file.claims):
             where: tuple[str | int, ...] = ("claims", number)
             try:
-                self._check_names(file, entry)
+                _check_name("algorithm", split_version(entry.algorithm)[0], algorithms, file)
+                if entry.dataset not in datasets:  # only then the catalogue of sequences is read
+                    _check_name("dataset", entry.dataset, [*datasets, *self._fetchable], file)
+                self._tools.protocols.find(entry.protocol or file.protocol or BY_SENSORS)
                 submission = parse(Submission, entry.model_dump(mode="json", include=_SUBMITTED))
                 submission.check()
                 claims = []
@@ -213,18 +215,6 @@ class Claims:
             except SlamHiveError as error:
                 raise at(places.of(*where), error) from None
         return ClaimsCheck(file.name, file.title, tuple(entries), file.obtain)
-
-    def _check_names(self, file: ClaimsFile, entry: ClaimEntry) -> None:
-        """Raise NotFound for a name that neither this installation nor the file knows how to get."""
-        name = split_version(entry.algorithm)[0]
-        algorithms = [algorithm.name for algorithm in self._tools.catalogue.algorithms()]
-        if name not in (*algorithms, *file.obtain):
-            raise unknown("algorithm", name, algorithms, "`obtain` may say how to get one that is not here")
-        datasets = [dataset.name for dataset in self._tools.catalogue.datasets()]
-        if entry.dataset not in (*datasets, *file.obtain) and entry.dataset not in self._fetchable:
-            known = [*datasets, *self._fetchable]
-            raise unknown("dataset", entry.dataset, known, "`obtain` may say how to get one that is not here")
-        self._tools.protocols.find(entry.protocol or file.protocol or BY_SENSORS)
 
     @property
     def _fetchable(self) -> dict[str, str]:
@@ -263,7 +253,7 @@ class Claims:
             for run in self._store.read(lambda t: t.runs.get_many(matching))
             if pairing_key(ConfigurationContent.of(run)) == same
             and run.state is not RunState.CANCELLED
-            and run.reason not in _NOT_COUNTED
+            and not (run.reason is not None and (run.reason.before_start or run.reason is FailureReason.LOST))
         ]
         bounded = [run for run in runs if run.stop_when != NEVER or (run.cpu_cores, run.memory_mb) != (None, None)]
         runs = [run for run in runs if run not in bounded]
@@ -424,6 +414,12 @@ class Claims:
         return self._settings.claims_folder / f"{check_name('claims', name)}{_ENDING}"
 
 
+def _check_name(kind: str, name: str, known: list[str], file: ClaimsFile) -> None:
+    """Raise NotFound for a name that neither this installation nor the file knows how to get."""
+    if name not in known and name not in file.obtain:
+        raise unknown(kind, name, known, "`obtain` may say how to get one that is not here")
+
+
 def _claim(file: ClaimsFile, entry: ClaimEntry, key: str, text: str) -> Claim:
     """One claim of an entry, with what the file says for all; raises InvalidInput or NotFound."""
     measured = metric(key)
@@ -526,14 +522,11 @@ def judge_claim(claim: Claim, found: ClaimRuns) -> ClaimAnswer:
 
 def _interval(claim: Claim, values: np.ndarray, count: int) -> tuple[float, float]:
     """The 95 % interval for the stated number, if there were ``count`` runs that vary as ``values`` do."""
-    from slamhive.analysis.statistics import compare_samples  # noqa: PLC0415 - loads scipy
+    from slamhive.analysis.regression import median_rank  # noqa: PLC0415 - loads scipy
+    from slamhive.analysis.statistics import compare_samples  # noqa: PLC0415 - as above
 
     if claim.statistic is ClaimedStatistic.MEDIAN:
-        # W. J. Conover, Practical Nonparametric Statistics, section 3.2: order statistics k and n + 1 - k, for the
-        # largest k whose coverage 1 - 2 P(Binomial(n, 1/2) < k) is 95 %.
-        tails = np.cumsum([math.comb(count, k) / 2**count for k in range(count)])
-        cut = int(np.sum(2 * tails <= 0.05))
-        share = max(cut - 1, 0) / max(count - 1, 1)
+        share = max(median_rank(count) - 1, 0) / max(count - 1, 1)
         return float(np.quantile(values, share)), float(np.quantile(values, 1 - share))
     std = claim.stated.std or 0.0
     theirs = max(claim.runs or 2, 2), claim.stated.printed.value, std**2

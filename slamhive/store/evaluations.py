@@ -123,9 +123,10 @@ class EvaluationRepository(LeaseQueue[int]):
         if result.succeeded:
             MetricRepository(self._connection).replace(row.run_id, result.fingerprint, result.metrics)
             runs, protocols = RunRow.__table__, ProtocolRow.__table__
-            query = select(protocols.c.definition).where(protocols.c.id == row.protocol_id)
-            definition = self._connection.execute(query).scalar_one()
-            asked = self._connection.execute(select(runs.c.protocol_override).where(runs.c.id == row.run_id)).scalar()
+            query = select(protocols.c.definition, runs.c.protocol_override).select_from(
+                protocols.join(runs, runs.c.id == row.run_id)
+            )
+            definition, asked = self._connection.execute(query.where(protocols.c.id == row.protocol_id)).one()
             chosen = update(runs).where(runs.c.id == row.run_id)
             if row.makes_current:
                 self._connection.execute(chosen.values(current_protocol_id=row.protocol_id))

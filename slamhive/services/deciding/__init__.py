@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from slamhive.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from slamhive.services.deciding.look import NEVER_RUNS
     from slamhive.services.deciding.service import Questions
 
 

@@ -14,9 +14,6 @@ from slamhive.experiments.file import parse_experiment
 from slamhive.store import Transaction
 from slamhive.store.records import CellRun, ExperimentRecord
 
-NEVER_RUNS = frozenset({FailureReason.IMAGE_MISSING, FailureReason.PREPROCESS_ERROR, FailureReason.START_ERROR})
-"""The candidate was not tried: its package or its data cannot be made ready."""
-
 
 class RunUse(StrEnum):
     """Use of a run for its candidate. One that was cancelled or lost says nothing, and another takes its place."""
@@ -116,5 +113,5 @@ def _use(run: CellRun) -> RunUse:
     if run.state is RunState.CANCELLED or run.reason is FailureReason.LOST:
         return RunUse.NOTHING
     if run.state is RunState.FAILED:
-        return RunUse.CANNOT_RUN if run.reason in NEVER_RUNS else RunUse.FAILED
+        return RunUse.CANNOT_RUN if run.reason is not None and run.reason.before_start else RunUse.FAILED
     return RunUse.FAILED if run.judged is not None and run.judged.failed else RunUse.GOOD

@@ -441,8 +441,7 @@ class BisectSearch:
             state = None
         if self._spent():
             left = tuple(self._history.parents) if state is None else state.left
-            order = {commit: place for place, commit in enumerate(self._history.parents)}
-            return self._answer(BisectOutcome.UNDECIDED, tuple(sorted(left, key=order.__getitem__)))
+            return self._answer(BisectOutcome.UNDECIDED, left)
         return None
 
     def _trial(self, commit: str) -> Trial:

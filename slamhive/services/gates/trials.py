@@ -14,7 +14,7 @@ from slamhive.analysis.statistics import Numbers
 from slamhive.documents.submission import Submission
 from slamhive.domain.gate import FAILURES
 from slamhive.domain.metrics import Direction, Metric, described
-from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.run import RunState
 from slamhive.domain.verdict import Outcome, outcome_words
 from slamhive.experiments.file import compared_metric
 from slamhive.store import RunRecord, Store
@@ -33,7 +33,6 @@ MOST_RUNS = 50
 """What is still undecided after so many runs on each dataset is skipped."""
 FIRST_RUNS = 2
 """So many are looked at first: a program that does not even start needs no more."""
-_NEVER_RUNS = frozenset({FailureReason.IMAGE_MISSING, FailureReason.PREPROCESS_ERROR, FailureReason.START_ERROR})
 
 
 def searched_metric(key: str) -> Metric:
@@ -89,7 +88,7 @@ class TrialRuns:
     def hindrance(self) -> str | None:
         """Why the submission cannot be tried at all, in words; None if it can."""
         for run in self.records:
-            if run.state is RunState.FAILED and run.reason in _NEVER_RUNS:
+            if run.reason is not None and run.reason.before_start:
                 return f"run {run.id} {outcome_words(run)}"
         silent = [run for run in self.records if Outcome.of(run) in (Outcome.GOOD, Outcome.UNJUDGED)]
         if len(silent) >= FIRST_RUNS and not self.ended:
