@@ -2,8 +2,6 @@
 
 import json
 import random
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -11,8 +9,8 @@ import pytest
 from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.domain.calibration import ImuNoise, LidarLayout, PointOrder
 from slamhive.packages.dataset_file import load_dataset
-from slamhive.recordings.importers.evalio import PYTHON_VARIABLE
-from slamhive.recordings.importers.evalio_reader import POINT, SCAN_HEADER
+from slamhive.recordings.importers.outside_lidar import EVALIO
+from slamhive.recordings.importers.outside_reader import POINT, RECORD_HEADER
 from slamhive.recordings.importers.registry import detect_format, plan_import
 from slamhive.recordings.importing import ImportOptions, perform
 from slamhive.runtime.messages import to_points
@@ -73,22 +71,9 @@ class Cellar(Dataset):
 """
 
 
-@pytest.fixture(scope="module")
-def interpreter(tmp_path_factory):
-    """A program that runs Python with evalio, and with what its datasets need; not with its command line for AWS."""
-    folder = tmp_path_factory.mktemp("evalio")
-    needed = ["evalio>=0.6.1", "asteval", "joblib", "tqdm"]
-    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(folder / "packages")]
-    subprocess.run([*install, *needed], check=True, timeout=300)
-    program = folder / "python"
-    program.write_text(f'#!/bin/sh\nPYTHONPATH="{folder}/packages:$PYTHONPATH" exec {sys.executable} "$@"\n')
-    program.chmod(0o755)
-    return program
-
-
 @pytest.fixture
-def registered(tmp_path, monkeypatch, interpreter):
-    monkeypatch.setenv(PYTHON_VARIABLE, str(interpreter))
+def registered(tmp_path, monkeypatch, outside_python):
+    monkeypatch.setenv(EVALIO.variable, str(outside_python))
     (tmp_path / "cellar_dataset.py").write_text(SYNTHETIC)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setenv("EVALIO_CUSTOM", "cellar_dataset")
@@ -140,10 +125,10 @@ def test_the_folder_of_a_sequence_is_detected(tmp_path):
 
 
 def test_without_evalio_it_says_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.delenv(PYTHON_VARIABLE, raising=False)
-    with pytest.raises(Unavailable, match=f"pip install evalio.*{PYTHON_VARIABLE}"):
+    monkeypatch.delenv(EVALIO.variable, raising=False)
+    with pytest.raises(Unavailable, match=f"pip install evalio.*{EVALIO.variable}"):
         plan_import(tmp_path, ImportOptions(sequence="hilti_2022/basement_2"), "evalio")
-    monkeypatch.setenv(PYTHON_VARIABLE, str(tmp_path / "nowhere"))
+    monkeypatch.setenv(EVALIO.variable, str(tmp_path / "nowhere"))
     with pytest.raises(Unavailable, match="nowhere, which does not exist"):
         plan_import(tmp_path, ImportOptions(sequence="hilti_2022/basement_2"), "evalio")
 
@@ -173,18 +158,18 @@ def told(**changes) -> bytes:
 
 def sent() -> bytes:
     points = np.zeros(8, dtype=POINT)
-    return b"".join(SCAN_HEADER.pack(START_NS + 100_000_000 * n, 8) + points.tobytes() for n in range(2))
+    return b"".join(RECORD_HEADER.pack(START_NS + 100_000_000 * n, 8) + points.tobytes() for n in range(2))
 
 
 @pytest.fixture
 def replayed(tmp_path, monkeypatch):
-    """A program that writes the files ``plan`` and ``scans`` beside it, as the reader would."""
+    """A program that writes the files ``plan`` and ``records`` beside it, as the reader would."""
     program = tmp_path / "replay"
-    program.write_text('#!/bin/sh\nexec cat "$(dirname "$0")/$3"\n')
+    program.write_text('#!/bin/sh\nexec cat "$(dirname "$0")/$4"\n')
     program.chmod(0o755)
-    monkeypatch.setenv(PYTHON_VARIABLE, str(program))
+    monkeypatch.setenv(EVALIO.variable, str(program))
     (tmp_path / "plan").write_bytes(told())
-    (tmp_path / "scans").write_bytes(sent())
+    (tmp_path / "records").write_bytes(sent())
     return tmp_path
 
 
@@ -193,7 +178,7 @@ def test_a_damaged_stream_is_refused_in_one_line(replayed):
     refusals = []
     options = ImportOptions(sequence="cellar/stairs")
     for number in range(MUTATIONS):
-        part = replayed / draw.choice(["plan", "plan", "scans"])
+        part = replayed / draw.choice(["plan", "plan", "records"])
         whole = part.read_bytes()
         part.write_bytes(mutated(whole, draw))
         try:
@@ -235,6 +220,6 @@ def test_the_last_words_of_evalio_are_the_reason(tmp_path, monkeypatch):
     program = tmp_path / "fails"
     program.write_text("#!/bin/sh\necho progress >&2\necho 'the disk is on fire' >&2\nexit 1\n")
     program.chmod(0o755)
-    monkeypatch.setenv(PYTHON_VARIABLE, str(program))
+    monkeypatch.setenv(EVALIO.variable, str(program))
     with pytest.raises(InvalidInput, match="evalio cannot read a/b: the disk is on fire"):
         plan_import(tmp_path, ImportOptions(sequence="a/b"), "evalio")

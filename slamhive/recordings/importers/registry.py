@@ -14,23 +14,22 @@ from typing import Protocol, runtime_checkable
 from slamhive.base.errors import InvalidInput
 from slamhive.base.registry import Registry, instances_of
 from slamhive.domain.dataset import MOST_UNCERTAIN_M
+from slamhive.recordings.importers.aria import AriaImporter
 from slamhive.recordings.importers.carmen import CarmenImporter
 from slamhive.recordings.importers.euroc import EurocImporter
-from slamhive.recordings.importers.evalio import EvalioImporter
 from slamhive.recordings.importers.kitti import KittiOdometryImporter, KittiRawImporter
 from slamhive.recordings.importers.kitti_360 import Kitti360Importer
 from slamhive.recordings.importers.mulran import MulranImporter
 from slamhive.recordings.importers.nclt import NcltImporter
 from slamhive.recordings.importers.nuscenes import NuScenesImporter
 from slamhive.recordings.importers.openloris import OpenLorisImporter
+from slamhive.recordings.importers.outside_lidar import EvalioImporter, OusterImporter
 from slamhive.recordings.importers.rawseeds import RawseedsImporter
-from slamhive.recordings.importers.replica import ReplicaImporter
 from slamhive.recordings.importers.ros import McapImporter, Ros1Importer, Ros2Importer
 from slamhive.recordings.importers.rosbag_benchmarks import Hilti2022Importer, NewerCollegeImporter, TumViImporter
-from slamhive.recordings.importers.seven_scenes import SevenScenesImporter
 from slamhive.recordings.importers.slam_hive import PublishedFolderImporter, SlamHiveImporter
-from slamhive.recordings.importers.tartanair import TartanAirImporter
 from slamhive.recordings.importers.tum_rgbd import Eth3dImporter, TumRgbdImporter
+from slamhive.recordings.importers.untimed_frames import ReplicaImporter, SevenScenesImporter, TartanAirImporter
 from slamhive.recordings.importers.video import VideoImporter
 from slamhive.recordings.importers.vslam_lab import VslamLabImporter
 from slamhive.recordings.importing import Detection, ImportOptions, ImportPlan, PlannedTruth, refuse_losses
@@ -80,6 +79,8 @@ IMPORTERS.register("tum-vi", TumViImporter())
 IMPORTERS.register("newer-college", NewerCollegeImporter())
 IMPORTERS.register("hilti-2022", Hilti2022Importer())
 IMPORTERS.register("evalio", EvalioImporter())
+IMPORTERS.register("ouster", OusterImporter())
+IMPORTERS.register("aria", AriaImporter())
 IMPORTERS.register("kitti-raw", KittiRawImporter())
 IMPORTERS.register("kitti-360", Kitti360Importer())
 IMPORTERS.register("nuscenes", NuScenesImporter())
