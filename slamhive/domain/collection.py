@@ -89,7 +89,8 @@ class Sequence:
     """One recording of a collection.
 
     ``sources`` are the ways to get it by name, each with its parts; there are none if all must be done by hand.
-    ``path`` is what the importer reads below the folder of the sequence.
+    ``path`` is what the importer reads below the folder of the sequence. ``uncertainty_m`` is the standard deviation of
+    true positions along each axis, None if nothing is published.
     """
 
     collection: str
@@ -99,6 +100,7 @@ class Sequence:
     sources: Mapping[str, tuple[Part, ...]]
     path: str
     groundtruth: bool
+    uncertainty_m: float | None = None
 
     @property
     def full_name(self) -> str:
@@ -131,10 +133,7 @@ class Sequence:
 
 @dataclass(frozen=True, slots=True)
 class Collection:
-    """A public collection. ``importer`` and ``options`` say how its sequences become datasets.
-
-    ``uncertainty_m`` is the standard deviation of true positions along each axis, None if nothing is published.
-    """
+    """A public collection. ``importer`` and ``options`` say how its sequences become datasets."""
 
     name: str
     title: str
@@ -147,7 +146,6 @@ class Collection:
     unverified: bool
     note: str
     sequences: tuple[Sequence, ...]
-    uncertainty_m: float | None = None
 
     @property
     def by_hand(self) -> tuple[Need, ...]:

@@ -53,6 +53,7 @@ InnerPath = Annotated[str, AfterValidator(_inside)]
 Checksum = Annotated[str, Field(pattern=rf"\A{_CHECKSUM}\z")]
 Name = Annotated[str, Field(pattern=rf"\A{NAME_PATTERN}\z")]
 Size = Annotated[int, Field(gt=0)]
+Uncertainty = Annotated[float, Field(gt=0, le=MOST_UNCERTAIN_M)]
 Words = list[Annotated[str, Field(pattern=r"\A[a-z0-9][a-z0-9-]{0,40}\z")]]
 
 
@@ -108,6 +109,7 @@ class SequenceModel(_Model):
     checksums: dict[str, Checksum] = Field(default_factory=dict, description="By key of files.")
     sources: list[str] | None = Field(default=None, description="The sources that have it; all if absent.")
     groundtruth: bool | None = Field(default=None, description="Instead of that of the collection.")
+    uncertainty_m: Uncertainty | None = Field(default=None, description="Instead of that of the collection.")
 
 
 class CollectionModel(_Model):
@@ -128,8 +130,8 @@ class CollectionModel(_Model):
     attributes: Words = Field(default_factory=list, description="Of every sequence.")
     sensors: dict[SensorKind, int] = Field(description="Number of sensors of each kind.")
     groundtruth: bool = Field(default=True, description="Whether the files contain ground truth.")
-    uncertainty_m: float | None = Field(
-        default=None, gt=0, le=MOST_UNCERTAIN_M, description="Of true positions along each axis, as published."
+    uncertainty_m: Uncertainty | None = Field(
+        default=None, description="Of true positions along each axis, as published."
     )
     path: InnerPath = Field(default="", description="What the importer reads below the folder of a sequence.")
     files: dict[str, FileModel] = Field(default_factory=dict)
@@ -161,7 +163,6 @@ def load_collection(path: Path) -> Collection:
             ),
             unverified=model.unverified,
             note=" ".join(model.note.split()),
-            uncertainty_m=model.uncertainty_m,
             sequences=tuple(_sequence(model, name, own or SequenceModel()) for name, own in model.sequences.items()),
         )
     except InvalidInput as error:
@@ -186,6 +187,7 @@ def _sequence(model: CollectionModel, name: str, own: SequenceModel) -> Sequence
         sources=sources,
         path=_filled(model.path, values),
         groundtruth=model.groundtruth if own.groundtruth is None else own.groundtruth,
+        uncertainty_m=model.uncertainty_m if own.uncertainty_m is None else own.uncertainty_m,
     )
 
 

@@ -354,7 +354,7 @@ class Fetching:
             )
             truth = planned.plan.truth
             if truth is not None and truth.uncertainty_m is None:
-                truth = replace(truth, uncertainty_m=collection.uncertainty_m)
+                truth = replace(truth, uncertainty_m=sequence.uncertainty_m)
             return self._catalogue.import_dataset(
                 replace(planned, plan=replace(planned.plan, text=text, truth=truth)),
                 lambda share, text: progress(_UNPACKED + (1 - _UNPACKED) * share, text),

@@ -18,7 +18,18 @@ from slamhive.recordings.importing import ImportOptions
 FILES = sorted((Path(__file__).parents[2] / "datasets" / "catalogue").glob("*.yaml"))
 WANTED = {
     *("bonn", "eth3d", "euroc", "hilti-2022", "icl-nuim", "kitti", "newer-college", "openloris", "tartanair"),
-    *("tum-rgbd", "tum-vi", "fusionportable", "grand-tour", "hilti-2026", "m2dgr", "msd"),
+    *(
+        "tum-rgbd",
+        "tum-vi",
+        "fusionportable",
+        "grand-tour",
+        "hilti-2026",
+        "m2dgr",
+        "msd",
+        "geode",
+        "rtk-slam",
+        "subt-mrs",
+    ),
 }
 GOOD = """
 format: 1
@@ -65,6 +76,18 @@ def test_each_file_makes_sense(path: Path) -> None:
 def test_addresses_that_nobody_tried_say_so(path: Path) -> None:
     """Change this when somebody has run `slamhive dataset links` on the net."""
     assert load_collection(path).unverified
+
+
+def test_the_uncertainty_of_ground_truth_is_that_of_the_sequence_or_of_the_collection(tmp_path: Path) -> None:
+    euroc = load_collection(next(path for path in FILES if path.stem == "euroc"))
+    stated = {sequence.name[:2]: sequence.uncertainty_m for sequence in euroc.sequences}
+    assert stated == {"MH": 0.001, "V1": None, "V2": None}
+    lines = GOOD.replace("sensors:", "uncertainty_m: 0.05\nsensors:").replace(
+        "attributes: [dark]", "uncertainty_m: 0.01"
+    )
+    (tmp_path / "some.yaml").write_text(lines + "  b: {values: {room: hall}}\n")
+    first, second = load_collection(tmp_path / "some.yaml").sequences
+    assert (first.uncertainty_m, second.uncertainty_m) == (0.01, 0.05)
 
 
 def test_a_good_file(tmp_path: Path) -> None:
