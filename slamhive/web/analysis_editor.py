@@ -121,7 +121,11 @@ def _card(plot: Any, offered: OfferedColumns) -> Card:
         default = None if field.default is PydanticUndefined else field.default
         if field.default_factory is not None:
             default = field.default_factory()
-        shown = "needed" if field.is_required() else _yaml(default)
+        shown = ""
+        if field.is_required():
+            shown = "needed"
+        elif default not in (None, "", [], ()):
+            shown = strict_yaml.dump({"value": default}).partition(":")[2].strip()  # as in the file
         helps.append(OptionHelp(name, kind_of(described), shown, field.description or ""))
         values = _values(plot, name, offered)
         several = described.get("type") == "array"
@@ -208,13 +212,6 @@ def _label(key: str, label: str, unit: str) -> str:
     return f"{named} [{unit}]" if unit and unit != "1" else named
 
 
-def _yaml(value: Any) -> str:
-    """A default as it is written in an analysis file; empty for none."""
-    if value in (None, "", [], ()):
-        return ""
-    return strict_yaml.dump({"value": value}).partition(":")[2].strip()
-
-
 def kind_of(described: Mapping[str, Any]) -> str:
     """The kind of an option in words."""
     if "enum" in described:
@@ -265,14 +262,22 @@ def entries(text: str) -> list[Entry]:
     found, lines = content.get(_LIST), text.split("\n")
     if not isinstance(found, list) or not found or _is_in_one_line(lines) or _OTHER_BREAKS.search(text):
         return []
-    dashes = [_dash(lines, places[(_LIST, place)] - 1) for place in range(len(found))]
-    last = dashes[-1] + 1
+    begins, before = [], places[(_LIST,)] - 1
+    for place in range(len(found)):
+        dash = places[(_LIST, place)] - 1  # where the content of the entry begins, perhaps below its dash
+        while dash > 0 and not lines[dash].lstrip().startswith("-"):
+            dash -= 1
+        # Comments right above a dash belong to the entry; what is indented more belongs to the entry before.
+        begin = dash
+        while begin > before + 1 and lines[begin - 1].lstrip().startswith("#"):
+            if _indent(lines[begin - 1]) > _indent(lines[dash]):
+                break
+            begin -= 1
+        begins.append(begin)
+        before = dash
+    last = before + 1
     while last < len(lines) and (not lines[last].strip() or lines[last][0] == " "):
         last += 1
-    begins = [
-        _comments_above(lines, dash, before + 1)
-        for dash, before in zip(dashes, [places[(_LIST,)] - 1, *dashes], strict=False)
-    ]
     ends = [*begins[1:], last]
     contents = [entry if isinstance(entry, dict) else {} for entry in found]
     numbered = enumerate(zip(begins, ends, contents, strict=True), start=1)
@@ -357,21 +362,6 @@ def _is_in_one_line(lines: list[str]) -> bool:
 def _one_line() -> InvalidInput:
     remedy = "write each plot in a line of its own, beginning with '-'"
     return InvalidInput(f"{_LIST!r} is written in one line", remedy)
-
-
-def _dash(lines: list[str], line: int) -> int:
-    """The line with the dash of an entry whose content begins at ``line``."""
-    while line > 0 and not lines[line].lstrip().startswith("-"):
-        line -= 1
-    return line
-
-
-def _comments_above(lines: list[str], dash: int, least: int) -> int:
-    """Where the comments begin that stand right above a dash. What is indented more belongs to the entry before."""
-    most, begin = _indent(lines[dash]), dash
-    while begin > least and (above := lines[begin - 1]).lstrip().startswith("#") and _indent(above) <= most:
-        begin -= 1
-    return begin
 
 
 def _indent(line: str) -> int:

@@ -142,7 +142,14 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
     add_compression(app)
     add_caching(app)
     app.extensions[context.SIGN_IN_EXTENSION] = SignInLimits()
-    _allow_parts_of_files(app)
+
+    # Before anything looks at a body: uploads may have larger ones than other requests.
+    @app.before_request
+    def allow_parts_of_files() -> None:
+        most = BODY_LIMITS.get(request.endpoint or "")
+        if most is not None:
+            request.max_content_length = most
+
     callers = protect(app, hive, host or hive.settings.host)
     # After the checks, which hold for kept pages too; before the transaction, which kept pages do not need.
     if hive.settings.mode is Mode.VIEW_ONLY:
@@ -175,16 +182,6 @@ def lent_to_requests(settings: Settings) -> Budget:
             Lent.IMPORTS: 3,
         }
     )
-
-
-def _allow_parts_of_files(app: Flask) -> None:
-    """Let uploads have larger bodies than other requests, before anything looks at a body."""
-
-    @app.before_request
-    def allow() -> None:
-        most = BODY_LIMITS.get(request.endpoint or "")
-        if most is not None:
-            request.max_content_length = most
 
 
 def _show_one_moment(app: Flask, store: Store) -> None:

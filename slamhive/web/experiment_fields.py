@@ -182,7 +182,21 @@ def yaml_from_fields(fields: ExperimentFields) -> str:
     content["algorithms"] = _one_or_list(fields.algorithms)
     content["datasets"] = _one_or_list(fields.datasets)
     content["steps"] = {step.name.strip(): step.content for step in fields.steps}
-    content["parameters"] = _parameter_content(fields)
+
+    # Shared parameters first, then those of single algorithms.
+    parameters: dict[str, Any] = {}
+    for name, text in fields.values.items():
+        if not name.startswith(_PARAMETERS) or not text.strip():
+            continue
+        owner, slash, key = name.removeprefix(_PARAMETERS).partition("/")
+        if slash:
+            section = parameters.setdefault(owner, {})
+            if isinstance(section, dict):
+                section[key] = _value(text)
+        else:
+            parameters[owner] = _value(text)
+    content["parameters"] = dict(sorted(parameters.items(), key=lambda entry: isinstance(entry[1], dict)))
+
     # ``ROLE=SENSOR`` lines; for one without a sensor, the check of the experiment names the sensors that fit.
     chosen = (line.partition("=") for line in _lines(fields.value("sensors")))
     content["sensors"] = {role.strip(): name.strip() or role.strip() for role, _, name in chosen}
@@ -235,22 +249,6 @@ def _field_name(path: KeyPath, fields: ExperimentFields) -> str | None:
     if path[0] == "limits":
         path = (path[0], *(_LIMIT_NAMES.get(str(key), key) for key in path[1:]))
     return "/".join(map(str, path[:3]))
-
-
-def _parameter_content(fields: ExperimentFields) -> dict[str, Any]:
-    """Shared parameters first, then those of single algorithms."""
-    content: dict[str, Any] = {}
-    for name, text in fields.values.items():
-        if not name.startswith(_PARAMETERS) or not text.strip():
-            continue
-        owner, slash, key = name.removeprefix(_PARAMETERS).partition("/")
-        if slash:
-            section = content.setdefault(owner, {})
-            if isinstance(section, dict):
-                section[key] = _value(text)
-        else:
-            content[owner] = _value(text)
-    return dict(sorted(content.items(), key=lambda entry: isinstance(entry[1], dict)))
 
 
 def _without_empty(content: Mapping[str, Any]) -> dict[str, Any]:

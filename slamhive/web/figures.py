@@ -99,27 +99,29 @@ def curve_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure
         figure = _over_time(in_ms, name, colour, _time_of(in_ms), "latency per frame [ms]", dots=True)
         figures["latency"] = _with_dropped(figure, series.dropped_s)
     if series.dropped_s is not None and len(series.dropped_s):
-        figures["dropped"] = _dropped_over_time(series, name, colour)
+        # Steps: how many frames were dropped in each interval of the recording, most often of a second.
+        last_s = max(float(series.dropped_s.max()), 0.0 if series.played_s is None else series.played_s[1])
+        width_s = max(1.0, math.ceil(last_s / MOST_INTERVALS))
+        edges_s = np.arange(0.0, last_s + 2 * width_s, width_s)
+        counts = np.histogram(series.dropped_s, edges_s)[0].astype(np.float64)
+        interval = "1 s" if width_s == 1 else f"{width_s:g} s"
+        line = {"color": colour, "width": 1.5, "shape": "hv"}
+        trace = _trace(
+            edges_s[:-1],
+            counts,
+            name=name,
+            mode="lines",
+            line=line,
+            fill="tozeroy",
+            fillcolor=translucent(colour, 0.25),
+        )
+        layout = {
+            "xaxis": {"title": {"text": _RECORDING_TIME}},
+            "yaxis": {"title": {"text": f"frames dropped per {interval}"}, "rangemode": "tozero"},
+            "showlegend": False,
+        }
+        figures["dropped"] = _figure([trace], layout)
     return figures
-
-
-def _dropped_over_time(series: RunSeries, name: str, colour: str) -> Figure:
-    """Steps: how many frames were dropped in each interval of the recording, most often of a second."""
-    last_s = max(float(series.dropped_s.max()), 0.0 if series.played_s is None else series.played_s[1])
-    width_s = max(1.0, math.ceil(last_s / MOST_INTERVALS))
-    edges_s = np.arange(0.0, last_s + 2 * width_s, width_s)
-    counts = np.histogram(series.dropped_s, edges_s)[0].astype(np.float64)
-    interval = "1 s" if width_s == 1 else f"{width_s:g} s"
-    line = {"color": colour, "width": 1.5, "shape": "hv"}
-    trace = _trace(
-        edges_s[:-1], counts, name=name, mode="lines", line=line, fill="tozeroy", fillcolor=translucent(colour, 0.25)
-    )
-    layout = {
-        "xaxis": {"title": {"text": _RECORDING_TIME}},
-        "yaxis": {"title": {"text": f"frames dropped per {interval}"}, "rangemode": "tozero"},
-        "showlegend": False,
-    }
-    return _figure([trace], layout)
 
 
 def _time_of(samples: Samples) -> str:
@@ -190,7 +192,46 @@ def plane_figures(groundtruth: PathSeries | None, estimate: ShownEstimate | None
 
 def space_figures(groundtruth: PathSeries | None, estimate: ShownEstimate | None) -> dict[str, Figure]:
     """The same path in 3D as ``path``, of which a static site makes the planes."""
-    return {"path": _space_figure(groundtruth, estimate)}
+    traces: list[Figure] = []
+    hover = "x %{x:.4g} m<br>y %{y:.4g} m<br>z %{z:.4g} m"
+    if estimate is not None:
+        track, colour = estimate.path, estimate.colour
+        parts = ((estimate.name, _broken, {"color": colour, "width": 5}), (_LOST, _bridges, _bridge_line(colour, 2)))
+        for label, points_of, line in parts:
+            points = points_of(track.positions_m, track.pieces)
+            if len(points):
+                x, y, z = points.T
+                traces.append(_trace(x, y, z, name=label, mode="lines", line=line, hovertemplate=hover))
+    if groundtruth is not None:
+        x, y, z = _short(groundtruth.positions_m).T
+        line = {"dash": "dash", "width": 3}
+        traces.append(_trace(x, y, z, name="ground truth", mode="lines", line=line, meta=THEMED, hovertemplate=hover))
+
+    track, end_colour = _marked(groundtruth, estimate)
+    for label, symbol, point in (("start", "circle", track.positions_m[0]), ("end", "square", track.positions_m[-1])):
+        x, y, z = ([float(value)] for value in point)
+        marker = {"symbol": symbol, "size": 5} | ({"color": end_colour} if end_colour else {})
+        meta = None if end_colour else THEMED
+        traces.append(_trace(x, y, z, name=label, mode="markers", marker=marker, meta=meta))
+
+    tracks = [entry for entry in (groundtruth, None if estimate is None else estimate.path) if entry is not None]
+    # Equal-scale axes with a box that always fits the view. Plotly's own equal aspect clips long, flat paths.
+    positions_m = np.concatenate([track.positions_m for track in tracks])
+    low, high = positions_m.min(axis=0), positions_m.max(axis=0)
+    longest_m = max(float((high - low).max()), 1e-3)
+    half_m = np.maximum((high - low) * 0.525, 0.05 * longest_m)
+    middle = (low + high) / 2
+    scene: dict[str, Any] = {
+        f"{axis}axis": {
+            "title": {"text": f"{axis} [m]"},
+            "range": [float(middle[place] - half_m[place]), float(middle[place] + half_m[place])],
+            "nticks": 3 if half_m[place] < 0.2 * longest_m else 8,
+        }
+        for place, axis in enumerate(AXES)
+    }
+    ratio = {axis: float(1.5 * half_m[place] / half_m.max()) for place, axis in enumerate(AXES)}
+    scene |= {"aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": {"x": 1.1, "y": -1.3, "z": 0.9}}}
+    return {"path": _figure(traces, {"scene": scene, "legend": _LEGEND})}
 
 
 def motion_figures(motion: Motion, colour: str, *, positions_only: bool) -> dict[str, Figure]:
@@ -394,7 +435,23 @@ def _plane_figure(plane: str, groundtruth: PathSeries | None, estimate: ShownEst
             traces.append(_plane_line(plane, bridges, name=_LOST, line=_bridge_line(colour, 1.2)))
     if groundtruth is not None:
         traces.append(_truth_line(plane, _short(groundtruth.positions_m)))
-    traces += _plane_ends(plane, groundtruth, estimate)
+
+    # A circle where the estimate starts, and a square where it ends; those of the ground truth without an estimate.
+    track, end_colour = _marked(groundtruth, estimate)
+    ends = (("start", "circle-open", 13, track.positions_m[0]), ("end", "square", 7, track.positions_m[-1]))
+    traces += [
+        _trace(
+            [float(point[first])],
+            [float(point[second])],
+            name=label,
+            mode="markers",
+            marker={"symbol": symbol, "size": size, "line": {"width": 2}}
+            | ({"color": end_colour} if end_colour else {}),
+            meta=None if end_colour else THEMED,
+            hovertemplate=f"{label}<br>{_plane_hover(plane)}",
+        )
+        for label, symbol, size, point in ends
+    ]
     layout = {
         "xaxis": {"title": {"text": f"{AXES[first]} [m]"}, "constrain": "domain"},
         "yaxis": {"title": {"text": f"{AXES[second]} [m]"}, "constrain": "domain", "scaleanchor": "x"},
@@ -411,70 +468,6 @@ def _plane_line(plane: str, points: np.ndarray[Any, Any], **look: Any) -> Figure
 
 def _truth_line(plane: str, points: np.ndarray[Any, Any]) -> Figure:
     return _plane_line(plane, points, name="ground truth", line={"dash": "dash", "width": 1.2}, meta=THEMED)
-
-
-def _plane_ends(plane: str, groundtruth: PathSeries | None, estimate: ShownEstimate | None) -> list[Figure]:
-    """Markers for start (circle) and end (square) of the estimate, or of the ground truth without an estimate."""
-    first, second = PLANES[plane]
-    track, colour = _marked(groundtruth, estimate)
-    ends = (("start", "circle-open", 13, track.positions_m[0]), ("end", "square", 7, track.positions_m[-1]))
-    return [
-        _trace(
-            [float(point[first])],
-            [float(point[second])],
-            name=label,
-            mode="markers",
-            marker={"symbol": symbol, "size": points, "line": {"width": 2}} | ({"color": colour} if colour else {}),
-            meta=None if colour else THEMED,
-            hovertemplate=f"{label}<br>{_plane_hover(plane)}",
-        )
-        for label, symbol, points, point in ends
-    ]
-
-
-def _space_figure(groundtruth: PathSeries | None, estimate: ShownEstimate | None) -> Figure:
-    traces: list[Figure] = []
-    hover = "x %{x:.4g} m<br>y %{y:.4g} m<br>z %{z:.4g} m"
-    if estimate is not None:
-        track, colour = estimate.path, estimate.colour
-        parts = ((estimate.name, _broken, {"color": colour, "width": 5}), (_LOST, _bridges, _bridge_line(colour, 2)))
-        for label, points_of, line in parts:
-            points = points_of(track.positions_m, track.pieces)
-            if len(points):
-                x, y, z = points.T
-                traces.append(_trace(x, y, z, name=label, mode="lines", line=line, hovertemplate=hover))
-    if groundtruth is not None:
-        x, y, z = _short(groundtruth.positions_m).T
-        line = {"dash": "dash", "width": 3}
-        traces.append(_trace(x, y, z, name="ground truth", mode="lines", line=line, meta=THEMED, hovertemplate=hover))
-    track, end_colour = _marked(groundtruth, estimate)
-    for label, symbol, point in (("start", "circle", track.positions_m[0]), ("end", "square", track.positions_m[-1])):
-        x, y, z = ([float(value)] for value in point)
-        marker = {"symbol": symbol, "size": 5} | ({"color": end_colour} if end_colour else {})
-        meta = None if end_colour else THEMED
-        traces.append(_trace(x, y, z, name=label, mode="markers", marker=marker, meta=meta))
-    tracks = [entry for entry in (groundtruth, None if estimate is None else estimate.path) if entry is not None]
-    return _figure(traces, {"scene": _equal_scene(tracks), "legend": _LEGEND})
-
-
-def _equal_scene(tracks: Sequence[PathSeries]) -> dict[str, Any]:
-    """Equal-scale axes with a box that always fits the view. Plotly's own equal aspect clips long, flat paths."""
-    positions_m = np.concatenate([track.positions_m for track in tracks])
-    low, high = positions_m.min(axis=0), positions_m.max(axis=0)
-    longest_m = max(float((high - low).max()), 1e-3)
-    half_m = np.maximum((high - low) * 0.525, 0.05 * longest_m)
-    middle = (low + high) / 2
-    scene: dict[str, Any] = {
-        f"{axis}axis": {
-            "title": {"text": f"{axis} [m]"},
-            "range": [float(middle[place] - half_m[place]), float(middle[place] + half_m[place])],
-            "nticks": 3 if half_m[place] < 0.2 * longest_m else 8,
-        }
-        for place, axis in enumerate(AXES)
-    }
-    ratio = {axis: float(1.5 * half_m[place] / half_m.max()) for place, axis in enumerate(AXES)}
-    eye = {"x": 1.1, "y": -1.3, "z": 0.9}
-    return scene | {"aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": eye}}
 
 
 def _marked(groundtruth: PathSeries | None, estimate: ShownEstimate | None) -> tuple[PathSeries, str | None]:

@@ -102,29 +102,26 @@ class LiveHub:
     def _poll(self) -> None:
         """Poll until no page listens."""
         try:
-            self._poll_while_needed()
+            while True:
+                began = monotonic_s()
+                with self._changed:
+                    viewers = list(self._viewers)
+                found = {viewer: message for viewer in viewers if (message := self._look(viewer)) is not None}
+                with self._changed:
+                    if self._closed or self._streams == 0:
+                        self._poller = None
+                        return
+                    self._tick += 1
+                    for viewer in found.keys() & self._viewers.keys():
+                        self._messages[viewer] = self._tick, found[viewer]
+                    self._changed.notify_all()
+                    left_s = max(0.05, self._interval_s - (monotonic_s() - began))
+                    self._changed.wait_for(lambda: self._closed, timeout=left_s)
         finally:  # a bug ends this thread: the streams end too, and the next one starts another thread
             with self._changed:
                 if self._poller is threading.current_thread():
                     self._poller = None
                     self._changed.notify_all()
-
-    def _poll_while_needed(self) -> None:
-        while True:
-            began = monotonic_s()
-            with self._changed:
-                viewers = list(self._viewers)
-            found = {viewer: message for viewer in viewers if (message := self._look(viewer)) is not None}
-            with self._changed:
-                if self._closed or self._streams == 0:
-                    self._poller = None
-                    return
-                self._tick += 1
-                for viewer in found.keys() & self._viewers.keys():
-                    self._messages[viewer] = self._tick, found[viewer]
-                self._changed.notify_all()
-                left_s = max(0.05, self._interval_s - (monotonic_s() - began))
-                self._changed.wait_for(lambda: self._closed, timeout=left_s)
 
     def _look(self, viewer: Viewer | None) -> str | None:
         """The snapshot for ``viewer`` as one line of JSON; None while the database is unavailable."""

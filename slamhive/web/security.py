@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Iterator
-from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, suppress
-from pathlib import Path
 
 from flask import Flask, Response, g, request
 from flask.sessions import SecureCookieSessionInterface
@@ -69,21 +67,36 @@ def protect(app: Flask, hive: Hive, host: str) -> Callers:
     """
     settings = hive.settings
     callers = Callers(app, hive, needed=accounts_needed(settings, host))
-    # A proxy on this machine passes on the name that people have asked for.
-    own_names = LOOPBACK_HOSTS | {host_name(origin_host(settings.public_url))}
+    # A server for this machine alone has these names: under another one, a page of a stranger has rebound its own. A
+    # proxy on this machine passes on the name that people have asked for.
+    own_names: set[str | None] | None = None
+    if not callers.needed and host in LOOPBACK_HOSTS:
+        own_names = {*LOOPBACK_HOSTS, host_name(origin_host(settings.public_url))}
     app.extensions[context.CALLERS_EXTENSION] = callers
     app.session_interface = _Sessions()
 
     @app.before_request
     def refuse() -> Response | None:
-        _refuse_foreign_host(None if callers.needed or host not in LOOPBACK_HOSTS else own_names)
+        name = host_name(request.host)
+        if name is None or (own_names is not None and name not in own_names):
+            raise InvalidInput(
+                f"this server does not accept the host {request.headers.get('Host', '')[:80]!r}",
+                "open http://127.0.0.1; behind a proxy, set PUBLIC_URL to the address that people open;"
+                " or bind the server to a network address with --host",
+            )
         g.caller = caller = callers.find()
         g.sight = ExitStack()
         g.sight.enter_context(hive.store.seen_by(callers.viewer(caller), caller.account))
         action = action_of(request.endpoint, request.method)
         refused = refusal(caller, action, view_only=settings.mode is Mode.VIEW_ONLY)
         if request.method not in SAFE_METHODS:
-            _refuse_foreign_origin()
+            origin, referrer = request.headers.get("Origin"), request.headers.get("Referer")
+            if origin and origin_host(origin) != request.host:
+                raise Forbidden(
+                    f"pages of {origin[:80]!r} may not change anything here", "use the pages of this server"
+                )
+            if referrer and origin_host(referrer) is None:
+                raise Forbidden(f"the Referer {referrer[:80]!r} is not an address", "use the pages of this server")
         if refused is None and caller.account and request.method not in SAFE_METHODS:
             g.act = ExitStack()
             g.act.enter_context(access.acting(hive.store, caller, settings.new_runs))
@@ -129,29 +142,6 @@ def _seen_by(store: Store, viewer: Viewer, pieces: Iterator[bytes]) -> Iterator[
             close()
 
 
-def _refuse_foreign_host(own_names: AbstractSet[str | None] | None) -> None:
-    """Refuse a request without a host, and one for another name than these: a page of a stranger has rebound its own.
-
-    Args:
-        own_names: Names of this server; None for any.
-    """
-    name = host_name(request.host)
-    if name is None or (own_names is not None and name not in own_names):
-        raise InvalidInput(
-            f"this server does not accept the host {request.headers.get('Host', '')[:80]!r}",
-            "open http://127.0.0.1; behind a proxy, set PUBLIC_URL to the address that people open;"
-            " or bind the server to a network address with --host",
-        )
-
-
-def _refuse_foreign_origin() -> None:
-    origin, referrer = request.headers.get("Origin"), request.headers.get("Referer")
-    if origin and origin_host(origin) != request.host:
-        raise Forbidden(f"pages of {origin[:80]!r} may not change anything here", "use the pages of this server")
-    if referrer and origin_host(referrer) is None:
-        raise Forbidden(f"the Referer {referrer[:80]!r} is not an address", "use the pages of this server")
-
-
 def require_api_header() -> None:
     """Require our header for API changes: a page of another site cannot set it without a preflight request.
 
@@ -168,25 +158,24 @@ def secret_key(settings: Settings) -> str:
     path = settings.data / "secret_key"
     try:
         stored = path.read_text(encoding="ascii").strip() if path.exists() else ""
-        return stored or _make_key(path)
+        if stored:
+            return stored
+        path.parent.mkdir(parents=True, exist_ok=True)
+        aside = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+        descriptor = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        try:
+            with os.fdopen(descriptor, "w", encoding="ascii") as stream:
+                stream.write(secrets.token_hex(32) + "\n")
+                stream.flush()
+                os.fsync(stream.fileno())
+            # Servers that start at the same time all use the first key written: unlike a rename, a link fails if
+            # another server was faster.
+            with suppress(FileExistsError):
+                path.hardlink_to(aside)
+        finally:
+            aside.unlink(missing_ok=True)
+        return path.read_text(encoding="ascii").strip()
     except OSError as error:
         raise Unavailable(
             f"{path} cannot be used: {error.strerror}", "check its permissions, or set SECRET_KEY"
         ) from None
-
-
-def _make_key(path: Path) -> str:
-    """Create the key. Servers that start at the same time all use the first one written."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
-    descriptor = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-    try:
-        with os.fdopen(descriptor, "w", encoding="ascii") as stream:
-            stream.write(secrets.token_hex(32) + "\n")
-            stream.flush()
-            os.fsync(stream.fileno())
-        with suppress(FileExistsError):
-            path.hardlink_to(aside)  # unlike a rename, a link fails if another server was faster
-    finally:
-        aside.unlink(missing_ok=True)
-    return path.read_text(encoding="ascii").strip()

@@ -103,7 +103,17 @@ def axis_of(values: Iterable[float], *, failures: bool) -> StripAxis | None:
     logarithmic = low > 0 and high / low > DECADES
     if low == high:
         low, high = low - (abs(low) or 1.0) * 0.1, high + (abs(high) or 1.0) * 0.1
-    found = _powers(low, high) if logarithmic else _round_values(low, high)
+    if logarithmic:
+        # Powers of ten within the limits, thinned to four.
+        powers = range(math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9) + 1)
+        every = max(1, math.ceil(len(powers) / _MOST_TICKS))
+        found = [10.0**power for power in powers[::every]]
+    else:
+        # Round numbers within the limits, two to four if possible.
+        power = 10.0 ** math.floor(math.log10((high - low) / _MOST_TICKS))
+        step = next(step * power for step in _STEPS if (high - low) / (step * power) <= _MOST_TICKS)
+        first_number, last_number = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+        found = [number * step for number in range(first_number, last_number + 1)]
     ticks = tuple((_place(value, low, high, last, logarithmic=logarithmic), value) for value in found)
     return StripAxis(low, high, last, logarithmic, ticks)
 
@@ -118,21 +128,6 @@ def failure_places(count: int) -> list[float]:
 def _place(value: float, low: float, high: float, last: float, *, logarithmic: bool) -> float:
     share = math.log(value / low) / math.log(high / low) if logarithmic else (value - low) / (high - low)
     return round(FIRST + (last - FIRST) * share, 2)
-
-
-def _round_values(low: float, high: float) -> Sequence[float]:
-    """Round numbers within the limits, two to four if possible."""
-    power = 10.0 ** math.floor(math.log10((high - low) / _MOST_TICKS))
-    step = next(step * power for step in _STEPS if (high - low) / (step * power) <= _MOST_TICKS)
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return [number * step for number in range(first, last + 1)]
-
-
-def _powers(low: float, high: float) -> Sequence[float]:
-    """Powers of ten within the limits, thinned to four."""
-    powers = range(math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9) + 1)
-    every = max(1, math.ceil(len(powers) / _MOST_TICKS))
-    return [10.0**power for power in powers[::every]]
 
 
 # -- colours by value: how good a number is among those that it can be compared with -----------------------------------

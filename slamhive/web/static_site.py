@@ -231,7 +231,7 @@ class StaticSite:
             yield from self._hive.store.read(lambda t: t.runs.get_many(part, with_metrics=True))  # noqa: B023
 
     def _put_run(self, folder: Path, page: Template, site: dict[str, Any], run: RunRecord) -> None:
-        """Take over the page of a run, or write it."""
+        """Take over the page of a run, or write it and the script with what it draws."""
         files = RunFolder(self._hive.settings.runs_folder / str(run.id))
         evaluation = [] if run.protocol is None else [files.evaluation(run.protocol.fingerprint)]
         dataset = dataset_of(self._hive, run.dataset)
@@ -240,34 +240,30 @@ class StaticSite:
         parts = [self._of_all, run, self._algorithms.get(run.algorithm), dataset]
         digest = digest_of([*parts, stamps([*read, *([] if reference is None else [reference])])])
         if not self._pages.take(run.id, digest, folder):
-            self._write_run(folder, page, site, run)
-
-    def _write_run(self, folder: Path, page: Template, site: dict[str, Any], run: RunRecord) -> None:
-        """Write the page of a run, and the script with what it draws."""
-        record = self._hive.runs.record(run.id)
-        tracks = TrackFiles()
-        series = thinned(run_series(run, self._hive.runs.folder(run.id), files=tracks))
-        drawn = drawing(run, series, colour_of(run.algorithm, self._algorithms))
-        algorithm = self._algorithms.get(run.algorithm)
-        has_scene = self._scenes.write_run(folder, run, tracks)
-        text = page.render(
-            site=site,
-            root="../",
-            run=run,
-            outcome=outcome(run),
-            drawn=drawn,
-            titles=FIGURES,
-            metrics=[
-                ("Accuracy", metric_rows(run, needs_protocol=True)),
-                ("Measured during the run", metric_rows(run, needs_protocol=False)),
-            ],
-            parameters=parameter_rows(run, algorithm, self._match(run, record)),
-            facts=_facts(run, algorithm),
-            log=self._hive.runs.log_of(run, LOG_BYTES),
-            scene=scene_name(run.id) if has_scene else None,
-        )
-        (folder / f"{run.id}.html").write_text(text, encoding="utf-8")
-        (folder / f"{run.id}.js").write_text(run_script(run, record, drawn, scene=has_scene), encoding="utf-8")
+            record = self._hive.runs.record(run.id)
+            tracks = TrackFiles()
+            series = thinned(run_series(run, self._hive.runs.folder(run.id), files=tracks))
+            drawn = drawing(run, series, colour_of(run.algorithm, self._algorithms))
+            algorithm = self._algorithms.get(run.algorithm)
+            has_scene = self._scenes.write_run(folder, run, tracks)
+            text = page.render(
+                site=site,
+                root="../",
+                run=run,
+                outcome=outcome(run),
+                drawn=drawn,
+                titles=FIGURES,
+                metrics=[
+                    ("Accuracy", metric_rows(run, needs_protocol=True)),
+                    ("Measured during the run", metric_rows(run, needs_protocol=False)),
+                ],
+                parameters=parameter_rows(run, algorithm, self._match(run, record)),
+                facts=_facts(run, algorithm),
+                log=self._hive.runs.log_of(run, LOG_BYTES),
+                scene=scene_name(run.id) if has_scene else None,
+            )
+            (folder / f"{run.id}.html").write_text(text, encoding="utf-8")
+            (folder / f"{run.id}.js").write_text(run_script(run, record, drawn, scene=has_scene), encoding="utf-8")
 
     def _match(self, run: RunRecord, record: dict[str, Any]) -> MatchDocument | None:
         """Like :func:`match_of_run`, but asks only once for each configuration."""

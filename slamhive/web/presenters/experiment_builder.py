@@ -110,10 +110,34 @@ def builder(fields: ExperimentFields, algorithms: Sequence[Algorithm], datasets:
             words = str(error)
         names = {option.name for option in options}
         steps.append(StepRow(step, words, options, tuple(name for name in step.options if name not in names)))
+
+    groups: dict[str, list[ValueChoice]] = {}
+    by_setup = sorted(algorithms, key=lambda algorithm: list(SensorSetup).index(algorithm.setup))
+    for algorithm in by_setup:
+        choice = ValueChoice(algorithm.name, algorithm.title, algorithm.name in fields.algorithms)
+        groups.setdefault(algorithm.setup.value, []).append(choice)
+    installed = {algorithm.name for algorithm in by_setup}
+    unknown = [ValueChoice(name, "", True, warning="not installed") for name in fields.algorithms]
+    if missing := [choice for choice in unknown if choice.name not in installed]:
+        groups["unknown"] = missing
+
+    choices = []
+    for dataset in datasets:
+        unfit = [algorithm.name for algorithm in chosen if lacking(algorithm, dataset) is not None]
+        warning = f"missing sensors for {', '.join(unfit)}" if unfit else ""
+        kinds = ", ".join(dict.fromkeys(sensor.kind.value for sensor in dataset.sensors))
+        note = f"{dataset.duration_s:.0f} s; {kinds or 'no sensors'}"
+        choices.append(ValueChoice(dataset.name, "", dataset.name in fields.datasets, note, warning))
+    here = {choice.name for choice in choices}
+    choices += [
+        ValueChoice(name, "", chosen=True, warning="not here, see the preview")
+        for name in fields.datasets
+        if name not in here
+    ]
     return Builder(
         fields=fields,
-        algorithms=_algorithm_choices(fields, algorithms),
-        datasets=_dataset_choices(fields, chosen, datasets),
+        algorithms=groups,
+        datasets=choices,
         shared=shared,
         own=own,
         strange=[name for name in fields.values if name.startswith("parameters/") and name not in known],
@@ -150,38 +174,6 @@ def new_step(kind: str) -> StepFields:
     return StepFields(
         f"{_AXIS_PREFIX[sensor]}_{kind}" if shared else kind, kind, "camera" if everything else sensors, options
     )
-
-
-def _algorithm_choices(fields: ExperimentFields, algorithms: Iterable[Algorithm]) -> dict[str, list[ValueChoice]]:
-    groups: dict[str, list[ValueChoice]] = {}
-    by_setup = sorted(algorithms, key=lambda algorithm: list(SensorSetup).index(algorithm.setup))
-    for algorithm in by_setup:
-        choice = ValueChoice(algorithm.name, algorithm.title, algorithm.name in fields.algorithms)
-        groups.setdefault(algorithm.setup.value, []).append(choice)
-    known = {algorithm.name for algorithm in by_setup}
-    unknown = [ValueChoice(name, "", True, warning="not installed") for name in fields.algorithms]
-    if missing := [choice for choice in unknown if choice.name not in known]:
-        groups["unknown"] = missing
-    return groups
-
-
-def _dataset_choices(
-    fields: ExperimentFields, chosen: Sequence[Algorithm], datasets: Iterable[Dataset]
-) -> list[ValueChoice]:
-    choices = []
-    for dataset in datasets:
-        unfit = [algorithm.name for algorithm in chosen if lacking(algorithm, dataset) is not None]
-        warning = f"missing sensors for {', '.join(unfit)}" if unfit else ""
-        kinds = ", ".join(dict.fromkeys(sensor.kind.value for sensor in dataset.sensors))
-        note = f"{dataset.duration_s:.0f} s; {kinds or 'no sensors'}"
-        choices.append(ValueChoice(dataset.name, "", dataset.name in fields.datasets, note, warning))
-    known = {choice.name for choice in choices}
-    choices += [
-        ValueChoice(name, "", chosen=True, warning="not here, see the preview")
-        for name in fields.datasets
-        if name not in known
-    ]
-    return choices
 
 
 def _default(parameter: Parameter) -> str:

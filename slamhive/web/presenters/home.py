@@ -108,7 +108,25 @@ def needs(
     """List what needs somebody, the worst first."""
     looked_at = [entry for entry in experiments if entry.state is not ConfigurationStanding.CANCELLED][:LOOKED_AT]
     found = [need for entry in looked_at for need in _failed(entry)]
-    found += _failed_alone(services)
+
+    # Failed runs of the last days that no experiment counts and nobody has repeated.
+    since = (utc_now() - _RECENT).date().isoformat()
+    text = f"state = failed and missing experiment and ended_at >= {since}"
+    alone = services.searches.find(f"{text} and not reason = {FailureReason.LOST}")
+    repeated = services.runs.repeated(alone)
+    failed = [number for number in alone if number not in repeated]
+    if failed:
+        found.append(
+            Attention(
+                "outcome-failed",
+                f"{plural(len(failed), 'run')} failed in the last week",
+                "See why",
+                "runs.index",
+                {"where": text},
+                posts=False,
+            )
+        )
+
     found += [need for entry in looked_at if entry.disturbed for need in _disturbed(services, entry)]
     if unevaluated := services.searches.unevaluated():
         are = "is" if unevaluated == 1 else "are"
@@ -121,7 +139,20 @@ def needs(
                 fields=(("all", "1"),),
             )
         )
-    return found + [need for card in cards for need in _undecided(card)]
+    for card in cards:
+        more = card.answer.more_repeats
+        if card.answer.certainty.undecided and more and card.status.state is ConfigurationStanding.FINISHED:
+            found.append(
+                Attention(
+                    "trust-limited",
+                    f"{card.status.name} is not decided: {card.answer.certainty.value}",
+                    f"Add {plural(more, 'repeat')}",
+                    "experiments.act",
+                    {"name": card.status.name, "action": "add-repeats"},
+                    (("count", str(more)),),
+                )
+            )
+    return found
 
 
 def _failed(status: ExperimentStatusDocument) -> Iterator[Attention]:
@@ -148,24 +179,6 @@ def _failed(status: ExperimentStatusDocument) -> Iterator[Attention]:
         )
 
 
-def _failed_alone(services: Hive) -> Iterator[Attention]:
-    """Failed runs of the last days that no experiment counts and nobody has repeated."""
-    since = (utc_now() - _RECENT).date().isoformat()
-    text = f"state = failed and missing experiment and ended_at >= {since}"
-    found = services.searches.find(f"{text} and not reason = {FailureReason.LOST}")
-    repeated = services.runs.repeated(found)
-    failed = [number for number in found if number not in repeated]
-    if failed:
-        yield Attention(
-            "outcome-failed",
-            f"{plural(len(failed), 'run')} failed in the last week",
-            "See why",
-            "runs.index",
-            {"where": text},
-            posts=False,
-        )
-
-
 def _disturbed(services: Hive, status: ExperimentStatusDocument) -> Iterator[Attention]:
     found = services.searches.find(f"experiment = {status.name} and disturbed = true and state = succeeded")
     repeated = services.runs.repeated(found)
@@ -177,19 +190,6 @@ def _disturbed(services: Hive, status: ExperimentStatusDocument) -> Iterator[Att
             f"Run {thousands(len(wanted))} again",
             "selected_runs.retry",
             fields=tuple(("run", str(number)) for number in wanted),
-        )
-
-
-def _undecided(card: AnswerCard) -> Iterator[Attention]:
-    more = card.answer.more_repeats
-    if card.answer.certainty.undecided and more and card.status.state is ConfigurationStanding.FINISHED:
-        yield Attention(
-            "trust-limited",
-            f"{card.status.name} is not decided: {card.answer.certainty.value}",
-            f"Add {plural(more, 'repeat')}",
-            "experiments.act",
-            {"name": card.status.name, "action": "add-repeats"},
-            (("count", str(more)),),
         )
 
 

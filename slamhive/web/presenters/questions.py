@@ -94,28 +94,20 @@ def facts(found: Decision | SearchStanding) -> list[tuple[str, str]]:
 
 def rows(found: Decision | SearchStanding, metric: Metric) -> list[CandidateRow] | list[SearchRow]:
     """One row for each candidate, the best first."""
-    return _candidate_rows(found, metric) if isinstance(found, Decision) else _search_rows(found, metric)
-
-
-def _candidate_rows(found: Decision, metric: Metric) -> list[CandidateRow]:
-    """One row for each candidate, the best first."""
-    return [
-        CandidateRow(
-            entry.label,
-            entry.standing.value,
-            entry.rounds,
-            thousands(entry.runs),
-            entry.failed,
-            metric_cell(metric, entry.mean),
-            _behind(entry, metric),
-            entry.beaten_by or DASH,
-        )
-        for entry in found.candidates
-    ]
-
-
-def _search_rows(found: SearchStanding, metric: Metric) -> list[SearchRow]:
-    """One row for each candidate that may be best, the best first."""
+    if isinstance(found, Decision):
+        return [
+            CandidateRow(
+                entry.label,
+                entry.standing.value,
+                entry.rounds,
+                thousands(entry.runs),
+                entry.failed,
+                metric_cell(metric, entry.mean),
+                _behind(entry, metric),
+                entry.beaten_by or DASH,
+            )
+            for entry in found.candidates
+        ]
     factor = display_unit(metric).factor
     return [
         SearchRow(
@@ -125,7 +117,10 @@ def _search_rows(found: SearchStanding, metric: Metric) -> list[SearchRow]:
             metric_cell(metric, entry.expected),
             f"{significant(entry.low * factor)} to {significant(entry.high * factor)}",
             f"{entry.failing:.0%}",
-            tuple(_against_cell(key, value.expected) for key, value in entry.against.items()),
+            tuple(
+                TableCell(f"{value.expected:.0%}") if key == FAILED else metric_cell(described(key), value.expected)
+                for key, value in entry.against.items()
+            ),
         )
         for entry in found.candidates
     ]
@@ -195,12 +190,6 @@ def _factor(key: str) -> float:
 
 def _unit(key: str) -> str:
     return "%" if key == FAILED else display_unit(described(key)).unit or "1"
-
-
-def _against_cell(key: str, value: float) -> TableCell:
-    if key == FAILED:
-        return TableCell(f"{value:.0%}")
-    return metric_cell(described(key), value)
 
 
 def _behind(entry: DecisionCandidate, metric: Metric) -> str:

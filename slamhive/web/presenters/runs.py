@@ -282,8 +282,10 @@ def flatten(record: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]
         elif isinstance(value, list) and value and all(isinstance(entry, Mapping) for entry in value):
             for place, entry in enumerate(value):
                 found += flatten(entry, f"{name}.{place}.")
+        elif isinstance(value, list) and value:
+            found.append((name, ", ".join(map(str, value))))
         else:
-            found.append((name, _provenance_text(value)))
+            found.append((name, DASH if value is None or value in ("", [], {}) else value_text(value)))
     return found
 
 
@@ -333,14 +335,6 @@ def _bound_row(key: str, entry: BoundParameter, definition: Parameter | None) ->
     unit, help_text = ("", "") if definition is None else (definition.unit, definition.help)
     changed = entry.origin is not Origin.SENSOR
     return ParameterRow(key, value_text(entry.value), entry.words, unit, help_text, changed=changed)
-
-
-def _provenance_text(value: object) -> str:
-    if value is None or value in ("", [], {}):
-        return DASH
-    if isinstance(value, list):
-        return ", ".join(map(str, value))
-    return value_text(value)
 
 
 def stills(files: Collection[str], fingerprint: str | None) -> dict[str, str]:

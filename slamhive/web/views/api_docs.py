@@ -18,7 +18,7 @@ from slamhive.documents.api import ProblemDocument
 from slamhive.documents.imports import OCTETS
 from slamhive.documents.model import adapter
 from slamhive.web.api import TABLE
-from slamhive.web.api.operation import KEY_HEADER, PREFIX, ApiOperation, Argument, ArgumentPlace, Bytes, Table
+from slamhive.web.api.operation import KEY_HEADER, PREFIX, ApiOperation, ArgumentPlace, Bytes, Table
 from slamhive.web.security import API_HEADER
 
 blueprint = Blueprint("api_docs", __name__, url_prefix="/api")
@@ -102,33 +102,33 @@ def sections_of(described: Mapping[str, Any]) -> dict[str, list[ShownOperation]]
     found: dict[str, list[ShownOperation]] = {entry["name"]: [] for entry in described["tags"]}
     for path, methods in described["paths"].items():
         for method, entry in methods.items():
-            found[entry["tags"][0]].append(_operation(path, method.upper(), entry))
+            status, success = next(iter(entry["responses"].items()))
+            body = entry.get("requestBody")
+            found[entry["tags"][0]].append(
+                ShownOperation(
+                    name=entry["operationId"],
+                    method=method.upper(),
+                    path=path,
+                    summary=entry["summary"],
+                    words=entry["description"],
+                    arguments=tuple(
+                        FieldRow(
+                            argument["name"], _type(argument["schema"]), argument["description"], argument["required"]
+                        )
+                        for argument in entry["parameters"]
+                        if argument["in"] != "header"
+                    ),
+                    body=None if body is None else _content(body["content"]),
+                    status=status,
+                    answer=_content(success["content"]),
+                )
+            )
     return found
 
 
 def models_of(described: Mapping[str, Any]) -> list[ShownModel]:
     """All models by name."""
     return [_model(name, schema) for name, schema in described["components"]["schemas"].items()]
-
-
-def _operation(path: str, method: str, entry: Mapping[str, Any]) -> ShownOperation:
-    status, success = next(iter(entry["responses"].items()))
-    body = entry.get("requestBody")
-    return ShownOperation(
-        name=entry["operationId"],
-        method=method,
-        path=path,
-        summary=entry["summary"],
-        words=entry["description"],
-        arguments=tuple(
-            FieldRow(argument["name"], _type(argument["schema"]), argument["description"], argument["required"])
-            for argument in entry["parameters"]
-            if argument["in"] != "header"
-        ),
-        body=None if body is None else _content(body["content"]),
-        status=status,
-        answer=_content(success["content"]),
-    )
 
 
 def _content(content: Mapping[str, Any]) -> Type:
@@ -261,8 +261,39 @@ def _schemas(operations: Iterable[ApiOperation]) -> tuple[Schemas, dict[str, Any
 def _described(operation: ApiOperation, places: Mapping[str, ArgumentPlace], schemas: Schemas) -> dict[str, Any]:
     changes = operation.method == "POST"
     parameters = [_place(name, places[name]) for name in operation.places]
-    parameters += [_argument(entry) for entry in operation.arguments]
-    parameters += _change_headers(once=operation.once) if changes else []
+    for argument in operation.arguments:
+        schema = {"type": "array", "items": argument.schema} if argument.many else dict(argument.schema)
+        parameters.append(
+            {
+                "name": argument.name,
+                "in": "query",
+                "required": argument.required,
+                "description": argument.help,
+                "schema": schema,
+            }
+        )
+    if changes:
+        parameters.append(
+            {
+                "name": API_HEADER,
+                "in": "header",
+                "required": False,
+                "description": "Needed unless an API token is sent. A page of another site cannot send it.",
+                "schema": {"type": "string", "const": "1"},
+            }
+        )
+    if changes and operation.once:
+        parameters.append(
+            {
+                "name": KEY_HEADER,
+                "in": "header",
+                "required": False,
+                "description": "A key of your own, unique for each change. "
+                "A repetition answers as the first request did.",
+                "schema": {"type": "string", "minLength": 1, "maxLength": 255, "pattern": "^[!-~]+$"},
+            }
+        )
+
     body = {} if operation.body is None else {"requestBody": _body(operation.body, schemas)}
     problems = (*_ALWAYS, *(_CHANGES if changes else ()))
     return {
@@ -290,35 +321,6 @@ def _success(operation: ApiOperation, schemas: Schemas) -> dict[str, Any]:
 
 def _place(name: str, place: ArgumentPlace) -> dict[str, Any]:
     return {"name": name, "in": "path", "required": True, "description": place.help, "schema": dict(place.schema)}
-
-
-def _argument(argument: Argument) -> dict[str, Any]:
-    schema = {"type": "array", "items": argument.schema} if argument.many else dict(argument.schema)
-    return {
-        "name": argument.name,
-        "in": "query",
-        "required": argument.required,
-        "description": argument.help,
-        "schema": schema,
-    }
-
-
-def _change_headers(*, once: bool) -> list[dict[str, Any]]:
-    ours = {
-        "name": API_HEADER,
-        "in": "header",
-        "required": False,
-        "description": "Needed unless an API token is sent. A page of another site cannot send it.",
-        "schema": {"type": "string", "const": "1"},
-    }
-    key = {
-        "name": KEY_HEADER,
-        "in": "header",
-        "required": False,
-        "description": "A key of your own, unique for each change. A repetition answers as the first request did.",
-        "schema": {"type": "string", "minLength": 1, "maxLength": 255, "pattern": "^[!-~]+$"},
-    }
-    return [ours, key] if once else [ours]
 
 
 def _body(kind: Any, schemas: Schemas) -> dict[str, Any]:

@@ -121,6 +121,11 @@ def _search_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary, **
     """Render the search page. Without rows it shows why the query is invalid."""
     saved, algorithms = services.searches.saved(), services.catalogue.algorithms()
     base = list_address({**query.args(), "open": "columns", "columns": [], "pinned": []})
+    # The caption of the LaTeX table says what the table lists, and the protocols of its errors.
+    groups = content.get("groups", ())
+    labels = [row.protocol for row in groups] + [row.run.protocol for row in content.get("rows", ())]
+    protocols = sorted({label.label for label in labels if label is not None})
+    what = "Mean and standard deviation over the good runs of each configuration." if groups else "Single runs."
     return render_template(
         "runs/index.html",
         query=query,
@@ -136,18 +141,9 @@ def _search_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary, **
         analysis_url=address("analyses.new", where=query.search.text),
         scripts=scripts.search_scripts(query.search.text, query.sort, services.settings),
         parquet=find_spec("pyarrow") is not None,
-        latex_caption=_latex_caption(content),
+        latex_caption=f"{what} Protocol: {'; '.join(protocols)}." if protocols else what,
         **content,
     )
-
-
-def _latex_caption(content: Mapping[str, Any]) -> str:
-    """The caption of the table as LaTeX: what it lists, and the protocols of its errors."""
-    groups = content.get("groups", ())
-    labels = [row.protocol for row in groups] + [row.run.protocol for row in content.get("rows", ())]
-    protocols = sorted({label.label for label in labels if label is not None})
-    what = "Mean and standard deviation over the good runs of each configuration." if groups else "Single runs."
-    return f"{what} Protocol: {'; '.join(protocols)}." if protocols else what
 
 
 @blueprint.get(f"/{RUN_ID}/peek")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -10,7 +10,6 @@ from flask import Blueprint, Response, flash, jsonify, make_response, redirect, 
 
 from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.base.settings import Settings
-from slamhive.documents.limits import Option
 from slamhive.documents.submission import CONTENT, OPTIONS, Submission, nested
 from slamhive.domain.accounts import VISIBILITY_LABELS
 from slamhive.domain.algorithm import Algorithm
@@ -180,8 +179,29 @@ def read_form(services: Hive, values: Mapping[str, str], *, content_only: bool =
     form.algorithm = _checked(form, "algorithm", lambda: _named(catalogue.algorithm, form.value("algorithm")))
     form.dataset = _checked(form, "dataset", lambda: _named(catalogue.dataset, form.value("dataset")))
     algorithm, dataset = form.algorithm, form.dataset
-    parameters = {} if algorithm is None else _read_parameters(form, algorithm)
-    run_fields = _read_options(form, CONTENT_OPTIONS if content_only else _TYPED)
+
+    # The values of the algorithm's parameters; an empty field means the default, or that of a sensor.
+    parameters: dict[str, Value] = {}
+    for parameter in () if algorithm is None else algorithm.parameters:
+        field, taken = PARAMETER_PREFIX + parameter.key, parameter.source is not None
+        form.values.setdefault(field, "" if taken else value_text(parameter.default))
+        text = form.values[field]
+        if not text.strip() and (taken or parameter.type is not ParameterType.STRING):
+            continue
+        try:
+            parameters[parameter.key] = parameter.parse(text)
+        except InvalidInput as error:
+            form.errors[field] = str(error)
+
+    # The fields that do not depend on the algorithm; None if one of all fields cannot be used.
+    found: dict[str, Any] = {}
+    for option in CONTENT_OPTIONS if content_only else _TYPED:
+        try:
+            found[option.name] = option.read(form.value(option.name))
+        except InvalidInput as error:
+            form.errors[option.name] = str(error)
+    run_fields = None if form.errors else found
+
     if algorithm is None or dataset is None:
         return form
     variant = _checked(form, "steps", lambda: services.variants.resolve(dataset, read_steps(form.value("steps"))))
@@ -242,33 +262,6 @@ def preview(submission: Submission, dataset: Dataset, settings: Settings, waitin
     if submission.repeat > 1:
         each, whole = "each ", f", {duration(once_s * submission.repeat / settings.worker_slots)} in all"
     return f"{what}, {each}about {duration(once_s)} plus start-up{whole}; time limit {duration(limit_s)}.{behind}"
-
-
-def _read_parameters(form: RunForm, algorithm: Algorithm) -> dict[str, Value]:
-    """The values of the algorithm's parameters, checked; an empty field means the default, or that of a sensor."""
-    parameters: dict[str, Value] = {}
-    for parameter in algorithm.parameters:
-        name, taken = PARAMETER_PREFIX + parameter.key, parameter.source is not None
-        form.values.setdefault(name, "" if taken else value_text(parameter.default))
-        text = form.values[name]
-        if not text.strip() and (taken or parameter.type is not ParameterType.STRING):
-            continue
-        try:
-            parameters[parameter.key] = parameter.parse(text)
-        except InvalidInput as error:
-            form.errors[name] = str(error)
-    return parameters
-
-
-def _read_options(form: RunForm, options: Iterable[Option]) -> dict[str, Any] | None:
-    """The fields that do not depend on the algorithm, None if one of all cannot be used."""
-    found: dict[str, Any] = {}
-    for option in options:
-        try:
-            found[option.name] = option.read(form.value(option.name))
-        except InvalidInput as error:
-            form.errors[option.name] = str(error)
-    return None if form.errors else found
 
 
 def _named(find: Callable[[str], T], name: str) -> T:
