@@ -515,21 +515,20 @@ class AlgorithmImports:
         own = {entry.image for entry in packages if entry.folder.parent != self._settings.algorithms_folder}
         with opened(source) as found:
             result = plan_own(found, request) or plan(found, request, self._tools(request.executor), own)
-            self._check_free(result)
-            yield result
 
-    def _check_free(self, planned: PlannedPackage) -> None:
-        """Raise Conflict if the package, or one of its algorithms, has a name that is taken."""
-        name = check_name("package", planned.name)
-        here = (self._settings.algorithms_folder / name).exists()
-        if here and not planned.request.replace:
-            raise Conflict(f"a package {name!r} was imported already", "--replace takes its place, or choose --name")
-        others = [entry for entry in self._catalogue.algorithms() if not here or entry.package.name != name]
-        taken = {*(entry.package.name for entry in others), *(entry.name for entry in others)}
-        for wanted in (name, *(entry.name for entry in planned.algorithms)):
-            if wanted in taken:
-                remedy = "change it in its algorithm.yaml" if planned.algorithms else "choose another --name"
-                raise Conflict(f"{wanted!r} is the name of an algorithm here already", remedy)
+            # No name of the package, or of one of its algorithms, may be taken.
+            name = check_name("package", result.name)
+            here = (self._settings.algorithms_folder / name).exists()
+            if here and not result.request.replace:
+                problem = f"a package {name!r} was imported already"
+                raise Conflict(problem, "--replace takes its place, or choose --name")
+            others = [entry for entry in self._catalogue.algorithms() if not here or entry.package.name != name]
+            taken = {*(entry.package.name for entry in others), *(entry.name for entry in others)}
+            for wanted in (name, *(entry.name for entry in result.algorithms)):
+                if wanted in taken:
+                    remedy = "change it in its algorithm.yaml" if result.algorithms else "choose another --name"
+                    raise Conflict(f"{wanted!r} is the name of an algorithm here already", remedy)
+            yield result
 
     def perform(self, planned: PlannedPackage, progress: Progress) -> ImportedPackage:
         """Get the image, complete it, and make the package. A failure leaves no package behind."""

@@ -14,7 +14,6 @@ import os
 import resource
 import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -42,20 +41,12 @@ def main() -> int:
 
         if isinstance(error, SlamHiveError):
             outcome = {"error": str(error)}
-        elif any(UNMAPPED in str(cause) for cause in _with_causes(error)) or _memory_is_used_up(asked["memory_bytes"]):
+        elif _memory_ran_out(error, asked["memory_bytes"]):
             outcome = {"error": too_large}
         else:
             raise
     sys.stdout.write(json.dumps(outcome) + "\n")
     return int("error" in outcome)
-
-
-def _with_causes(error: BaseException) -> Iterator[BaseException]:
-    """The error and those behind it: pandas puts an error of its own before that of the dynamic loader."""
-    behind: BaseException | None = error
-    while behind is not None:
-        yield behind
-        behind = behind.__cause__ or behind.__context__
 
 
 def limit_process(memory_bytes: int, time_limit_s: float) -> None:
@@ -71,16 +62,6 @@ def limit_process(memory_bytes: int, time_limit_s: float) -> None:
         allowed = most if hard == resource.RLIM_INFINITY else min(most, hard)
         resource.setrlimit(kind, (allowed, allowed))
     os.nice(10)
-
-
-def _memory_is_used_up(memory_bytes: int) -> bool:
-    """Tell if the process has come close to its limit. An import that finds no memory may raise anything."""
-    try:
-        status = Path("/proc/self/status").read_text()
-    except OSError:
-        return False
-    peak_kb = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmPeak:")), 0)
-    return peak_kb * 1024 > 0.9 * memory_bytes
 
 
 def _opened(asked: dict[str, Any]) -> tuple[Any, Any, Any]:
@@ -156,6 +137,24 @@ class _Teller:
         if monotonic_s() >= self._next_s:
             self._next_s = monotonic_s() + PROGRESS_INTERVAL_S
             self._folder.write_progress(share, doing)
+
+
+def _memory_ran_out(error: BaseException, memory_bytes: int) -> bool:
+    """Tell if the process lacked memory: the dynamic loader says so, or the process has come close to its limit.
+
+    An import that finds no memory may raise anything, and pandas puts an error of its own before that of the loader.
+    """
+    behind: BaseException | None = error
+    while behind is not None:
+        if UNMAPPED in str(behind):
+            return True
+        behind = behind.__cause__ or behind.__context__
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return False
+    peak_kb = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmPeak:")), 0)
+    return peak_kb * 1024 > 0.9 * memory_bytes
 
 
 def _end_with_input() -> None:

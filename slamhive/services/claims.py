@@ -44,7 +44,6 @@ from slamhive.store import RunRecord, Store
 
 if TYPE_CHECKING:
     from slamhive.base.settings import Settings
-    from slamhive.documents.protocol import ProtocolSearchDocument
     from slamhive.services.configurations import Configurations
     from slamhive.services.datasets import Catalogue
     from slamhive.services.evaluations import Evaluations, ProtocolSearches, ProtocolService
@@ -361,7 +360,16 @@ class Claims:
             )
         except SlamHiveError as error:
             return answer.model_copy(update={"notes": (*answer.notes, f"No protocol was searched: {error}")})
-        return answer.model_copy(update=_protocols_found(answer, searched, typical))
+        count = len(searched.matches)
+        if not count:
+            note = f"No protocol gives it, of {searched.tried:,} tried on run {typical}."
+            return answer.model_copy(update={"notes": (*answer.notes, note)})
+        protocols = tuple(
+            ClaimProtocol(words=match.words, preset=match.preset, key=match.key, value=match.value)
+            for match in searched.matches[:_MOST_PROTOCOLS]
+        )
+        note = f"{plural(count, 'protocol')} of {searched.tried:,} would make it hold on run {typical}."
+        return answer.model_copy(update={"protocols": protocols, "notes": (*answer.notes, note)})
 
     # -- answers that are kept -------------------------------------------------------------------------------------
 
@@ -513,7 +521,14 @@ def judge_claim(claim: Claim, found: ClaimRuns) -> ClaimAnswer:
         return _answer(claim, ClaimState.DIFFERS, words, **facts)
     narrow = max(claim.margin, LOOSEST * stated)
     if (high - low) / 2 > narrow:
-        more = _runs_for(claim, values, narrow) - len(values)
+        # About how many runs make the interval as narrow as that, at most MOST_RUNS.
+        count = len(values) + 1
+        while count < MOST_RUNS:
+            lower, upper = _interval(claim, values, count)
+            if (upper - lower) / 2 <= narrow:
+                break
+            count += max(1, count // 10)
+        more = count - len(values)
         words = f"{ours}, but runs here agree with {agreeing}: about {plural(more, 'more run')} needed"
         return _answer(claim, ClaimState.UNDECIDED, words, lacking=more, **facts)
     words = f"{ours} over {plural(len(values), 'good run')}; runs here agree with {agreeing}"
@@ -533,17 +548,6 @@ def _interval(claim: Claim, values: np.ndarray, count: int) -> tuple[float, floa
     interval = compare_samples((count, float(values.mean()), float(values.var(ddof=1))), theirs).interval
     half = (interval.high - interval.low) / 2
     return float(values.mean()) - half, float(values.mean()) + half
-
-
-def _runs_for(claim: Claim, values: np.ndarray, narrow: float) -> int:
-    """About how many runs make the interval as narrow as that, at most :data:`MOST_RUNS`."""
-    count = len(values) + 1
-    while count < MOST_RUNS:
-        low, high = _interval(claim, values, count)
-        if (high - low) / 2 <= narrow:
-            break
-        count += max(1, count // 10)
-    return count
 
 
 def _remarks(claim: Claim, good: Sequence[MeasuredRun]) -> Iterator[str]:
@@ -574,19 +578,6 @@ def _answer(claim: Claim, state: ClaimState, words: str, **facts: object) -> Cla
             **facts,
         }
     )
-
-
-def _protocols_found(answer: ClaimAnswer, searched: ProtocolSearchDocument, run_id: int) -> dict[str, object]:
-    """Fields that a search adds to an answer."""
-    matches = searched.matches[:_MOST_PROTOCOLS]
-    if not matches:
-        return {"notes": (*answer.notes, f"No protocol gives it, of {searched.tried:,} tried on run {run_id}.")}
-    protocols = tuple(
-        ClaimProtocol(words=match.words, preset=match.preset, key=match.key, value=match.value) for match in matches
-    )
-    count = len(searched.matches)
-    note = f"{plural(count, 'protocol')} of {searched.tried:,} would make it hold on run {run_id}."
-    return {"protocols": protocols, "notes": (*answer.notes, note)}
 
 
 # The badge: a picture of two words for a README, drawn without any library.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any, TypeVar
@@ -144,15 +144,23 @@ class Nodes:
         expected_s = self._store.read(lambda t: {run.id: t.placing.measured_s(run.configuration_id) for run in active})
         runs = [_run(record, expected_s[record.id], now) for record in active]
         names = {run.executor for run in runs} | set(queued)
+        engines: list[EngineDocument] = []
         if asks:
-            engines = tuple(self._engines(names, runs, since))
+            # The executors that have runs, and the one that new runs get.
+            ended = self._store.read(lambda t: t.placing.ended_on(since))
+            chosen = self._settings.executor
+            try:
+                chosen = self._answers.of(AUTO, self._executors.choose) if chosen == AUTO else chosen
+            except SlamHiveError as error:
+                engines.append(_without_nodes(chosen, (), str(error)))
+            for name in sorted({*names, chosen} - {AUTO}):
+                rates = {node: count / HOURS for (executor, node), count in ended.items() if executor == name}
+                engines.append(self._engine(name, [run for run in runs if run.executor == name], rates))
         else:
-            engines = tuple(
-                _without_nodes(name, [run for run in runs if run.executor == name]) for name in sorted(names)
-            )
+            engines += [_without_nodes(name, [run for run in runs if run.executor == name]) for name in sorted(names)]
         left = self._left()
         return OverviewDocument(
-            engines=engines,
+            engines=tuple(engines),
             machines=tuple(_machine(entry) for entry in measured),
             queued=sum(queued.values()),
             left_s=left.seconds,
@@ -179,18 +187,6 @@ class Nodes:
             self._answers.forget(question)
             self._answers.forget(executor)
         self._store.note_act()
-
-    def _engines(self, names: Collection[str], runs: Sequence[_ActiveRun], since: datetime) -> Iterator[EngineDocument]:
-        """The executors that have runs, and the one that new runs get."""
-        ended = self._store.read(lambda t: t.placing.ended_on(since))
-        chosen = self._settings.executor
-        try:
-            chosen = self._answers.of(AUTO, self._executors.choose) if chosen == AUTO else chosen
-        except SlamHiveError as error:
-            yield _without_nodes(chosen, (), str(error))
-        for name in sorted({*names, chosen} - {AUTO}):
-            rates = {node: count / HOURS for (executor, node), count in ended.items() if executor == name}
-            yield self._engine(name, [run for run in runs if run.executor == name], rates)
 
     def _engine(self, name: str, runs: Sequence[_ActiveRun], rates: Mapping[str | None, float]) -> EngineDocument:
         try:

@@ -20,7 +20,7 @@ from markupsafe import Markup
 
 from slamhive.analysis.chart import PAPER_FORMATS, PRINT_FORMATS, Font
 from slamhive.analysis.plotly_chart import plotly_figure
-from slamhive.analysis.report import Cell, Plot, RawData, Report, ReportPage, ResultTable, ShownPlot, ShownTable
+from slamhive.analysis.report import Plot, RawData, Report, ReportPage, ResultTable, ShownPlot, ShownTable
 from slamhive.base.errors import Unavailable
 from slamhive.base.files import write_aside
 from slamhive.domain.bibliography import bibtex, latex
@@ -101,21 +101,22 @@ def table_latex(table: ResultTable) -> str:
         r"\midrule",
     ]
     for place, row in enumerate(table.rows[:LATEX_ROWS]):
-        cells = (ranked(_latex_cell(cell), table.rank(place, at), _LATEX_RANKS) for at, cell in enumerate(row))
+        cells = []
+        for at, cell in enumerate(row):
+            if cell is None:
+                text = "--"
+            elif isinstance(cell, float):
+                text = f"{cell:.4g}"
+            elif spread := _SPREAD.match(str(cell)):
+                text = rf"${spread[1]} \pm {spread[2]}${latex(spread[3] or '')}"
+            else:
+                text = latex(str(cell))
+            cells.append(ranked(text, table.rank(place, at), _LATEX_RANKS))
         lines.append(" & ".join(cells) + r" \\")
     if len(table.rows) > LATEX_ROWS:
         lines.append(f"% {len(table.rows) - LATEX_ROWS} more rows are in the CSV file")
     lines += [r"\bottomrule", r"\end{tabular}", r"\end{table}"]
     return "\n".join([*lines, ""])
-
-
-def _latex_cell(cell: Cell) -> str:
-    if cell is None:
-        return "--"
-    if isinstance(cell, float):
-        return f"{cell:.4g}"
-    spread = _SPREAD.match(str(cell))
-    return rf"${spread[1]} \pm {spread[2]}${latex(spread[3] or '')}" if spread else latex(str(cell))
 
 
 _SPREAD = re.compile(r"(-?[\d.]+) ± ([\d.]+)( \(.*\))?$")

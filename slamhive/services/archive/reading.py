@@ -37,7 +37,6 @@ from slamhive.services.archive.layout import (
     LARGEST_TEXT_BYTES,
     ROWS,
     TAG_CHECKSUMS,
-    ArchiveFormat,
     format_of,
     shown,
 )
@@ -75,7 +74,31 @@ class ArchiveReader:
         self._file = file
         self._path = path
         self._format = format_of([info.orig_filename for info in file.infolist()])
-        self._members = _checked_members(file, path, self._format)
+
+        # No export writes a member twice, one file below another, or members that overlap.
+        members: dict[str, zipfile.ZipInfo] = {}
+        for info in file.infolist():
+            name = self._format.member(info.orig_filename)
+            if name in members:
+                raise InvalidInput(f"{path} has {shown(name)} twice", _REFUSED)
+            _check_kind(info, path)
+            members[name] = info
+        for name in members:
+            inside = next((str(folder) for folder in PurePosixPath(name).parents if str(folder) in members), None)
+            if inside is not None:
+                raise InvalidInput(f"{path}: {shown(inside)} is a file and a folder at once", _REFUSED)
+        size_bytes, total_bytes = path.stat().st_size, sum(info.file_size for info in members.values())
+        if sum(info.compress_size for info in members.values()) > size_bytes:
+            raise InvalidInput(f"{path}: its members overlap", _REFUSED)
+        most_bytes = UnpackLimits().bytes_of(size_bytes)
+        if total_bytes > most_bytes:
+            problem = f"{path} holds {total_bytes / 1e6:,.0f} MB, more than {most_bytes / 1e6:,.0f} MB"
+            raise InvalidInput(f"{problem}: it looks like a bomb", _REFUSED)
+        for name in (self._format.about, *sorted(self._format.tags), *ROWS):
+            if name not in members:
+                raise InvalidInput(f"{path} lacks {name}", "make an archive with slamhive archive export")
+
+        self._members = members
         self.manifest: ArchiveManifest = self._format.manifest(self.read(self._format.about))
 
     @property
@@ -234,32 +257,6 @@ def open_archive(path: Path) -> Iterator[ArchiveReader]:
             raise InvalidInput(f"{path} is damaged: {error}", _DAMAGED) from None
         with file:
             yield ArchiveReader(file, path)
-
-
-def _checked_members(file: zipfile.ZipFile, path: Path, format_: ArchiveFormat) -> dict[str, zipfile.ZipInfo]:
-    """The members by their names in the first format; raises InvalidInput if no export wrote such a list."""
-    members: dict[str, zipfile.ZipInfo] = {}
-    for info in file.infolist():
-        name = format_.member(info.orig_filename)
-        if name in members:
-            raise InvalidInput(f"{path} has {shown(name)} twice", _REFUSED)
-        _check_kind(info, path)
-        members[name] = info
-    for name in members:
-        inside = next((str(folder) for folder in PurePosixPath(name).parents if str(folder) in members), None)
-        if inside is not None:
-            raise InvalidInput(f"{path}: {shown(inside)} is a file and a folder at once", _REFUSED)
-    if sum(info.compress_size for info in members.values()) > path.stat().st_size:
-        raise InvalidInput(f"{path}: its members overlap", _REFUSED)
-    most, total = UnpackLimits().bytes_of(path.stat().st_size), sum(info.file_size for info in members.values())
-    if total > most:
-        raise InvalidInput(
-            f"{path} holds {total / 1e6:,.0f} MB, more than {most / 1e6:,.0f} MB: it looks like a bomb", _REFUSED
-        )
-    for name in (format_.about, *sorted(format_.tags), *ROWS):
-        if name not in members:
-            raise InvalidInput(f"{path} lacks {name}", "make an archive with slamhive archive export")
-    return members
 
 
 def _check_kind(info: zipfile.ZipInfo, path: Path) -> None:

@@ -77,9 +77,15 @@ def _outcome(look: QuestionLook, entered: _Entered, at_once: int) -> tuple[Quest
     waiting = sum(run.use is RunUse.OPEN for candidate in left for run in look.of(candidate))
     if waiting:
         return QuestionAnswer.OPEN, f"{plural(waiting, 'run')} under way.", {}
-    nothing = _nothing_to_compare(look, entered)
-    if nothing:
-        return QuestionAnswer.UNDECIDED, nothing, {}
+    results = [run for candidate in racing for cell in candidate.cells.values() for run in look.results(cell)]
+    good = [run for run in results if run.use is RunUse.GOOD]
+    if results and not good:
+        reasons = sorted({str(run.reason or "bad result").replace("_", " ") for run in results})
+        words = f"Undecided: all {plural(len(results), 'run')} failed: {', '.join(reasons)}."
+        return QuestionAnswer.UNDECIDED, words, {}
+    if results and not any(entered.plan.metric in run.metrics for run in good):
+        words = f"Undecided: no run reports {entered.metric.key}. Another metric can be compared."
+        return QuestionAnswer.UNDECIDED, words, {}
     more = _more(look, entered, left, at_once)
     if not more:
         return QuestionAnswer.UNDECIDED, _words(look, entered), {}
@@ -118,18 +124,6 @@ def _more(look: QuestionLook, entered: _Entered, left: Sequence[ExperimentCandid
             return more
         rounds -= 1
     return {}
-
-
-def _nothing_to_compare(look: QuestionLook, entered: _Entered) -> str:
-    """Why no run can be compared; empty if some can, or if none has ended."""
-    results = [run for candidate in entered.racing for cell in candidate.cells.values() for run in look.results(cell)]
-    good = [run for run in results if run.use is RunUse.GOOD]
-    if not results or any(entered.plan.metric in run.metrics for run in good):
-        return ""
-    if not good:
-        reasons = sorted({str(run.reason or "bad result").replace("_", " ") for run in results})
-        return f"Undecided: all {plural(len(results), 'run')} failed: {', '.join(reasons)}."
-    return f"Undecided: no run reports {entered.metric.key}. Another metric can be compared."
 
 
 def _words(look: QuestionLook, entered: _Entered) -> str:
@@ -196,44 +190,38 @@ def _candidates(look: QuestionLook, entered: _Entered | None, answer: QuestionAn
         )
         inside = [entered.racing[place] for place in (*state.left, *beaten)]
         order = [*inside, *(candidate for candidate in look.candidates if candidate.label not in places)]
-    return [_candidate(look, entered, candidate, places.get(candidate.label), answer) for candidate in order]
-
-
-def _candidate(
-    look: QuestionLook,
-    entered: _Entered | None,
-    candidate: ExperimentCandidate,
-    place: int | None,
-    answer: QuestionAnswer,
-) -> DecisionCandidate:
-    runs = [run for run in look.of(candidate) if run.use in (RunUse.GOOD, RunUse.FAILED)]
-    found = DecisionCandidate(
-        label=candidate.label,
-        values=candidate.values,
-        cells=dict(candidate.cells),
-        standing=CandidateStanding.ASIDE,
-        runs=len(runs),
-        failed=sum(run.use is RunUse.FAILED for run in runs),
-        mean=None,
-    )
-    if entered is None or place is None:
-        return found
-    state, lane = entered.state, entered.state.lanes[place]
-    standing = CandidateStanding.BEATEN if lane.beaten_by is not None else CandidateStanding.LEFT
-    if answer is QuestionAnswer.BEST and place in state.left:
-        standing = CandidateStanding.BEST
-    pair = next((pair for pair in state.pairs if (pair.first, pair.second) == (place, state.left[0])), None)
-    known = pair is not None and math.isfinite(pair.half_width)
-    return found.model_copy(
-        update={
-            "standing": standing,
-            "rounds": lane.rounds,
-            "mean": None if lane.mean is None else entered.sign * lane.mean,
-            "beaten_by": None if lane.beaten_by is None else entered.racing[lane.beaten_by].label,
-            "difference": entered.sign * pair.value if pair is not None and known else None,
-            "difference_within": pair.half_width if pair is not None and known else None,
-        }
-    )
+    found = []
+    for candidate in order:
+        runs = [run for run in look.of(candidate) if run.use in (RunUse.GOOD, RunUse.FAILED)]
+        shown = DecisionCandidate(
+            label=candidate.label,
+            values=candidate.values,
+            cells=dict(candidate.cells),
+            standing=CandidateStanding.ASIDE,
+            runs=len(runs),
+            failed=sum(run.use is RunUse.FAILED for run in runs),
+            mean=None,
+        )
+        place = places.get(candidate.label)
+        if entered is not None and place is not None:
+            state, lane = entered.state, entered.state.lanes[place]
+            standing = CandidateStanding.BEATEN if lane.beaten_by is not None else CandidateStanding.LEFT
+            if answer is QuestionAnswer.BEST and place in state.left:
+                standing = CandidateStanding.BEST
+            pair = next((pair for pair in state.pairs if (pair.first, pair.second) == (place, state.left[0])), None)
+            known = pair is not None and math.isfinite(pair.half_width)
+            shown = shown.model_copy(
+                update={
+                    "standing": standing,
+                    "rounds": lane.rounds,
+                    "mean": None if lane.mean is None else entered.sign * lane.mean,
+                    "beaten_by": None if lane.beaten_by is None else entered.racing[lane.beaten_by].label,
+                    "difference": entered.sign * pair.value if pair is not None and known else None,
+                    "difference_within": pair.half_width if pair is not None and known else None,
+                }
+            )
+        found.append(shown)
+    return found
 
 
 def _notes(look: QuestionLook) -> list[str]:

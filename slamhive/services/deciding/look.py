@@ -102,16 +102,15 @@ def look_at(t: Transaction, record: ExperimentRecord) -> QuestionLook:
     for run in found:
         if not run.retried:
             same = run.protocol is None or run.protocol == usual[dataset_of[run.cell]]
-            use = RunUse.OPEN if run.id in unfinished else _use(run) if same else RunUse.NOTHING
+            if run.id in unfinished:
+                use = RunUse.OPEN
+            elif not same or run.state is RunState.CANCELLED or run.reason is FailureReason.LOST:
+                use = RunUse.NOTHING
+            elif run.state is RunState.FAILED:
+                use = RunUse.CANNOT_RUN if run.reason is not None and run.reason.before_start else RunUse.FAILED
+            else:
+                use = RunUse.FAILED if run.judged is not None and run.judged.failed else RunUse.GOOD
             runs[run.cell].append(
                 ObservedRun(run.id, use, run.state is RunState.CANCELLED, run.reason, dict(run.metrics))
             )
     return QuestionLook(record, experiment, candidates, runs, len(found), t.experiments.spent_s(record.id))
-
-
-def _use(run: CellRun) -> RunUse:
-    if run.state is RunState.CANCELLED or run.reason is FailureReason.LOST:
-        return RunUse.NOTHING
-    if run.state is RunState.FAILED:
-        return RunUse.CANNOT_RUN if run.reason is not None and run.reason.before_start else RunUse.FAILED
-    return RunUse.FAILED if run.judged is not None and run.judged.failed else RunUse.GOOD

@@ -160,9 +160,17 @@ def _see(look: QuestionLook, plan: OptimisePlan, at_once: int) -> _Seen:
     scores, worst = np.empty_like(told), np.zeros(len(plan.metrics))
     objectives: list[_Objective] = []
     for column, key in enumerate(plan.metrics):
-        objective = _objective(key, told[:, column])
+        # A value that is better smaller and never 0 or less is compared as a ratio; others by their usual size.
+        metric, of_metric = described(key), told[:, column]
+        good = of_metric[np.isfinite(of_metric)]
+        if metric.direction is Direction.LOWER and (good > 0).all():
+            objective = _Objective(key, metric.label, metric.unit, logarithmic=True)
+        else:
+            sign = -1.0 if metric.direction is Direction.HIGHER else 1.0
+            size = float(np.median(np.abs(good))) if len(good) else 1.0
+            objective = _Objective(key, metric.label, metric.unit, sign=sign, size=size or 1.0)
         stated = plan.worst if key == plan.metric else None
-        scores[:, column], worst[column] = _scores(objective, told[:, column], datasets, stated)
+        scores[:, column], worst[column] = _scores(objective, of_metric, datasets, stated)
         objectives.append(objective)
     if FAILED in plan.against:
         objectives.append(_Objective(FAILED, "failed runs", ""))
@@ -188,18 +196,6 @@ def _values(run: ObservedRun, plan: OptimisePlan) -> tuple[float, ...] | None:
     if run.use is not RunUse.GOOD or broken:
         return None
     return tuple(run.metrics[key] for key in plan.metrics if key in run.metrics)
-
-
-def _objective(key: str, values: Numbers) -> _Objective:
-    """The scale of (runs,), NaN for failed ones."""
-    metric = described(key)
-    good = values[np.isfinite(values)]
-    if metric.direction is Direction.LOWER and (good > 0).all():
-        return _Objective(key, metric.label, metric.unit, logarithmic=True)
-    size = float(np.median(np.abs(good))) if len(good) else 1.0
-    return _Objective(
-        key, metric.label, metric.unit, sign=-1.0 if metric.direction is Direction.HIGHER else 1.0, size=size or 1.0
-    )
 
 
 def _scores(
@@ -262,15 +258,19 @@ def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAns
         {},
     )
     near_enough = state is not None and seen.share(state.gap) <= plan.within
-    unproven = [] if state is None else _unproven(seen, state)
+    # The best ones need runs of their own: one on a front, two without one.
+    least, runs = 1 if len(seen.objectives) > 1 else 2, Counter(map(int, [*seen.places, *seen.pending]))
+    unproven = [] if state is None else [place for place in state.front if runs[place] < least]
     if near_enough and not unproven and state is not None:
         return under_way if waiting else (QuestionAnswer.BEST, _sentence(look, seen, state), {})
     left = plan.budget.runs_left(look.asked, look.spent_s)
     room = min(at_once - waiting, left)
     if state is None:
-        unreported = "" if waiting else _unreported(look, seen)
-        if unreported:
-            return QuestionAnswer.UNDECIDED, unreported, {}
+        good = [run for found in look.runs.values() for run in found if run.use is RunUse.GOOD]
+        lacking = [key for key in plan.metrics if good and not any(key in run.metrics for run in good)]
+        if lacking and not waiting:
+            why = f"Undecided: no run reports {' and '.join(lacking)}. Another metric can be searched for."
+            return QuestionAnswer.UNDECIDED, why, {}
         missing = LEAST_SEARCH_RUNS - len(seen.scores) - waiting
         missing = min(max(missing, 0 if waiting else 1), left)
         if missing < 1:
@@ -290,13 +290,6 @@ def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAns
     counts = Counter(chosen).most_common()
     words = "; ".join(f"{seen.candidates[place].label} ({plural(count, 'run')})" for place, count in counts)
     return QuestionAnswer.OPEN, f"{words}: {why}.", _cells(look, seen, chosen)
-
-
-def _unproven(seen: _Seen, state: SearchState) -> list[int]:
-    """The best ones that have too few runs of their own: one on a front, two without one."""
-    least = 1 if len(seen.objectives) > 1 else 2
-    runs = Counter(map(int, [*seen.places, *seen.pending]))
-    return [place for place in state.front if runs[place] < least]
 
 
 def _sampled(seen: _Seen, room: int) -> list[int]:
@@ -363,13 +356,6 @@ def _nothing_good(look: QuestionLook, seen: _Seen) -> str:
                 f"{nearest:.4g}."
             )
     return f"Undecided: fewer than two of {plural(look.asked, 'run')} were good."
-
-
-def _unreported(look: QuestionLook, seen: _Seen) -> str:
-    """Say which objective no good run reports; empty if there is none, or no good run."""
-    good = [run for runs in look.runs.values() for run in runs if run.use is RunUse.GOOD]
-    lacking = [key for key in seen.plan.metrics if good and not any(key in run.metrics for run in good)]
-    return f"Undecided: no run reports {' and '.join(lacking)}. Another metric can be searched for." if lacking else ""
 
 
 def _combinations(look: QuestionLook) -> int:

@@ -45,7 +45,14 @@ def fitting_protocol(
         association_tolerance_s=settings.association_tolerance_s,
         gap_threshold_s=settings.gap_threshold_s,
     )
-    protocol = default if asked is None else _of_sensor(asked, dataset).on(default)
+    protocol = default
+    if asked is not None:
+        # The extrinsics of a sensor take the place of its name.
+        values = dict(asked.values)
+        sensor = values.pop(SENSOR_FRAME, None)
+        if sensor is not None:
+            values["T_body_sensor"] = dataset.sensor(sensor).T_body_sensor
+        protocol = ProtocolRequest(values, asked.name).on(default)
     if protocol.alignment is Alignment.YAW_POSITION and not gravity_aligned:
         found = f"that of {dataset.name} does not" if truth is not None else f"{dataset.name} has none"
         raise InvalidInput(f"yaw + position alignment needs a ground truth whose z axis points up; {found}", "use se3")
@@ -67,15 +74,6 @@ def fitting_protocol(
 
 SENSOR_FRAME = "sensor_frame"
 """Key of a request that names the sensor whose frame the estimate describes; the dataset has its T_body_sensor."""
-
-
-def _of_sensor(asked: ProtocolRequest, dataset: Dataset) -> ProtocolRequest:
-    """Replace the name of a sensor by its extrinsics; raises NotFound for a sensor that the dataset does not have."""
-    values = dict(asked.values)
-    name = values.pop(SENSOR_FRAME, None)
-    if name is None:
-        return asked
-    return ProtocolRequest({**values, "T_body_sensor": dataset.sensor(name).T_body_sensor}, asked.name)
 
 
 def protocol_for(algorithm: Algorithm, dataset: Dataset, settings: Settings, alignment: str | None) -> Protocol:

@@ -19,7 +19,7 @@ from slamhive.documents.experiment import (
     PreviewRowDocument,
     VariantNeedDocument,
 )
-from slamhive.documents.plain import ConfigurationStanding, ToFetchDocument
+from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.configuration import Configuration, Variant
 from slamhive.domain.matching import Origin, match_of, shown
 from slamhive.domain.placement import DataRuns, makespan_s, place
@@ -94,7 +94,12 @@ def pair_problems(
     recorded: dict[str, Mapping[str, int] | None] = {}
     packages: set[str] = set()
     limits = list(dict.fromkeys(experiment.every_limit))
-    yield from _parts_of_cores(context, experiment, executor)
+    # Parts of cores cannot be compared where each of them would be a whole one.
+    for axis in experiment.limit_axes:
+        if axis.name == "cpu_cores" and any(float(value) % 1 for value in axis.values):  # type: ignore[arg-type]
+            reason = context.executors().get(executor).no_part_of_a_core()
+            if reason is not None:
+                yield InvalidInput(f"{axis.place}: parts of a core cannot be held: {reason}", "vary whole cores")
     for algorithm, dataset in expansion.pairs:
         if dataset.name in missing:
             recorded[dataset.name] = None
@@ -116,15 +121,6 @@ def pair_problems(
             protocol_of_pair(context, experiment, expansion, (algorithm.name, dataset.name))
         except SlamHiveError as error:
             yield at(experiment.datasets.place, error)
-
-
-def _parts_of_cores(context: ExperimentContext, experiment: Experiment, executor: str) -> Iterator[SlamHiveError]:
-    """Refuse to compare parts of cores where each of them would be a whole one."""
-    for axis in experiment.limit_axes:
-        if axis.name == "cpu_cores" and any(float(value) % 1 for value in axis.values):  # type: ignore[arg-type]
-            reason = context.executors().get(executor).no_part_of_a_core()
-            if reason is not None:
-                yield InvalidInput(f"{axis.place}: parts of a core cannot be held: {reason}", "vary whole cores")
 
 
 def protocol_of_pair(
@@ -382,8 +378,14 @@ def preview(
     refusals = [str(error) for error in disk_space_problems(context, experiment, space)]
     if executor is not None:
         refusals += [str(error) for error in pair_problems(context, experiment, expansion, executor, missing)]
+    assumed: tuple[str, ...] = ()
     if wanted is not None:
         refusals.append(f"{wanted.words}: {wanted.command}")
+        assumption = (
+            f"the plan assumes {ASSUMED_DURATION_S:g} s for each recording that is not here, and no space for its "
+            "variants; rates, format and calibration are checked once it is here"
+        )
+        assumed = (assumption,)
     costs, built = context.store.read(lambda t: (Costs.look(t), t.durations.built()))
     between_s = costs.overhead.seconds + (costs.evaluation.seconds if experiment.evaluation.enabled else 0.0)
     builds_s = costs.build.seconds * len({algorithm.package.name for algorithm, _ in expansion.pairs} - built)
@@ -429,7 +431,7 @@ def preview(
         variant_bytes=space.variant_bytes,
         run_bytes=space.run_bytes,
         free_bytes=space.free_bytes,
-        warnings=(*unseen, *_assumptions(wanted), *_defaults(expansion, sums.first, missing), *warnings(space)),
+        warnings=(*unseen, *assumed, *_defaults(expansion, sums.first, missing), *warnings(space)),
         refusals=tuple(refusals),
         standing=standing,
         repeat_disturbed=experiment.repeat_disturbed,
@@ -438,14 +440,6 @@ def preview(
         mixed_protocols=None if mixed is None else mixed.sentences,
         mixed=mixed,
     )
-
-
-def _assumptions(wanted: ToFetchDocument | None) -> Iterator[str]:
-    if wanted is not None:
-        yield (
-            f"the plan assumes {ASSUMED_DURATION_S:g} s for each recording that is not here, and no space for its "
-            "variants; rates, format and calibration are checked once it is here"
-        )
 
 
 def _defaults(expansion: Expansion, first: Mapping[Pair, Configuration], missing: Collection[str]) -> Iterator[str]:

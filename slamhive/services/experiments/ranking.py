@@ -122,15 +122,15 @@ def rankings(
     """
     if by_algorithm:
         algorithms = dict(zip(table.numbers.tolist(), table.codes["algorithm"].tolist(), strict=True))
-        entries = {name: _first_of_each(known, algorithms) for name, known in entries.items()}
+        first: dict[str, RankEntries] = {}
+        for name, known in entries.items():
+            ended = {algorithms[entry.number]: entry for entry in reversed(known.ended)}
+            waiting = {algorithms[number]: number for number in known.waiting if algorithms[number] not in ended}
+            ranked = sorted(ended.values(), key=lambda entry: entry.key)
+            first[name] = replace(known, ended=ranked, waiting=list(waiting.values()))
+        entries = first
     found = (_ranking(t, record.id, name, entries[name]) for name in list(entries)[:MOST_DATASETS])
     return tuple(ranking for ranking in found if ranking is not None)
-
-
-def _first_of_each(entries: RankEntries, algorithms: Mapping[int, int]) -> RankEntries:
-    ended = {algorithms[entry.number]: entry for entry in reversed(entries.ended)}
-    waiting = {algorithms[number]: number for number in entries.waiting if algorithms[number] not in ended}
-    return replace(entries, ended=sorted(ended.values(), key=lambda entry: entry.key), waiting=list(waiting.values()))
 
 
 def entries_by_dataset(t: Transaction, record: ExperimentRecord, table: AxisTable) -> dict[str, RankEntries]:

@@ -123,8 +123,17 @@ def answer_of(
 def compared(check: GateCheck, pairs: Sequence[RunPair], significance: float) -> list[GateMetric]:
     """The answer for each metric that the baseline has values of."""
     tested: dict[str, _Tested] = {}
-    for key in check.margins:
-        parts = [(place, found) for place, pair in enumerate(pairs) if (found := _evidence(key, check, pair))]
+    for key, margin in check.margins.items():
+        parts: list[tuple[int, Evidence]] = []
+        for place, pair in enumerate(pairs):
+            if key == FAILURES:
+                test = failure_equivalence if check.both_ways else failure_evidence
+                parts.append((place, test(_failures(pair), margin)))
+                continue
+            baseline = ranked_values(key, pair.held.runs)
+            if np.isfinite(baseline).any():
+                sample = Sample(baseline, ranked_values(key, pair.measured))
+                parts.append((place, (rank_equivalence if check.both_ways else rank_evidence)(sample, margin)))
         if parts:
             sizes = [(len(pairs[place].held.runs), len(pairs[place].runs)) for place, _ in parts]
             weights = [math.sqrt(n * m / (n + m)) for n, m in sizes]
@@ -139,17 +148,6 @@ class _Tested:
 
     evidence: Evidence
     parts: Sequence[tuple[int, Evidence]]
-
-
-def _evidence(key: str, check: GateCheck, pair: RunPair) -> Evidence | None:
-    margin = check.margins[key]
-    if key == FAILURES:
-        return (failure_equivalence if check.both_ways else failure_evidence)(_failures(pair), margin)
-    baseline = ranked_values(key, pair.held.runs)
-    if not np.isfinite(baseline).any():
-        return None
-    sample = Sample(baseline, ranked_values(key, pair.measured))
-    return (rank_equivalence if check.both_ways else rank_evidence)(sample, margin)
 
 
 def ranked_values(key: str, runs: Sequence[MeasuredRun]) -> Numbers:

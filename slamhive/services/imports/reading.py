@@ -93,11 +93,27 @@ def _truth_order(
     by_itself = file.order(told, unit, {})
     if told.quaternion_order is not None:
         return by_itself
-    spreads_deg = (_partner_spreads_deg(file, unit, partner) for partner in partners)
-    found = (file.order(told, unit, entry) for entry in spreads_deg if entry)
-    if by_itself.value is not None:
-        return next(found, by_itself)
-    return next((entry for entry in found if entry.value is not None), by_itself)
+    stated = file.stated_order(unit) is not None
+    for partner in partners:
+        # The spread of each order of the ground truth, with the better of the two orders of the estimate. An order that
+        # the ground truth states is contradicted only by an estimate whose order is certain.
+        best_deg: dict[QuaternionOrder, float] = {}
+        for order in QuaternionOrder:
+            truth = ImportTruth(file.raw.trajectory(unit, order, Duplicates.KEEP), rotations_known=True)
+            own_unit = partner.file.unit(partner.told, truth.span).value
+            if own_unit is None or not partner.file.has_order:
+                best_deg = {}
+                break
+            spreads_deg = _spreads_deg(partner.file, own_unit, truth)
+            known = partner.told.quaternion_order if stated else partner.file.order(partner.told, own_unit, {}).value
+            likely_deg = [spread_deg for own, spread_deg in spreads_deg.items() if known in (None, own)]
+            if likely_deg:
+                best_deg[order] = min(likely_deg)
+        if best_deg:
+            found = file.order(told, unit, best_deg)
+            if by_itself.value is not None or found.value is not None:
+                return found
+    return by_itself
 
 
 def _spreads_deg(file: PoseFile, unit: TimeUnit, truth: ImportTruth) -> dict[QuaternionOrder, float]:
@@ -110,26 +126,6 @@ def _spreads_deg(file: PoseFile, unit: TimeUnit, truth: ImportTruth) -> dict[Qua
     reference, estimate = pair
     found = {order: orientation_spread_deg(reference, reordered(estimate, order)) for order in QuaternionOrder}
     return {order: spread for order, spread in found.items() if spread is not None}
-
-
-def _partner_spreads_deg(file: PoseFile, unit: TimeUnit, partner: Partner) -> dict[QuaternionOrder, float]:
-    """Measure :func:`_spreads_deg` for a ground truth, with the better of the two orders of its estimate.
-
-    An order that the ground truth states is contradicted only by an estimate whose order is certain.
-    """
-    stated = file.stated_order(unit) is not None
-    best: dict[QuaternionOrder, float] = {}
-    for order in QuaternionOrder:
-        truth = ImportTruth(file.raw.trajectory(unit, order, Duplicates.KEEP), rotations_known=True)
-        own_unit = partner.file.unit(partner.told, truth.span).value
-        if own_unit is None or not partner.file.has_order:
-            return {}
-        spreads = _spreads_deg(partner.file, own_unit, truth)
-        told = partner.told.quaternion_order if stated else partner.file.order(partner.told, own_unit, {}).value
-        likely = [spread for own, spread in spreads.items() if told in (None, own)]
-        if likely:
-            best[order] = min(likely)
-    return best
 
 
 def _decided(finding: Conclusion[_Choice], what: str, option: str, choices: type[_Choice]) -> _Choice:

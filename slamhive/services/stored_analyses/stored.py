@@ -246,16 +246,17 @@ class StoredAnalyses:
 
     def of_experiment(self, name: str, limit: int = 100) -> list[AnalysisRecord]:
         """The listed analyses that select runs of an experiment by its name, among the newest ``limit``."""
-        return [record for record in self.listed(limit) if self._names_experiment(record.token, name)]
-
-    def _names_experiment(self, token: str, name: str) -> bool:
-        try:
-            content = strict_yaml.parse(self.folder(token).source, SOURCE)
-        except SlamHiveError:
-            return False  # the folder is gone or damaged, which its own page says
-        chosen = content.get("select")
-        sets = chosen.values() if isinstance(chosen, dict) else ()
-        return any(isinstance(entry, dict) and entry.get("experiment") == name for entry in sets)
+        found = []
+        for record in self.listed(limit):
+            try:
+                content = strict_yaml.parse(self.folder(record.token).source, SOURCE)
+            except SlamHiveError:
+                continue  # the folder is gone or damaged, which its own page says
+            chosen = content.get("select")
+            sets = chosen.values() if isinstance(chosen, dict) else ()
+            if any(isinstance(entry, dict) and entry.get("experiment") == name for entry in sets):
+                found.append(record)
+        return found
 
     def folder(self, token: str) -> AnalysisFolder:
         """The folder of an analysis."""
