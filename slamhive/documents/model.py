@@ -198,7 +198,15 @@ class Document(BaseModel):
     @classmethod
     def of(cls, record: object, **more: Any) -> Self:
         """The document of a record. ``more`` are fields that the record does not have."""
-        return cls.model_validate({**_attributes(cls, record), **more} if more else record)
+        if not more:
+            return cls.model_validate(record)
+        found = {}
+        for name, field in cls.model_fields.items():
+            keys = (*getattr(field.validation_alias, "choices", ()), name)  # in the order in which pydantic tries them
+            key = next((key for key in keys if hasattr(record, key)), None)
+            if key is not None:
+                found[name] = getattr(record, key)
+        return cls.model_validate({**found, **more})
 
     @classmethod
     def read(cls, content: Any) -> Self:
@@ -212,17 +220,6 @@ class Document(BaseModel):
     def content(self) -> dict[str, Any]:
         """The document as JSON."""
         return self.model_dump(mode="json", by_alias=True)
-
-
-def _attributes(kind: type[Document], record: object) -> dict[str, Any]:
-    """The attributes of ``record`` that ``kind`` has fields for."""
-    found = {}
-    for name, field in kind.model_fields.items():
-        keys = (*getattr(field.validation_alias, "choices", ()), name)  # in the order in which pydantic tries them
-        key = next((key for key in keys if hasattr(record, key)), None)
-        if key is not None:
-            found[name] = getattr(record, key)
-    return found
 
 
 _adapters: dict[Any, TypeAdapter[Any]] = {}

@@ -123,7 +123,21 @@ def cgroup_of(pid: int, container_id: str, root: Path = CGROUP_ROOT, proc: Path 
         root: Where the control groups are mounted.
         proc: Where the process files are mounted.
     """
-    group = _group_of_process(pid, container_id, root, proc) or _group_by_name(container_id, root)
+    group: Cgroup | None = None
+    with contextlib.suppress(OSError):
+        memberships = parse_memberships((proc / str(pid) / "cgroup").read_text())
+        cpuacct, memory = memberships.get("cpuacct", ""), memberships.get("memory", "")
+        if container_id in cpuacct and container_id in memory:
+            group = CgroupV1(root / "cpuacct" / cpuacct.lstrip("/"), root / "memory" / memory.lstrip("/"))
+        elif container_id in memberships.get("", "") and not cpuacct:
+            group = CgroupV2(root / memberships[""].lstrip("/"))
+    if group is None and (root / "cpuacct").is_dir():
+        # Wherever the engine put it: in docker/<id> or system.slice/docker-<id>.scope, mostly.
+        folders = [_find_folder(root / tree, container_id) for tree in ("cpuacct", "memory")]
+        group = None if folders[0] is None or folders[1] is None else CgroupV1(folders[0], folders[1])
+    elif group is None:
+        folder = _find_folder(root, container_id)
+        group = None if folder is None else CgroupV2(folder)
     return group if group is not None and group.read() is not None else None
 
 
@@ -139,29 +153,6 @@ def task_counter_of(
     path = memberships.get("pids", memberships.get("", ""))
     folder = tree / path.lstrip("/") if container_id in path else _find_folder(tree, container_id)
     return TaskCounter(folder) if folder is not None and (folder / "pids.events").exists() else None
-
-
-def _group_of_process(pid: int, container_id: str, root: Path, proc: Path) -> Cgroup | None:
-    try:
-        memberships = parse_memberships((proc / str(pid) / "cgroup").read_text())
-    except OSError:
-        return None
-    cpuacct, memory = memberships.get("cpuacct", ""), memberships.get("memory", "")
-    if container_id in cpuacct and container_id in memory:
-        return CgroupV1(root / "cpuacct" / cpuacct.lstrip("/"), root / "memory" / memory.lstrip("/"))
-    if container_id in memberships.get("", "") and not cpuacct:
-        return CgroupV2(root / memberships[""].lstrip("/"))
-    return None
-
-
-def _group_by_name(container_id: str, root: Path) -> Cgroup | None:
-    """The group wherever the engine put it: in ``docker/<id>`` or ``system.slice/docker-<id>.scope``, mostly."""
-    if (root / "cpuacct").is_dir():
-        cpuacct = _find_folder(root / "cpuacct", container_id)
-        memory = _find_folder(root / "memory", container_id)
-        return None if cpuacct is None or memory is None else CgroupV1(cpuacct, memory)
-    folder = _find_folder(root, container_id)
-    return None if folder is None else CgroupV2(folder)
 
 
 def _find_folder(tree: Path, container_id: str) -> Path | None:

@@ -236,18 +236,18 @@ class Groups:
             return self
         rows = ConfigurationRow.__table__.alias()
         numbered = select(rows.c.id.label("configuration_id")).subquery()
-        sql = Sql(self.names, self.of_runs, [leaf for leaf in leaves(self.of_means) if self._is_wide(leaf)])
+        most = (self.connection.execute(select(func.max(RUNS.c.id))).scalar_one() or 0) // _WIDE
+        wide = []
+        for leaf in leaves(self.of_means):
+            some = self.sql.some_value(leaf)
+            if some is not None:
+                first = some[1].limit(most + 1).subquery()
+                if self.connection.execute(select(func.count()).select_from(first)).scalar_one() > most:
+                    wide.append(leaf)
+        sql = Sql(self.names, self.of_runs, wide)
         fitting = select(numbered.c.configuration_id).where(sql.test(self.of_means, numbered))
         chosen = Condition(BUILT_IN["configuration"], Sign.IN, tuple(self.connection.execute(fitting).scalars()))
         return replace(self, search=replace(self.search, tree=all_of([self.of_runs, chosen])), of_means=None)
-
-    def _is_wide(self, leaf: Condition) -> bool:
-        some = self.sql.some_value(leaf)
-        if some is None:
-            return False
-        most = (self.connection.execute(select(func.max(RUNS.c.id))).scalar_one() or 0) // _WIDE
-        first = some[1].limit(most + 1).subquery()
-        return self.connection.execute(select(func.count()).select_from(first)).scalar_one() > most
 
     def page(self, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         """One page, with mean and spread of ``metrics`` over the repeats."""

@@ -97,7 +97,19 @@ def curve_figures(series: RunSeries, name: str, colour: str) -> dict[str, Figure
     if series.latency is not None:
         in_ms = replace(series.latency, values=series.latency.values * 1e3)
         figure = _over_time(in_ms, name, colour, _time_of(in_ms), "latency per frame [ms]", dots=True)
-        figures["latency"] = _with_dropped(figure, series.dropped_s)
+        figures["latency"] = figure
+        if len(series.dropped_s):
+            # A cross at 0 for each dropped frame.
+            crosses = _trace(
+                series.dropped_s,
+                np.zeros(len(series.dropped_s)),
+                name="dropped",
+                mode="markers",
+                marker={"symbol": "x-thin", "size": 6, "line": {"width": 1.2}},
+                meta=THEMED,
+                hovertemplate="dropped at %{x:.2f} s<extra></extra>",
+            )
+            figures["latency"] = {**figure, "data": [*figure["data"], crosses]}
     if series.dropped_s is not None and len(series.dropped_s):
         # Steps: how many frames were dropped in each interval of the recording, most often of a second.
         last_s = max(float(series.dropped_s.max()), 0.0 if series.played_s is None else series.played_s[1])
@@ -497,24 +509,6 @@ def _over_time(samples: Samples, name: str, colour: str, x_title: str, y_title: 
         "showlegend": False,
     }
     return _figure(traces, layout)
-
-
-def _with_dropped(figure: Figure, dropped_s: Array) -> Figure:
-    """The plot of latencies with a cross at 0 for each dropped frame."""
-    if len(dropped_s) == 0:
-        return figure
-    look = {"symbol": "x-thin", "size": 6, "line": {"width": 1.2}}
-    hover = "dropped at %{x:.2f} s<extra></extra>"
-    crosses = _trace(
-        dropped_s,
-        np.zeros(len(dropped_s)),
-        name="dropped",
-        mode="markers",
-        marker=look,
-        meta=THEMED,
-        hovertemplate=hover,
-    )
-    return {**figure, "data": [*figure["data"], crosses]}
 
 
 _ENDS = ("start", "end")

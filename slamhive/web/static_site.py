@@ -21,7 +21,6 @@ from slamhive.analysis.report import Report
 from slamhive.base.clock import utc_now
 from slamhive.base.errors import Conflict, InvalidInput, NotFound, SlamHiveError, Unavailable
 from slamhive.documents.catalogue import MatchDocument
-from slamhive.documents.claims import ClaimsAnswer
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.metrics import CATALOGUE
 from slamhive.domain.names import check_name
@@ -183,9 +182,21 @@ class StaticSite:
         (folder / "assets" / "runs.js").write_text(table_script(rows), encoding="utf-8")
         whole = self._request.run_ids is None
         CataloguePages(self._hive, environment, site, self._scenes, whole=whole).write(folder, rows)
+
+        # A page and a badge for each file of claims if all runs are published.
+        claims = [answer for answer in self._hive.claims.all() if answer.claims] if whole else []
+        for answer in claims:
+            (folder / "claims").mkdir(exist_ok=True)
+            badge = badge_svg(claim.state for claim in answer.claims)
+            shown = f"data:image/svg+xml;base64,{b64encode(badge.encode()).decode()}"  # pages load no pictures
+            template = environment.get_template("published/claims.html")
+            text = template.render(site=site, root="../", answer=answer, run_url=_RUN_PAGE.format, badge=shown)
+            (folder / "claims" / f"{answer.name}.html").write_text(text, encoding="utf-8")
+            (folder / "claims" / f"{answer.name}.svg").write_text(badge, encoding="utf-8")
+
         content: dict[str, Any] = {
             "analyses": self._analyses(folder, environment.get_template("published/analysis.html"), site),
-            "claims": self._claims(folder, environment.get_template("published/claims.html"), site),
+            "claims": claims,
             "parts": _parts(rows),
             "rows": rows[:LISTED_WITHOUT_SCRIPTS],
             "most_runs": MOST_RUNS,
@@ -210,20 +221,6 @@ class StaticSite:
             text = page.render(site=site, root="../", run_url=_RUN_PAGE.format, **report_content(report))
             (folder / "analyses" / f"{record.token}.html").write_text(text, encoding="utf-8")
         return done
-
-    def _claims(self, folder: Path, page: Template, site: dict[str, Any]) -> list[ClaimsAnswer]:
-        """Write a page and a badge for each file of claims if all runs are published; returns their answers."""
-        if self._request.run_ids is not None:
-            return []
-        found = [answer for answer in self._hive.claims.all() if answer.claims]
-        for answer in found:
-            (folder / "claims").mkdir(exist_ok=True)
-            badge = badge_svg(claim.state for claim in answer.claims)
-            shown = f"data:image/svg+xml;base64,{b64encode(badge.encode()).decode()}"  # pages load no pictures
-            text = page.render(site=site, root="../", answer=answer, run_url=_RUN_PAGE.format, badge=shown)
-            (folder / "claims" / f"{answer.name}.html").write_text(text, encoding="utf-8")
-            (folder / "claims" / f"{answer.name}.svg").write_text(badge, encoding="utf-8")
-        return found
 
     def _runs(self, run_ids: list[int]) -> Iterator[RunRecord]:
         for start in range(0, len(run_ids), BATCH):

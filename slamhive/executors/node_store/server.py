@@ -88,13 +88,18 @@ class NodeService:
         method, (kind, _, rest) = environ["REQUEST_METHOD"], place.partition("/")
         answers: dict[tuple[str, str], Callable[[], dict[str, Any]]] = {
             ("POST", "claim"): lambda: self._claim(registration, environ),
-            ("PUT", "cache"): lambda: self._note_cache(registration, environ),
             ("GET", "wanted"): lambda: self._heard(registration),
             ("GET", "result"): lambda: self._arrivals.results(registration),
-            ("PUT", "result"): lambda: self._put_results(registration, environ),
         }
         if (method, place) in answers:
             return answers[method, place]()
+        if (method, place) == ("PUT", "cache"):
+            said, node = _json_body(environ), (claimed_by(registration.work) or {}).get("node")
+            self._caches.note(str(node or ""), said.get("used_bytes"), said.get("limit_bytes"))
+            return {}
+        if (method, place) == ("PUT", "result"):
+            announced = _number(environ, TOTAL_HEADER), _header(environ, SHA256_HEADER)
+            return self._arrivals.put_results(registration, _number(environ, FROM_HEADER), announced, _body(environ))
         if (method, kind) == ("PUT", "state"):
             self._arrivals.put_copy(registration, rest, _number(environ, FROM_HEADER), _body(environ))
             return self._heard(registration)
@@ -111,15 +116,6 @@ class NodeService:
         noted = {name: _word(said.get(name)) for name in ("node", ARCHITECTURE, "node_time_s")}
         self._arrivals.claim(registration, holder, {**noted, "received_s": now_s})
         return {**registration.answer, "time_s": now_s}
-
-    def _note_cache(self, registration: Registration, environ: dict[str, Any]) -> dict[str, Any]:
-        said, node = _json_body(environ), (claimed_by(registration.work) or {}).get("node")
-        self._caches.note(str(node or ""), said.get("used_bytes"), said.get("limit_bytes"))
-        return {}
-
-    def _put_results(self, registration: Registration, environ: dict[str, Any]) -> dict[str, Any]:
-        announced = _number(environ, TOTAL_HEADER), _header(environ, SHA256_HEADER)
-        return self._arrivals.put_results(registration, _number(environ, FROM_HEADER), announced, _body(environ))
 
     @staticmethod
     def _heard(registration: Registration) -> dict[str, Any]:

@@ -82,19 +82,16 @@ def find_home(root: Path = CGROUP_ROOT, own: Path = OWN_GROUP, *, own_scope: boo
         raise DoesNotHold("this kernel has no control groups") from None
     if (root / "cgroup.controllers").exists():
         return _v2_home(root, memberships.get("", "/"), own_scope=own_scope)
-    found = {name: _v1_folder(root / name, memberships.get(name, "/")) for name in V1_CONTROLLERS}
-    folders = {name: folder for name, folder in found.items() if folder is not None}
+    folders: dict[str, Path] = {}
+    for name in V1_CONTROLLERS:
+        # The nearest folder that this user may make groups in: the limits of an administrator then hold runs too.
+        for folder in (root / name / memberships.get(name, "/").lstrip("/"), root / name):
+            if folder.is_dir() and os.access(folder, os.W_OK | os.X_OK):
+                folders[name] = folder
+                break
     if "pids" not in folders:
         raise DoesNotHold(f"this user cannot make a group below {root}/pids")
     return CgroupHome(1, folders)
-
-
-def _v1_folder(tree: Path, own: str) -> Path | None:
-    """The nearest folder to ``own`` that this user may make groups in: an administrator's limits then hold runs too."""
-    for folder in (tree / own.lstrip("/"), tree):
-        if folder.is_dir() and os.access(folder, os.W_OK | os.X_OK):
-            return folder
-    return None
 
 
 def _v2_home(root: Path, own: str, *, own_scope: bool) -> CgroupHome:

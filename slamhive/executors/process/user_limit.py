@@ -72,7 +72,16 @@ class UserLimit:
         """Take a free user and hand the folders over to it. Raises DoesNotHold."""
         if os.geteuid() != 0:
             raise DoesNotHold("only root can start a run as a user of its own")
-        uid, lock = _take_user()
+        for uid in range(FIRST_UID, FIRST_UID + USERS):
+            lock = _try_lock(uid)
+            if lock is None:
+                continue
+            # What an earlier run has left would count as this run's, and be ended with it.
+            if not processes_of_user(uid):
+                break
+            os.close(lock)
+        else:
+            raise DoesNotHold(f"all {USERS} users that are kept for runs are taken")
         try:
             limit = cls(uid, request.tasks, lock, request.writable, _right_to_read(uid, request.readable))
             limit._hand_over()
@@ -154,19 +163,6 @@ class UserLimit:
     def _hand_over(self) -> None:
         for folder in self._writable:
             _change_owner(folder, self._owner[0], (self._uid, self._uid))
-
-
-def _take_user() -> tuple[int, int]:
-    """A user that no run has and that has no processes, and the lock on it."""
-    for uid in range(FIRST_UID, FIRST_UID + USERS):
-        lock = _try_lock(uid)
-        if lock is None:
-            continue
-        # What an earlier run has left would count as this run's, and be ended with it.
-        if not processes_of_user(uid):
-            return uid, lock
-        os.close(lock)
-    raise DoesNotHold(f"all {USERS} users that are kept for runs are taken")
 
 
 def _try_lock(uid: int) -> int | None:

@@ -128,11 +128,18 @@ def differing_metrics(compared: RunComparison) -> list[ComparedMetric]:
     known = {line.metric.key: line for line in compared.metrics}
     for line in (known[key] for key in HEADLINES if key in known and known[key].differs):
         unit, base = display_unit(line.metric), line.figures[compared.baseline]
-        cells = tuple(
-            _difference_cell(figure, base, unit, line.metric, is_baseline=place == compared.baseline)
-            for place, figure in enumerate(line.figures)
-        )
-        rows.append(ComparedMetric(line.metric, unit.unit, _BETTER.get(line.metric.direction, ""), cells, line.best))
+        cells = []
+        for place, figure in enumerate(line.figures):
+            cell = _metric_cell(figure, unit, line.metric)
+            if place != compared.baseline and figure is not None and base is not None:
+                change = (figure.mean - base.mean) * unit.factor
+                same = figure.shown == base.shown
+                text = "same" if same else f"{'+' if change > 0 else '−'}{significant(abs(change))}"
+                note = f"{cell.text} {f'({cell.note})' if cell.note else ''}".strip()
+                cell = TableCell(text, cell.exact, note=note)
+            cells.append(cell)
+        better = _BETTER.get(line.metric.direction, "")
+        rows.append(ComparedMetric(line.metric, unit.unit, better, tuple(cells), line.best))
     return rows
 
 
@@ -183,6 +190,22 @@ def single_figures(compared: RunComparison, series: Sequence[tuple[int, RunSerie
     lacking = [run for run, data in series if data.error is None]
     unjudged = f" Not shown, because not evaluated under this protocol: {runs_words(lacking)}." if lacking else ""
     track = next((data.groundtruth or data.estimate for _, data in series if data.aligned), None)
+
+    # The time that the plots share; its worst moment is where two runs differ the most.
+    shared: dict[str, Any] | None = None
+    known = [entry for _, data in series if (entry := timeline(data)) is not None]
+    if known:
+        origin_s = known[0]["origin_s"]
+        peak_s = next((entry.peak_s for entry in told if entry.peak_s), None)
+        worst = [entry["worst_s"] for entry in known if entry["worst_s"] is not None]
+        shared = {
+            "origins": {key: origin_s for entry in known for key in entry["origins"]},
+            "origin_s": origin_s,
+            "from_s": min(entry["from_s"] for entry in known),
+            "until_s": max(entry["until_s"] for entry in known),
+            "worst_s": origin_s + peak_s if peak_s is not None else next(iter(worst), None),
+        }
+
     return {
         "figures": drawn,
         "captions": {
@@ -199,9 +222,7 @@ def single_figures(compared: RunComparison, series: Sequence[tuple[int, RunSerie
             "dropped": "No frame was dropped.",
             **dict.fromkeys(("latency", "cpu", "memory"), "these runs have no data for this plot"),
         },
-        "timeline": _timeline(
-            [data for _, data in series], next((entry.peak_s for entry in told if entry.peak_s), None)
-        ),
+        "timeline": shared,
         "best_plane": "xy" if track is None else best_plane(track),
     }
 
@@ -212,22 +233,6 @@ _UNJUDGED = "No run here has been evaluated under a common protocol."
 def runs_words(runs: Sequence[int]) -> str:
     """``run 3``, or ``runs 3, 5``."""
     return f"{'run' if len(runs) == 1 else 'runs'} {', '.join(map(str, runs))}"
-
-
-def _timeline(series: Sequence[RunSeries], peak_s: float | None) -> dict[str, Any] | None:
-    """The time that the plots of several runs share; the worst moment is where two runs differ the most."""
-    known = [entry for entry in map(timeline, series) if entry is not None]
-    if not known:
-        return None
-    origin_s = known[0]["origin_s"]
-    worst = [entry["worst_s"] for entry in known if entry["worst_s"] is not None]
-    return {
-        "origins": {key: origin_s for entry in known for key in entry["origins"]},
-        "origin_s": origin_s,
-        "from_s": min(entry["from_s"] for entry in known),
-        "until_s": max(entry["until_s"] for entry in known),
-        "worst_s": origin_s + peak_s if peak_s is not None else next(iter(worst), None),
-    }
 
 
 def grouped_figures(plots: Sequence[Plot]) -> dict[str, Any]:
@@ -284,18 +289,6 @@ def _note(column: RunColumn, *, grouped: bool) -> str:
     if run.outcome is not Outcome.GOOD:
         return run.outcome_words
     return "failed" if column.failed else ""  # under the chosen protocol alone
-
-
-def _difference_cell(
-    figure: ComparedValue | None, base: ComparedValue | None, unit: DisplayUnit, metric: Metric, *, is_baseline: bool
-) -> TableCell:
-    """The difference to the baseline, with the value as a note; the value itself for the baseline."""
-    value = _metric_cell(figure, unit, metric)
-    if is_baseline or figure is None or base is None:
-        return value
-    change = (figure.mean - base.mean) * unit.factor
-    text = "same" if figure.shown == base.shown else f"{'+' if change > 0 else '−'}{significant(abs(change))}"
-    return TableCell(text, value.exact, note=f"{value.text} {f'({value.note})' if value.note else ''}".strip())
 
 
 def _metric_cell(figure: ComparedValue | None, unit: DisplayUnit, metric: Metric) -> TableCell:

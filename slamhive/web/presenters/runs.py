@@ -155,7 +155,18 @@ def parameter_rows(run: RunRecord, algorithm: Algorithm | None, match: MatchDocu
     """All parameters of the run, with those that differ from the default, or from what the sensors say, marked."""
     known = {} if algorithm is None else {parameter.key: parameter for parameter in algorithm.parameters}
     bound = {} if match is None else match.parameters
-    stated = [_parameter_row(key, value, known.get(key)) for key, value in run.parameters.items() if key not in bound]
+    stated = []
+    for key, value in run.parameters.items():
+        definition = known.get(key)
+        if key in bound:
+            continue
+        if definition is None:
+            why = "no longer a parameter of this algorithm"
+            stated.append(ParameterRow(key, value_text(value), DASH, "", why, changed=False))
+        else:
+            default, unit, words = definition.default, definition.unit, definition.help
+            row = ParameterRow(key, value_text(value), value_text(default), unit, words, changed=value != default)
+            stated.append(row)
     return [*stated, *(_bound_row(key, entry, known.get(key)) for key, entry in bound.items())]
 
 
@@ -320,15 +331,6 @@ def changed_cell(
     changed = {key: value for key, value in parameters.items() if default.get(key) != value}
     text = ", ".join(f"{key}={value_text(value)}" for key, value in changed.items())
     return TableCell(text or "defaults", everything, missing=not changed)
-
-
-def _parameter_row(key: str, value: Value, definition: Parameter | None) -> ParameterRow:
-    if definition is None:
-        return ParameterRow(key, value_text(value), DASH, "", "no longer a parameter of this algorithm", changed=False)
-    default = definition.default
-    return ParameterRow(
-        key, value_text(value), value_text(default), definition.unit, definition.help, changed=value != default
-    )
 
 
 def _bound_row(key: str, entry: BoundParameter, definition: Parameter | None) -> ParameterRow:

@@ -7,7 +7,6 @@ from typing import Any
 
 from flask import Blueprint, Response, flash, jsonify, make_response, redirect, render_template, request
 from flask import url_for as address
-from werkzeug.datastructures import MultiDict
 
 from slamhive.base.errors import NotFound, SlamHiveError, unknown
 from slamhive.documents.experiment import SearchStanding
@@ -89,8 +88,18 @@ def show(name: str) -> str:
     """Show the question of one experiment, its answer, and one tab."""
     experiments = hive().experiments
     status = experiments.status(name)
-    tab = _tab(request.args, status)
     small = status.cells <= LARGE
+    # The tab that the address names, or that its arguments belong to, or the ranking once there is one.
+    args, tab = request.args, request.args.get("tab", "")
+    if tab and tab not in TABS:
+        raise unknown("tab", tab, list(TABS))
+    if not tab and {"rows", "columns", "metric", "grid"} & args.keys():
+        tab = "grid"
+    elif not tab and ("after" in args or "limit" in args):
+        tab = "runs"
+    elif not tab:
+        judged = status.counts[Outcome.GOOD] + status.counts[Outcome.FAILED] + status.counts[Outcome.CANCELLED]
+        tab = "ranking" if judged and small else "grid"
     return render_template(
         "experiments/show.html",
         status=status,
@@ -112,21 +121,6 @@ TABS = {"ranking": "Ranking", "grid": "Grid", "runs": "Runs", "report": "Report"
 def _where(name: str) -> str:
     """The filter of the runs of an experiment."""
     return filter_text(FilterComparison(Word("experiment"), Sign.EQUAL, (Word(name),)))
-
-
-def _tab(args: MultiDict[str, str], status: ExperimentStatusDocument) -> str:
-    """The tab of an address: that it names, or that its arguments belong to, or the ranking once there is one."""
-    tab = args.get("tab", "")
-    if tab in TABS:
-        return tab
-    if tab:
-        raise unknown("tab", tab, list(TABS))
-    if {"rows", "columns", "metric", "grid"} & args.keys():
-        return "grid"
-    if "after" in args or "limit" in args:
-        return "runs"
-    judged = status.counts[Outcome.GOOD] + status.counts[Outcome.FAILED] + status.counts[Outcome.CANCELLED]
-    return "ranking" if judged and status.cells <= LARGE else "grid"
 
 
 def _ranking_words(status: ExperimentStatusDocument) -> dict[str, Any]:

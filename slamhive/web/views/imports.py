@@ -83,13 +83,20 @@ def look_at_algorithm_here() -> Response:
 def show(token: str) -> str:
     """Show an import: what was detected, how far it is, its log, and what it has made."""
     job = _job(token)
+    look_again = "imports.look_at_dataset"
+    if isinstance(job.asked, AlgorithmUpload):
+        look_again = "server_imports.look_at_algorithm"
+    elif isinstance(job.asked, AlgorithmOnServer):
+        look_again = "server_imports.look_at_algorithm_here"
+    elif isinstance(job.asked, DatasetOnServer):
+        look_again = "server_imports.look_at_dataset_here"
     return render_template(
         "imports/job.html",
         job=job,
         area=job.area,
         fields=import_fields(FACTS["algorithm" if job.is_algorithm else "dataset"]),
         values=typed(job.asked),
-        again=_again(job),
+        again=address(look_again),
         formats=_formats(),
         problem=None if job.problem is None else without_flags(job.problem),
         words=without_flags,
@@ -145,16 +152,6 @@ def _to_job(job: ImportJob) -> Response:
     if job.thread is not None:
         job.thread.join(_WAIT_S)
     return make_response(redirect(address(f"{job.area}.show", token=job.token), 303))
-
-
-def _again(job: ImportJob) -> str:
-    """The address that looks at the same files once more."""
-    if isinstance(job.asked, AlgorithmOnServer | AlgorithmUpload):
-        name = "look_at_algorithm" if isinstance(job.asked, AlgorithmUpload) else "look_at_algorithm_here"
-        return address(f"server_imports.{name}")
-    if isinstance(job.asked, DatasetOnServer):
-        return address("server_imports.look_at_dataset_here")
-    return address("imports.look_at_dataset")
 
 
 def _formats() -> dict[str, str]:

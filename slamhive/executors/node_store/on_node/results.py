@@ -131,24 +131,21 @@ class Mirror:
         grown = len(content) >= copy.size_bytes and zlib.crc32(content[: copy.size_bytes]) == copy.crc
         begin = copy.size_bytes if copy.sent and copy.size_bytes and grown else 0
         if not (copy.sent and begin == len(content)):
-            self._send_from(place, content, begin)
+            while True:
+                piece = content[begin : begin + MOST_BODY_BYTES]
+                headers = {FROM_HEADER: str(begin)} if begin else {}
+                try:
+                    self._hear(self._connection.ask("PUT", _address(place), piece, headers))
+                except NodeRefused as refused:
+                    # A controller that was killed may have lost the end of its copy.
+                    if refused.status != _CONFLICT or not begin:
+                        raise
+                    begin = 0
+                    continue
+                begin += len(piece)
+                if begin >= len(content):
+                    break
         copy.size_bytes, copy.crc, copy.sent, copy.seen = len(content), zlib.crc32(content), True, found
-
-    def _send_from(self, place: str, content: bytes, begin: int) -> None:
-        while True:
-            piece = content[begin : begin + MOST_BODY_BYTES]
-            headers = {FROM_HEADER: str(begin)} if begin else {}
-            try:
-                self._hear(self._connection.ask("PUT", _address(place), piece, headers))
-            except NodeRefused as refused:
-                # A controller that was killed may have lost the end of its copy.
-                if refused.status != _CONFLICT or not begin:
-                    raise
-                begin = 0
-                continue
-            begin += len(piece)
-            if begin >= len(content):
-                return
 
     def _hear(self, answer: Dict[str, Any]) -> None:
         self.wanted = answer.get("wanted") or {}
