@@ -316,18 +316,21 @@ def _best(metric: Metric, columns: Sequence[RunColumn], samples: Sequence[Sequen
         return None
     (first, best), *others = sorted(rivals)
     tied = any(shown_digits(first) == shown_digits(mean) for mean, _ in others)
-    return None if tied or not all(_differ(samples[best], samples[place]) for _, place in others) else best
+    if tied:
+        return None
+    for _, place in others:
+        own, other = samples[best], samples[place]
+        if min(len(own), len(other)) < 2:
+            differ = len(own) == len(other)  # two single values are compared as they are
+        else:
+            import numpy as np  # noqa: PLC0415 - loaded for repeats only, with scipy
 
+            from slamhive.analysis.statistics import compare_means  # noqa: PLC0415
 
-def _differ(first: Sequence[float], second: Sequence[float]) -> bool:
-    """Tell if two groups differ by more than chance. Two single values are compared as they are."""
-    if min(len(first), len(second)) < 2:
-        return len(first) == len(second)
-    import numpy as np  # noqa: PLC0415 - loaded for repeats only, with scipy
-
-    from slamhive.analysis.statistics import compare_means  # noqa: PLC0415
-
-    return compare_means(np.array(first), np.array(second)).decided
+            differ = compare_means(np.array(own), np.array(other)).decided
+        if not differ:
+            return None
+    return best
 
 
 def group_sentences(

@@ -59,33 +59,23 @@ class RunDifference:
         is_worse = subject == self.run
         against = self.other if is_worse else self.run
         start = f"Run {subject} is {'worse' if is_worse else 'better'} than run {against} {when}"
-        causes = (self._dropped(is_worse=is_worse), self._latency(is_worse=is_worse))
-        parts = [part for part in (self._error(subject), *causes) if part]
-        return f"{start}: {', '.join(parts)}." if parts else f"{start}."
-
-    def _error(self, subject: int) -> str:
+        mine, theirs = (self.worse, self.better) if is_worse else (self.better, self.worse)
+        parts = []
         if self.lost:
-            return "no pose there" if subject == self.run else f"run {self.run} has no pose there"
-        mine, theirs = (self.worse, self.better) if subject == self.run else (self.better, self.worse)
-        if mine.error_m is None or theirs.error_m is None:
-            return ""
-        return f"error {_short(mine.error_m)} m ({_short(theirs.error_m)} m)"
+            parts.append("no pose there" if is_worse else f"run {self.run} has no pose there")
+        elif mine.error_m is not None and theirs.error_m is not None:
+            parts.append(f"error {_short(mine.error_m)} m ({_short(theirs.error_m)} m)")
 
-    def _dropped(self, *, is_worse: bool) -> str:
-        """The dropped frames, if they may explain the error: the worse run has more of them."""
+        # Dropped frames may explain the error if the worse run has more of them, latency if its own is far higher.
         more, fewer = self.worse.dropped, self.better.dropped
-        if more is None or fewer is None or more <= fewer:
-            return ""
-        mine, theirs = (more, fewer) if is_worse else (fewer, more)
-        return f"{plural(mine, 'frame')} dropped ({theirs})"
-
-    def _latency(self, *, is_worse: bool) -> str:
-        """The latency, if it may explain the error: that of the worse run is far higher."""
-        high, low = self.worse.latency_s, self.better.latency_s
-        if high is None or low is None or high < TELLING_FACTOR * low:
-            return ""
-        mine, theirs = (high, low) if is_worse else (low, high)
-        return f"latency {_short(mine)} s ({_short(theirs)} s)"
+        if more is not None and fewer is not None and more > fewer:
+            dropped, others = (more, fewer) if is_worse else (fewer, more)
+            parts.append(f"{plural(dropped, 'frame')} dropped ({others})")
+        high_s, low_s = self.worse.latency_s, self.better.latency_s
+        if high_s is not None and low_s is not None and high_s >= TELLING_FACTOR * low_s:
+            own_s, other_s = (high_s, low_s) if is_worse else (low_s, high_s)
+            parts.append(f"latency {_short(own_s)} s ({_short(other_s)} s)")
+        return f"{start}: {', '.join(parts)}." if parts else f"{start}."
 
 
 def difference(first: tuple[int, RunSeries], second: tuple[int, RunSeries]) -> RunDifference | None:

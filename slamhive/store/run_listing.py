@@ -156,7 +156,18 @@ class Order:
         if after is not None and len(after) > 1 and after[0] is None:
             return missing
         if self.sort.key in CATALOGUE:
-            return [self._by_metric(tree, after, limit), *missing]
+            runs = RUNS.alias()
+            found = self.sql.figures(self.sort.key, by_value=True)
+            if found is None:
+                nothing = select(*_labelled(self.columns(runs))).where(runs.c.id < 0)
+                return [nothing, *missing]
+            figures, query = found
+            columns = [figures.c.value, figures.c.run_id]
+            query = query.where(*(self.sql.compare(figures.c.value, leaf) for leaf in self._own(tree)))
+            pairs: Select[Any] = query.with_only_columns(*_labelled(columns)).select_from(figures, runs)
+            of_run = runs.c.id == figures.c.run_id + 0
+            pairs = pairs.where(of_run, self.sql.test(tree, runs), *self._from(columns, after))
+            return [pairs.order_by(*ordered(columns, descending=self.sort.descending)).limit(limit), *missing]
         if self._parameter is not None:
             return [self._by_parameter(self._parameter, tree, after, limit), *missing]
         if self.sort.key in NAMED:
@@ -233,18 +244,6 @@ class Order:
                 conditions.append(behind([runs.c.id], after[1:], descending=self.sort.descending))
         query = select(*_labelled([literal(name), runs.c.id])).where(*conditions)
         return query.order_by(*ordered([runs.c.id], descending=self.sort.descending)).limit(limit)
-
-    def _by_metric(self, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
-        runs = RUNS.alias()
-        found = self.sql.figures(self.sort.key, by_value=True)
-        if found is None:
-            return select(*_labelled(self.columns(runs))).where(runs.c.id < 0)
-        figures, query = found
-        columns = [figures.c.value, figures.c.run_id]
-        query = query.where(*(self.sql.compare(figures.c.value, leaf) for leaf in self._own(tree)))
-        pairs: Select[Any] = query.with_only_columns(*_labelled(columns)).select_from(figures, runs)
-        pairs = pairs.where(runs.c.id == figures.c.run_id + 0, self.sql.test(tree, runs), *self._from(columns, after))
-        return pairs.order_by(*ordered(columns, descending=self.sort.descending)).limit(limit)
 
     def _by_parameter(self, name: str, tree: Bound | None, after: list[Any] | None, limit: int) -> Select[Any]:
         """First the configurations with a matching run, in order; then their runs."""

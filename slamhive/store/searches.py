@@ -227,40 +227,36 @@ class Groups:
         names = look_up(connection, search)
         return cls(connection, replace(search, tree=of_runs), names, Sql(names, of_runs), sort, of_runs, of_means)
 
-    def _of_fitting(self) -> Groups:
-        """The same groups with the numbers of the configurations whose means fit, in place of :attr:`of_means`.
-
-        They are read once: each statement of a page would compute the means again.
-        """
-        if self.of_means is None:
-            return self
-        rows = ConfigurationRow.__table__.alias()
-        numbered = select(rows.c.id.label("configuration_id")).subquery()
-        most = (self.connection.execute(select(func.max(RUNS.c.id))).scalar_one() or 0) // _WIDE
-        wide = []
-        for leaf in leaves(self.of_means):
-            some = self.sql.some_value(leaf)
-            if some is not None:
-                first = some[1].limit(most + 1).subquery()
-                if self.connection.execute(select(func.count()).select_from(first)).scalar_one() > most:
-                    wide.append(leaf)
-        sql = Sql(self.names, self.of_runs, wide)
-        fitting = select(numbered.c.configuration_id).where(sql.test(self.of_means, numbered))
-        chosen = Condition(BUILT_IN["configuration"], Sign.IN, tuple(self.connection.execute(fitting).scalars()))
-        return replace(self, search=replace(self.search, tree=all_of([self.of_runs, chosen])), of_means=None)
-
     def page(self, after: str | None, limit: int, metrics: Sequence[str]) -> GroupPage:
         """One page, with mean and spread of ``metrics`` over the repeats."""
         if not 1 <= limit <= LARGEST_PAGE:
             raise InvalidInput(f"page size {limit} is not allowed", f"use 1 to {LARGEST_PAGE}")
         kind = str if self.sort.key in {"algorithm", "dataset"} else float
         key = None if after is None else decode(after, (int,) if self.sort.key == "configuration" else (kind, int))
-        found = self._of_fitting()
+        found = self
+        if self.of_means is not None:
+            # The numbers of the configurations whose means fit take the place of the means. They are read once: each
+            # statement of a page would compute the means again.
+            most = (self.connection.execute(select(func.max(RUNS.c.id))).scalar_one() or 0) // _WIDE
+            wide = []
+            for leaf in leaves(self.of_means):
+                some = self.sql.some_value(leaf)
+                if some is not None:
+                    first = some[1].limit(most + 1).subquery()
+                    if self.connection.execute(select(func.count()).select_from(first)).scalar_one() > most:
+                        wide.append(leaf)
+            sql = Sql(self.names, self.of_runs, wide)
+            rows = ConfigurationRow.__table__.alias()
+            numbered = select(rows.c.id.label("configuration_id")).subquery()
+            fitting = select(numbered.c.configuration_id).where(sql.test(self.of_means, numbered))
+            chosen = Condition(BUILT_IN["configuration"], Sign.IN, tuple(self.connection.execute(fitting).scalars()))
+            search = replace(self.search, tree=all_of([self.of_runs, chosen]))
+            found = replace(self, search=search, of_means=None)
         runs, few = Matches(self.connection, found.search, self.sql).survey()
-        chosen = found._many(key, limit + 1) if few is None else self._few(few, key, limit + 1)
-        rows = [tuple(row) for row in self.connection.execute(chosen)]
-        shown = [row[-1] for row in rows[:limit]]
-        next_key = encode(rows[limit - 1]) if len(rows) > limit else None
+        page = found._many(key, limit + 1) if few is None else self._few(few, key, limit + 1)
+        listed = [tuple(row) for row in self.connection.execute(page)]
+        shown = [row[-1] for row in listed[:limit]]
+        next_key = encode(listed[limit - 1]) if len(listed) > limit else None
         return GroupPage(self._records(shown, metrics), runs, next_key)
 
     def _few(self, found: Sequence[int], key: list[Any] | None, limit: int) -> Select[Any]:

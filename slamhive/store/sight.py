@@ -74,7 +74,15 @@ class _Sight:
         around = names.union(*self.within)
         found = []
         for part, outer in read:
-            condition = self._condition(part, names, around, counts=counts)
+            name, condition = _name(part), None
+            if name == "experiments" and "runs" in names:
+                continue  # who sees a run sees its experiment
+            if name in self.hidden:
+                condition = _seen(part, signed_in=self.viewer.signed_in, counts=counts)
+            elif name in OF_RUNS and "runs" in self.hidden and "runs" not in around:
+                condition = part.c.run_id.not_in(_hidden_rows("runs", signed_in=self.viewer.signed_in))
+            elif name in OF_EXPERIMENTS and "experiments" in self.hidden and "experiments" not in around:
+                condition = part.c.experiment_id.not_in(_hidden_rows("experiments", signed_in=self.viewer.signed_in))
             if condition is not None:
                 found.append(or_(next(iter(part.primary_key or part.c)).is_(None), condition) if outer else condition)
         return names, found
@@ -86,20 +94,6 @@ class _Sight:
             return query.get_final_froms()
         finally:
             self.statement = statement
-
-    def _condition(
-        self, part: FromClause, names: frozenset[str], around: frozenset[str], *, counts: bool
-    ) -> ColumnElement[bool] | None:
-        name = _name(part)
-        if name == "experiments" and "runs" in names:
-            return None  # who sees a run sees its experiment
-        if name in self.hidden:
-            return _seen(part, signed_in=self.viewer.signed_in, counts=counts)
-        if name in OF_RUNS and "runs" in self.hidden and "runs" not in around:
-            return part.c.run_id.not_in(_hidden_rows("runs", signed_in=self.viewer.signed_in))
-        if name in OF_EXPERIMENTS and "experiments" in self.hidden and "experiments" not in around:
-            return part.c.experiment_id.not_in(_hidden_rows("experiments", signed_in=self.viewer.signed_in))
-        return None
 
 
 _ACTIVE: ContextVar[_Sight | None] = ContextVar("slamhive_sight", default=None)

@@ -103,7 +103,7 @@ def apptainer(program: str, orders: ContainerOrders) -> ContainerCommand:
     It lets nobody set ``HOME`` in this way: the home folder is an option of its own.
     """
     home = orders.environment.get(_HOME)
-    mounted = [(source, target, _rights(written)) for source, target, written in orders.mounts()]
+    mounted = [(source, target, "rw" if written else "ro") for source, target, written in orders.mounts()]
     homes = [f"--home={source}:{target}" for source, target, _ in mounted if target == home]
     variables = {name: value for name, value in orders.environment.items() if name != _HOME}
     return ContainerCommand(
@@ -158,7 +158,7 @@ def podman(program: str, orders: ContainerOrders) -> ContainerCommand:
             "--userns=keep-id",
             *(f"--device=nvidia.com/gpu={gpu}" for gpu in orders.gpus),
             *(f"--env={name}={value}" for name, value in orders.environment.items() if name not in hidden),
-            *(f"--volume={source}:{target}:{_rights(written)}" for source, target, written in orders.mounts()),
+            *(f"--volume={source}:{target}:{'rw' if written else 'ro'}" for source, target, written in orders.mounts()),
             f"--workdir={_WORKING_FOLDER}",
             "--rootfs",
             orders.image,
@@ -167,10 +167,6 @@ def podman(program: str, orders: ContainerOrders) -> ContainerCommand:
         {},
         ("podman", "conmon", "crun", "runc"),
     )
-
-
-def _rights(written: bool) -> str:
-    return "rw" if written else "ro"
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,6 +57,11 @@ class QuestionLook:
         return tuple(self.candidates[0].cells)
 
     @property
+    def combinations(self) -> int:
+        """The number of pairs of a candidate and a dataset."""
+        return len(self.candidates) * len(self.datasets)
+
+    @property
     def fingerprint(self) -> bytes:
         """Identifies all that the next step follows from."""
         runs = [

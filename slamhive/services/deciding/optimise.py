@@ -314,7 +314,7 @@ def _sentence(look: QuestionLook, seen: _Seen, state: SearchState) -> str:
     plan, first = seen.plan, seen.objectives[0]
     share = f"{100 * seen.share(state.gap):.2g} %"
     confidence = f"at {100 * plan.confidence:.4g} % confidence"
-    spent = f"After {look.asked} runs of {_combinations(look)}"
+    spent = f"After {look.asked} runs of {look.combinations}"
     ends = {state.front[0]: None} | {
         min(state.front, key=lambda place: float(state.scores[place, column])): None
         for column in range(1, len(seen.objectives))
@@ -358,10 +358,6 @@ def _nothing_good(look: QuestionLook, seen: _Seen) -> str:
     return f"Undecided: fewer than two of {plural(look.asked, 'run')} were good."
 
 
-def _combinations(look: QuestionLook) -> int:
-    return len(look.candidates) * len(look.datasets)
-
-
 def _standing(look: QuestionLook, seen: _Seen, answer: QuestionAnswer, words: str) -> SearchStanding:
     plan, state, first = seen.plan, seen.state, seen.objectives[0]
     is_open = answer is QuestionAnswer.OPEN
@@ -394,7 +390,7 @@ def _standing(look: QuestionLook, seen: _Seen, answer: QuestionAnswer, words: st
         expected_gain=None if state is None else seen.share(state.expected_gap),
         budget=plan.budget.words,
         runs=look.asked,
-        combinations=_combinations(look),
+        combinations=look.combinations,
         datasets=look.datasets,
         candidates=tuple(_leading(look, seen)),
         importance=tuple(importance),

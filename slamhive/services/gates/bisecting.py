@@ -274,7 +274,27 @@ class _Bench:
         if content is None:
             return Trial(problem=f"it has no folder {self.source.folder}")
         if content not in self.record.versions and content not in self.record.problems:
-            self._build(commit, content)
+            self.tell(f"building {commit[:SHORT]}")
+            with temporary_folder() as folder:
+                checked_out, package = folder / "checkout", folder / "package"
+                checked_out.mkdir()
+                self.repository.check_out(content, checked_out)
+                if self.source.package is None:
+                    copy_plain_files(checked_out, package)
+                else:
+                    copy_plain_files(self.source.package, package)
+                    shutil.rmtree(package / self.source.into, ignore_errors=True)
+                    (package / self.source.into).parent.mkdir(parents=True, exist_ok=True)
+                    copy_plain_files(checked_out, package / self.source.into)
+                try:
+                    version = self.service.build(self.executor, package, lambda line: self.tell(f"  {line}"))
+                except EngineUnavailable:
+                    raise
+                except (ImageMissing, InvalidInput) as error:
+                    self.record.problems[content] = f"it does not build: {error.message.replace(f'{package}/', '')}"
+                else:
+                    self.record.versions[content] = version
+            self.record.save()
         if content in self.record.problems:
             return Trial(problem=self.record.problems[content])
         label = self._label(self.record.versions[content])
@@ -294,29 +314,6 @@ class _Bench:
         assert content is not None
         submissions = self.service.submissions(self.request, self._label(self.record.versions[content]))
         return [run_id for submission in submissions for run_id in self.trials.ask(submission, wanted)]
-
-    def _build(self, commit: str, content: str) -> None:
-        self.tell(f"building {commit[:SHORT]}")
-        with temporary_folder() as folder:
-            checked_out, package = folder / "checkout", folder / "package"
-            checked_out.mkdir()
-            self.repository.check_out(content, checked_out)
-            if self.source.package is None:
-                copy_plain_files(checked_out, package)
-            else:
-                copy_plain_files(self.source.package, package)
-                shutil.rmtree(package / self.source.into, ignore_errors=True)
-                (package / self.source.into).parent.mkdir(parents=True, exist_ok=True)
-                copy_plain_files(checked_out, package / self.source.into)
-            try:
-                version = self.service.build(self.executor, package, lambda line: self.tell(f"  {line}"))
-            except EngineUnavailable:
-                raise
-            except (ImageMissing, InvalidInput) as error:
-                self.record.problems[content] = f"it does not build: {error.message.replace(f'{package}/', '')}"
-            else:
-                self.record.versions[content] = version
-        self.record.save()
 
     def _label(self, version: str) -> str:
         """The version of the algorithm that a version of the package holds. The first one that is asked for decides."""
