@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import pytest
 from _pytest.mark.expression import Expression
 
-from tests import durability, fresh_tables
+from tests import compiled_once, durability, fresh_tables
 from tests.sharing import SHARED_FOLDER
 from tests.workers import pytest_addoption, pytest_runtestloop  # noqa: F401 - pytest finds them here
 
@@ -145,9 +145,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_runtest_setup() -> None:
-    """Let tests go without fsync, and without migrating each new database."""
+    """Let tests go without fsync, and without migrating each new database or compiling the same again."""
     durability.leave_out(True)
     fresh_tables.copy_tables()
+    compiled_once.compile_once()
 
 
 def pytest_configure(config: pytest.Config) -> None:

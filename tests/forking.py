@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests import durability, fresh_tables
+from tests import compiled_once, durability, fresh_tables
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
@@ -30,6 +30,7 @@ def serve(work: Callable[[str], int], *, without: str | None = None) -> None:
     for line in sys.stdin:
         durability.leave_out(True)  # again each time: SQLAlchemy is imported after the first
         fresh_tables.copy_tables()
+        compiled_once.compile_once()
         reading, writing = os.pipe()
         child = os.fork()
         if child == 0:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slamhive.recordings.geometry import quaternions_from_rotations, rotation_xyz, transform
-from slamhive.recordings.room.camera import Camera, Renderer
+from slamhive.recordings.room.camera import Camera, Renderer, _project
 from slamhive.recordings.room.sensors import (
     BASELINE_M,
     GRAVITY_MPS2,
@@ -69,6 +69,18 @@ def test_a_known_corner_is_drawn_where_it_projects(renderer):
     row, edge = round(y.mean()), (x[0] + x[3]) / 2
     assert grey[row, int(np.ceil(edge))] < 60  # the poster's dark frame begins at its left edge
     assert grey[row, int(np.floor(edge)) - 1] > 90  # and the wall is before it
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_face_that_is_left_out_is_in_the_picture(renderer, seed):
+    draw = np.random.default_rng(seed)
+    for _ in range(10):
+        position_m = draw.uniform((-2.9, -2.4, 0.1), (2.9, 2.4, 2.4))
+        T = looking(draw.uniform(-np.pi, np.pi), position_m, draw.uniform(-1.5, 1.5))
+        found = renderer.perhaps_seen(T, CAMERA)
+        seen = [index for index, face in enumerate(room_faces()) if _project(face, T, CAMERA) is not None]
+        assert set(seen) <= set(found)
+        assert len(found) < len(room_faces())
 
 
 def test_stereo_images_agree_through_depth(renderer):

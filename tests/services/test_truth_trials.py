@@ -36,11 +36,10 @@ pytestmark = [
 @pytest.fixture
 def web(hive: Hive, tmp_path: Path) -> Web:
     """The pages of an installation that can evaluate."""
-    (tmp_path / "compiled").mkdir()
     (tmp_path / "project" / "templates").rmdir()
     for name in ("templates", "static", "docs"):
         (tmp_path / "project" / name).symlink_to(ROOT / name)
-    return make_web(hive, tmp_path / "compiled")
+    return make_web(hive)
 
 
 def test_a_jump_of_the_truth_is_shown_and_can_be_left_out(web: Web, tmp_path: Path) -> None:

@@ -51,12 +51,12 @@ def token_of(client: FlaskClient, page: str) -> str:
 
 
 @contextmanager
-def account_web(folder: Path, compiled: Path) -> Iterator[AccountWeb]:
+def account_web(folder: Path) -> Iterator[AccountWeb]:
     """The application on the filled installation in ``folder``, with cheap passwords."""
     hive = world.make_hive(folder)
     hive.settings = hive.settings.with_values({"auth": Auth.ACCOUNTS})
     with cheap_passwords():
         for role, name in NAMES.items():
             hive.accounts.add(name, role, PASSWORD)
-        yield AccountWeb(make_web(hive, compiled))
+        yield AccountWeb(make_web(hive))
     hive.close()

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.sharing import made_once
 from tests.web import web_world as world
 from tests.web.web_world import Web, make_web
 
@@ -28,32 +27,26 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def compiled() -> Path:
-    """Where the applications of all tests find the templates that one of them has compiled."""
-    return made_once("templates", Path.mkdir)
-
-
-@pytest.fixture(scope="session")
-def shown(filled: Path, compiled: Path) -> Iterator[Web]:
+def shown(filled: Path) -> Iterator[Web]:
     """An installation to look at; no test may change it."""
-    web = make_web(world.make_hive(filled), compiled)
+    web = make_web(world.make_hive(filled))
     yield web
     web.hive.close()
 
 
 @pytest.fixture
-def web(filled: Path, tmp_path: Path, compiled: Path) -> Iterator[Web]:
+def web(filled: Path, tmp_path: Path) -> Iterator[Web]:
     """An installation of the test's own."""
     shutil.copytree(filled, tmp_path, symlinks=True, dirs_exist_ok=True)
-    web = make_web(world.make_hive(tmp_path), compiled)
+    web = make_web(world.make_hive(tmp_path))
     yield web
     web.hive.close()
 
 
 @pytest.fixture
-def empty(tmp_path: Path, compiled: Path, sqlite_template: Path) -> Iterator[Web]:
+def empty(tmp_path: Path, sqlite_template: Path) -> Iterator[Web]:
     """An installation without datasets and runs."""
-    web = make_web(world.make_hive(tmp_path, empty=True, template=sqlite_template), compiled)
+    web = make_web(world.make_hive(tmp_path, empty=True, template=sqlite_template))
     yield web
     web.hive.close()
 

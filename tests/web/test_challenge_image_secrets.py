@@ -75,12 +75,12 @@ def leaks(content: bytes) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def site(filled: Path, compiled: Path, base_image: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+def site(filled: Path, base_image: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """A reader has sent a hostile image and one that fails on the secret recording alone; both have run."""
     folder = tmp_path_factory.mktemp("images")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
     World(folder).challenges.create(made.image_challenge(folder / "organiser"))
-    with account_web(folder, compiled) as web:
+    with account_web(folder) as web:
         hive = web.web.hive
         hive.settings = hive.settings.with_values({"executor": "docker"})
         docker = hive.executors.get("docker")
@@ -151,8 +151,8 @@ def test_no_address_gives_it_to_anybody(site: Site, role: Role | None):
     assert role is None or seen > 50
 
 
-def test_no_address_gives_it_to_visitors(site: Site, compiled: Path):
-    viewing = make_web(world.make_hive(site.folder, Mode.VIEW_ONLY), compiled)
+def test_no_address_gives_it_to_visitors(site: Site):
+    viewing = make_web(world.make_hive(site.folder, Mode.VIEW_ONLY))
     _, found = walk(viewing.client, viewing.app, leaks)
     viewing.hive.close()
     assert found == {}

@@ -80,13 +80,13 @@ def leaks(content: bytes) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def site(filled: Path, compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+def site(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """A member has sent good, broken and hostile trajectories; a process of its own has evaluated them."""
     folder = tmp_path_factory.mktemp("secrets")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
     phases = [{"name": "public", "submissions_per_day": 20}, {"name": "hidden", "scores": "at_end"}]
     World(folder).challenges.create(write_challenge(folder / "organiser", rooms(2, phases=phases)))
-    with account_web(folder, compiled) as made:
+    with account_web(folder) as made:
         member, hive = made.of(Role.MEMBER), made.web.hive
         for files in hostile_entries():
             assert form(member, files, team="probe").status_code == 303
@@ -137,10 +137,10 @@ def test_no_address_gives_the_ground_truth_to_a_submitter(site: Site):
     assert seen > 60
 
 
-def test_no_address_gives_it_to_strangers_or_visitors(site: Site, compiled: Path):
+def test_no_address_gives_it_to_strangers_or_visitors(site: Site):
     _, found = walk(site.web.web.app.test_client(), site.web.web.app, leaks)
     assert found == {}
-    viewing = make_web(world.make_hive(site.folder, Mode.VIEW_ONLY), compiled)
+    viewing = make_web(world.make_hive(site.folder, Mode.VIEW_ONLY))
     for address in ("/challenges", "/challenges/rooms", "/api/v1/challenges/rooms/ranking", "/challenges/rooms/secret"):
         assert leaks(viewing.client.get(address).data) == []
     viewing.hive.close()

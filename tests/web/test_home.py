@@ -153,10 +153,10 @@ def test_a_demo_that_cannot_run_says_why(empty: Web, monkeypatch: pytest.MonkeyP
     assert "unknown algorithm" in empty.client.get("/").text
 
 
-def test_an_archive_has_a_cover_with_its_description_and_what_to_cite(web: Web, tmp_path: Path, compiled: Path) -> None:
+def test_an_archive_has_a_cover_with_its_description_and_what_to_cite(web: Web, tmp_path: Path) -> None:
     experiment(web, "clear", [(0.100, 0.101, 0.102), (0.300, 0.301, 0.302)])
     (web.hive.settings.data / home.ABOUT).write_text("# Rooms of Delft\n\nMade in *2026*. <script>alert(1)</script>\n")
-    archive = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+    archive = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     text = archive.client.get("/").text
     archive.hive.close()
     assert "Rooms of Delft</h1>" in text

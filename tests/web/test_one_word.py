@@ -91,9 +91,7 @@ def bring_about(hive: Hive, features: int, run: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def ended(
-    filled: Path, tmp_path_factory: pytest.TempPathFactory, compiled: Path
-) -> Iterator[tuple[Web, dict[int, int]]]:
+def ended(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Web, dict[int, int]]]:
     """An experiment with a run of each outcome and doubt, and {nFeatures: run}. Tests leave it as it is."""
     folder = tmp_path_factory.mktemp("words")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
@@ -105,7 +103,7 @@ def ended(
         runs = {int(str(cell.values["nFeatures"])): cell.runs[0].id for cell in cells}
         for features, run in runs.items():
             bring_about(hive, features, run)
-        yield world.make_web(hive, compiled), runs
+        yield world.make_web(hive), runs
         hive.close()
 
 

@@ -54,11 +54,11 @@ PASSED = {200, 400, 405}
 
 
 @pytest.fixture(scope="module")
-def guarded(filled: Path, compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[AccountWeb]:
+def guarded(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[AccountWeb]:
     """The application with its rules, and with stubs in place of its pages."""
     folder = tmp_path_factory.mktemp("guarded")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
-    with account_web(folder, compiled) as made:
+    with account_web(folder) as made:
         yield made
 
 

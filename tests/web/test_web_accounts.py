@@ -34,10 +34,10 @@ NEW = "another long password"
 
 
 @pytest.fixture(scope="module")
-def kept(filled: Path, compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[AccountWeb]:
+def kept(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[AccountWeb]:
     folder = tmp_path_factory.mktemp("accounts")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
-    with account_web(folder, compiled) as made:
+    with account_web(folder) as made:
         yield made
 
 

@@ -63,11 +63,11 @@ def compute(hive: Hive) -> None:
 
 
 @pytest.fixture(scope="module")
-def computed(filled: Path, tmp_path_factory: pytest.TempPathFactory, compiled: Path):
+def computed(filled: Path, tmp_path_factory: pytest.TempPathFactory):
     """An installation with one analysis, and its token; only looked at."""
     folder = tmp_path_factory.mktemp("analyses")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
-    web = make_web(world.make_hive(folder), compiled)
+    web = make_web(world.make_hive(folder))
     token = create(web)
     compute(web.hive)
     yield web, token
@@ -260,8 +260,8 @@ def test_the_selector_writes_an_analysis(shown: Web):
 
 
 @pytest.mark.integration
-def test_pages_and_assets_are_kept(shown: Web, web: Web, tmp_path: Path, compiled: Path):
-    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+def test_pages_and_assets_are_kept(shown: Web, web: Web, tmp_path: Path):
+    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     for address in ("/help/settings", "/algorithms", "/api/v1/algorithms"):
         answer = viewing.client.get(address)
         again = viewing.client.get(address, headers={"If-None-Match": answer.headers["ETag"]})
@@ -275,8 +275,8 @@ def test_pages_and_assets_are_kept(shown: Web, web: Web, tmp_path: Path, compile
 
 
 @pytest.mark.integration
-def test_a_server_that_only_shows_keeps_pages_for_seconds(web: Web, tmp_path: Path, compiled: Path):
-    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+def test_a_server_that_only_shows_keeps_pages_for_seconds(web: Web, tmp_path: Path):
+    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     before = viewing.client.get("/runs")
     world.add_runs(web.hive, 3)
     kept = viewing.client.get("/runs")
@@ -293,9 +293,9 @@ def test_a_server_that_only_shows_keeps_pages_for_seconds(web: Web, tmp_path: Pa
 
 @pytest.mark.integration
 def test_a_page_that_is_kept_costs_neither_a_query_nor_its_compression(
-    web: Web, tmp_path: Path, compiled: Path, monkeypatch: pytest.MonkeyPatch
+    web: Web, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     accepting = {"Accept-Encoding": "gzip"}
     first, second = (viewing.client.get("/runs", headers=accepting) for _ in range(2))
     monkeypatch.setattr("slamhive.web.caching.gzip.compress", lambda *_args, **_more: pytest.fail("packed again"))
@@ -360,11 +360,11 @@ def every_request(web: Web, token: str) -> list[tuple[str, str]]:
 
 @pytest.mark.integration
 @pytest.mark.parametrize("taken", [True, False])
-def test_view_only_changes_nothing_whatever_is_asked(web: Web, tmp_path: Path, compiled: Path, taken: bool):
+def test_view_only_changes_nothing_whatever_is_asked(web: Web, tmp_path: Path, taken: bool):
     token = create(web)
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
     hive.settings = hive.settings.with_values({"no_new_analysis": not taken})
-    viewing = make_web(hive, compiled)
+    viewing = make_web(hive)
     viewing.app.extensions[COMPUTER_EXTENSION] = None
     viewing.app.config["WTF_CSRF_ENABLED"] = False  # the mode alone must hold
     before = content_of(hive.settings.data)
@@ -392,10 +392,10 @@ def test_view_only_changes_nothing_whatever_is_asked(web: Web, tmp_path: Path, c
 
 
 @pytest.mark.integration
-def test_visitors_have_limits(web: Web, tmp_path: Path, compiled: Path):
+def test_visitors_have_limits(web: Web, tmp_path: Path):
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
     hive.settings = hive.settings.with_values({"analyses_per_hour_per_address": 2})
-    viewing = make_web(hive, compiled)
+    viewing = make_web(hive)
     viewing.app.extensions[COMPUTER_EXTENSION] = None
     tokens = [create(viewing) for _ in range(2)]
     answer = viewing.client.post("/analyses", data={"csrf_token": token_of(viewing), "yaml": TEXT})
@@ -413,9 +413,9 @@ def test_visitors_have_limits(web: Web, tmp_path: Path, compiled: Path):
 
 
 @pytest.mark.integration
-def test_in_view_only_mode_the_server_computes(web: Web, tmp_path: Path, compiled: Path):
+def test_in_view_only_mode_the_server_computes(web: Web, tmp_path: Path):
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
-    viewing = make_web(hive, compiled)
+    viewing = make_web(hive)
     token = create(viewing)
     computer = viewing.app.extensions[COMPUTER_EXTENSION]
     deadline = threading.Event()

@@ -63,11 +63,11 @@ def mysql_hive(database_server: DatabaseServer, tmp_path_factory: pytest.TempPat
 
 
 @pytest.fixture(scope="module", params=["sqlite", pytest.param("mysql", marks=pytest.mark.mysql)])
-def target(request: pytest.FixtureRequest, compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
+def target(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
     """An installation that the requests may change, on each kind of database."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
-        web = make_web(request.getfixturevalue(f"{request.param}_hive"), compiled)
+        web = make_web(request.getfixturevalue(f"{request.param}_hive"))
         web.hive.experiments.start(ExperimentSource(EXPERIMENT.replace("NAME", "trial")))
         web.hive.searches.save(SavedSearchRecord("slow-ones", "duration > 1", (), RunSort(), grouped=False))
         path = write_challenge(tmp_path_factory.mktemp("challenge"), rooms(1, phases=[{"name": "public"}]))

@@ -70,11 +70,11 @@ def furnished(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def desk(furnished: Path, tmp_path_factory: pytest.TempPathFactory, compiled: Path) -> Iterator[tuple[str, AccountWeb]]:
+def desk(furnished: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, AccountWeb]]:
     """The address of an installation whose callers sign in; no test may change it."""
     folder = tmp_path_factory.mktemp("desk")
     shutil.copytree(furnished, folder, symlinks=True, dirs_exist_ok=True)
-    with account_web(folder, compiled) as accounts, serving(accounts.web.hive) as server:
+    with account_web(folder) as accounts, serving(accounts.web.hive) as server:
         yield server, accounts
 
 

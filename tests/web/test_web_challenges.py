@@ -92,12 +92,12 @@ def own(empty: Web, tmp_path: Path) -> Web:
 
 
 @pytest.fixture
-def site(tmp_path_factory: pytest.TempPathFactory, filled: Path, compiled: Path) -> Iterator[AccountWeb]:
+def site(tmp_path_factory: pytest.TempPathFactory, filled: Path) -> Iterator[AccountWeb]:
     """A server with accounts and a challenge."""
     folder = tmp_path_factory.mktemp("challenge")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
     add_challenge(folder)
-    with account_web(folder, compiled) as made:
+    with account_web(folder) as made:
         yield made
 
 
@@ -176,9 +176,9 @@ def test_a_token_submits_with_the_scope_to_change(site: AccountWeb):
     assert found.team == NAMES[Role.READER]
 
 
-def test_a_view_only_server_shows_rankings_and_takes_nothing(own: Web, tmp_path: Path, compiled: Path):
+def test_a_view_only_server_shows_rankings_and_takes_nothing(own: Web, tmp_path: Path):
     form(own.client, entry_of(2, 0.02), team="somebody")
-    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY, empty=True), compiled).client
+    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY, empty=True)).client
     page = viewing.get("/challenges/rooms").text
     assert "No submission to this phase has been evaluated yet." in page
     assert 'method="post"' not in page
@@ -322,12 +322,12 @@ def test_bodies_of_all_requests_together_have_a_limit(own: Web):
 
 
 @pytest.fixture
-def images(tmp_path_factory: pytest.TempPathFactory, filled: Path, compiled: Path) -> Iterator[AccountWeb]:
+def images(tmp_path_factory: pytest.TempPathFactory, filled: Path) -> Iterator[AccountWeb]:
     """A server with accounts and a challenge that takes images."""
     folder = tmp_path_factory.mktemp("images")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
     World(folder).challenges.create(image_challenge(folder / "organiser"))
-    with account_web(folder, compiled) as made:
+    with account_web(folder) as made:
         yield made
 
 

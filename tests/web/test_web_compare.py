@@ -135,8 +135,8 @@ def test_a_run_without_the_protocol_is_named_and_can_be_evaluated(web: Web):
     assert queued.protocol.fingerprint == PROTOCOL.fingerprint
 
 
-def test_a_view_only_server_only_says_what_is_missing(web: Web, tmp_path, compiled):
-    other = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+def test_a_view_only_server_only_says_what_is_missing(web: Web, tmp_path):
+    other = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     text = other.client.get("/compare?runs=1,2").text
     other.hive.close()
     assert "Not evaluated under this protocol: run 2." in text

@@ -527,8 +527,8 @@ def test_nothing_changes_by_get_or_for_an_unknown_name(trial: Web, action: str):
     assert trial.client.post(f"/experiments/nothing/{action}", data=data).status_code == 404
 
 
-def test_view_only_shows_experiments_without_buttons(trial: Web, tmp_path: Path, compiled: Path):
-    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+def test_view_only_shows_experiments_without_buttons(trial: Web, tmp_path: Path):
+    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     for address in ("/experiments", "/experiments/trial"):
         text = viewing.client.get(address).text
         assert "trial" in text

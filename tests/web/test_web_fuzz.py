@@ -32,11 +32,11 @@ STREAMS = {"dashboard.events"}
 
 
 @pytest.fixture(scope="module")
-def rich(filled: Path, compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def rich(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of an installation that holds one of everything."""
     folder = tmp_path_factory.mktemp("rich")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
-    web = make_web(world.make_hive(folder), compiled)
+    web = make_web(world.make_hive(folder))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
         web.hive.experiments.start(ExperimentSource(EXPERIMENT.replace("NAME", "trial")))
@@ -60,18 +60,18 @@ class Target:
 
 @pytest.fixture
 def target(
-    request: pytest.FixtureRequest, rich: Path, tmp_path: Path, compiled: Path, monkeypatch: pytest.MonkeyPatch
+    request: pytest.FixtureRequest, rich: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Target]:
     """An installation in the mode that the test asks for."""
     monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
     shutil.copytree(rich, tmp_path, symlinks=True, dirs_exist_ok=True)
-    owner = make_web(world.make_hive(tmp_path), compiled)
+    owner = make_web(world.make_hive(tmp_path))
     token = owner.token
     cookie = owner.client.get_cookie("slamhive")
     assert token
     assert cookie is not None
     owner.hive.close()
-    web = make_web(world.make_hive(tmp_path, request.param), compiled)
+    web = make_web(world.make_hive(tmp_path, request.param))
     yield Target(web, token, cookie.value)
     web.hive.close()
 

@@ -302,9 +302,9 @@ def test_a_published_folder_remembers_the_file_that_was_sent(
 
 
 @pytest.fixture
-def accounts(filled: Path, compiled: Path, tmp_path: Path) -> Any:
+def accounts(filled: Path, tmp_path: Path) -> Any:
     shutil.copytree(filled, tmp_path, symlinks=True, dirs_exist_ok=True)
-    with account_web(tmp_path, compiled) as made:
+    with account_web(tmp_path) as made:
         yield made
 
 
@@ -330,9 +330,9 @@ def test_only_admins_import_from_the_server_and_nobody_sees_the_imports_of_other
 
 
 @pytest.mark.quick
-def test_a_view_only_server_imports_nothing(filled: Path, compiled: Path, tmp_path: Path) -> None:
+def test_a_view_only_server_imports_nothing(filled: Path, tmp_path: Path) -> None:
     shutil.copytree(filled, tmp_path, symlinks=True, dirs_exist_ok=True)
-    web = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+    web = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     assert web.client.get("/import").status_code == 403
     for address in (DATASETS_HERE, ALGORITHMS_HERE, "/import/datasets", "/import/server/algorithms"):
         assert web.client.post(address, data={"path": "/"}).status_code in (400, 403)

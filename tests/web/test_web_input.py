@@ -117,8 +117,8 @@ def test_an_origin_that_is_no_address_is_refused(shown: Web, header: str, addres
 
 
 @pytest.mark.parametrize("address", ["http://[::1", "["])
-def test_a_server_that_only_shows_refuses_it_too(shown: Web, tmp_path: Path, compiled: Path, address: str):
-    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+def test_a_server_that_only_shows_refuses_it_too(shown: Web, tmp_path: Path, address: str):
+    viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     answer = viewing.client.post("/analyses", data={"csrf_token": shown.token}, headers={"Origin": address})
     assert answer.status_code == 403
     viewing.hive.close()

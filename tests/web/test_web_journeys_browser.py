@@ -205,13 +205,11 @@ def test_visitor_of_an_archive(journey: Journey, archive: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def accounts(
-    hive: Hive, server: str, folder: Path, tmp_path_factory: pytest.TempPathFactory, compiled: Path
-) -> Iterator[str]:
+def accounts(hive: Hive, server: str, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of a copy whose callers sign in."""
     copy = tmp_path_factory.mktemp("accounts") / "copy"
     shutil.copytree(folder, copy, symlinks=True)
-    with account_web(copy, compiled) as accounts, serving(accounts.web.hive) as address:
+    with account_web(copy) as accounts, serving(accounts.web.hive) as address:
         yield address
 
 

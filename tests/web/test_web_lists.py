@@ -31,7 +31,7 @@ pytestmark = pytest.mark.quick
 
 
 @pytest.fixture(scope="module")
-def own(filled: Path, tmp_path_factory: pytest.TempPathFactory, compiled: Path) -> Iterator[Web]:
+def own(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
     """Three good runs of one configuration, with 1, 3 and 2 cores, and one of another; a saved search."""
     folder = tmp_path_factory.mktemp("lists")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
@@ -41,7 +41,7 @@ def own(filled: Path, tmp_path_factory: pytest.TempPathFactory, compiled: Path) 
     for run_id in (*world.add_runs(hive, 1, nFeatures=2000), *world.add_runs(hive, 1)):
         world.finish_run(hive, run_id, {"cpu.mean": 2.0})
     hive.searches.save(SavedSearchRecord("good", "state = succeeded", ("id", "seed"), RunSort("seed"), False))
-    web = make_web(hive, compiled)
+    web = make_web(hive)
     yield web
     web.hive.close()
 

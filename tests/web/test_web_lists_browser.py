@@ -27,7 +27,7 @@ REFUSED = "console: Failed to load resource: the server responded with a status 
 
 
 @pytest.fixture(scope="module")
-def desk(filled: Path, tmp_path_factory: pytest.TempPathFactory, compiled: Path) -> Iterator[Web]:
+def desk(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
     """Ten runs of three configurations, and an analysis of them."""
     folder = tmp_path_factory.mktemp("lists")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
@@ -38,7 +38,7 @@ def desk(filled: Path, tmp_path_factory: pytest.TempPathFactory, compiled: Path)
         world.evaluate_run(hive, run_id)
     hive.stored_analyses.create(PARALLEL)
     hive.analysis_jobs.work_once("tests", threading.Event())
-    web = make_web(hive, compiled)
+    web = make_web(hive)
     yield web
     web.hive.close()
 

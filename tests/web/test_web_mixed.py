@@ -229,10 +229,10 @@ def test_the_button_never_leads_to_another_server_and_names_a_bad_protocol(web: 
     assert web.client.post("/runs/evaluate-together", data={**data, "csrf_token": ""}).status_code == 400
 
 
-def test_a_view_only_server_says_it_without_a_button(web: Web, compiled: Path) -> None:
+def test_a_view_only_server_says_it_without_a_button(web: Web) -> None:
     mix(web)
     web.hive.close()
-    reading = world.make_web(world.make_hive(web.hive.settings.data.parent, Mode.VIEW_ONLY), compiled)
+    reading = world.make_web(world.make_hive(web.hive.settings.data.parent, Mode.VIEW_ONLY))
     text = banner(reading, "/runs")
     assert "not comparable" in text
     assert "<form" not in text

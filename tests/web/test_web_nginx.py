@@ -58,9 +58,9 @@ def ask(connection, method: str, path: str, fields: dict[str, str] | None = None
 
 
 @pytest.fixture
-def site(filled: Path, compiled: Path, tmp_path: Path):
+def site(filled: Path, tmp_path: Path):
     shutil.copytree(filled, tmp_path, symlinks=True, dirs_exist_ok=True)
-    with account_web(tmp_path, compiled) as made:
+    with account_web(tmp_path) as made:
         yield made
 
 

@@ -73,8 +73,8 @@ def test_an_engine_that_is_away_gives_one_line(web: Web, monkeypatch: pytest.Mon
     assert "the engine sleeps; wake it" in web.client.get("/nodes").text
 
 
-def test_a_view_only_server_asks_no_engine(filled: Path, compiled: Path) -> None:
-    web = make_web(world.make_hive(filled, Mode.VIEW_ONLY), compiled)
+def test_a_view_only_server_asks_no_engine(filled: Path) -> None:
+    web = make_web(world.make_hive(filled, Mode.VIEW_ONLY))
     text = web.client.get("/nodes").text
     assert "A view-only server asks no engine" in text
     assert platform.node() not in text

@@ -75,11 +75,11 @@ def test_what_cannot_be_kept_changes_nothing(noted: Web, tags: str) -> None:
     assert "when a worker has prepared the run" in noted.client.get(f"/runs/{noted.runs['queued']}").text
 
 
-def test_a_view_only_server_shows_notes_and_changes_none(noted: Web, tmp_path: Path, compiled: Path) -> None:
+def test_a_view_only_server_shows_notes_and_changes_none(noted: Web, tmp_path: Path) -> None:
     run_id = noted.runs["done"]
     send(noted, f"/runs/{run_id}/notes", note="seen by all", tags="paper")
     noted.hive.close()
-    public = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+    public = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     page = public.client.get(f"/runs/{run_id}").text
     assert "seen by all" in page
     assert ">paper</a>" in page

@@ -31,12 +31,10 @@ def provider() -> Iterator[Provider]:
 
 
 @pytest.fixture(scope="module")
-def kept(
-    filled: Path, compiled: Path, tmp_path_factory: pytest.TempPathFactory, provider: Provider
-) -> Iterator[AccountWeb]:
+def kept(filled: Path, tmp_path_factory: pytest.TempPathFactory, provider: Provider) -> Iterator[AccountWeb]:
     folder = tmp_path_factory.mktemp("oidc")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
-    with account_web(folder, compiled) as made:
+    with account_web(folder) as made:
         use(made, provider)
         yield made
 

@@ -20,10 +20,10 @@ pytestmark = pytest.mark.quick
 
 
 @pytest.fixture
-def public(tmp_path: Path, compiled: Path) -> Iterator[Web]:
+def public(tmp_path: Path) -> Iterator[Web]:
     hive = world.make_hive(tmp_path, empty=True)
     (tmp_path / "project" / "datasets").symlink_to(project_root() / "datasets")
-    web = make_web(hive, compiled)
+    web = make_web(hive)
     yield web
     web.hive.close()
 

@@ -236,11 +236,11 @@ def test_a_dataset_shows_its_ground_truth(shown: Web):
     assert shown.client.get("/datasets/room/map.bin").status_code == 404
 
 
-def test_an_archive_shows_everything_and_writes_nothing(filled: Path, tmp_path: Path, compiled: Path):
+def test_an_archive_shows_everything_and_writes_nothing(filled: Path, tmp_path: Path):
     import shutil  # noqa: PLC0415
 
     shutil.copytree(filled, tmp_path, symlinks=True, dirs_exist_ok=True)
-    web = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY), compiled)
+    web = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     write_pcd(web.hive.runs.folder(DONE).map, np.eye(3))
     before = sorted(path for path in (tmp_path / "data" / "runs").rglob("*"))
     content = scene(web, f"/runs/{DONE}/scene.json")

@@ -49,10 +49,10 @@ def every_change(web: Web) -> list[tuple[str, str]]:
 
 
 @pytest.fixture
-def viewing(web: Web, tmp_path: Path, compiled: Path) -> Web:
+def viewing(web: Web, tmp_path: Path) -> Web:
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
     hive.settings = hive.settings.with_values({"no_new_analysis": True})
-    return make_web(hive, compiled)
+    return make_web(hive)
 
 
 def test_view_only_refuses_every_change_in_the_whole_map(web: Web, viewing: Web):

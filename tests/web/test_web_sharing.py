@@ -20,8 +20,8 @@ pytestmark = pytest.mark.integration
 
 
 @pytest.fixture
-def shared(filled: Path, compiled: Path, tmp_path: Path) -> Iterator[Shared]:
-    with shared_web(filled, tmp_path, compiled) as made:
+def shared(filled: Path, tmp_path: Path) -> Iterator[Shared]:
+    with shared_web(filled, tmp_path) as made:
         yield made
 
 
@@ -146,10 +146,10 @@ def test_an_experiment_is_private_from_its_start(shared: Shared) -> None:
         assert other.get(f"/experiments/{name}").status_code == 404
 
 
-def test_without_accounts_nothing_is_offered(shared: Shared, compiled: Path) -> None:
+def test_without_accounts_nothing_is_offered(shared: Shared) -> None:
     hive = shared.hive
     hive.settings = hive.settings.with_values({"auth": Auth.NONE})
-    client = make_web(hive, compiled).client
+    client = make_web(hive).client
     page = client.get(f"/runs/{NUMBER}")
     assert page.status_code == 200
     assert "/runs/share" not in page.text

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.integration
 
 
 @pytest.fixture
-def track(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiled: Path, sqlite_template: Path):
+def track(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_template: Path):
     """An installation whose dataset has a recording that can be treated."""
     root = make_project(tmp_path / "project")
     for name in ("templates", "static"):
@@ -37,7 +37,7 @@ def track(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiled: Path, sqlit
         monkeypatch.setenv(key, value)
     monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
     hive = open_hive()
-    yield make_web(hive, compiled)
+    yield make_web(hive)
     hive.close()
 
 

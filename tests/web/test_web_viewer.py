@@ -36,11 +36,11 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 
 
 @pytest.fixture(scope="module")
-def mapped(filled: Path, tmp_path_factory: pytest.TempPathFactory, compiled: Path) -> Iterator[Web]:
+def mapped(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
     """A view-only archive whose finished run has a live trajectory and a map with intensities."""
     folder = tmp_path_factory.mktemp("mapped")
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
-    web = make_web(world.make_hive(folder, Mode.VIEW_ONLY), compiled)
+    web = make_web(world.make_hive(folder, Mode.VIEW_ONLY))
     run = web.hive.runs.folder(DONE)
     np.savetxt(run.trajectory_of(TrajectoryKind.LIVE), world.loop_path(noise_m=0.1))
     rng = np.random.default_rng(2)

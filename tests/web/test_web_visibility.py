@@ -132,18 +132,18 @@ def fill(hive: Hive) -> None:
 
 
 @contextmanager
-def shared_web(filled: Path, folder: Path, compiled: Path) -> Iterator[Shared]:
+def shared_web(filled: Path, folder: Path) -> Iterator[Shared]:
     """The filled installation with accounts and private things."""
     shutil.copytree(filled, folder, symlinks=True, dirs_exist_ok=True)
-    with account_web(folder, compiled) as made:
+    with account_web(folder) as made:
         made.web.hive.accounts.add("ben", Role.MEMBER, PASSWORD)
         fill(made.web.hive)
         yield Shared(made)
 
 
 @pytest.fixture(scope="module")
-def shared(filled: Path, compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shared]:
-    with shared_web(filled, tmp_path_factory.mktemp("shared"), compiled) as made:
+def shared(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shared]:
+    with shared_web(filled, tmp_path_factory.mktemp("shared")) as made:
         yield made
 
 
@@ -269,12 +269,12 @@ def test_live_updates_count_what_the_reader_sees(shared: Shared) -> None:
     assert counts["max"] == counts["ben"] + 1
 
 
-def test_a_view_only_server_shows_what_is_public(filled: Path, compiled: Path, tmp_path: Path) -> None:
-    with shared_web(filled, tmp_path, compiled) as shared:
+def test_a_view_only_server_shows_what_is_public(filled: Path, tmp_path: Path) -> None:
+    with shared_web(filled, tmp_path) as shared:
         hive = shared.hive
         hive.sharings.runs([1], SharingChange(Visibility.PUBLIC))
         hive.settings = hive.settings.with_values({"mode": Mode.VIEW_ONLY, "auth": Auth.AUTO})
-        web = world.make_web(hive, compiled)
+        web = world.make_web(hive)
         listed = web.client.get("/api/v1/runs").get_json()
         assert [run["id"] for run in listed["runs"]] == [1]
         assert web.client.get("/runs/2").status_code == 404
@@ -283,11 +283,11 @@ def test_a_view_only_server_shows_what_is_public(filled: Path, compiled: Path, t
             assert [secret for secret in SECRETS if secret in answer] == [], address
 
 
-def test_view_only_without_accounts_hides_what_is_private(filled: Path, compiled: Path, tmp_path: Path) -> None:
+def test_view_only_without_accounts_hides_what_is_private(filled: Path, tmp_path: Path) -> None:
     shutil.copytree(filled, tmp_path, symlinks=True, dirs_exist_ok=True)
     hive = world.make_hive(tmp_path, Mode.VIEW_ONLY)
     hive.store.write(lambda t: t.sharing.share_runs({1: Sharing(None, Visibility.PRIVATE)}))
-    web = world.make_web(hive, compiled)
+    web = world.make_web(hive)
     listed = [run["id"] for run in web.client.get("/api/v1/runs").get_json()["runs"]]
     assert len(listed) == len(world.RUNS) - 1
     assert 1 not in listed

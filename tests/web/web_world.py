@@ -6,22 +6,18 @@ import csv
 import shutil
 import uuid
 from base64 import b64encode
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 from flask import Flask
 from flask.testing import FlaskClient
-from jinja2 import FileSystemBytecodeCache
 from sqlalchemy import update
-from werkzeug.routing import Rule
 
 from slamhive.base.project import project_root
 from slamhive.base.settings import Mode, Settings
@@ -279,40 +275,8 @@ EMPTY_STYLE = f"style-src-attr 'unsafe-hashes' 'sha256-{b64encode(sha256(b'').di
 """What each policy allows besides: an attribute with no style in it."""
 
 
-class TemplatesCompiledOnce(FileSystemBytecodeCache):
-    """Finds a template by its name, wherever the installation lies; the checksum of its source must still agree."""
-
-    def get_cache_key(self, name: str, filename: str | None = None) -> str:
-        """The key of a template."""
-        return super().get_cache_key(name)
-
-
-@contextmanager
-def urls_compiled_once() -> Iterator[None]:
-    """Meanwhile, the code that builds the address of a rule is compiled for one application and used by all.
-
-    Werkzeug compiles it for each application anew, which took nine tenths of the time to make one.
-    """
-
-    def compile_once(rule: Rule, append_unknown: bool = True) -> Callable[..., tuple[str, str]]:
-        kinds = tuple((name, type(converter)) for name, converter in rule._converters.items())
-        key = (rule.rule, append_unknown, repr(rule.defaults), tuple(rule._trace), kinds)
-        if key not in _url_builders:
-            _url_builders[key] = compile_builder(rule, append_unknown)
-        return _url_builders[key]
-
-    compile_builder = Rule._compile_builder
-    with mock.patch.object(Rule, "_compile_builder", compile_once):
-        yield
-
-
-_url_builders: dict[tuple[object, ...], Callable[..., tuple[str, str]]] = {}
-
-
-def make_web(hive: Hive, compiled: Path) -> Web:
-    """The application on ``hive``, which :func:`fill` may have filled; templates are compiled into a folder once."""
-    with urls_compiled_once():
-        app = create_app(hive)
-    app.jinja_env.bytecode_cache = TemplatesCompiledOnce(str(compiled))
+def make_web(hive: Hive) -> Web:
+    """The application on ``hive``, which :func:`fill` may have filled."""
+    app = create_app(hive)
     runs = RUNS if sum(hive.runs.counts().values()) else {}
     return Web(hive, app, app.test_client(), runs)

@@ -207,6 +207,8 @@ _PAINTERS = {
 
 
 NEAR_M = 0.02
+_ROUNDING_M = 1e-3
+"""Faces that are this near to being seen are looked at exactly."""
 _LENS_BLUR_PX = 0.5
 _SHARPNESS_LEVELS = 0.2
 """Levels added to the mip level: a little blur instead of shimmer on slanted surfaces."""
@@ -257,13 +259,16 @@ class Renderer:
         self._faces = room_faces()
         self._seed = seed
         self._textures: dict[int, Texture] = {}
+        self._normals = np.array([face.normal for face in self._faces])
+        self._outlines_m = np.array([face.corners_m for face in self._faces])
 
     def view(self, T_world_camera: Array, camera: Camera) -> View:
         """Render the view of ``camera`` at ``T_world_camera`` (4, 4; optical frame: x right, y down, z forward)."""
         nearness = np.zeros((camera.height, camera.width), dtype=np.float32)
         owner = np.full((camera.height, camera.width), -1, dtype=np.int16)
         projected: dict[int, _Projected] = {}
-        for index, face in enumerate(self._faces):
+        for index in self.perhaps_seen(T_world_camera, camera):
+            face = self._faces[index]
             place = _project(face, T_world_camera, camera)
             if place is not None:
                 projected[index] = place
@@ -278,6 +283,17 @@ class Renderer:
         grey = cv2.GaussianBlur(grey, (3, 3), _LENS_BLUR_PX)
         depth = np.divide(np.float32(1.0), nearness, out=np.zeros_like(nearness), where=nearness > 0)
         return View(grey, depth)
+
+    def perhaps_seen(self, T_world_camera: Array, camera: Camera) -> list[int]:
+        """Numbers of the faces that may be in the picture. Most are seen from behind, or lie beside it."""
+        offsets_m = self._outlines_m - T_world_camera[:3, 3]
+        facing = np.einsum("ij,ij->i", offsets_m[:, 0], self._normals) < _ROUNDING_M
+        x, y, z = np.moveaxis(offsets_m @ T_world_camera[:3, :3], 2, 0)
+        left, right = -(camera.cx + 1) / camera.fx, (camera.width - camera.cx + 1) / camera.fx
+        top, bottom = -(camera.cy + 1) / camera.fy, (camera.height - camera.cy + 1) / camera.fy
+        inward = (z - NEAR_M, x - left * z, right * z - x, y - top * z, bottom * z - y)
+        before = [np.any(distance > -_ROUNDING_M, axis=1) for distance in inward]
+        return [int(index) for index in np.flatnonzero(facing & np.logical_and.reduce(before))]
 
 
 def _project(face: Face, T_world_camera: Array, camera: Camera) -> _Projected | None:
