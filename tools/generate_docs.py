@@ -111,6 +111,14 @@ first 51 frames of KITTI odometry 06. `slamhive algorithm test NAME` runs an alg
 | algorithm | sensors | package | licence | bounds |
 |---|---|---|---|---|
 """
+ALGORITHMS_LEFT_OUT = (
+    "\n## Looked at and left out {#left-out}\n\n| package on PyPI | what was found |\n|---|---|\n"
+    "| `super-lio` 2.0.2 to 2.0.5 | its module `_super_lio_core` ends the process with SIGSEGV on import, with Python "
+    "3.11 on Debian 12 |\n"
+    "| `dim-odom` 0.4.2 | cuVSLAM and a Kalman filter. It tracks stereo images without a GPU (5.0 mm between made-up "
+    "images came out as 5.1 mm on average), but the licence of cuVSLAM, which its own does not name, allows NVIDIA's "
+    "hardware only: use [cuVSLAM](#cuvslam) there |\n"
+)
 METRICS_TABLE = "| key | name | unit | better | what it is | after |\n|---|---|---|---|---|---|\n"
 
 CLI_HEAD = """# Command line
@@ -185,7 +193,7 @@ def algorithms_page() -> str:
     packages = [load_algorithms(path.parent) for path in files]
     overview = "".join(_algorithm_row(entry) for algorithms in packages for entry in algorithms)
     sections = (_about(algorithms[0].package) for algorithms in packages)
-    return NOTE + ALGORITHMS_HEAD + overview + "".join(sections)
+    return NOTE + ALGORITHMS_HEAD + overview + "".join(sections) + ALGORITHMS_LEFT_OUT
 
 
 def _algorithm_row(entry: Algorithm) -> str:

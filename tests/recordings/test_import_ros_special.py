@@ -169,7 +169,8 @@ def test_the_parts_of_newer_college_become_one_bag(tmp_path):
     assert received == [START_NS + number * PERIOD_NS for number in range(3 * SWEEPS)]
     truth = read_tum(dataset.folder / "groundtruth.txt")
     assert truth.stamps_s[-1] == pytest.approx(1001.1)
-    assert truth.positions_m[-1].tolist() == [11, 0, 0]
+    # The body is the LiDAR, the only sensor, and the ground truth has the poses of the frame base.
+    assert truth.positions_m[-1] == pytest.approx([11 - 0.084, -0.025, 0.050])
 
 
 def test_newer_college_names_a_bad_line(tmp_path):

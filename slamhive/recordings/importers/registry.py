@@ -95,9 +95,12 @@ IMPORTERS.register("video", VideoImporter())
 _MADE_UP = "tried with made-up recordings of the same files and names, never with a published one"
 _LOADER = "read the same as by KISS-ICP's loader, never tried with a published recording"
 EXPERIMENTAL: Mapping[str, str] = {
-    **dict.fromkeys(("tum-vi", "newer-college", "hilti-2022", "eth3d", "replica", "openloris", "vslam-lab"), _MADE_UP),
+    **dict.fromkeys(("replica", "openloris", "vslam-lab"), _MADE_UP),
+    **dict.fromkeys(("tum-vi", "eth3d"), "ground truth as evo reads it, never tried with a published recording"),
     "rawseeds": _MADE_UP,
     **dict.fromkeys(("nclt", "mulran", "kitti-raw"), _LOADER),
+    "newer-college": "poses of the LiDAR as by KISS-ICP's loader, never tried with a published recording",
+    "hilti-2022": "ground truth as by evalio's loader, never tried with a published recording",
     "evalio": "tried with sequences of its own registry, never with a published one",
     "kitti-360": "transforms as in kitti360scripts, never tried with a published recording",
     "nuscenes": "poses and points as in nuscenes-devkit, never tried with a published recording",

@@ -1,4 +1,9 @@
-"""Importer of the Newer College dataset (Ramezani et al., "The Newer College dataset", IROS 2020)."""
+"""Importers of benchmarks that are ROS 1 bags with files of their own: Newer College, Hilti 2022 and TUM-VI.
+
+Newer College: Ramezani et al., "The Newer College dataset", IROS 2020; Zhang et al., "Multi-camera LiDAR inertial
+extension to the Newer College dataset", 2021. Its ground truth has the poses of the frame ``base``, which is neither
+that of the LiDAR nor that of an IMU.
+"""
 
 from __future__ import annotations
 
@@ -6,34 +11,46 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from slamhive.base.errors import InvalidInput
 from slamhive.base.files import visible_files
+from slamhive.domain.sensors import SensorKind
+from slamhive.recordings.geometry import rotation_xyz, transform
 from slamhive.recordings.importers.ros import OPTIONS, Ros1Importer, plan_recording
 from slamhive.recordings.importers.truth import FoundTruth
-from slamhive.recordings.importing import DatasetText, Detection, ImportOptions, ImportPlan
+from slamhive.recordings.importing import DatasetText, Detection, ImportOptions, ImportPlan, of_body
 from slamhive.trajectory.model import find_problem
 from slamhive.trajectory.table import parse_table, read_bounded
 
-_TRUTH = "registered_poses.csv"
-_LAYOUT = "sec, nsec, x, y, z, qx, qy, qz, qw"
+_TRUTHS = ("registered_poses.csv", "gt-nc-*.csv", "gt_state_*.csv")
+"""Of 2020, and of 2021 as its two groups of sequences have it."""
+_COLUMNS = {9: "sec, nsec, x, y, z, qx, qy, qz, qw", 8: "sec x y z qx qy qz qw"}
+"""Layouts of the ground truth; that of parkland_mound has the second."""
+T_BASE_LIDAR = {
+    2020: transform(rotation_xyz(0.0, 0.0, np.radians(135)), [-0.084, -0.025, 0.050]),
+    2021: transform(np.eye(3), [0.001, 0.0, 0.091]),
+}
+"""The pose of the LiDAR in the frame of the ground truth by year: ``tf_echo base os_lidar`` of the published model."""
 
 
 class NewerCollegeImporter:
-    """The bags of one experiment, recorded in parts, and ``registered_poses.csv``.
+    """The bags of one experiment, recorded in parts, and its ground truth, which becomes that of the body.
 
     Several parts become one bag. Cameras need ``--calibration``, or are left out with ``--topic cam0=none``.
     """
 
-    title = "Newer College: a folder with one or several .bag files and registered_poses.csv"
+    title = "Newer College: a folder of .bag files with registered_poses.csv, gt-nc-*.csv or gt_state_*.csv"
     options = OPTIONS
     refines: frozenset[str] = frozenset()
 
     def detect(self, path: Path) -> Detection:
         """By the file of the ground truth and bags beside it."""
-        if not (path / _TRUTH).is_file():
+        truths = _own_truths(path)
+        if not truths:
             return Detection((), ())
         bags = _bags(path)
-        return Detection((_TRUTH, *(bag.name for bag in bags[:1])), () if bags else ("a .bag file",))
+        return Detection((truths[0].name, *(bag.name for bag in bags[:1])), () if bags else ("a .bag file",))
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
         """Sensors of the bags; poses of the file unless users name another ground truth."""
@@ -46,15 +63,38 @@ class NewerCollegeImporter:
             attributes=("real", "outdoor", "handheld"),
         )
         own = options.groundtruth is None and options.groundtruth_topic is None
-        truth = read_registered_poses(source / _TRUTH) if own else None
-        return plan_recording(_bags(source), options, text, truth=truth)
+        truths = _own_truths(source)
+        if own and len(truths) != 1:
+            found = ", ".join(path.name for path in truths) or "none"
+            raise InvalidInput(f"{source} has {len(truths)} files of ground truth: {found}", "name one: --groundtruth")
+        plan = plan_recording(_bags(source), options, text, truth=read_registered_poses(truths[0]) if own else None)
+        if not own or plan.truth is None:
+            return plan
+        lidar = next((sensor for sensor in plan.sensors if sensor.kind is SensorKind.LIDAR), None)
+        if lidar is None:
+            note = "the ground truth has the poses of the frame base; without the LiDAR, nothing says where the body is"
+            return replace(plan, notes=(*plan.notes, note))
+        T_body_lidar = np.reshape(lidar.T_body_sensor, (4, 4))
+        T_base_lidar = T_BASE_LIDAR[2020 if truths[0].name == _TRUTHS[0] else 2021]
+        note = "the poses of the ground truth, of the frame base, become those of the body by the published extrinsics"
+        truth = of_body(plan.truth, T_base_lidar @ np.linalg.inv(T_body_lidar))
+        return replace(plan, truth=truth, notes=(*plan.notes, note))
+
+
+def _own_truths(folder: Path) -> list[Path]:
+    """The ground truth in the folder, or in ``ground_truth`` below it."""
+    places = (folder, folder / "ground_truth")
+    return [path for place in places for pattern in _TRUTHS for path in visible_files(place, pattern)]
 
 
 def read_registered_poses(path: Path) -> FoundTruth:
-    """Poses by registering LiDAR scans to a surveyed map, times in s and ns; raises InvalidInput."""
-    table = parse_table(read_bounded(path), str(path), 9, _LAYOUT)
-    times_s = table.values[:, 0] + table.values[:, 1] * 1e-9
-    positions_m, quats_xyzw = table.values[:, 2:5], table.values[:, 5:9]
+    """Poses of the frame ``base`` by registering LiDAR scans to a surveyed map; raises InvalidInput."""
+    data = read_bounded(path)
+    rows = (line.replace(b",", b" ").split() for line in data.splitlines() if line[:1].strip() not in {b"", b"#"})
+    columns = 8 if len(next(rows, [])) == 8 else 9
+    table = parse_table(data, str(path), columns, _COLUMNS[columns])
+    times_s = table.values[:, 0] + (table.values[:, 1] * 1e-9 if columns == 9 else 0.0)
+    positions_m, quats_xyzw = table.values[:, -7:-4], table.values[:, -4:]
     problem = find_problem(times_s, positions_m, quats_xyzw)
     if problem is not None:
         raise table.error(problem.index, problem.found, problem.remedy)
@@ -111,7 +151,9 @@ class Hilti2022Importer:
 
 
 def _truths(source: Path) -> list[Path]:
-    names = (f"{source.stem}_imu.txt", f"{source.stem}.txt")
+    # Those of the construction site are called exp_04_... beside exp04_....
+    stems = (source.stem, source.stem.replace("exp", "exp_", 1))
+    names = [f"{stem}{ending}.txt" for ending in ("_imu", "") for stem in stems]
     return [folder / name for folder in (source.parent, source.parent / "groundtruth") for name in names]
 
 
