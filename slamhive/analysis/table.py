@@ -86,6 +86,9 @@ FACTS = (
 LIMITS = ("cpu_cores", "memory_mb", "slow_down")
 """The columns of limits, which runs of one configuration need not share."""
 
+UNDER_LIMITS = "under_limits"
+"""The column of :meth:`RunTable.with_limits`."""
+
 NOT_STATED = "not stated"
 """The group of runs without a value."""
 
@@ -252,14 +255,34 @@ class RunTable:
     def limit_words(self) -> str:
         """A sentence on runs of one algorithm under several limits; empty if the limits are the same."""
         mixed = []
-        for key in LIMITS:
-            of_algorithms = self.frame.groupby("algorithm", sort=False)[key]
-            if (of_algorithms.nunique(dropna=False) > 1).any():
-                values = sorted(self.frame[key].unique(), key=lambda value: (pd.isna(value), value))
-                texts = ["none stated" if pd.isna(value) else f"{value:g}" for value in values]
-                column = self.columns[key]
-                mixed.append(f"{column.label} {', '.join(texts)} {column.unit}")
+        for key in self.varied_limits:
+            values = sorted(self.frame[key].unique(), key=lambda value: (pd.isna(value), value))
+            texts = ["none stated" if pd.isna(value) else f"{value:g}" for value in values]
+            column = self.columns[key]
+            mixed.append(f"{column.label} {', '.join(texts)} {column.unit}")
         return f"Several limits together: {'; '.join(mixed)}." if mixed else ""
+
+    @property
+    def varied_limits(self) -> list[str]:
+        """The columns of limits that vary within an algorithm."""
+        grouped = self.frame.groupby("algorithm", sort=False)
+        return [key for key in LIMITS if (grouped[key].nunique(dropna=False) > 1).any()]
+
+    def with_limits(self) -> pd.DataFrame:
+        """The runs with another column, :data:`UNDER_LIMITS`: the limits that vary, in words; empty if none does.
+
+        Runs of one configuration under different limits are told apart by it.
+        """
+        columns = [self.columns[key] for key in self.varied_limits]
+        known = self.frame[[column.key for column in columns]].itertuples(index=False, name=None)
+        words = [
+            ", ".join(
+                f"{column.label} {'none stated' if pd.isna(value) else f'{value:g} {column.unit}'}"
+                for column, value in zip(columns, values, strict=True)
+            )
+            for values in known
+        ]
+        return self.frame.assign(**{UNDER_LIMITS: words or [""] * len(self.frame)})
 
     @property
     def rule_words(self) -> str:

@@ -7,7 +7,7 @@ import pytest
 
 from slamhive.analysis.analysis_file import parse_analysis
 from slamhive.analysis.chart import Line
-from slamhive.analysis.plot_types.budget import KneeRule, find_knee
+from slamhive.analysis.plot_types.budget import BudgetOptions, find_knee
 from slamhive.analysis.report import PlotResult
 from slamhive.analysis.table import make_table
 from slamhive.base.errors import InvalidInput
@@ -25,38 +25,38 @@ def scores(*means, runs=8, noise=0.02, failed=(0, 0, 0, 0)):
 
 
 def test_the_knee_is_the_smallest_budget_near_the_best():
-    knee = find_knee(CORES, scores(0.3, 0.105, 0.1, 0.1), KneeRule(margin=0.1))
+    knee = find_knee(CORES, scores(0.3, 0.105, 0.1, 0.1), BudgetOptions(margin=0.1))
     assert knee.value == 0.5
     assert knee.certainty is not None
     assert knee.certainty > 0.95
-    strict = find_knee(CORES, scores(0.3, 0.15, 0.1, 0.1), KneeRule(margin=0.1))
+    strict = find_knee(CORES, scores(0.3, 0.15, 0.1, 0.1), BudgetOptions(margin=0.1))
     assert strict.value == 1.0
 
 
 def test_a_budget_whose_runs_fail_more_often_is_not_enough():
     means = (0.1, 0.1, 0.1, 0.1)
-    knee = find_knee(CORES, scores(*means, failed=(6, 2, 0, 0)), KneeRule(margin=0.1))
+    knee = find_knee(CORES, scores(*means, failed=(6, 2, 0, 0)), BudgetOptions(margin=0.1))
     assert knee.value == 1.0
-    loose = find_knee(CORES, scores(*means, failed=(6, 2, 0, 0)), KneeRule(margin=0.1, failing=0.3))
+    loose = find_knee(CORES, scores(*means, failed=(6, 2, 0, 0)), BudgetOptions(margin=0.1, failing=0.3))
     assert loose.value == 0.5
     # A budget of which nothing is left is no candidate, whatever its share may be.
-    gone = find_knee(CORES, scores(*means, failed=(8, 8, 8, 8)), KneeRule(failing=1.0))
+    gone = find_knee(CORES, scores(*means, failed=(8, 8, 8, 8)), BudgetOptions(failing=1.0))
     assert gone.value is None
 
 
 def test_noise_makes_the_knee_uncertain_and_single_runs_leave_it_unknown():
-    unsure = find_knee(CORES, scores(0.3, 0.11, 0.1, 0.1, runs=4, noise=0.15), KneeRule(margin=0.1))
+    unsure = find_knee(CORES, scores(0.3, 0.11, 0.1, 0.1, runs=4, noise=0.15), BudgetOptions(margin=0.1))
     assert unsure.interval is not None
     assert unsure.certainty is not None
     assert unsure.interval.low < unsure.interval.high
     assert unsure.certainty < 0.95
-    alone = find_knee(CORES, scores(0.3, 0.11, 0.1, 0.1, runs=1, noise=0.0), KneeRule(margin=0.2))
+    alone = find_knee(CORES, scores(0.3, 0.11, 0.1, 0.1, runs=1, noise=0.0), BudgetOptions(margin=0.2))
     assert (alone.value, alone.interval, alone.certainty) == (0.5, None, None)
 
 
 def test_the_interval_holds_the_true_knee():
     """Five runs are few for a bootstrap, so 90 % are asked for."""
-    rule, held = KneeRule(margin=0.25), 0
+    rule, held = BudgetOptions(margin=0.25), 0
     for seed in range(200):
         draws = np.random.default_rng(seed)
         values = [mean * (1 + 0.1 * draws.standard_normal(5)) for mean in (0.4, 0.13, 0.115, 0.1)]

@@ -105,3 +105,36 @@ def test_an_algorithm_that_always_fails_stays_in_the_table_of_the_best() -> None
     frame = failing.frame.assign(failed=[{LUCKY: "timeout"}.get(name) for name in failing.frame["algorithm"]])
     best = best_configurations(failing.with_rows(frame), "ate.rmse")
     assert set(best) == {(name, data) for name in (LUCKY, SOLID) for data in DATASETS}
+
+
+def test_one_configuration_under_two_limits_is_two_on_a_front_and_among_the_best() -> None:
+    cores = [0.5, 0.5, 1.0, 1.0, None, None]
+    limited = make_table(
+        {
+            "run_id": [1, 2, 3, 4, 5, 6],
+            "configuration_id": [1] * 6,
+            "algorithm": [SOLID] * 6,
+            "dataset": ["a"] * 6,
+            "state": ["succeeded"] * 6,
+            "reason": [None] * 6,
+            "protocol": ["aaaaaaaaaaaa"] * 6,
+            "protocol_label": ["SE(3)"] * 6,
+            "cpu_cores": cores,
+        },
+        {},
+        {"ate.rmse": [0.4, 0.2, 0.1, 0.1, 0.2, 0.2], "cpu.mean": [0.5, 0.5, 0.9, 0.9, 1.5, 1.5]},
+    )
+    means = configuration_means(limited, ["cpu.mean", "ate.rmse"])
+    half, one, free = "CPU limit 0.5 cores", "CPU limit 1 cores", "CPU limit none stated"
+    assert dict(zip(means["under_limits"], means["ate.rmse"], strict=True)) == pytest.approx(
+        {half: 0.3, one: 0.1, free: 0.2}
+    )
+    assert best_configurations(limited, "ate.rmse") == {(SOLID, "a"): (1, one)}
+    data = PlotData(limited, pd.DataFrame(), NoFiles())
+    kind = PLOT_TYPES.get("by_algorithm")
+    result = kind.build(data, kind.options(of="best"))
+    (best,) = next(entry for entry in result.tables if entry.key == "best").rows
+    assert "cpu_cores 1" in best
+    assert "over 2 runs" in result.charts[0].caption
+    front = PLOT_TYPES.get("pareto").build(data, PLOT_TYPES.get("pareto").options()).tables[0]
+    assert [row[3] for row in front.rows] == [half, one]

@@ -49,15 +49,6 @@ class BudgetOptions(base.PlotOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class KneeRule:
-    """The budget that is enough; see :class:`BudgetOptions`. ``at_most`` is for scores where less is better."""
-
-    margin: float = 0.1
-    at_most: float | None = None
-    failing: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
 class Knee:
     """The smallest budget that is enough, None if none is.
 
@@ -70,7 +61,7 @@ class Knee:
     certainty: float | None
 
 
-def find_knee(budgets: Sequence[float], scores: Sequence[Numbers], rule: KneeRule) -> Knee:
+def find_knee(budgets: Sequence[float], scores: Sequence[Numbers], rule: BudgetOptions) -> Knee:
     """Find the smallest budget that is enough: its mean is near the best, and its runs fail no more often.
 
     The best is the smallest mean among the budgets with the smallest share of failures. The uncertainty is that of a
@@ -79,7 +70,7 @@ def find_knee(budgets: Sequence[float], scores: Sequence[Numbers], rule: KneeRul
     Args:
         budgets: In ascending order.
         scores: (n,) of the runs of each budget, less is better; infinite for a failed run.
-        rule: What is enough.
+        rule: What is enough; its ``at_most`` is a score here.
     """
     place = _enough([values[np.newaxis, :] for values in scores], rule)[0]
     found = float(budgets[place]) if place < len(budgets) else None
@@ -94,7 +85,7 @@ def find_knee(budgets: Sequence[float], scores: Sequence[Numbers], rule: KneeRul
     return Knee(found, Interval(low, high), float(np.mean(places == place)))
 
 
-def _enough(scores: Sequence[Numbers], rule: KneeRule) -> Numbers:
+def _enough(scores: Sequence[Numbers], rule: BudgetOptions) -> Numbers:
     """The place of the smallest budget that is enough in each row, (rows,); the number of budgets if none is."""
     good = [np.isfinite(values) for values in scores]
     counts = np.array([entry.sum(axis=1) for entry in good], dtype=float)
@@ -201,10 +192,11 @@ def _scores(rows: pd.DataFrame, metric: str, sign: float) -> Numbers:
     return values[~np.isnan(values)]
 
 
-def _rule(table: RunTable, options: BudgetOptions) -> tuple[KneeRule, float]:
+def _rule(table: RunTable, options: BudgetOptions) -> tuple[BudgetOptions, float]:
+    """The options with ``at_most`` as a score, and the sign that makes scores of values."""
     sign = -1.0 if table.column(options.metric).direction is Direction.HIGHER else 1.0
     bound = None if options.at_most is None else sign * options.at_most
-    return KneeRule(options.margin, bound, options.failing), sign
+    return options.model_copy(update={"at_most": bound}), sign
 
 
 def _needed(table: RunTable, column: Column, columns: Sequence[Column], options: BudgetOptions) -> Iterator[_Needed]:

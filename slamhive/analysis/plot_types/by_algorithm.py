@@ -15,7 +15,7 @@ from slamhive.analysis.plot_types import base
 from slamhive.analysis.plot_types.looks import failed_marks, settings_words
 from slamhive.analysis.report import Cell, PlotResult, ResultTable, TableColumn
 from slamhive.analysis.statistics import Summary, summarise
-from slamhive.analysis.table import FAILED, RunTable
+from slamhive.analysis.table import FAILED, UNDER_LIMITS, RunTable
 from slamhive.domain.metrics import Direction
 
 _COSTS = ("cpu.mean", "ram.max")
@@ -51,7 +51,7 @@ class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
         column = everything.numeric(options.metric, "a mean")
         protocol = everything.one_protocol([options.metric])
         chosen = best_configurations(everything, options.metric)
-        table = everything if options.of == "average" else everything.with_rows(_only(everything.frame, chosen))
+        table = everything if options.of == "average" else everything.with_rows(_only(everything, chosen))
         by = options.by
         x = Axis(everything.column(by).label, everything.column(by).unit, categories=everything.groups(by))
         shown = len(table.good().dropna(subset=[options.metric]))
@@ -113,32 +113,31 @@ class ByAlgorithm(base.PlotType[ByAlgorithmOptions]):
         return replace(result, notes=tuple(notes))
 
 
-def best_configurations(table: RunTable, metric: str) -> dict[tuple[str, str], int]:
-    """{(algorithm, dataset): configuration} with the fewest failures; among equals, with the best mean.
+def best_configurations(table: RunTable, metric: str) -> dict[tuple[str, str], tuple[int, str]]:
+    """{(algorithm, dataset): configuration and its limits in words} with the fewest failures.
 
+    Among equals, the one with the best mean. A configuration under other limits of CPU or memory is another one.
     A configuration that fails more often is never better, however good its other runs are. If all runs of all
     configurations failed, the first configuration is named.
     """
     sign = -1.0 if table.column(metric).direction is Direction.HIGHER else 1.0
-    best: dict[tuple[str, str], int] = {}
+    best: dict[tuple[str, str], tuple[int, str]] = {}
     scores: dict[tuple[str, str], tuple[float, float]] = {}
-    grouped = table.frame.groupby(["algorithm", "dataset", "configuration_id"], sort=True)
-    for (algorithm, dataset, configuration), rows in grouped:
+    grouped = table.with_limits().groupby(["algorithm", "dataset", "configuration_id", UNDER_LIMITS], sort=True)
+    for (algorithm, dataset, configuration, limits), rows in grouped:
         values = base.good_values(rows, metric)
         mean = sign * float(values.mean()) if len(values) else np.inf
         score = (float(rows[FAILED].notna().mean()), mean)
         key = (str(algorithm), str(dataset))
         if key not in scores or score < scores[key]:
-            scores[key], best[key] = score, int(configuration)
+            scores[key], best[key] = score, (int(configuration), str(limits))
     return best
 
 
-def _only(frame: pd.DataFrame, chosen: dict[tuple[str, str], int]) -> pd.DataFrame:
-    kept = [
-        chosen.get((row.algorithm, row.dataset)) == row.configuration_id
-        for row in frame[["algorithm", "dataset", "configuration_id"]].itertuples(index=False)
-    ]
-    return frame[kept]
+def _only(table: RunTable, chosen: dict[tuple[str, str], tuple[int, str]]) -> pd.DataFrame:
+    columns = ["algorithm", "dataset", "configuration_id", UNDER_LIMITS]
+    rows = table.with_limits()[columns].itertuples(index=False, name=None)
+    return table.frame[[chosen.get((algorithm, dataset)) == tuple(own) for algorithm, dataset, *own in rows]]
 
 
 def _means(table: RunTable, metric: str, x: Axis, by: str) -> Iterator[Bars]:
@@ -246,7 +245,7 @@ def _overall_table(table: RunTable, options: ByAlgorithmOptions, overall: Sequen
     return ResultTable("over_groups", f"Over each {table.column(options.by).label.lower()}", columns, rows, note)
 
 
-def _best_table(table: RunTable, metric: str, chosen: dict[tuple[str, str], int]) -> ResultTable:
+def _best_table(table: RunTable, metric: str, chosen: dict[tuple[str, str], tuple[int, str]]) -> ResultTable:
     column = table.column(metric)
     known_costs = [cost for cost in _COSTS if cost in table.columns]
     columns = (
@@ -261,15 +260,16 @@ def _best_table(table: RunTable, metric: str, chosen: dict[tuple[str, str], int]
         TableColumn("runs", "Runs"),
         TableColumn("failed", "Failed"),
     )
-    settings = dict(zip(table.frame["configuration_id"], settings_words(table), strict=True))
+    frame = table.with_limits().assign(settings=settings_words(table))
     rows: list[tuple[Cell, ...]] = []
-    for (algorithm, dataset), configuration in sorted(chosen.items()):
-        group = table.frame[(table.frame["configuration_id"] == configuration) & (table.frame["dataset"] == dataset)]
+    for (algorithm, dataset), (configuration, limits) in sorted(chosen.items()):
+        group = frame[(frame["configuration_id"] == configuration) & (frame["dataset"] == dataset)]
+        group = group[group[UNDER_LIMITS] == limits]
         summary = summarise(base.good_values(group, metric))
         spread = (None, None, None) if summary is None else (summary.mean, summary.median, summary.std)
         costs = [summarise(base.good_values(group, cost)) for cost in known_costs]
         means = [None if cost is None else cost.mean for cost in costs]
         counts = len(group), base.failed_count(group)
-        rows.append((algorithm, dataset, configuration, settings[configuration], *spread, *means, *counts))
+        rows.append((algorithm, dataset, configuration, group["settings"].iloc[0], *spread, *means, *counts))
     note = "The configuration with the fewest failures on the dataset; among equals, the one with the best mean."
     return ResultTable("best", "Best configurations", columns, tuple(rows), note)

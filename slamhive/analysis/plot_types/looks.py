@@ -96,9 +96,10 @@ def settings_words(table: RunTable) -> pd.Series:
     def words(row: pd.Series) -> str:
         return ", ".join(f"{key} {value_words(row[key])}" for key in varied if not pd.isna(row[key])) or "as given"
 
-    unique = table.frame[["configuration_id", *varied]].drop_duplicates("configuration_id")
-    named = dict(zip(unique["configuration_id"], unique.apply(words, axis=1), strict=True)) if len(unique) else {}
-    return table.frame["configuration_id"].map(named)
+    groups = table.frame.groupby(["configuration_id", *table.varied_limits], sort=False, dropna=False).ngroup()
+    unique = table.frame[varied].assign(group=groups).drop_duplicates("group")
+    named = dict(zip(unique["group"], unique.apply(words, axis=1), strict=True)) if len(unique) else {}
+    return groups.map(named)
 
 
 def value_words(value: object) -> str:

@@ -25,7 +25,7 @@ from slamhive.analysis.plot_types import base
 from slamhive.analysis.plot_types.coverage import CoverageScaleOptions, scaled_by_coverage
 from slamhive.analysis.plot_types.looks import disturbed_rings, failed_marks, legend, look_of, places_on
 from slamhive.analysis.report import PlotResult, ResultTable, TableColumn
-from slamhive.analysis.table import FAILED, Column, RunTable
+from slamhive.analysis.table import FAILED, UNDER_LIMITS, Column, RunTable
 from slamhive.base.errors import InvalidInput
 from slamhive.documents.model import explained
 from slamhive.domain.metrics import Direction
@@ -256,6 +256,7 @@ class Pareto(base.PlotType[ParetoOptions]):
             ordered = rows.sort_values(x.key)
             places = base.number_column(ordered, x.key), base.number_column(ordered, y.key)
             lines.append(Line(f"front on {dataset}", *places, colour=REFERENCE, dashed=True, in_legend=False))
+        points_are = "sets of configuration, limits" if table.varied_limits else "pairs of configuration"
         chart = Chart(
             key=f"pareto_{'_'.join(options.metrics)}",
             title=options.title or f"{y.label} against {x.label}",
@@ -269,7 +270,7 @@ class Pareto(base.PlotType[ParetoOptions]):
                 table,
                 int(means["good"].sum()),
                 protocol,
-                f"One point for each of {len(means)} pairs of configuration and dataset (mean over good runs). Outlined"
+                f"One point for each of {len(means)} {points_are} and dataset (mean over good runs). Outlined"
                 f"{joined}: the {int(front.sum())} that no other on the same dataset beats in {', '.join(beaten)}.",
             ),
         )
@@ -277,6 +278,7 @@ class Pareto(base.PlotType[ParetoOptions]):
             TableColumn("algorithm", "Algorithm"),
             TableColumn("dataset", "Dataset"),
             TableColumn("configuration_id", "Configuration"),
+            *([TableColumn(UNDER_LIMITS, "Limits")] if table.varied_limits else []),
             *(TableColumn(key, f"{table.column(key).label} mean", table.column(key).unit) for key in options.metrics),
             TableColumn("runs", "Runs"),
             TableColumn("failed", "Failed"),
@@ -291,12 +293,13 @@ class Pareto(base.PlotType[ParetoOptions]):
 
 
 def configuration_means(table: RunTable, metrics: list[str]) -> pd.DataFrame:
-    """One row per configuration and dataset that has all metrics: means over good runs, runs, failures."""
-    keys = ["algorithm", "dataset", "configuration_id"]
-    good = table.good().dropna(subset=metrics)
+    """One row per configuration, limits and dataset that has all metrics: means over good runs, runs, failures."""
+    keys = ["algorithm", "dataset", "configuration_id", UNDER_LIMITS]
+    frame = table.with_limits()
+    good = frame[frame[FAILED].isna()].dropna(subset=metrics)
     means = good.groupby(keys, sort=True)[metrics].mean()
     means["good"] = good.groupby(keys, sort=True).size()
-    counts = table.frame.groupby(keys, sort=True)[FAILED].agg(["size", "count"])
+    counts = frame.groupby(keys, sort=True)[FAILED].agg(["size", "count"])
     joined = means.join(counts.rename(columns={"size": "runs", "count": "failed"}))
     return joined.reset_index()
 
@@ -347,7 +350,8 @@ def _points(means: pd.DataFrame, metrics: list[str], table: RunTable) -> Iterato
             marker=table.marker(str(algorithm), str(dataset)),
             emphasis=bool(on_front),
             texts=tuple(
-                f"configuration {row.configuration_id}: {row.good} good of {row.runs} runs"
+                f"configuration {row.configuration_id}{row.under_limits and f', {row.under_limits}'}: "
+                f"{row.good} good of {row.runs} runs"
                 for row in rows.itertuples(index=False)
             ),
         )

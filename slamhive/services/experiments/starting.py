@@ -363,8 +363,10 @@ def check_question(context: ExperimentContext, experiment: Experiment, expansion
         return
     if not experiment.evaluation.enabled:
         raise InvalidInput(f"{plan.place}: {plan.metric} comes from an evaluation", "leave out evaluate: false")
-    for name in dict.fromkeys(dataset.name for _, dataset in expansion.pairs):
-        pairs = {(algorithm.name, name): 1 for algorithm, dataset in expansion.pairs if dataset.name == name}
+    by_dataset: dict[str, dict[Pair, int]] = {}
+    for algorithm, dataset in expansion.pairs:
+        by_dataset.setdefault(dataset.name, {})[algorithm.name, dataset.name] = 1
+    for name, pairs in by_dataset.items():
         mixed = planned_mixture(context, experiment, expansion, pairs)
         if mixed is not None:
             raise InvalidInput(f"{plan.place}: on {name}, {mixed.protocols.words.rstrip('.')}", mixed.way_out)
