@@ -131,7 +131,7 @@ def test_one_configuration_under_two_limits_is_two_on_a_front_and_among_the_best
     )
     assert best_configurations(limited, "ate.rmse") == {(SOLID, "a"): (1, one)}
     data = PlotData(limited, pd.DataFrame(), NoFiles())
-    kind = PLOT_TYPES.get("by_algorithm")
+    kind: Any = PLOT_TYPES.get("by_algorithm")
     result = kind.build(data, kind.options(of="best"))
     (best,) = next(entry for entry in result.tables if entry.key == "best").rows
     assert "cpu_cores 1" in best
