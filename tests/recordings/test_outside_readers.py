@@ -2,7 +2,9 @@
 
 import json
 import random
+import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel, LidarLayout
 from slamhive.recordings.importers.aria import ARIA
 from slamhive.recordings.importers.outside_lidar import OUSTER
-from slamhive.recordings.importers.outside_reader import RECORD_HEADER, rectified
+from slamhive.recordings.importers.outside_reader import POINT, RECORD_HEADER, rectified
 from slamhive.recordings.importers.registry import detect_format, plan_import
 from slamhive.recordings.importing import ImportOptions, Loss, perform
 from slamhive.runtime.messages import to_points
@@ -21,7 +23,38 @@ from tests.recordings.format_world import convert, plan, recorded, silent
 
 pytestmark = pytest.mark.integration
 START_NS = 1_700_000_000_000_000_000
-MUTATIONS = 60
+MUTATIONS = 40
+
+WRITE_PCAP = """
+import struct
+import sys
+import numpy as np
+from ouster.sdk import core, pcap
+
+folder, start_ns = sys.argv[1], int(sys.argv[2])
+info = core.SensorInfo.from_default(core.LidarMode._512x10)
+info.config.udp_port_lidar, info.config.udp_port_imu = 7502, 7503
+layout, packets = core.PacketFormat(info), []
+for number in range(3):
+    frame = core.LidarFrame(info)
+    frame.frame_id = number + 1
+    frame.field("RANGE")[:] = 5000
+    frame.status[:] = 1
+    frame.measurement_id[:] = np.arange(info.w)
+    frame.timestamp[:] = start_ns + number * 100_000_000 + np.arange(info.w) * 195_312
+    frame.packet_timestamp[:] = frame.timestamp[:: info.w // len(frame.packet_timestamp)]
+    packets += core.frame_to_packets(frame, layout, 0, 0)
+for number in range(6):
+    sample = core.ImuPacket(layout)
+    time_ns = start_ns + number * 10_000_000
+    # the older packets count in g and degrees
+    data = struct.pack("<QQQ6f", time_ns, time_ns, time_ns, 0, 0, 1, 180, 0, number)
+    sample.buf[: len(data)] = np.frombuffer(data, dtype=np.uint8)
+    sample.host_timestamp = time_ns
+    packets.append(sample)
+pcap.record(iter(packets), f"{folder}/drive.pcap", lidar_port=7502, imu_port=7503)
+open(f"{folder}/drive.json", "w").write(info.to_json_string())
+"""
 
 WRITE_OSF = """
 import sys
@@ -71,20 +104,46 @@ def outside(monkeypatch, outside_python):
     return outside_python
 
 
+def refused(source, format_name, parts):
+    """What an import says of damage in one of ``parts``; each refusal is one line and leaves nothing behind."""
+    draw = random.Random(f"{format_name} 1")
+    refusals = []
+    for number in range(MUTATIONS):
+        part = draw.choice(parts)
+        whole = part.read_bytes()
+        part.write_bytes(mutated(whole, draw))
+        made = part.parent / f"made{number}"
+        try:
+            perform(plan_import(source, ImportOptions(), format_name)[1], made, silent)
+        except SlamHiveError as error:
+            refusals.append(str(error))
+            assert not made.exists()
+        part.write_bytes(whole)
+    assert not any("\n" in refusal for refusal in refusals)
+    return refusals
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory, outside_python):
+    """A folder with an OSF file, and what the library itself says of it."""
+    folder = tmp_path_factory.mktemp("hall")
+    subprocess.run([outside_python, "-c", WRITE_OSF, folder, str(START_NS)], check=True, timeout=120)
+    return folder
+
+
 @pytest.fixture
-def hall(tmp_path, outside):
-    subprocess.run([outside, "-c", WRITE_OSF, tmp_path, str(START_NS)], check=True, timeout=120)
-    return tmp_path / "hall.osf"
+def hall(tmp_path, outside, written):
+    return Path(shutil.copy(written / "hall.osf", tmp_path))
 
 
-def test_points_and_times_of_an_osf_file_are_those_of_ousters_own_library(hall, tmp_path):
+def test_points_and_times_of_an_osf_file_are_those_of_ousters_own_library(hall, written, tmp_path):
     dataset = convert(hall, tmp_path / "made")
     lidar, imu = dataset.sensors
     layout = LidarLayout.of(lidar)
     assert (layout.beams, layout.points_per_ring, len(layout.vertical_angles_deg)) == (64, 512, 64)
     assert layout.times.scan_duration_s == pytest.approx(0.1)
     assert np.reshape(lidar.T_body_sensor, (4, 4))[:3, 3].tolist() == [1, 2, 3]
-    expected, seen = np.load(hall.with_name("expected.npz")), recorded(dataset)
+    expected, seen = np.load(written / "expected.npz"), recorded(dataset)
     assert len(seen["/points"]) == 4
     for number, message in enumerate(seen["/points"]):
         cloud = to_points(message)
@@ -101,6 +160,20 @@ def test_points_and_times_of_an_osf_file_are_those_of_ousters_own_library(hall, 
     assert [seen["/imu"][9].angular_velocity.z, seen["/imu"][9].linear_acceleration.z] == pytest.approx([1, 9.81])
     assert np.reshape(imu.T_body_sensor, (4, 4)) == pytest.approx(expected["imu"])
     assert np.linalg.norm(expected["imu"][:3, 3] - [1, 2, 3]) < 0.05
+
+
+def test_a_capture_has_the_samples_of_older_packets_in_si_units(tmp_path, outside):
+    subprocess.run([outside, "-c", WRITE_PCAP, tmp_path, str(START_NS)], check=True, timeout=120)
+    dataset = convert(tmp_path / "drive.pcap", tmp_path / "made")
+    seen = recorded(dataset)
+    scans = [to_points(message) for message in seen["/points"]]
+    assert [len(cloud.points_m) for cloud in scans] == [64 * 512] * 3
+    assert np.linalg.norm(scans[0].points_m, axis=1) == pytest.approx(5, abs=0.05)
+    assert len(seen["/imu"]) == 6
+    last = seen["/imu"][-1]
+    assert [last.angular_velocity.x, last.angular_velocity.z] == pytest.approx([np.pi, np.radians(5)])
+    assert last.linear_acceleration.z == pytest.approx(9.80665)
+    assert last.header.stamp.sec * 10**9 + last.header.stamp.nanosec == START_NS + 50_000_000
 
 
 def test_what_an_osf_file_lacks_is_said(hall):
@@ -126,6 +199,42 @@ def test_a_capture_needs_the_description_of_its_sensor(tmp_path, outside):
     assert detect_format(capture) == "ouster"
     with pytest.raises(InvalidInput, match=r"ouster cannot read drive.pcap: "):
         plan(capture)
+
+
+def test_the_name_of_a_sensor_is_no_recording(tmp_path):
+    (tmp_path / "os-122201000998.local").touch()
+    with pytest.raises(InvalidInput, match=r"is no recording of Ouster: it lacks an \.osf file, or a \.pcap file"):
+        plan(tmp_path / "os-122201000998.local", "ouster")
+
+
+def test_a_damaged_stream_of_ousters_library_is_refused_in_one_line(tmp_path, monkeypatch):
+    program, source = tmp_path / "replay", tmp_path / "hall.osf"
+    program.write_text('#!/bin/sh\nexec cat "$(dirname "$0")/$4"\n')
+    program.chmod(0o755)
+    monkeypatch.setenv(OUSTER.variable, str(program))
+    source.touch()
+    sensor = {
+        "product": "OS-1-64",
+        "serial": "1",
+        "timestamp_mode": "TIME_FROM_PTP_1588",
+        "columns": 4,
+        "elevations_deg": [1.0, 0.0],
+        "T_body_sensor": np.eye(4).reshape(-1).tolist(),
+        "T_sensor_imu": np.eye(4).reshape(-1).tolist(),
+        "listed": 2,
+        "partial": 0,
+        "posed": False,
+        "second_returns": False,
+    }
+    times_ns = START_NS + 100_000_000 * np.arange(2)
+    arrays = {"scan0_times_ns": times_ns, "imu0_times_ns": times_ns, "imu0": np.ones((2, 6))}
+    about = {"sensors": [sensor], "arrays": [[name, a.dtype.str, list(a.shape)] for name, a in arrays.items()]}
+    (tmp_path / "plan").write_bytes(json.dumps(about).encode() + b"\n" + b"".join(a.tobytes() for a in arrays.values()))
+    scans = (RECORD_HEADER.pack(int(ns), 8) + np.zeros(8, dtype=POINT).tobytes() for ns in times_ns)
+    (tmp_path / "records").write_bytes(b"".join(scans))
+    refusals = refused(source, "ouster", [tmp_path / "plan", tmp_path / "plan", tmp_path / "records"])
+    assert len(refusals) > MUTATIONS // 10
+    convert(source, tmp_path / "whole")
 
 
 def test_a_file_that_is_no_vrs_file_is_refused_in_one_line(tmp_path, outside):
@@ -319,21 +428,8 @@ def test_images_of_another_size_are_refused(glasses):
 
 
 def test_a_damaged_stream_of_glasses_is_refused_in_one_line(glasses):
-    draw = random.Random("aria 1")
-    refusals = []
-    for number in range(MUTATIONS):
-        part = glasses.parent / draw.choice(["plan", "plan", "records"])
-        whole = part.read_bytes()
-        part.write_bytes(mutated(whole, draw))
-        made = glasses.parent / f"made{number}"
-        try:
-            perform(plan_import(glasses, ImportOptions(), "aria")[1], made, silent)
-        except SlamHiveError as error:
-            refusals.append(str(error))
-            assert not made.exists()
-        part.write_bytes(whole)
-    assert len(refusals) > MUTATIONS // 10
-    assert not any("\n" in refusal for refusal in refusals)
+    parts = [glasses.parent / name for name in ("plan", "plan", "records")]
+    assert len(refused(glasses, "aria", parts)) > MUTATIONS // 10
 
 
 def test_a_library_that_crashes_is_named_with_its_signal(glasses):

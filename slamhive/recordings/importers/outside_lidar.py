@@ -238,7 +238,11 @@ class OusterImporter:
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
         """Plan the import of the file; raises InvalidInput with the SDK's reason, Unavailable without the SDK."""
-        recording = OutsideRecording(OUSTER, source, source.name)
+        lacking = self.detect(source).missing
+        if lacking:
+            # The SDK would take other names for those of sensors in the network, or read files of other formats.
+            raise InvalidInput(f"{source} is no recording of Ouster: it lacks {', '.join(lacking)}", "add it")
+        recording = OutsideRecording(OUSTER, source.absolute(), source.name)
         about = recording.plan(OusterPlan)
         streams: list[PlannedStream] = []
         imus: list[PlannedStream] = []
