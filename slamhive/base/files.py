@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from slamhive.base.errors import Unavailable
+from slamhive.base.errors import SlamHiveError, Unavailable
 
 _ASIDE = re.compile(r"\.(.+)\.[a-z0-9_]{8}")
 
@@ -131,6 +131,22 @@ def _held(folder: Path) -> Iterator[bool]:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield folder.is_dir() and os.path.samestat(os.fstat(descriptor), folder.stat())
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def exclusive_lock(descriptor: int, refused: SlamHiveError) -> Iterator[None]:
+    """Lock an open file for the block, and close it; raises ``refused`` if another process holds the lock.
+
+    The kernel releases the lock of a process that dies.
+    """
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise refused from None
+        yield
     finally:
         os.close(descriptor)
 

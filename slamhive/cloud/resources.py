@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import uuid
@@ -16,7 +15,7 @@ from typing import Protocol
 
 from slamhive.base.bounds import read_record
 from slamhive.base.errors import Conflict, Unavailable, unknown
-from slamhive.base.files import make_shared_folder, remedy_of, write_aside
+from slamhive.base.files import exclusive_lock, make_shared_folder, remedy_of, write_aside
 from slamhive.cloud.plan import CloudFile, FirewallRule
 from slamhive.documents.machines import CloudRecord
 from slamhive.domain.names import check_name
@@ -147,17 +146,11 @@ class CloudRecords:
     def held(self, name: str) -> Iterator[None]:
         """Hold a cluster during the block; raises Conflict if another command holds it."""
         self._make_folder()
-        descriptor = os.open(
-            self.folder / f".{check_name('cluster', name)}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644
-        )
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise Conflict(f"another command is working on cluster {name}", "wait until it has ended") from None
-        else:
+        path = self.folder / f".{check_name('cluster', name)}.lock"
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        refused = Conflict(f"another command is working on cluster {name}", "wait until it has ended")
+        with exclusive_lock(descriptor, refused):
             yield
-        finally:
-            os.close(descriptor)
 
     def known_hosts(self, name: str) -> Path:
         """Where SSH keeps the keys of the cluster's machines."""

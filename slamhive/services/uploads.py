@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
@@ -23,6 +22,7 @@ from slamhive.base.clock import utc_now
 from slamhive.base.errors import Conflict, InvalidInput, NotFound, Unavailable, nearest
 from slamhive.base.files import (
     TEMPORARY,
+    exclusive_lock,
     held_folder,
     make_shared_folder,
     remedy_of,
@@ -42,6 +42,7 @@ from slamhive.documents.imports import (
     ImportedDocument,
     RecordingFacts,
     RunsUpload,
+    Upload,
     UploadRequest,
 )
 from slamhive.domain.collection import FileKind
@@ -226,13 +227,8 @@ class UploadFolder:
             file = os.open(self.content, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
         except FileNotFoundError:
             raise Conflict(f"{self.promise.name} has been imported already", "upload it again") from None
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with exclusive_lock(file, Conflict(f"{self.promise.name} is in use by another request", "wait for it to end")):
             yield file
-        except BlockingIOError:
-            raise Conflict(f"{self.promise.name} is in use by another request", "wait for it to end") from None
-        finally:
-            os.close(file)
 
 
 def _sha256(path: Path, size_bytes: int, progress: Progress) -> str:
@@ -254,20 +250,6 @@ MOST_UPLOADS = 1000
 _TOKEN = re.compile(HEXADECIMAL)
 
 
-@dataclass(frozen=True, slots=True)
-class StoredUpload:
-    """An upload as it is now."""
-
-    token: str
-    name: str
-    size_bytes: int
-    sha256: str
-    received_bytes: int
-    part_bytes: int
-    expires_at: datetime
-    imported: ImportedDocument | None
-
-
 class UploadService:
     """Uploads.
 
@@ -281,7 +263,7 @@ class UploadService:
         self._clock = clock
         self.root = settings.uploads_folder
 
-    def create(self, request: UploadRequest, owner: str) -> StoredUpload:
+    def create(self, request: UploadRequest, owner: str) -> Upload:
         """Begin an upload.
 
         Raises:
@@ -299,7 +281,7 @@ class UploadService:
         UploadFolder(self.root / token).create(Promise(request.name, request.size_bytes, request.sha256, owner))
         return self.get(token, owner)
 
-    def listed(self, owner: str) -> list[StoredUpload]:
+    def listed(self, owner: str) -> list[Upload]:
         """The uploads of one account, the newest first."""
         found = []
         for folder in self._folders():
@@ -307,12 +289,12 @@ class UploadService:
                 found.append(self.get(folder.root.name, owner))
         return sorted(found, key=lambda upload: upload.expires_at, reverse=True)
 
-    def get(self, token: str, owner: str) -> StoredUpload:
+    def get(self, token: str, owner: str) -> Upload:
         """One upload; raises NotFound, also for one of somebody else."""
         folder = self.folder(token, owner)
         # The bytes first: an import keeps its result before it removes them, so they are never missed without it.
         promise, received, imported = folder.promise, folder.received_bytes, folder.imported
-        return StoredUpload(
+        return Upload(
             token=token,
             name=promise.name,
             size_bytes=promise.size_bytes,
@@ -320,6 +302,7 @@ class UploadService:
             received_bytes=received if imported is None else promise.size_bytes,
             part_bytes=PART_BYTES,
             expires_at=_expires_at(folder),
+            work=None,
             imported=imported,
         )
 

@@ -10,7 +10,6 @@ import json
 import re
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from slamhive.base.errors import Conflict, InvalidInput, NotFound, Unavailable
 from slamhive.client import Hive
 from slamhive.client.http import send_file
 from slamhive.client.requests import Request
-from slamhive.documents.imports import Upload as UploadDocument
 from slamhive.documents.imports import UploadRequest
 from slamhive.services.hive import Hive as ServedHive
 from slamhive.services.hive import open_hive
@@ -202,7 +200,7 @@ class Weak:
         uploads = self.hive.uploads
         if request.path == "/uploads":
             made = uploads.create(UploadRequest(**request.body), "")
-            return UploadDocument.of(replace(made, part_bytes=1000), work=None)
+            return made.model_copy(update={"part_bytes": 1000})
         token = request.path.split("/")[2]
         if request.data is not None:
             self.parts += 1
@@ -211,7 +209,7 @@ class Weak:
             uploads.folder(token, "").append(int(request.arguments["offset"]), io.BytesIO(data))
             if broken:
                 raise Unavailable("the connection broke")
-        return UploadDocument.of(replace(uploads.get(token, ""), part_bytes=1000), work=None)
+        return uploads.get(token, "").model_copy(update={"part_bytes": 1000})
 
 
 def test_an_upload_survives_connections_that_break(data: Path, tmp_path: Path) -> None:

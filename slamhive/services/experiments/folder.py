@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ from pathlib import Path
 from slamhive.base import strict_yaml
 from slamhive.base.bounds import read_record
 from slamhive.base.errors import Conflict, InvalidInput, Unavailable
-from slamhive.base.files import make_shared_folder, remedy_of, write_aside
+from slamhive.base.files import exclusive_lock, make_shared_folder, remedy_of, write_aside
 from slamhive.documents.model import Document, Moment
 from slamhive.domain.accounts import Sharing, Visibility
 from slamhive.store.records import ExperimentState
@@ -60,10 +59,7 @@ class ExperimentFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Lock the experiment against other processes on this machine; raises Conflict if it is locked.
-
-        The kernel releases the lock when the process dies.
-        """
+        """Lock the experiment against other processes on this machine; raises Conflict if it is locked."""
         try:
             make_shared_folder(self.root)
             # Opening for reading is enough for a lock, even on another user's file.
@@ -71,16 +67,9 @@ class ExperimentFolder:
             descriptor = os.open(self.root / LOCK, flags, 0o644)
         except OSError as error:
             raise Unavailable(f"{self.root} cannot be used: {error.strerror}", remedy_of(error)) from None
-        try:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise Conflict(
-                    f"experiment {self.root.name} is being changed by another process", "wait until it is done"
-                ) from None
+        problem = f"experiment {self.root.name} is being changed by another process"
+        with exclusive_lock(descriptor, Conflict(problem, "wait until it is done")):
             yield
-        finally:
-            os.close(descriptor)
 
     def write(self, stored: StoredExperiment, source: str | None = None) -> None:
         """Write ``stored``, and for a new experiment first its source, without which it is of no use."""

@@ -6,14 +6,12 @@ root. The file says when the search began, and which version each content of the
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import hashlib
 import json
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path, PurePosixPath
@@ -22,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from slamhive.analysis.bisection import History, half_way, next_runs, search_history, step_error, step_verdict
 from slamhive.base.clock import utc_now
 from slamhive.base.errors import Conflict, InvalidInput, NotFound
-from slamhive.base.files import temporary_folder, write_aside
+from slamhive.base.files import exclusive_lock, temporary_folder, write_aside
 from slamhive.documents.gate import BisectAnswer, BisectStep, CommitDocument
 from slamhive.documents.submission import Submission
 from slamhive.domain.gate import FAILURES, BisectOutcome, Margin, TrialStanding
@@ -122,21 +120,6 @@ class BisectRecord:
         write_aside(self.path, json.dumps(content, indent=1))
 
 
-@contextlib.contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Let no other process search for the same meanwhile; raises Conflict if one does."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise Conflict("another process searches for the same commit", "wait until it has ended") from None
-        yield
-    finally:
-        os.close(descriptor)
-
-
 class Bisections:
     """Searches for bad commits.
 
@@ -178,7 +161,10 @@ class Bisections:
         source = self._source(request, repository, bad)
         executor = self._executors.get(self._executors.choose(request.submission.executor))
         path = self._settings.bisections_folder / f"{_key(request, source, executor, good, bad)}.json"
-        with _alone(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        refused = Conflict("another process searches for the same commit", "wait until it has ended")
+        with exclusive_lock(lock, refused):
             record = BisectRecord.of(path, restart=request.restart)
             record.save()
             trials = self._gates.trials(request.metric.key, record.started_at)

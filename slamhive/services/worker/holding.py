@@ -91,13 +91,22 @@ class WorkerLock:
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
             raise Unavailable(f"{self.path} cannot be opened: {error.strerror}", "check space and rights") from None
-        if not _lock_patiently(descriptor):
-            holder = os.pread(descriptor, 32, 0).decode(errors="replace").strip() or "unknown"
-            os.close(descriptor)
-            raise Conflict(
-                f"a worker is already running on this machine (process {holder})",
-                "it executes the queued runs; stop it before you start another",
-            )
+        # A process that only asks for the lock holds it for a moment.
+        deadline_s = monotonic_s() + PATIENCE_S
+        while True:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if monotonic_s() < deadline_s:
+                    time.sleep(_STEP_S)
+                    continue
+                holder = os.pread(descriptor, 32, 0).decode(errors="replace").strip() or "unknown"
+                os.close(descriptor)
+                raise Conflict(
+                    f"a worker is already running on this machine (process {holder})",
+                    "it executes the queued runs; stop it before you start another",
+                ) from None
         # Only under the lock: who is refused reads the number of the holder.
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
@@ -134,17 +143,3 @@ class WorkerLock:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.release()
-
-
-def _lock_patiently(descriptor: int) -> bool:
-    """Try to take the lock for a short time: a process that only asks for it holds it for a moment."""
-    deadline_s = monotonic_s() + PATIENCE_S
-    while True:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if monotonic_s() >= deadline_s:
-                return False
-            time.sleep(_STEP_S)
-        else:
-            return True

@@ -19,7 +19,7 @@ from slamhive.documents.imports import (
     UploadRequest,
     UploadsDocument,
 )
-from slamhive.services.uploads import PART_BYTES, StoredUpload
+from slamhive.services.uploads import PART_BYTES
 from slamhive.web import access
 from slamhive.web.api.operation import PART_ARGUMENTS, TABLE, Bytes, Section
 from slamhive.web.context import caller, hive, import_jobs
@@ -100,9 +100,9 @@ def _shown(token: str) -> Upload:
     return _document(hive().uploads.get(token, _owner()))
 
 
-def _document(upload: StoredUpload) -> Upload:
+def _document(upload: Upload) -> Upload:
     job = import_jobs().latest(upload.token)
-    return Upload.of(upload, work=None if job is None or upload.imported else ImportProgress.of(job))
+    return upload if job is None or upload.imported else upload.model_copy(update={"work": ImportProgress.of(job)})
 
 
 def _started(body: DatasetUpload | RunsUpload | AlgorithmUpload) -> Upload:
