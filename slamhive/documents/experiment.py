@@ -120,17 +120,16 @@ def _spread(key: str, found: Any) -> Any:
     return SpreadDocument.of(found, unit=CATALOGUE[key].unit if key in CATALOGUE else None)
 
 
-def _with_units(raw: Any) -> Any:
-    return {key: _spread(key, found) for key, found in raw.items()}
-
-
 class CellFiguresDocument(Document):
     """Metrics of the runs of a cell that did not fail, under one protocol."""
 
     protocol: Annotated[str | None, described("Fingerprint; null where no run was evaluated.")]
     runs: int
     disturbed: int
-    metrics: Annotated[dict[str, SpreadDocument], BeforeValidator(_with_units)]
+    metrics: Annotated[
+        dict[str, SpreadDocument],
+        BeforeValidator(lambda raw: {key: _spread(key, found) for key, found in raw.items()}),
+    ]
 
 
 class CellDocument(Document):

@@ -116,7 +116,16 @@ def _sentence(first: Mapping[str, Any], path: tuple[int | str, ...], model: type
         known = list(_keys(annotation) or ())
         hint = f"; {nearest(str(path[-1]), known)}" if known else ""
         return f"unknown key {place!r}{hint}"
-    wanted = "has a type that is not allowed here" if path != _shown(first["loc"]) else _saying(first)
+    kind, context = first["type"], first.get("ctx", {})
+    if path != _shown(first["loc"]):
+        wanted = "has a type that is not allowed here"
+    elif kind in ("too_short", "too_long"):
+        most, length = ("least", "min_length") if kind == "too_short" else ("most", "max_length")
+        allowed = plural(context[length], "entry", "entries")
+        wanted = f"must have at {most} {allowed}, not {context['actual_length']}"
+    else:
+        message: str = first["msg"]
+        wanted = _SAYINGS.get(kind) or message.removeprefix("Value error, ").replace("Input should be", "must be")
     return f"{place}: {wanted} (found {repr(first['input'])[:_SHOWN]})"
 
 
@@ -139,16 +148,6 @@ def _place(loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
 
 def _shown(loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
     return tuple(part for part in loc if part not in _NOT_SHOWN)
-
-
-def _saying(problem: Mapping[str, Any]) -> str:
-    kind, context = problem["type"], problem.get("ctx", {})
-    if kind == "too_short":
-        return f"must have at least {plural(context['min_length'], 'entry', 'entries')}, not {context['actual_length']}"
-    if kind == "too_long":
-        return f"must have at most {plural(context['max_length'], 'entry', 'entries')}, not {context['actual_length']}"
-    message: str = problem["msg"]
-    return _SAYINGS.get(kind) or message.removeprefix("Value error, ").replace("Input should be", "must be")
 
 
 def _keys(annotation: Any) -> Mapping[str, Any] | None:
@@ -313,11 +312,11 @@ Uid = Annotated[str, Field(pattern=r"\A[0-9a-f]{32}\z")]
 ContentHash = Annotated[str, Field(pattern=r"\A[0-9a-f]{64}\z")]
 
 
-def _rules(raw: Any) -> Any:
-    return raw if isinstance(raw, StopWhen) else StopWhen.of(raw)
-
-
-Rules = Annotated[StopWhen, BeforeValidator(_rules), PlainSerializer(lambda rules: rules.content)]
+Rules = Annotated[
+    StopWhen,
+    BeforeValidator(lambda raw: raw if isinstance(raw, StopWhen) else StopWhen.of(raw)),
+    PlainSerializer(lambda rules: rules.content),
+]
 """Only the rules that are set; None and unknown ones are no rules."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -490,10 +490,17 @@ def judge_claim(claim: Claim, found: ClaimRuns) -> ClaimAnswer:
     good = [run for run in counted.values() if run.failed is None]
     values = np.array([claim.stated.factor * run.metrics[claim.metric] for run in good if claim.metric in run.metrics])
     unit, stated = claim.stated.unit, claim.stated.printed.value
+    notes = [*found.notes]
+    machines = sorted({run.cpu_model for run in good if run.cpu_model is not None})
+    if machines and not metric(claim.metric).needs_protocol:
+        notes.append(f"It depends on the machine; here {', '.join(machines)}.")
+    disturbed = sum(run.disturbed is True for run in good)
+    if disturbed:
+        notes.append(f"{plural(disturbed, 'run')} ran on a disturbed machine.")
     facts: dict[str, object] = {
         "runs": tuple(counted),
         "failed": tuple(number for number, run in counted.items() if run.failed is not None),
-        "notes": (*found.notes, *_remarks(claim, good)),
+        "notes": tuple(notes),
     }
     lacking = claim.repeats - len(counted)
     if lacking > 0:
@@ -548,16 +555,6 @@ def _interval(claim: Claim, values: np.ndarray, count: int) -> tuple[float, floa
     interval = compare_samples((count, float(values.mean()), float(values.var(ddof=1))), theirs).interval
     half = (interval.high - interval.low) / 2
     return float(values.mean()) - half, float(values.mean()) + half
-
-
-def _remarks(claim: Claim, good: Sequence[MeasuredRun]) -> Iterator[str]:
-    """Remarks on the machine."""
-    machines = sorted({run.cpu_model for run in good if run.cpu_model is not None})
-    if machines and not metric(claim.metric).needs_protocol:
-        yield f"It depends on the machine; here {', '.join(machines)}."
-    disturbed = sum(run.disturbed is True for run in good)
-    if disturbed:
-        yield f"{plural(disturbed, 'run')} ran on a disturbed machine."
 
 
 def _answer(claim: Claim, state: ClaimState, words: str, **facts: object) -> ClaimAnswer:

@@ -8,7 +8,7 @@ import json
 import logging
 import smtplib
 import ssl
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from email.message import EmailMessage
@@ -241,8 +241,17 @@ class Notices:
             with exclusive(folder / LOCK):
                 path = folder / RECORD
                 record = NoticeRecord.read(read_record(path)) if path.exists() else NoticeRecord()
+                # What there is to say, said or not, by its key. Repeats that are added later make another end.
+                due: list[tuple[str, NoticeEvent]] = []
+                failures = self._settings.notify_failures
+                if _FAILING in record.sent or self._store.read(lambda t: is_failing(t, status, failures)):
+                    due.append((_FAILING, NoticeEvent.FAILING))
+                finished = status.state is ConfigurationStanding.FINISHED
+                if finished and not self._store.read(lambda t: t.durations.open_evaluations(status.number)) > 0:
+                    due.append((f"finished {status.runs}", NoticeEvent.FINISHED))
+
                 arrived = 0
-                for key, event in self._due(status, record):
+                for key, event in due:
                     before = record.sent.get(key, Sent())
                     base = self._settings.public_url.rstrip("/")
                     notice = Notice(
@@ -264,16 +273,6 @@ class Notices:
                 return arrived
         except Busy:  # another worker, perhaps on another machine, sends them now
             return 0
-
-    def _due(self, status: ExperimentStatusDocument, record: NoticeRecord) -> Iterator[tuple[str, NoticeEvent]]:
-        """Return everything there is to say about an experiment, said or not, and the key of each."""
-        if _FAILING in record.sent or self._store.read(lambda t: is_failing(t, status, self._settings.notify_failures)):
-            yield _FAILING, NoticeEvent.FAILING
-        if status.state is ConfigurationStanding.FINISHED and not (
-            self._store.read(lambda t: t.durations.open_evaluations(status.number)) > 0
-        ):
-            # Repeats that are added later make another end.
-            yield f"finished {status.runs}", NoticeEvent.FINISHED
 
     def _is_over(self, sent: Sent) -> bool:
         """Tell if a notice has arrived everywhere, or is not tried again."""

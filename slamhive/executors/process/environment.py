@@ -110,7 +110,17 @@ class Environments:
             if not (environment.folder / _READY).is_file():
                 self._make(package, environment, progress)
             if not environment.runtime.is_dir():
-                _stage_runtime(environment.runtime)
+                # The modules that algorithms may import are copied aside, then renamed.
+                target = environment.runtime
+                try:
+                    with temporary_folder(_STAGED, target.parent) as staged:
+                        copy_parts(_package_folder(), RUNTIME_PARTS, staged / "slamhive")
+                        staged.chmod(0o755)
+                        staged.rename(target)
+                except OSError as error:
+                    if not target.is_dir():
+                        problem = f"{target} cannot be written: {error.strerror}"
+                        raise Unavailable(problem, "check space and rights") from None
         return identity
 
     def remove(self, package_name: str, identity: str) -> None:
@@ -202,19 +212,6 @@ def _environment_hash(package: AlgorithmPackage) -> str:
 
 def _short_hash(root: Path, parts: Iterable[str]) -> str:
     return hash_files(root, parts).removeprefix("sha256:")[:_HASH_DIGITS]
-
-
-def _stage_runtime(target: Path) -> None:
-    """Copy the modules that algorithms may import, aside, then rename."""
-    source = _package_folder()
-    try:
-        with temporary_folder(_STAGED, target.parent) as staged:
-            copy_parts(source, RUNTIME_PARTS, staged / "slamhive")
-            staged.chmod(0o755)
-            staged.rename(target)
-    except OSError as error:
-        if not target.is_dir():
-            raise Unavailable(f"{target} cannot be written: {error.strerror}", "check space and rights") from None
 
 
 def _run_step(title: str, command: list[str], variables: dict[str, str], progress: ProgressCallback) -> None:

@@ -171,7 +171,18 @@ def _problems(definition: Definition) -> Iterator[InvalidInput]:
     yield from _problems_of_scoring(definition)
     yield from _problems_of_names(definition)
     for entry in definition.file.sequences:
-        yield from _problems_of_sequence(definition.preset.format, entry)
+        times = entry.time_range_s
+        if definition.preset.format is Format.KITTI:
+            if entry.poses is None or times is not None:
+                problem = f"sequence {entry.name} needs poses, and no time_range_s"
+                yield InvalidInput(problem, "give its number of frames")
+        elif entry.secret and times is None and entry.poses is None:
+            pass  # the published file of a challenge does not say when its secret recordings were made
+        elif times is None or entry.poses is not None:
+            problem = f"sequence {entry.name} needs time_range_s, and no poses"
+            yield InvalidInput(problem, "give first and last timestamp of the recording")
+        elif times[1] <= times[0]:
+            yield InvalidInput(f"time_range_s of sequence {entry.name} does not grow", "write [first, last]")
     yield from _problems_of_images(definition)
     for phase in definition.file.phases:
         if phase.begins is not None and phase.ends is not None and phase.ends <= phase.begins:
@@ -238,21 +249,6 @@ def _problems_of_names(definition: Definition) -> Iterator[InvalidInput]:
                 yield InvalidInput(f"phase {phase.name}: {found.message}")
     for entry in file.sequences:
         check_name("sequence", entry.name)
-
-
-def _problems_of_sequence(wanted: Format, entry: SequenceEntry) -> Iterator[InvalidInput]:
-    if wanted is Format.KITTI:
-        if entry.poses is None or entry.time_range_s is not None:
-            yield InvalidInput(f"sequence {entry.name} needs poses, and no time_range_s", "give its number of frames")
-        return
-    if entry.secret and entry.time_range_s is None and entry.poses is None:
-        return  # the published file of a challenge does not say when its secret recordings were made
-    if entry.time_range_s is None or entry.poses is not None:
-        yield InvalidInput(
-            f"sequence {entry.name} needs time_range_s, and no poses", "give first and last timestamp of the recording"
-        )
-    elif entry.time_range_s[1] <= entry.time_range_s[0]:
-        yield InvalidInput(f"time_range_s of sequence {entry.name} does not grow", "write [first, last]")
 
 
 # -- the folders of challenges: the definition that everybody may know, the secret, and the submissions ----------------

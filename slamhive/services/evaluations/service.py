@@ -277,10 +277,16 @@ class Evaluations:
         claimed = self._store.write(lambda t: t.evaluations.claim(t.lease(owner, lease_s), BATCH_SIZE, only))
         if not claimed:
             return 0
-        heartbeat_ends = threading.Event()
-        heartbeat = threading.Thread(
-            target=self._heartbeat, args=(owner, [entry.id for entry in claimed], heartbeat_ends), daemon=True
-        )
+        heartbeat_ends, numbers = threading.Event(), [entry.id for entry in claimed]
+
+        def beat() -> None:
+            while not heartbeat_ends.wait(lease_s / 3):
+                try:
+                    self._store.write(lambda t: t.evaluations.heartbeat(numbers, t.lease(owner, lease_s)))
+                except SlamHiveError as error:
+                    logger.warning("heartbeat of evaluations: %s", error)
+
+        heartbeat = threading.Thread(target=beat, daemon=True)
         heartbeat.start()
         try:
             self._evaluate(claimed, owner, stopping, on_result, cores)
@@ -288,7 +294,7 @@ class Evaluations:
             heartbeat_ends.set()
             heartbeat.join()
             # Evaluations without a result (the engine did not start, the worker is stopping) return to the queue.
-            self._store.write(lambda t: t.evaluations.release([entry.id for entry in claimed], owner))
+            self._store.write(lambda t: t.evaluations.release(numbers, owner))
         return len(claimed)
 
     def _evaluate(
@@ -400,14 +406,6 @@ class Evaluations:
             return run.protocol_override
         algorithm = algorithm_here_or_elsewhere(self._store, self._catalogue, run)
         return fitting_protocol(algorithm, self._catalogue.dataset(run.dataset), self._settings, asked)
-
-    def _heartbeat(self, owner: str, evaluation_ids: list[int], ends: threading.Event) -> None:
-        lease_s = self._settings.lease_s
-        while not ends.wait(lease_s / 3):
-            try:
-                self._store.write(lambda t: t.evaluations.heartbeat(evaluation_ids, t.lease(owner, lease_s)))
-            except SlamHiveError as error:
-                logger.warning("heartbeat of evaluations: %s", error)
 
 
 def read_estimate(path: Path) -> Trajectory:

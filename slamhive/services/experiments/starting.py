@@ -399,30 +399,22 @@ def ask_for_runs(context: ExperimentContext, name: str, more: Mapping[int, int],
         def work(t: Transaction) -> list[int]:
             if len(t.experiments.run_ids(record.id)) != known:
                 return []
-            chunk = [_next_runs(t, record, experiment, heads[cell], count) for cell, count in sorted(more.items())]
             queued: list[int] = []
-            for of_cell in chunk:
-                queued += _store(t, record, experiment, rows, [of_cell], now)
+            for cell, count in sorted(more.items()):
+                # The seeds of a cell in turn, then the next repeat.
+                found: list[PlannedRun] = []
+                place, seeds = 0, experiment.seeds
+                while len(found) < count:
+                    run = replace(heads[cell], seed=seeds[place % len(seeds)], repeat=place // len(seeds) + 1)
+                    uid = run_uid(record.uid, run.cell, run.seed, run.repeat)
+                    if not t.runs.ids_by_uid([uid]) and not t.deleted_runs.among([uid]):
+                        found.append(run)
+                    place += 1
+                queued += _store(t, record, experiment, rows, [found], now)
             t.experiments.change(record.id, runs=len(t.experiments.run_ids(record.id)))
             return queued
 
         return context.store.write(work)
-
-
-def _next_runs(
-    t: Transaction, record: ExperimentRecord, experiment: Experiment, head: PlannedRun, count: int
-) -> list[PlannedRun]:
-    """The next ``count`` runs of a cell: its seeds in turn, then the next repeat."""
-    seeds = experiment.seeds
-    found: list[PlannedRun] = []
-    place = 0
-    while len(found) < count:
-        run = replace(head, seed=seeds[place % len(seeds)], repeat=place // len(seeds) + 1)
-        uid = run_uid(record.uid, run.cell, run.seed, run.repeat)
-        if not t.runs.ids_by_uid([uid]) and not t.deleted_runs.among([uid]):
-            found.append(run)
-        place += 1
-    return found
 
 
 def conclude(context: ExperimentContext, name: str, words: str) -> None:

@@ -254,7 +254,22 @@ class LedgerRestore:
             rows = t.ledger
             unknown = rows.unknown([run.id for run in part], [run.request.uid for run in part])
             new = [run for run in part if run.id in unknown and run.request.configuration_id in self._numbers]
-            filed = [self._filed(run, experiments, cancelled.waiting.get(run.id)) for run in new]
+            filed = []
+            for run in new:
+                experiment_id = None if run.experiment is None else experiments.get(run.experiment)
+                request = replace(
+                    run.request,
+                    configuration_id=self._numbers[run.request.configuration_id],
+                    experiment_id=experiment_id,
+                    cell=None if experiment_id is None else run.request.cell,
+                )
+                state, fields, events = RunState.QUEUED, RunFields(), [queued_event(request, run.created_at)]
+                if run.id in cancelled.waiting:
+                    at, why = cancelled.waiting[run.id]
+                    state, fields = RunState.CANCELLED, RunFields(ended_at=at)
+                    events.append(RunEvent(at, RunState.QUEUED, state, why))
+                snapshot = RunSnapshot(run.id, request, state, run.created_at, fields, 0, tuple(events))
+                filed.append(FiledRun(snapshot))
             for run in part:
                 if run.id not in unknown and run.id in cancelled.waiting:
                     rows.cancel_if_queued(run.id, *cancelled.waiting[run.id])
@@ -263,23 +278,6 @@ class LedgerRestore:
         count, left = self._store.write(work)
         self.later.update(left)
         return count
-
-    def _filed(
-        self, run: LedgerRun, experiments: Mapping[str, int], cancelled: tuple[datetime, str] | None
-    ) -> FiledRun:
-        experiment_id = None if run.experiment is None else experiments.get(run.experiment)
-        request = replace(
-            run.request,
-            configuration_id=self._numbers[run.request.configuration_id],
-            experiment_id=experiment_id,
-            cell=None if experiment_id is None else run.request.cell,
-        )
-        state, fields, events = RunState.QUEUED, RunFields(), [queued_event(request, run.created_at)]
-        if cancelled is not None:
-            at, why = cancelled
-            state, fields = RunState.CANCELLED, RunFields(ended_at=at)
-            events.append(RunEvent(at, RunState.QUEUED, state, why))
-        return FiledRun(RunSnapshot(run.id, request, state, run.created_at, fields, 0, tuple(events)))
 
     def _versions(self) -> None:
         """Versions that an older ledger lists without a number: after those of runs, in the order of their times."""

@@ -96,8 +96,17 @@ def tiles(run: RunRecord, standing: RepeatStanding) -> list[Tile]:
     known = values.get
     losses, dropped = known("tracking.losses"), known("frames.dropped")
     median_s, ram_bytes = known("latency.median"), known("ram.max")
+    # Such as "2nd best of 5 repeats".
+    place = standing.place
+    if place is None or standing.judged < 2:
+        rank = "no good repeat to compare with"
+    elif place == 1:
+        rank = f"best of {standing.judged} repeats"
+    else:
+        ending = "th" if place % 100 in {11, 12, 13} else {1: "st", 2: "nd", 3: "rd"}.get(place % 10, "th")
+        rank = f"{place}{ending} best of {standing.judged} repeats"
     notes = {
-        "ate.rmse": _place_words(standing),
+        "ate.rmse": rank,
         "rpe.rmse": described("rpe.rmse").sample(values),
         "tracked_fraction": "" if losses is None else plural(int(losses), "loss", "losses"),
         "frames.dropped_fraction": "" if dropped is None else plural(int(dropped), "frame"),
@@ -117,17 +126,6 @@ def tiles(run: RunRecord, standing: RepeatStanding) -> list[Tile]:
         text = significant(value * unit.factor)
         found.append(Tile(title, text, "core" if (text, unit.unit) == ("1", "cores") else unit.unit, note, exact))
     return found
-
-
-def _place_words(standing: RepeatStanding) -> str:
-    """``2nd best of 5 repeats``."""
-    if standing.place is None or standing.judged < 2:
-        return "no good repeat to compare with"
-    if standing.place == 1:
-        return f"best of {standing.judged} repeats"
-    ending = {1: "st", 2: "nd", 3: "rd"}.get(standing.place % 10, "th")
-    ending = "th" if standing.place % 100 in {11, 12, 13} else ending
-    return f"{standing.place}{ending} best of {standing.judged} repeats"
 
 
 def rows(runs: Iterable[RunRecord], columns: Iterable[ListColumn], algorithms: Iterable[Algorithm]) -> list[ListRow]:

@@ -71,50 +71,35 @@ def index() -> Response:
             _search_page(services, RunListQuery.unread(request.args), vocabulary, error=error), status_of(error)
         )
     if query.grouped:
-        return make_response(_group_page(services, query, vocabulary))
-    shown = [column(key, vocabulary) for key in query.columns]
-    page = services.runs.page(query.search, query.sort, query.after, query.limit)
-    left_out = services.searches.left_out(query.search, page.count)
-    mixed = services.searches.mixed(query.search, protocol_uses(page.records), page.count)
-    rows = search.with_differences(presenter.rows(page.records, shown, services.catalogue.algorithms()))
-    return make_response(
-        _search_page(
-            services,
-            query,
-            vocabulary,
-            rows=search.coloured_runs(rows) if query.look.colours else rows,
-            columns=shown,
-            next_key=page.next_key,
-            summary=summary(query, len(page.records), page.count, left_out),
-            mixed=mixed,
-            total=left_out.total,
-        )
-    )
-
-
-def _group_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary) -> str:
-    figures = search.group_columns(query.columns)
-    page = services.searches.groups(
-        query.search, query.sort, query.after, query.limit, [entry.metric.key for entry in figures]
-    )
-    left_out = services.searches.left_out(query.search, page.runs)
-    mixed = services.searches.mixed(query.search, group_uses(page.records), page.runs)
-    rows = search.group_rows(page.records, figures)
-    if query.look.sparks:
+        figures = search.group_columns(query.columns)
         metrics = [entry.metric.key for entry in figures]
-        rows = search.with_repeats(rows, figures, services.searches.repeats(query.search, page.records, metrics))
-    return _search_page(
-        services,
-        query,
-        vocabulary,
-        groups=search.coloured_groups(rows, figures) if query.look.colours else rows,
-        group_columns=figures,
-        columns=[column(key, vocabulary) for key in query.columns],
-        next_key=page.next_key,
-        summary=summary(query, len(page.records), page.runs, left_out),
-        mixed=mixed,
-        total=left_out.total,
-    )
+        groups = services.searches.groups(query.search, query.sort, query.after, query.limit, metrics)
+        left_out = services.searches.left_out(query.search, groups.runs)
+        shown = search.group_rows(groups.records, figures)
+        if query.look.sparks:
+            repeats = services.searches.repeats(query.search, groups.records, metrics)
+            shown = search.with_repeats(shown, figures, repeats)
+        content: dict[str, Any] = {
+            "groups": search.coloured_groups(shown, figures) if query.look.colours else shown,
+            "group_columns": figures,
+            "columns": [column(key, vocabulary) for key in query.columns],
+            "next_key": groups.next_key,
+            "summary": summary(query, len(groups.records), groups.runs, left_out),
+            "mixed": services.searches.mixed(query.search, group_uses(groups.records), groups.runs),
+        }
+    else:
+        columns = [column(key, vocabulary) for key in query.columns]
+        page = services.runs.page(query.search, query.sort, query.after, query.limit)
+        left_out = services.searches.left_out(query.search, page.count)
+        rows = search.with_differences(presenter.rows(page.records, columns, services.catalogue.algorithms()))
+        content = {
+            "rows": search.coloured_runs(rows) if query.look.colours else rows,
+            "columns": columns,
+            "next_key": page.next_key,
+            "summary": summary(query, len(page.records), page.count, left_out),
+            "mixed": services.searches.mixed(query.search, protocol_uses(page.records), page.count),
+        }
+    return make_response(_search_page(services, query, vocabulary, total=left_out.total, **content))
 
 
 def _search_page(services: Hive, query: RunListQuery, vocabulary: Vocabulary, **content: Any) -> str:
