@@ -237,10 +237,9 @@ def field_at(text: str, line: int, fields: ExperimentFields) -> str | None:
         _, lines = strict_yaml.parse_with_lines(text, SOURCE)
     except InvalidInput:
         return None
-    return next((_field_name(path, fields) for path in reversed(lines) if lines[path] == line), None)
-
-
-def _field_name(path: KeyPath, fields: ExperimentFields) -> str | None:
+    path = next((path for path in reversed(lines) if lines[path] == line), None)
+    if path is None:
+        return None
     if path[0] == "steps":
         number = next((number for number, step in enumerate(fields.steps) if path[1:2] == (step.name,)), None)
         return None if number is None else "/".join(["steps", str(number), *map(str, path[2:3] or ("name",))])

@@ -81,7 +81,23 @@ def find_home(root: Path = CGROUP_ROOT, own: Path = OWN_GROUP, *, own_scope: boo
     except (OSError, ValueError):
         raise DoesNotHold("this kernel has no control groups") from None
     if (root / "cgroup.controllers").exists():
-        return _v2_home(root, memberships.get("", "/"), own_scope=own_scope)
+        group = root / memberships.get("", "/").lstrip("/")
+        home = group.parent if group.name == LEAF else group
+        files = (home / "cgroup.procs", home / "cgroup.subtree_control")
+        if not os.access(home, os.W_OK | os.X_OK) or not all(os.access(file, os.W_OK) for file in files):
+            raise DoesNotHold(f"this user may not change the control group {_shown(home, root)}")
+        if home.suffix in (".service", ".scope") and not own_scope and not _is_delegated(home, root):
+            raise DoesNotHold(f"systemd has not delegated {home.name} (Delegate=yes)")
+        available = (home / "cgroup.controllers").read_text(encoding="ascii").split()
+        controllers = [name for name in V2_CONTROLLERS if name in available]
+        if "pids" not in controllers:
+            raise DoesNotHold(f"{_shown(home, root)} has no controller pids, only {' '.join(available) or 'none'}")
+        enabled = _enabled(home)
+        # A group whose threaded controllers alone are enabled may hold processes, but then no run can enter a group in
+        # it.
+        settled = "pids" in enabled and ("memory" in enabled or "memory" not in controllers) and not _is_threaded(home)
+        return CgroupHome(2, dict.fromkeys(enabled if settled else controllers, home), settled)
+
     folders: dict[str, Path] = {}
     for name in V1_CONTROLLERS:
         # The nearest folder that this user may make groups in: the limits of an administrator then hold runs too.
@@ -92,24 +108,6 @@ def find_home(root: Path = CGROUP_ROOT, own: Path = OWN_GROUP, *, own_scope: boo
     if "pids" not in folders:
         raise DoesNotHold(f"this user cannot make a group below {root}/pids")
     return CgroupHome(1, folders)
-
-
-def _v2_home(root: Path, own: str, *, own_scope: bool) -> CgroupHome:
-    group = root / own.lstrip("/")
-    folder = group.parent if group.name == LEAF else group
-    files = (folder / "cgroup.procs", folder / "cgroup.subtree_control")
-    if not os.access(folder, os.W_OK | os.X_OK) or not all(os.access(file, os.W_OK) for file in files):
-        raise DoesNotHold(f"this user may not change the control group {_shown(folder, root)}")
-    if folder.suffix in (".service", ".scope") and not own_scope and not _is_delegated(folder, root):
-        raise DoesNotHold(f"systemd has not delegated {folder.name} (Delegate=yes)")
-    available = (folder / "cgroup.controllers").read_text(encoding="ascii").split()
-    controllers = [name for name in V2_CONTROLLERS if name in available]
-    if "pids" not in controllers:
-        raise DoesNotHold(f"{_shown(folder, root)} has no controller pids, only {' '.join(available) or 'none'}")
-    enabled = _enabled(folder)
-    # A group whose threaded controllers alone are enabled may hold processes, but then no run can enter a group in it.
-    settled = "pids" in enabled and ("memory" in enabled or "memory" not in controllers) and not _is_threaded(folder)
-    return CgroupHome(2, dict.fromkeys(enabled if settled else controllers, folder), settled)
 
 
 def _shown(folder: Path, root: Path) -> str:

@@ -15,7 +15,7 @@ from slamhive.filters.fields import PARAMETER_PREFIX, VARIANT_PREFIX, FieldKind,
 from slamhive.filters.syntax import filter_text
 from slamhive.services.exports import by_protocol
 from slamhive.services.hive import Hive
-from slamhive.store.records import GroupRecord, ProtocolLabel, Repeats, RunRecord, SavedSearchRecord, Spread
+from slamhive.store.records import GroupRecord, ProtocolLabel, Repeats, RunRecord, SavedSearchRecord
 from slamhive.web.columns import PINNED, ColumnKind, ListColumn, ListLook, all_columns, column, settings_of
 from slamhive.web.formatting import (
     DASH,
@@ -155,9 +155,21 @@ def group_rows(groups: Iterable[GroupRecord], columns: Sequence[GroupColumn]) ->
         )
         for place, (label, figures) in enumerate(by_protocol(group)):
             spreads = [figures.get(column.metric.key) for column in columns]
-            cells = tuple(_spread_cell(column.metric, spread) for column, spread in zip(columns, spreads, strict=True))
+            cells = []
+            for entry, spread in zip(columns, spreads, strict=True):
+                if spread is None:
+                    cells.append(TableCell(DASH, f"no {entry.metric.label} known", missing=True))
+                    continue
+                # Mean and standard deviation of the good runs; their number, range and median on hover.
+                unit = display_unit(entry.metric)
+                std = None if spread.std is None else spread.std * unit.factor
+                low, high = (significant(value * unit.factor) for value in (spread.minimum, spread.maximum))
+                exact = f"mean of {plural(spread.n, 'good run')}, {low} to {high} {unit.unit}".strip()
+                median = median_text(spread.n, spread.median * unit.factor)
+                shown = mean_text(spread.mean * unit.factor, std)
+                cells.append(TableCell(shown, f"{exact}, {median}" if median else exact))
             means = tuple(None if spread is None else spread.mean for spread in spreads)
-            rows.append(GroupRow(group, label, text or DASH, everything, cells, means, first=place == 0))
+            rows.append(GroupRow(group, label, text or DASH, everything, tuple(cells), means, first=place == 0))
     return rows
 
 
@@ -172,18 +184,6 @@ def with_repeats(rows: Sequence[GroupRow], columns: Sequence[GroupColumn], repea
         return (path, repeats_words(values, factor, column.unit)) if path else None
 
     return [replace(row, sparks=tuple(spark(row, column) for column in columns)) for row in rows]
-
-
-def _spread_cell(metric: Metric, spread: Spread | None) -> TableCell:
-    """Mean and standard deviation of the good runs; their number, range and median on hover."""
-    if spread is None:
-        return TableCell(DASH, f"no {metric.label} known", missing=True)
-    shown = display_unit(metric)
-    text = mean_text(spread.mean * shown.factor, None if spread.std is None else spread.std * shown.factor)
-    low, high = (significant(value * shown.factor) for value in (spread.minimum, spread.maximum))
-    exact = f"mean of {plural(spread.n, 'good run')}, {low} to {high} {shown.unit}".strip()
-    median = median_text(spread.n, spread.median * shown.factor)
-    return TableCell(text, f"{exact}, {median}" if median else exact)
 
 
 # -- the columns that the list of runs offers, in groups ---------------------------------------------------------------
