@@ -11,17 +11,15 @@ from typing import Any
 from sqlalchemy import bindparam, delete, insert, or_, select, update
 
 from slamhive.base.errors import Conflict
-from slamhive.domain import protocol as domain
 from slamhive.domain.algorithm import IMPORTED
 from slamhive.domain.protocol import Protocol, TrajectoryKind
 from slamhive.domain.run import NO_NOTES, RunNotes, RunState
-from slamhive.evaluation.job import Artefacts
 from slamhive.store.catalogue import CatalogueRepository, NoteRepository
 from slamhive.store.changes import changes_of
 from slamhive.store.evaluations import REASON_LENGTH
 from slamhive.store.metrics import MetricRepository, VerdictRepository
 from slamhive.store.models import MEASURED_PROTOCOL_ID, EvaluationRow, MetricValueRow, RunEventRow, RunRow
-from slamhive.store.records import EvaluationState, RunRequest, RunSnapshot
+from slamhive.store.records import EndedEvaluation, RunRequest, RunSnapshot
 from slamhive.store.rows import Repository, chunks, cut
 from slamhive.store.runs import DeletedRunRepository, RunRepository, event_row, snapshot_row
 from slamhive.store.sharing import SharingRepository
@@ -32,21 +30,6 @@ _EVALUATIONS = EvaluationRow.__table__
 _FIGURES = MetricValueRow.__table__
 _ENGINE_LENGTH = 190
 _SHARED = ("owner", "visibility", "audience")
-
-
-@dataclass(frozen=True, slots=True)
-class EndedEvaluation:
-    """An evaluation that has ended, as it is filed."""
-
-    protocol: domain.Protocol
-    state: EvaluationState
-    reason: str | None
-    artefacts: Artefacts
-    engine: str | None
-    created_at: datetime
-    started_at: datetime | None
-    ended_at: datetime | None
-    attempt: int
 
 
 AS_FILED = tuple(name for name in EndedEvaluation.__dataclass_fields__ if name != "protocol")

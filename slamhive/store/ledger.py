@@ -17,7 +17,7 @@ from slamhive.store.changes import AskedEvaluations, NewRow, changes_of
 from slamhive.store.configuration_listing import ConfigurationGroupRow, ConfigurationLabelRow
 from slamhive.store.configurations import ConfigurationRepository
 from slamhive.store.experiments import ExperimentRepository
-from slamhive.store.filed_runs import AS_FILED, EndedEvaluation
+from slamhive.store.filed_runs import AS_FILED
 from slamhive.store.models import (
     AlgorithmRow,
     ConfigurationRow,
@@ -30,7 +30,14 @@ from slamhive.store.models import (
     RunRow,
     SavedSearchRow,
 )
-from slamhive.store.records import CellRecord, EvaluationState, NewConfiguration, RunRequest, SavedSearchRecord
+from slamhive.store.records import (
+    CellRecord,
+    EndedEvaluation,
+    EvaluationState,
+    NewConfiguration,
+    RunRequest,
+    SavedSearchRecord,
+)
 from slamhive.store.rows import Repository, chunks, get_or_insert
 from slamhive.store.run_listing import options_of_row
 from slamhive.store.runs import DeletedRunRepository, RunRepository

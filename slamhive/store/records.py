@@ -406,11 +406,9 @@ class SavedSearchRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class EvaluationRecord:
-    """One evaluation of one run. ``engine`` computed the metrics; ``reason`` is why it failed."""
+class EndedEvaluation:
+    """An evaluation that has ended, as it is filed. ``engine`` computed the metrics; ``reason`` is why it failed."""
 
-    id: int
-    run_id: int
     protocol: Protocol
     state: EvaluationState
     reason: str | None
@@ -420,6 +418,14 @@ class EvaluationRecord:
     started_at: datetime | None
     ended_at: datetime | None
     attempt: int
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationRecord(EndedEvaluation):
+    """One evaluation of one run, which may go on."""
+
+    id: int
+    run_id: int
     lease_owner: str | None
 
 

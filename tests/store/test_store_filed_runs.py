@@ -14,8 +14,8 @@ from slamhive.domain.run import FailureReason, RunEvent, RunState
 from slamhive.domain.verdict import FROM_REPEATS
 from slamhive.evaluation.job import Artefacts
 from slamhive.store import EvaluationState, RunFields, RunSnapshot, Store
-from slamhive.store.filed_runs import EndedEvaluation, FiledRun
-from slamhive.store.records import EvaluationRecord
+from slamhive.store.filed_runs import FiledRun
+from slamhive.store.records import EndedEvaluation, EvaluationRecord
 from tests.store.store_samples import SE3, SIM3, Samples
 
 pytestmark = pytest.mark.quick

@@ -39,8 +39,7 @@ from slamhive.services.runs import check_dataset_files
 from slamhive.services.stored_analyses import AnalysisFolder
 from slamhive.services.versions import Versions
 from slamhive.store import Store, Transaction
-from slamhive.store.filed_runs import EndedEvaluation
-from slamhive.store.records import AlgorithmVersion, ExperimentRecord, RunRecord
+from slamhive.store.records import AlgorithmVersion, EndedEvaluation, ExperimentRecord, RunRecord
 
 
 class Extra(StrEnum):

@@ -41,11 +41,11 @@ from slamhive.run_folder.untrusted import open_regular_file
 from slamhive.services.archive import layout
 from slamhive.services.configurations import check_label
 from slamhive.services.runs import begin_record, events_to_json
-from slamhive.store.filed_runs import EndedEvaluation
 from slamhive.store.records import (
     AnalysisRecord,
     AnalysisState,
     CellRecord,
+    EndedEvaluation,
     EvaluationState,
     ExperimentRecord,
     ExperimentState,

@@ -41,8 +41,7 @@ from slamhive.domain.protocol import Protocol
 from slamhive.evaluation.job import Artefacts
 from slamhive.store.changes import AskedEvaluations, NewRow
 from slamhive.store.configuration_listing import ConfigurationRecord
-from slamhive.store.filed_runs import EndedEvaluation
-from slamhive.store.records import CellRecord, EvaluationState, NewConfiguration, RunRequest
+from slamhive.store.records import CellRecord, EndedEvaluation, EvaluationState, NewConfiguration, RunRequest
 
 logger = logging.getLogger(__name__)
 

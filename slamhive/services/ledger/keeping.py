@@ -33,7 +33,7 @@ from slamhive.services.ledger.book import (
 from slamhive.store import Store, Transaction
 from slamhive.store.changes import AskedEvaluations, Changes
 from slamhive.store.configuration_listing import ConfigurationRecord
-from slamhive.store.filed_runs import EndedEvaluation
+from slamhive.store.records import EndedEvaluation
 
 logger = logging.getLogger(__name__)
 

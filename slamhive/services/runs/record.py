@@ -32,9 +32,10 @@ from slamhive.run_folder.folder import RunFolder
 from slamhive.services.datasets import Catalogue
 from slamhive.services.evaluations import PROTOCOL_FILE
 from slamhive.store import Transaction
-from slamhive.store.filed_runs import EndedEvaluation, FiledRun
+from slamhive.store.filed_runs import FiledRun
 from slamhive.store.records import (
     AlgorithmVersion,
+    EndedEvaluation,
     EvaluationState,
     NewConfiguration,
     RunFields,

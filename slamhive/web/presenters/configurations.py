@@ -15,7 +15,7 @@ from slamhive.services.configurations import Label, Stored
 from slamhive.store import ConfigurationRecord, RunRecord
 from slamhive.web.columns import ListColumn, column
 from slamhive.web.formatting import DASH, TableCell, plural, value_text
-from slamhive.web.presenters.runs import ListRow, changed_cell
+from slamhive.web.presenters.runs import ListRow, ParameterRow, changed_cell
 from slamhive.web.presenters.runs import rows as rows_of_runs
 
 Store = Callable[[Submission, Label], Stored]
@@ -32,17 +32,11 @@ class ListedConfiguration:
 
 
 @dataclass(frozen=True, slots=True)
-class StoredParameterRow:
+class StoredParameterRow(ParameterRow):
     """One stored value with its definition at that time; ``default`` is the current one."""
 
-    key: str
     general: str
     type: str
-    value: str
-    default: str
-    unit: str
-    help: str
-    changed: bool
 
 
 def rows(records: Iterable[ConfigurationRecord], algorithms: Mapping[str, Algorithm]) -> list[ListedConfiguration]:
