@@ -54,7 +54,36 @@ class Sharings:
         """
         runs = self._store.read(lambda t: t.runs.get_many(run_ids))
         self._check(change, [(f"run {run.id}", run.owner) for run in runs])
-        narrowed = self._store.write(lambda t: self._share_runs(t, run_ids, change))
+
+        def work(t: Transaction) -> list[str]:
+            # The rows are locked before anything is looked at, so that a worker does not make the folder of a run
+            # meanwhile.
+            t.sharing.lock(run_ids)
+            runs = t.runs.get_many(run_ids)
+            within = self._experiments(t, runs)
+            shared = {run.id: _of_run(run, change, within.get(run.id)) for run in runs}
+            stated = {run.id: replace(shared[run.id], owner=None) if run.experiment else shared[run.id] for run in runs}
+            folders = {run.id: RunFolder(self._settings.runs_folder / str(run.id)) for run in runs}
+            waiting: dict[Sharing, list[int]] = {}
+            for run in runs:
+                if not folders[run.id].record.exists():
+                    if run.state.ended and run.state is not RunState.CANCELLED:
+                        raise Conflict(f"the folder of run {run.id} is lost", "slamhive doctor says what is missing")
+                    waiting.setdefault(stated[run.id], []).append(run.id)
+
+            # Folders and ledger first, then the rows.
+            for run in runs:
+                if folders[run.id].record.exists():
+                    folders[run.id].write_sharing(stated[run.id])
+            LedgerFiles(self._settings.ledger_folder).runs.append(
+                shared_line(members, sharing) for sharing, members in waiting.items()
+            )
+            t.sharing.share_runs(shared)
+            after = {run.id: run.audience for run in t.runs.get_many(run_ids)}
+            return [after[run.id] for run in runs if after[run.id] != run.audience]
+
+        # The audiences that runs have now and did not have before.
+        narrowed = self._store.write(work)
         self._renew_analyses(narrowed)
         return self._store.read(lambda t: t.runs.get_many(run_ids, with_metrics=True))
 
@@ -102,33 +131,6 @@ class Sharings:
         named = {run.experiment for run in runs if run.experiment is not None}
         known = {name: t.experiments.get(name).seen_by for name in named}
         return {run.id: (run.experiment, known[run.experiment]) for run in runs if run.experiment is not None}
-
-    def _share_runs(self, t: Transaction, run_ids: Sequence[int], change: SharingChange) -> list[str]:
-        """Store the change, in folders and ledger first; the audiences that runs have now and did not have before.
-
-        The rows are locked before anything is looked at, so that a worker does not make the folder of a run meanwhile.
-        """
-        t.sharing.lock(run_ids)
-        runs = t.runs.get_many(run_ids)
-        within = self._experiments(t, runs)
-        shared = {run.id: _of_run(run, change, within.get(run.id)) for run in runs}
-        stated = {run.id: replace(shared[run.id], owner=None) if run.experiment else shared[run.id] for run in runs}
-        folders = {run.id: RunFolder(self._settings.runs_folder / str(run.id)) for run in runs}
-        waiting: dict[Sharing, list[int]] = {}
-        for run in runs:
-            if not folders[run.id].record.exists():
-                if run.state.ended and run.state is not RunState.CANCELLED:
-                    raise Conflict(f"the folder of run {run.id} is lost", "slamhive doctor says what is missing")
-                waiting.setdefault(stated[run.id], []).append(run.id)
-        for run in runs:
-            if folders[run.id].record.exists():
-                folders[run.id].write_sharing(stated[run.id])
-        LedgerFiles(self._settings.ledger_folder).runs.append(
-            shared_line(members, sharing) for sharing, members in waiting.items()
-        )
-        t.sharing.share_runs(shared)
-        after = {run.id: run.audience for run in t.runs.get_many(run_ids)}
-        return [after[run.id] for run in runs if after[run.id] != run.audience]
 
     def _renew_analyses(self, audiences: Iterable[str]) -> None:
         """Compute those analyses again that may show what only these audiences may see now."""

@@ -173,7 +173,22 @@ class Shrinkings:
         own = self._submission(run)
         trials = self._gates.trials(request.metric.key, run.created_at + _LATER)
         if request.against is not None:
-            return Fault(request, trials, own, f"is worse than {request.against}", other=self._other(request, run, own))
+            # The version or run that it is worse than, on the same recording.
+            text = request.against
+            if text.isascii() and text.isdigit():
+                named = self._runs.get(int(text))
+                if named.dataset != run.dataset:
+                    problem = f"run {named.id} is of {named.dataset}, run {run.id} of {run.dataset}"
+                    raise InvalidInput(problem, "name another")
+                other = replace(self._submission(named), variant=own.variant, executor=own.executor)
+            else:
+                algorithm = self._catalogue.algorithm(text)
+                keys = {parameter.key for parameter in algorithm.parameters}
+                parameters = {key: value for key, value in own.parameters.items() if key in keys}
+                other = replace(own, algorithm=text, parameters=parameters)
+            if other == own:
+                raise InvalidInput(f"--against {text} is what run {run.id} ran", "name another version or run")
+            return Fault(request, trials, own, f"is worse than {text}", other=other)
         if request.worse_than is not None:
             unit = request.metric.unit
             words = f"has {request.metric.label} above {request.worse_than:.6g} {unit}".rstrip()
@@ -198,24 +213,6 @@ class Shrinkings:
                 label = submission.algorithm
             submission = replace(submission, algorithm=label)
         return replace(submission, executor=run.executor, **run.options)
-
-    def _other(self, request: ShrinkRequest, run: RunRecord, own: Submission) -> Submission:
-        text = request.against or ""
-        if text.isascii() and text.isdigit():
-            other = self._runs.get(int(text))
-            if other.dataset != run.dataset:
-                raise InvalidInput(
-                    f"run {other.id} is of {other.dataset}, run {run.id} of {run.dataset}", "name another"
-                )
-            found = replace(self._submission(other), variant=own.variant, executor=own.executor)
-        else:
-            algorithm = self._catalogue.algorithm(text)
-            keys = {parameter.key for parameter in algorithm.parameters}
-            parameters = {key: value for key, value in own.parameters.items() if key in keys}
-            found = replace(own, algorithm=text, parameters=parameters)
-        if found == own:
-            raise InvalidInput(f"--against {text} is what run {run.id} ran", "name another version or run")
-        return found
 
 
 @dataclass(frozen=True, slots=True)
