@@ -81,10 +81,10 @@
 
   function receive(state) {
     connection("live");
-    const first = version === null;
     const changed = version !== state.version;
     version = state.version;
-    if (changed && !first) refresh();
+    // The first event counts too: between the making of this page and that event, a run may have ended.
+    if (changed) refresh();
     state.active.forEach(putProgress);
   }
 

@@ -66,9 +66,11 @@ class Walk:
         return size["width"]
 
     def click(self, target: Locator) -> None:
-        """Click on something that is there and visible."""
+        """Click on something that is there and visible; wait for all of the page to which it leads."""
         self._count()
         target.click()
+        # Playwright waits until the answer begins. What is counted or asked then would be a part of the page.
+        self.page.wait_for_load_state("load")
 
     def choose(self, target: Locator, value: str, *, leads: bool = False) -> None:
         """Choose from a list; ``leads``: which shows another page."""

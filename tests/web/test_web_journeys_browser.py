@@ -162,6 +162,7 @@ def test_heat_map_share_and_print(journey: Journey, server: str) -> None:
         eventually(lambda: plots.count() == before + 1, "the plot in the report")
         walk.click(walk.button("Compute"))
         page.locator("#ready").wait_for(state="attached", timeout=90_000)
+        page.wait_for_load_state("load")  # the mark comes before the figures
         page.emulate_media(media="print")
         breaks = "[...document.querySelectorAll('figure')].map((part) => getComputedStyle(part).breakInside)"
         assert set(page.evaluate(breaks)) == {"avoid"}, "no plot is on two pages"

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from slamhive.domain.run import RunState
 from tests.serving import serving
 from tests.web import web_world as world
 from tests.web.browser_world import BROWSER, faultless
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Route
 
 pytestmark = BROWSER
 
@@ -38,3 +39,19 @@ def test_log_and_dropped_frames_come_as_they_are_written(chromium: Browser, tmp_
             progress.get_by_text("3 frames dropped").wait_for()
             assert page.get_by_role("progressbar").first.get_attribute("aria-valuenow") == "75"
             assert page.evaluate("window.wasNotLoadedAgain")
+
+
+def test_a_run_that_ends_before_the_page_listens_is_not_shown_as_running(chromium: Browser, tmp_path: Path) -> None:
+    with closing(world.make_hive(tmp_path)) as hive:
+        world.fill(hive)
+        run_id = world.RUNS["running"]
+        with serving(hive) as address, faultless(chromium, address) as page:
+
+            def end_first(route: Route) -> None:
+                if hive.runs.get(run_id).state.active:
+                    world.advance(hive, run_id, RunState.COLLECTING, RunState.SUCCEEDED, exit_code=0)
+                route.continue_()
+
+            page.route("**/events", end_first)
+            page.goto(f"{address}/runs/{run_id}")
+            page.get_by_role("region", name="Progress").wait_for(state="detached")
