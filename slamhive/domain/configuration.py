@@ -180,23 +180,31 @@ class Configuration:
     @property
     def content_hash(self) -> str:
         """SHA-256 over the content, independent of the order in which parameters were given."""
-        content: dict[str, object] = {
-            "algorithm": self.algorithm,
-            "dataset": self.dataset,
-            "parameters": {key: _tagged(value) for key, value in self.parameters.items()},
-            "playback": [self.playback.mode.value, float(self.playback.rate)],
-        }
-        if self.variant:
-            content["variant"] = [step.content for step in self.variant]
-        if self.sensors:
-            content["sensors"] = dict(self.sensors)
-        if self.version is not None:
-            content["version"] = self.version
+        parameters = ",".join(parameter_content(key, self.parameters[key]) for key in sorted(self.parameters))
+        return content_hash(self.content_around_parameters, parameters)
+
+    @property
+    def content_around_parameters(self) -> tuple[str, str]:
+        """The content as JSON with sorted keys, before the list of parameters and after it."""
+        before: dict[str, object] = {"algorithm": self.algorithm, "dataset": self.dataset}
         if self.map is not None:
-            content["map"] = self.map.content
-        return hashlib.sha256(_as_json(content).encode()).hexdigest()
+            before["map"] = self.map.content
+        after: dict[str, object] = {"playback": [self.playback.mode.value, float(self.playback.rate)]}
+        if self.sensors:
+            after["sensors"] = dict(self.sensors)
+        if self.variant:
+            after["variant"] = [step.content for step in self.variant]
+        if self.version is not None:
+            after["version"] = self.version
+        return f'{_as_json(before)[:-1]},"parameters":{{', f"}},{_as_json(after)[1:]}"
 
 
-def _tagged(value: Value) -> list[object]:
-    """The value with its type, so that 1, 1.0, True and "1" stay four different values."""
-    return [type(value).__name__, list(value) if isinstance(value, tuple) else value]
+def content_hash(around: tuple[str, str], parameters: str) -> str:
+    """The hash of a configuration, from its content around the parameters, and these in the order of their keys."""
+    return hashlib.sha256(parameters.join(around).encode()).hexdigest()
+
+
+def parameter_content(key: str, value: Value) -> str:
+    """A parameter in the content: with the type of its value, so that 1, 1.0, True and "1" stay four values."""
+    tagged = [type(value).__name__, list(value) if isinstance(value, tuple) else value]
+    return f"{_as_json(key)}:{_as_json(tagged)}"

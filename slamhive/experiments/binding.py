@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice, product
+from math import prod
 
 from slamhive.base.errors import InvalidInput, SlamHiveError, unknown
 from slamhive.base.strict_yaml import YamlPlace
@@ -18,12 +19,15 @@ from slamhive.domain.configuration import (
     StepRules,
     Variant,
     VariantStep,
+    content_hash,
+    parameter_content,
 )
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.matching import check_known
 from slamhive.domain.parameters import Parameter, Scalar, Value, default_values, find_parameter
 from slamhive.domain.roles import BY_RULE, Chosen
 from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.experiments.condition import compared_names, read_names
 from slamhive.experiments.experiment import Experiment, ExperimentAxis, StepDeclaration
 from slamhive.experiments.values import check_distinct, plain, typed
 
@@ -152,6 +156,39 @@ class BoundAxis:
         return values
 
 
+class Filter:
+    """The conditions of an experiment.
+
+    Args:
+        experiment: Its ``where``.
+        known: Every name that means something for some algorithm of the experiment; other words are text.
+
+    Attributes:
+        reads: The words that may be names in the conditions.
+    """
+
+    def __init__(self, experiment: Experiment, known: frozenset[str]) -> None:
+        self._where = experiment.where
+        self._known = known
+        for where in experiment.where:
+            for name in sorted(compared_names(where.condition) - known):
+                raise at(where.place, unknown("name in the condition", name, sorted(known)))
+        self.reads = frozenset().union(*(read_names(where.condition) for where in experiment.where))
+
+    def excludes(self, context: Mapping[str, Value]) -> bool:
+        """Tell if a condition is decided against ``context``."""
+        for where in self._where:
+            try:
+                if where.condition.decide(context, self._known) is False:
+                    return True
+            except InvalidInput as error:
+                raise at(where.place, error) from None
+        return False
+
+    def __bool__(self) -> bool:
+        return bool(self._where)
+
+
 @dataclass(slots=True)
 class ParameterPair:
     """One algorithm on one dataset, with the axes that apply.
@@ -183,33 +220,49 @@ class ParameterPair:
             size *= len(group)
         return size
 
-    def rows(self) -> Iterator[Row]:
-        """All combinations; the first axis of the file varies slowest."""
+    def rows(self, conditions: Filter, *, alike: bool = True) -> Iterator[Row]:
+        """All combinations that meet the conditions; the first axis of the file varies slowest.
+
+        Their variants are checked on the way; raises InvalidInput. Filter and steps do not read every axis, and
+        are asked once for each combination of those that they read. Without ``alike``, only the first combination of
+        those that differ in other axes is yielded.
+        """
         names = [name for group in self.groups for name in group.axes]
-        for parts in itertools.product(*(group.rows() for group in self.groups)):
-            yield dict(zip(names, itertools.chain.from_iterable(parts), strict=True))
+        deciding = self.deciding(conditions)
+        kept: dict[object, bool] = {}
+        groups = (enumerate(group.rows()) for group in self.groups)
+        if not alike:
+            groups = (part if place in deciding else islice(part, 1) for place, part in enumerate(groups))
+        for parts in product(*groups):
+            row = dict(zip(names, chain.from_iterable([values for _, values in parts]), strict=True))
+            read = tuple([parts[place] for place in deciding])
+            if (keep := kept.get(read)) is None:
+                if keep := not (conditions and conditions.excludes(self.context(row))):
+                    self.variant(row)
+                if len(deciding) < len(self.groups):
+                    kept[read] = keep
+            if keep:
+                yield row
+
+    def count(self, conditions: Filter) -> int:
+        """How many combinations meet the conditions; raises as :meth:`rows`."""
+        deciding = self.deciding(conditions)
+        others = prod(len(group) for place, group in enumerate(self.groups) if place not in deciding)
+        return sum(1 for _ in self.rows(conditions, alike=False)) * others
+
+    def deciding(self, conditions: Filter) -> tuple[int, ...]:
+        """Places of the groups with an axis that conditions or steps read."""
+        read = {self.aliases.get(name, name) for name in conditions.reads} | set(self.step_axes)
+        return tuple(place for place, group in enumerate(self.groups) if not read.isdisjoint(group.axes))
+
+    @property
+    def step_axes(self) -> tuple[str, ...]:
+        """The axes of the options of steps."""
+        return tuple(name for step in self.steps for name in step.options.values())
 
     def context(self, row: Row) -> dict[str, Value]:
         """The value of each name that a condition may use."""
         return {**self.fixed, **row, **{alias: row[name] for alias, name in self.aliases.items()}}
-
-    def configuration(self, row: Row) -> Configuration:
-        """The configuration of a combination."""
-        parameters = default_values(self.algorithm.parameters)
-        for name, key in self.parameters.items():
-            parameters[key] = row[name]
-        playback = Playback(PlaybackMode(str(row[PLAYBACK_MODE])), float(row[PLAYBACK_RATE]))  # type: ignore[arg-type]
-        self.algorithm.package.check_playback(playback)
-        return Configuration(
-            algorithm=self.algorithm.name,
-            dataset=self.dataset.name,
-            parameters=parameters,
-            playback=playback,
-            variant=self.variant(row),
-            sensors=self.sensors,
-            version=self.algorithm.version,
-            map=self.map,
-        )
 
     def limits_of(self, row: Row) -> Limits:
         """The limits of the runs of a combination."""
@@ -217,7 +270,7 @@ class ParameterPair:
 
     def variant(self, row: Row) -> Variant:
         """The steps that change something; raises InvalidInput for a value the sensor cannot have."""
-        settings = tuple(row[name] for step in self.steps for name in step.options.values())
+        settings = tuple([row[name] for name in self.step_axes])
         if settings not in self.variants:
             self.variants[settings] = self._resolve(row)
         return self.variants[settings]
@@ -241,6 +294,67 @@ class ParameterPair:
                     error.remedy,
                 ) from None
         return tuple(variant)
+
+
+class PairConfigurations:
+    """Configurations of one pair with their content hashes; what many of them share is prepared once.
+
+    Args:
+        pair: The algorithm and the dataset.
+    """
+
+    def __init__(self, pair: ParameterPair) -> None:
+        self._pair = pair
+        self._defaults = default_values(pair.algorithm.parameters)
+        axes = {name: axis for group in pair.groups for name, axis in group.axes.items()}
+        varied = {key: name for name, key in pair.parameters.items()}
+        self._contents: list[tuple[str, Mapping[Value, str], str]] = [
+            (name, {value: parameter_content(key, value) for value in axes[name].values()}, "")
+            if (name := varied.get(key, ""))
+            else ("", {}, parameter_content(key, self._defaults[key]))
+            for key in sorted({*self._defaults, *varied})
+        ]
+        self._names = (PLAYBACK_MODE, PLAYBACK_RATE, *pair.step_axes)
+        self._alike: dict[tuple[Value, ...], tuple[Configuration, tuple[str, str]]] = {}
+
+    def of(self, row: Row) -> tuple[Configuration, str]:
+        """The configuration of a combination and its content hash; raises InvalidInput for an impossible playback."""
+        key = tuple([row[name] for name in self._names])
+        if key not in self._alike:
+            self._alike[key] = self._first(row)
+        first, around = self._alike[key]
+        parameters = dict(self._defaults)
+        for name, parameter in self._pair.parameters.items():
+            parameters[parameter] = row[name]
+        configuration = Configuration(
+            algorithm=first.algorithm,
+            dataset=first.dataset,
+            parameters=parameters,
+            playback=first.playback,
+            variant=first.variant,
+            sensors=first.sensors,
+            version=first.version,
+            map=first.map,
+        )
+        contents = [varied[row[name]] if name else default for name, varied, default in self._contents]
+        return configuration, content_hash(around, ",".join(contents))
+
+    def _first(self, row: Row) -> tuple[Configuration, tuple[str, str]]:
+        """A configuration without parameters that is played in the way of ``row``, and its content around them."""
+        pair = self._pair
+        playback = Playback(PlaybackMode(str(row[PLAYBACK_MODE])), float(row[PLAYBACK_RATE]))  # type: ignore[arg-type]
+        pair.algorithm.package.check_playback(playback)
+        first = Configuration(
+            algorithm=pair.algorithm.name,
+            dataset=pair.dataset.name,
+            parameters={},
+            playback=playback,
+            variant=pair.variant(row),
+            sensors=pair.sensors,
+            version=pair.algorithm.version,
+            map=pair.map,
+        )
+        return first, first.content_around_parameters
 
 
 Resolved = dict[tuple[object, ...], dict[tuple[Value, ...], Variant]]

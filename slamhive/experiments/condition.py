@@ -99,6 +99,12 @@ def compared_names(condition: CombinationCondition) -> frozenset[str]:
     return frozenset(leaf.left for leaf in leaves(condition.tree))
 
 
+def read_names(condition: CombinationCondition) -> frozenset[str]:
+    """The words of comparisons that may be names, on both sides."""
+    right = (operand.word for leaf in leaves(condition.tree) for operand in leaf.right if isinstance(operand, Name))
+    return compared_names(condition).union(right)
+
+
 def _comparison(leaf: Written, text: str) -> ConditionComparison:
     if not leaf.name.quoted and is_number(leaf.name.text):
         raise FilterError(

@@ -19,46 +19,17 @@ from slamhive.experiments.binding import (
     PLAYBACK_MODE,
     PLAYBACK_RATE,
     CatalogueView,
+    Filter,
+    PairConfigurations,
     ParameterPair,
     Resolved,
-    Row,
     at,
     bind,
 )
-from slamhive.experiments.condition import compared_names
 from slamhive.experiments.experiment import Experiment, ExperimentAxis
 from slamhive.experiments.file import DatasetsWhere
 
 RESERVED = ("algorithm", "dataset", "seed", "repeat", PLAYBACK_MODE, PLAYBACK_RATE)
-
-
-class Filter:
-    """The conditions of an experiment.
-
-    Args:
-        experiment: Its ``where``.
-        known: Every name that means something for some algorithm of the experiment; other words are text.
-    """
-
-    def __init__(self, experiment: Experiment, known: frozenset[str]) -> None:
-        self._where = experiment.where
-        self._known = known
-        for where in experiment.where:
-            for name in sorted(compared_names(where.condition) - known):
-                raise at(where.place, unknown("name in the condition", name, sorted(known)))
-
-    def excludes(self, context: Mapping[str, Value]) -> bool:
-        """Tell if a condition is decided against ``context``."""
-        for where in self._where:
-            try:
-                if where.condition.decide(context, self._known) is False:
-                    return True
-            except InvalidInput as error:
-                raise at(where.place, error) from None
-        return False
-
-    def __bool__(self) -> bool:
-        return bool(self._where)
 
 
 def bind_all(experiment: Experiment, view: CatalogueView) -> tuple[list[ParameterPair], Filter]:
@@ -309,10 +280,12 @@ class Expansion(Iterator[PlannedRun]):
         number = 0
         for pair in pairs:
             heading: dict[str, Value] = {"algorithm": pair.algorithm.label, "dataset": pair.dataset.name}
-            for row in _rows(pair, conditions):
-                configuration = pair.configuration(row)
-                content_hash = configuration.content_hash
-                digest, limits = bytes.fromhex(content_hash), pair.limits_of(row)
+            configurations = PairConfigurations(pair)
+            shared = pair.limits.limits
+            for row in pair.rows(conditions):
+                configuration, content_hash = configurations.of(row)
+                digest = bytes.fromhex(content_hash)
+                limits = pair.limits_of(row) if pair.limit_axes else shared
                 identity = (digest, limits) if pair.limit_axes else digest
                 if identity in seen:
                     self.merged += 1
@@ -336,7 +309,7 @@ def expand(experiment: Experiment, view: CatalogueView, limit: int = MAX_COMBINA
 def _checked(experiment: Experiment, view: CatalogueView, limit: int) -> tuple[Size, list[ParameterPair], Filter]:
     pairs, conditions = bind_all(experiment, view)
     combinations = _check_size(experiment, pairs, limit)
-    remaining = {id(pair): sum(1 for _ in _rows(pair, conditions)) for pair in pairs}
+    remaining = {id(pair): pair.count(conditions) for pair in pairs}
     pairs = [pair for pair in pairs if remaining[id(pair)]]
     configurations = sum(remaining.values())
     if configurations == 0:
@@ -359,15 +332,6 @@ def _variants(pairs: list[ParameterPair]) -> dict[str, frozenset[Variant]]:
         found = frozenset(variant for variant in pair.variants.values() if variant)
         needed[pair.dataset.name] = needed.get(pair.dataset.name, frozenset()) | found
     return needed
-
-
-def _rows(pair: ParameterPair, conditions: Filter) -> Iterator[Row]:
-    """The rows that meet the conditions; their variants are checked on the way."""
-    for row in pair.rows():
-        if conditions and conditions.excludes(pair.context(row)):
-            continue
-        pair.variant(row)
-        yield row
 
 
 def _check_size(experiment: Experiment, pairs: list[ParameterPair], limit: int) -> int:
