@@ -1,4 +1,4 @@
-"""Cost of expanding an experiment of 100,000 configurations: seconds, and the largest memory of the process.
+"""Cost of expanding an experiment of 100,000 configurations: CPU seconds, and the largest memory of the process.
 
     python benchmarks/expand.py [--configurations 100000] [--json]
 
@@ -91,21 +91,23 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     before_bytes = _peak_bytes()
-    start = time.perf_counter()
+    start = time.process_time()
     experiment = parse_experiment(EXPERIMENT.format(last=max(1, options.configurations // PER_VALUE)))
     runs: list[PlannedRun] = list(expand(experiment, catalogue()))
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     figures = {
         "configurations": len({run.content_hash for run in runs}),
-        "time_s": round(seconds, 2),
+        "cpu_s": round(seconds, 2),
         "peak_bytes": _peak_bytes(),
         "peak_before_bytes": before_bytes,
-        "bounds": {"time_s": TIME_BOUND_S, "peak_bytes": MEMORY_BOUND_BYTES},
+        "bounds": {"cpu_s": TIME_BOUND_S, "peak_bytes": MEMORY_BOUND_BYTES},
     }
     if options.json:
         print(json.dumps(figures, indent=1))
     else:
-        print(f"{figures['configurations']:,} configurations expanded in {seconds:.2f} s (bound {TIME_BOUND_S:g} s),")
+        print(
+            f"{figures['configurations']:,} configurations in {seconds:.2f} s of CPU time (bound {TIME_BOUND_S:g} s),"
+        )
         print(f"all kept: {_peak_bytes() / 1e6:.0f} MB at most (bound {MEMORY_BOUND_BYTES / 1e6:.0f} MB)")
     return 0 if seconds <= TIME_BOUND_S and _peak_bytes() <= MEMORY_BOUND_BYTES else 1
 

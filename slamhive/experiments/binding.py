@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice, product
+from itertools import chain, product
 from math import prod
 
 from slamhive.base.errors import InvalidInput, SlamHiveError, unknown
@@ -230,18 +230,19 @@ class ParameterPair:
         names = [name for group in self.groups for name in group.axes]
         deciding = self.deciding(conditions)
         kept: dict[object, bool] = {}
-        groups = (enumerate(group.rows()) for group in self.groups)
+        groups = [list(enumerate(group.rows())) for group in self.groups]
         if not alike:
-            groups = (part if place in deciding else islice(part, 1) for place, part in enumerate(groups))
+            groups = [part if place in deciding else part[:1] for place, part in enumerate(groups)]
         for parts in product(*groups):
             row = dict(zip(names, chain.from_iterable([values for _, values in parts]), strict=True))
             read = tuple([parts[place] for place in deciding])
-            if (keep := kept.get(read)) is None:
-                if keep := not (conditions and conditions.excludes(self.context(row))):
+            if read not in kept:
+                if len(deciding) == len(self.groups):
+                    kept.clear()  # none comes again
+                kept[read] = not (conditions and conditions.excludes(self.context(row)))
+                if kept[read]:
                     self.variant(row)
-                if len(deciding) < len(self.groups):
-                    kept[read] = keep
-            if keep:
+            if kept[read]:
                 yield row
 
     def count(self, conditions: Filter) -> int:

@@ -24,11 +24,11 @@ from slamhive.store.models import (
     VariantOptionRow,
 )
 from slamhive.store.records import NewConfiguration
-from slamhive.store.rows import Repository, chunks, get_or_insert, to_json
-from slamhive.store.tables import LongText, from_json
+from slamhive.store.rows import Repository, chunks, get_or_insert, insert_many, to_json
+from slamhive.store.tables import LongText, as_json, from_json
 
 
-def option_rows(configuration_id: int, variant: Variant) -> list[dict[str, Any]]:
+def _options(variant: Variant) -> list[tuple[str, float | None, str | None]]:
     """Rows of ``variant_options``: ``KIND.OPTION`` and ``KIND.OPTION@SENSOR``, where all steps of the kind agree."""
     found: dict[str, list[Scalar]] = {}
     for step in variant:
@@ -37,11 +37,12 @@ def option_rows(configuration_id: int, variant: Variant) -> list[dict[str, Any]]
             for key in (name, *(f"{name}@{sensor}" for sensor in step.sensors)):
                 found.setdefault(key, []).append(value)
     return [
-        {"configuration_id": configuration_id, "name": name, **_searched(values[0])}
-        for name, values in found.items()
-        if all(value == values[0] for value in values)
+        (name, *_searched(values[0])) for name, values in found.items() if all(value == values[0] for value in values)
     ]
 
+
+_VALUE_COLUMNS = ("configuration_id", "parameter_id", "value", "number_value", "text_value")
+_OPTION_COLUMNS = ("configuration_id", "name", "number_value", "text_value")
 
 ROWS_OF_A_STATEMENT = 100
 """PyMySQL sends so few rows as one INSERT, which succeeds or fails as a whole if another transaction inserts the same.
@@ -171,23 +172,28 @@ class ConfigurationRepository(Repository):
         """Insert the parameters and variant options of new configurations, by id."""
         ids: dict[tuple[object, ...], dict[str, int]] = {}
         meanings = _Meanings()
-        rows: list[dict[str, Any]] = []
-        options: list[dict[str, Any]] = []
+        rows: list[tuple[object, ...]] = []
+        options: list[tuple[object, ...]] = []
+        # Values and variants that an experiment repeats are one object, which the entries keep.
+        columns: dict[int, tuple[object, ...]] = {}
+        of_variants: dict[int, list[tuple[str, float | None, str | None]]] = {}
         for configuration_id, entry in entries.items():
-            options += option_rows(configuration_id, entry.configuration.variant)
+            variant = entry.configuration.variant
+            if id(variant) not in of_variants:
+                of_variants[id(variant)] = _options(variant)
+            options += [(configuration_id, *option) for option in of_variants[id(variant)]]
             values = entry.configuration.parameters
             kinds = ((key, type(value)) for key, value in values.items())
             signature = (entry.algorithm_id, meanings.of(entry.definitions), *kinds)
             if signature not in ids:
                 ids[signature] = self._parameter_ids(entry.algorithm_id, values, entry.definitions)
+            numbers = ids[signature]
             for key, value in values.items():
-                columns = {"configuration_id": configuration_id, "parameter_id": ids[signature][key]}
-                # ``value`` is JSON, which distinguishes 1, 1.0, true and "1".
-                rows.append({**columns, "value": value, **_searched(value)})
-        if rows:
-            self._connection.execute(insert(ConfigurationValueRow.__table__), rows)
-        if options:
-            self._connection.execute(insert(VariantOptionRow.__table__), options)
+                if id(value) not in columns:  # ``value`` is JSON, which distinguishes 1, 1.0, true and "1".
+                    columns[id(value)] = (as_json(value), *_searched(value))
+                rows.append((configuration_id, numbers[key], *columns[id(value)]))
+        insert_many(self._connection, ConfigurationValueRow.__table__, _VALUE_COLUMNS, rows, as_stored=_VALUE_COLUMNS)
+        insert_many(self._connection, VariantOptionRow.__table__, _OPTION_COLUMNS, options, as_stored=_OPTION_COLUMNS)
 
     def _parameter_ids(
         self, algorithm_id: int, values: Mapping[str, Value], definitions: Sequence[Parameter]
@@ -273,7 +279,7 @@ def _description(definition: Parameter | None, value: Value) -> tuple[str, str, 
     return types.get(type(value), ParameterType.MATRIX).value, "", None
 
 
-def _searched(value: Value) -> dict[str, Any]:
+def _searched(value: Value) -> tuple[float | None, str | None]:
     """The columns that searches read: a number or a text, neither for a matrix."""
     number: float | None = None
     text: str | None = None
@@ -284,4 +290,4 @@ def _searched(value: Value) -> dict[str, Any]:
             number = float(value)
         except OverflowError:  # an integer beyond the largest float
             text = str(value)[:TEXT_VALUE_LENGTH]
-    return {"number_value": number, "text_value": text}
+    return number, text

@@ -36,7 +36,7 @@ from slamhive.store.records import (
     ProtocolLabel,
     StateCount,
 )
-from slamhive.store.rows import Repository, chunks, get_or_insert, sample_variance
+from slamhive.store.rows import Repository, chunks, get_or_insert, insert_many, sample_variance
 from slamhive.store.sharing import sharing_columns
 from slamhive.store.sight import seeing_all
 
@@ -228,18 +228,10 @@ class ExperimentRepository(Repository):
 
     def add_cells(self, experiment_id: int, cells: Sequence[CellRecord]) -> None:
         """Store cells that are not stored yet."""
-        rows = [
-            {
-                "experiment_id": experiment_id,
-                "number": cell.number,
-                "configuration_id": cell.configuration_id,
-                "name": cell.name,
-                "axis_values": dict(cell.values),
-            }
-            for cell in cells
-        ]
+        names = ("experiment_id", "number", "configuration_id", "name", "axis_values")
+        rows = [(experiment_id, cell.number, cell.configuration_id, cell.name, dict(cell.values)) for cell in cells]
+        insert_many(self._connection, _CELLS, names, rows)
         if rows:
-            self._connection.execute(insert(_CELLS), rows)
             changes_of(self._connection).cells.append((experiment_id, cells))
 
     def cell_hashes(self, experiment_id: int, first: int, last: int) -> dict[int, str]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import datetime
 from enum import StrEnum
 from typing import Any, TypeVar, cast
 
-from sqlalchemy import ColumnElement, Connection, CursorResult, Executable, and_, insert, or_, select
+from sqlalchemy import ColumnElement, Connection, CursorResult, Executable, Table, and_, insert, or_, select
 from sqlalchemy.exc import IntegrityError
 
 from slamhive.base.bounds import parse_json
@@ -45,6 +45,42 @@ def chunks(values: Sequence[T], size: int = CHUNK) -> Iterator[Sequence[T]]:
 def changed(connection: Connection, statement: Executable) -> int:
     """Execute an UPDATE or DELETE; how many rows it matched."""
     return cast("CursorResult[Any]", connection.execute(statement)).rowcount
+
+
+def insert_many(
+    connection: Connection,
+    table: Table,
+    names: Sequence[str],
+    rows: Sequence[Sequence[Any]],
+    as_stored: Collection[str] = (),
+) -> None:
+    """Insert rows, each with the values of the columns ``names``.
+
+    SQLAlchemy takes a dictionary for each row and makes a list of it, which takes as long as the database needs.
+
+    Args:
+        connection: Of the transaction.
+        table: Where the rows go.
+        names: Columns of the table.
+        rows: Values in the order of ``names``.
+        as_stored: Columns whose values the database takes as they are; the others are converted.
+    """
+    if not rows:
+        return
+    dialect = connection.dialect
+    converters = [
+        None if name in as_stored else table.c[name].type.dialect_impl(dialect).bind_processor(dialect)
+        for name in names
+    ]
+    if any(converters):
+        rows = [
+            [value if convert is None else convert(value) for value, convert in zip(row, converters, strict=True)]
+            for row in rows
+        ]
+    quoted = ", ".join(map(dialect.identifier_preparer.quote, names))
+    marks = ", ".join(["?" if dialect.paramstyle == "qmark" else "%s"] * len(names))
+    text = f"INSERT INTO {dialect.identifier_preparer.format_table(table)} ({quoted}) VALUES ({marks})"  # noqa: S608 - names of the schema
+    connection.exec_driver_sql(text, [tuple(row) for row in rows])
 
 
 def get_or_insert(

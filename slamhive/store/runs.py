@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any, Unpack
 
@@ -27,7 +27,7 @@ from slamhive.store.models import (
     RunTagRow,
 )
 from slamhive.store.records import LeaseLost, Page, RunFields, RunRecord, RunRequest, RunSnapshot, RunSort
-from slamhive.store.rows import Repository, changed, chunks, cut
+from slamhive.store.rows import Repository, changed, chunks, cut, insert_many
 from slamhive.store.run_cells import CellsWanted, RunCellPage, list_cells
 from slamhive.store.run_listing import list_page, options_row, run_query, to_records
 from slamhive.store.sharing import SharingRepository
@@ -135,10 +135,10 @@ class RunRepository(Repository):
             new = shared.of_new_runs(new)
             audiences = shared.audiences(new)
             rows = [{**_new_row(request, now), "audience": audiences[request.uid]} for request in new]
-            self._connection.execute(insert(_RUNS), rows)
+            insert_many(self._connection, _RUNS, tuple(rows[0]), [tuple(row.values()) for row in rows])
             known.update(self.ids_by_uid([request.uid for request in new]))
             events = [event_row(known[request.uid], queued_event(request, now)) for request in new]
-            self._connection.execute(insert(_EVENTS), events)
+            insert_many(self._connection, _EVENTS, tuple(events[0]), [tuple(event.values()) for event in events])
             changes_of(self._connection).runs += [NewRow(known[request.uid], request, now) for request in new]
         return [known[request.uid] for request in requests]
 
@@ -310,7 +310,8 @@ def queued_event(request: RunRequest, at: datetime) -> RunEvent:
 
 def event_row(run_id: int, event: RunEvent) -> dict[str, Any]:
     """The columns of a move."""
-    return {**asdict(event), "run_id": run_id, "why": cut(" ".join(event.why.split()), WHY_LENGTH)}
+    why = cut(" ".join(event.why.split()), WHY_LENGTH)
+    return {"run_id": run_id, "at": event.at, "from_state": event.from_state, "to_state": event.to_state, "why": why}
 
 
 def snapshot_row(snapshot: RunSnapshot) -> dict[str, Any]:

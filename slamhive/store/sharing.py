@@ -41,14 +41,14 @@ class SharingRepository(Repository):
             # The repetition of a run is seen by no more people than the run.
             own = alone and first.visibility and alone.within(first.visibility)
             visibility = request.visibility or own or first.visibility or alone
-            found.append(replace(request, owner=maker.owner or first.owner, visibility=visibility))
+            found.append(_owned(request, Sharing(maker.owner or first.owner, visibility)))
         return self.of_experiments(found)
 
     def of_experiments(self, requests: Sequence[RunRequest]) -> list[RunRequest]:
         """The requests, those of experiments with the owner of the experiment."""
         experiments = self._of_experiments(requests)
         return [
-            replace(request, owner=experiments[request.experiment_id].owner or request.owner)
+            _owned(request, Sharing(experiments[request.experiment_id].owner or request.owner, request.visibility))
             if request.experiment_id in experiments
             else request
             for request in requests
@@ -118,3 +118,10 @@ class SharingRepository(Repository):
 
     def _write(self, table: Table, ids: Sequence[int], sharing: Sharing, within: Visibility | None = None) -> None:
         self._connection.execute(update(table).where(table.c.id.in_(ids)).values(sharing_columns(sharing, within)))
+
+
+def _owned(request: RunRequest, sharing: Sharing) -> RunRequest:
+    """The request with owner and visibility; itself if it has them, since a copy costs as much as its row."""
+    if (request.owner, request.visibility) == (sharing.owner, sharing.visibility):
+        return request
+    return replace(request, owner=sharing.owner, visibility=sharing.visibility)

@@ -69,8 +69,8 @@ def optional(kind: TypeEngine[T] | type[TypeEngine[T]], *parts: Any, **options: 
 
 E = TypeVar("E", bound=StrEnum)
 
-_as_json = json.JSONEncoder(allow_nan=False, separators=(",", ":")).encode
-"""One encoder for all values: an experiment stores a million."""
+as_json = json.JSONEncoder(allow_nan=False, separators=(",", ":")).encode
+"""Text of a value in such a column; raises ValueError for NaN. One encoder for all: an experiment stores a million."""
 
 LongText = Text().with_variant(MEDIUMTEXT(), "mysql")
 """Text of up to 16 MB."""
@@ -113,7 +113,7 @@ class JsonText(TypeDecorator[Any]):
 
     def process_bind_param(self, value: Any, dialect: Dialect) -> str | None:  # noqa: ARG002
         """To text; None becomes NULL, NaN is refused."""
-        return None if value is None else _as_json(value)
+        return None if value is None else as_json(value)
 
     def process_result_value(self, value: str | None, dialect: Dialect) -> Any:  # noqa: ARG002
         """Back to the value."""

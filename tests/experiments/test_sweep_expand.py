@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from slamhive.domain.configuration import Configuration, Playback, PlaybackMode, VariantStep
+from slamhive.experiments.binding import Filter
 from slamhive.experiments.expansion import count, expand
 from slamhive.experiments.file import parse_experiment
 from tests.experiments.sweep_world import CAMERA, EUROC, FEATURES, IMU, MONO, ROOM, STEREO, algorithm, dataset, view
@@ -48,6 +49,28 @@ def test_a_configuration_holds_every_parameter_typed_and_the_variant():
     )
     assert type(run.configuration.parameters["scaleFactor"]) is float
     assert run.content_hash == run.configuration.content_hash
+
+
+def test_all_configurations_of_an_expansion_have_the_hash_of_their_content():
+    varied = "parameters:\n  features: 500 | 1000\n  scaleFactor: 1.1 | 1.5 | 2\nplayback: {rate: 1 | 0.5}\n"
+    runs = plan(STEREO_ON_ROOM + RATES + varied)
+    assert len({run.content_hash for run in runs}) == len(runs) == 36
+    assert [run.content_hash for run in runs] == [run.configuration.content_hash for run in runs]
+
+
+def test_conditions_are_asked_once_for_each_combination_that_they_read(monkeypatch):
+    asked = []
+    excludes = Filter.excludes
+
+    def note(conditions, context):
+        asked.append(context.get("image_rate"))
+        return excludes(conditions, context)
+
+    monkeypatch.setattr(Filter, "excludes", note)
+    varied = "parameters:\n  features: 500 | 1000\n  scaleFactor: 1.1 | 1.5 | 2\nwhere: image_rate >= 10\n"
+    runs = plan(STEREO_ON_ROOM + RATES + varied)
+    assert [run.values["image_rate"] for run in runs] == [20] * 6 + [10] * 6
+    assert asked[1:] == [20, 10, 5] * 2, "once for the pair, then for the count and for the runs"
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
+from typing import Any
 
 from slamhive.base.clock import utc_now
 from slamhive.base.errors import Conflict, InvalidInput, SlamHiveError
+from slamhive.documents.limits import Limits
 from slamhive.documents.submission import MAX_REPEATS
 from slamhive.domain.accounts import Visibility
 from slamhive.domain.algorithm import Algorithm
+from slamhive.domain.configuration import Variant
 from slamhive.domain.metrics import metric
 from slamhive.domain.placement import run_affinity
 from slamhive.domain.protocol import Protocol
@@ -170,40 +173,37 @@ def _store(
     )
     if rows.cells_only:
         return []
-    held = current.state is ExperimentState.PAUSED
-    requests = [
-        request
-        for cell, configuration_id in zip(chunk, ids, strict=True)
-        for request in _requests(record, experiment, rows, cell, configuration_id, held=held)
-    ]
+    shared = {
+        **experiment.options,
+        "executor": record.executor,
+        "priority": record.priority,
+        "experiment_id": record.id,
+        "held": current.state is ExperimentState.PAUSED,
+    }
+    limits: dict[Limits, dict[str, Any]] = {}
+    affinities: dict[tuple[str, str, Variant], str] = {}
+    requests = []
+    for cell, configuration_id in zip(chunk, ids, strict=True):
+        configuration = cell[0].configuration
+        package = rows.algorithms[configuration.algorithm_label][1].package.name
+        place = (configuration.dataset, package, configuration.variant)
+        if place not in affinities:
+            affinities[place] = run_affinity(configuration.dataset, configuration.variant, package)
+        for run in cell:
+            if run.limits not in limits:
+                limits[run.limits] = {**shared, **asdict(run.limits)}
+            requests.append(
+                RunRequest(
+                    uid=run_uid(record.uid, run.cell, run.seed, run.repeat),
+                    configuration_id=configuration_id,
+                    seed=run.seed,
+                    protocol=rows.protocols[configuration.algorithm, configuration.dataset],
+                    cell=run.cell,
+                    affinity=affinities[place],
+                    **limits[run.limits],
+                )
+            )
     return t.runs.add_runs(requests, now, deleted_too=False)
-
-
-def _requests(
-    record: ExperimentRecord,
-    experiment: Experiment,
-    rows: _Rows,
-    cell: Sequence[PlannedRun],
-    configuration_id: int,
-    *,
-    held: bool,
-) -> Iterator[RunRequest]:
-    configuration = cell[0].configuration
-    package = rows.algorithms[configuration.algorithm_label][1].package.name
-    affinity = run_affinity(configuration.dataset, configuration.variant, package)
-    for run in cell:
-        yield RunRequest(
-            uid=run_uid(record.uid, run.cell, run.seed, run.repeat),
-            configuration_id=configuration_id,
-            executor=record.executor,
-            seed=run.seed,
-            **{**experiment.options, **asdict(run.limits), "priority": record.priority},
-            protocol=rows.protocols[configuration.algorithm, configuration.dataset],
-            experiment_id=record.id,
-            cell=run.cell,
-            held=held,
-            affinity=affinity,
-        )
 
 
 @contextmanager

@@ -241,6 +241,13 @@ def record_line(record: ConfigurationRecord) -> Line:
 def _configuration_line(
     at: datetime, definitions: Mapping[str, Any], configurations: Iterable[tuple[int, Configuration]]
 ) -> Line:
+    variants: dict[int, Any] = {}  # an experiment has few, and the configurations keep them
+
+    def steps(variant: Variant) -> Any:
+        if id(variant) not in variants:
+            variants[id(variant)] = dump(Variant, variant)
+        return variants[id(variant)]
+
     rows = (
         LedgerConfigurationLine(
             number,
@@ -249,7 +256,7 @@ def _configuration_line(
             dict(entry.parameters),
             entry.playback.mode,
             entry.playback.rate,
-            dump(Variant, entry.variant),
+            steps(entry.variant),
             dict(entry.sensors),
             # Version and map: rows of before have neither, and few have them now.
             *(() if entry.version is None and entry.map is None else (entry.version, dump(InputMap | None, entry.map))),
